@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that take long. They start first, so that no worker is left alone with one: a file runs on one worker.
 
-The files of fjr_core run beside the two files that need the clock (conftest.py). A worker that reaches the second of
-these before the first has finished would wait for it; the files between them take longer than the first.
+The files of the mathematics, which start no node, run beside the two files that need the clock (conftest.py). A worker
+that reaches the second of these before the first has finished would wait for it; the files between them take longer
+than the first.
 """
 
 LONGEST_FIRST = (

@@ -34,7 +34,7 @@ def test_the_page_shows_the_number_in_amber() -> None:
     line = html.environment().get_template("macros.html").module.verdict_line(DEGRADED)
     assert 'class="verdict degraded"' in line
     assert "Degraded: delay makes 0.14 mrad at joint2" in line
-    css = (files("fjr_bringup") / "report" / "templates" / "page.css").read_text(encoding="utf-8")
+    css = (files("fjr_monitor") / "report" / "templates" / "page.css").read_text(encoding="utf-8")
     rule = re.search(r"\.degraded[^{]*\{([^}]*)\}", css)
     assert rule is not None
     assert "--doubt" in rule[1]

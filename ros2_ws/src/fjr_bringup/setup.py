@@ -25,15 +25,15 @@ setup(
     install_requires=[
         "fjr_core[plot,sweep]",
         "fjr_msgs_py[commands]",
-        "fjr_monitor[all]",
+        "fjr_monitor[commands]",
         "fjr_plant",
         "fjr_controller",
-        "fjr_design",
+        "fjr_design[commands]",
         "PyYAML>=6.0.1",
         "click>=8.2",
         "numpy>=1.26",
     ],  # rclpy and messages: from ROS 2, or its wheels
-    extras_require={"all": ["fjr_identification", "fjr_proofs"]},
+    extras_require={"all": ["fjr_identification[commands]", "fjr_proofs[commands]"]},
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -13,20 +13,19 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=[
-        "fjr_core",
-        "fjr_msgs_py",
-        "fjr_monitor[all]",
-        "PyYAML>=6.0.1",
-        "casadi>=3.6.5",
-        "click>=8.2",
-        "cma>=4.0",
-        "matplotlib>=3.6",
-        "numpy>=1.26",
-        "pyarrow>=15",
-        "scipy>=1.11",
-        "tqdm>=4.66",
-    ],
+    install_requires=["fjr_core", "casadi>=3.6.5", "numpy>=1.26", "scipy>=1.11"],
+    extras_require={
+        "commands": [
+            "fjr_msgs_py[commands]",
+            "fjr_monitor[commands]",
+            "PyYAML>=6.0.1",
+            "click>=8.2",
+            "cma>=4.0",
+            "matplotlib>=3.6",
+            "pyarrow>=15",
+            "tqdm>=4.66",
+        ]
+    },  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -13,18 +13,17 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=[
-        "fjr_core",
-        "fjr_msgs_py",
-        "fjr_monitor[all]",
-        "fjr_design",
-        "casadi>=3.6.5",
-        "click>=8.2",
-        "mcap>=1.1",
-        "numpy>=1.26",
-        "pyarrow>=15",
-        "scipy>=1.11",
-    ],
+    install_requires=["fjr_core", "fjr_design", "casadi>=3.6.5", "numpy>=1.26", "scipy>=1.11"],
+    extras_require={
+        "commands": [
+            "fjr_msgs_py[commands]",
+            "fjr_monitor[commands]",
+            "fjr_design[commands]",
+            "click>=8.2",
+            "mcap>=1.1",
+            "pyarrow>=15",
+        ]
+    },  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

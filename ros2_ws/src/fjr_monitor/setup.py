@@ -2,13 +2,6 @@
 from setuptools import find_packages, setup
 
 package_name = "fjr_monitor"
-extras = {
-    "pages": ["jinja2>=3.1", "jupyter-threejs-sage>=130", "matplotlib>=3.6", "scipy>=1.11", "uplot-python>=1.1"],
-    "bags": ["PyYAML>=6.0.1", "mcap>=1.1", "rosbags>=0.10"],
-    "commands": ["click>=8.2", "rich>=13", "tqdm>=4.66"],
-}
-
-
 setup(
     name=package_name,
     version="0.1.0",
@@ -19,12 +12,22 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=[
-        "fjr_core",
-        "fjr_msgs_py",
-        "numpy>=1.26",
-    ],  # of the diagnosis in a controller; rclpy and messages: from ROS 2, or its wheels
-    extras_require={**extras, "all": sorted(sum(extras.values(), []))},
+    install_requires=["fjr_core", "casadi>=3.6.5", "numpy>=1.26"],
+    extras_require={
+        "commands": [
+            "fjr_msgs_py[commands]",
+            "PyYAML>=6.0.1",
+            "click>=8.2",
+            "jinja2>=3.1",
+            "jupyter-threejs-sage>=130",
+            "matplotlib>=3.6",
+            "mcap>=1.1",
+            "rich>=13",
+            "rosbags>=0.10",
+            "scipy>=1.11",
+            "uplot-python>=1.1",
+        ]
+    },  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

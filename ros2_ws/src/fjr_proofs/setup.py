@@ -13,7 +13,8 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
     ],
     python_requires=">=3.10",
-    install_requires=["fjr_core", "fjr_msgs_py", "fjr_design", "casadi>=3.6.5", "numpy>=1.26", "scipy>=1.11"],
+    install_requires=["fjr_core", "casadi>=3.6.5", "numpy>=1.26", "scipy>=1.11"],
+    extras_require={"commands": ["fjr_msgs_py[commands]"]},  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -33,7 +33,7 @@ def setup_of(noise: float = NOISE) -> Estimation:
 def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gauss_newton, "MOST_ITERATIONS", 0)
     start = setup_of().prior.values
-    monkeypatch.setattr(identify, "simulation_start", lambda setup, z: {**setup.values, **start})
+    monkeypatch.setattr(f"{identify.__module__}.simulation_start", lambda setup, z: {**setup.values, **start})
     found = found_in(noisy(*usual_record(), 4e-3), JOINT)
     assert {each.verdict for each in found.values()} <= {WEAK, UNKNOWN}
     stiffness = found["joint_stiffness"]

@@ -67,7 +67,7 @@ def synthesize(
     the 1024 of `check` within the limits of the robot, so that law.rate().beta >= beta and check(...) is stable. At
     these configurations the sampled loop decays at least at beta / 2 with the given delay and with a quarter and half a
     sample more. There is no guarantee between the configurations.
-    domain: positions on which s M >= M_l is proven (verification.inertia_bounds), so that law.proven_rate(domain) is at
+    domain: positions on which s M >= M_l is proven (package fjr_proofs), so that law.proven_rate(domain) is at
     least beta but for the gap of its own search.
     plants: drawn plants with which the loop is to be stable, too, at the most critical configurations.
     Raises GainsError if no gains of this family meet these conditions, with the largest reachable rate, and with the

@@ -61,7 +61,7 @@ def asset(name: str) -> str:
 def environment() -> Environment:
     """Return the Jinja2 environment of the pages: every value is escaped, an undefined name is an error."""
     made = Environment(
-        loader=PackageLoader("fjr_bringup", TEMPLATES),
+        loader=PackageLoader("fjr_monitor", TEMPLATES),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -70,7 +70,7 @@ def environment() -> Environment:
     )
     made.filters |= {"number": number, "percent": percent}
     made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE, "THREE": THREE}
-    static = files("fjr_bringup") / TEMPLATES  # files that go into a page as they are, like those of uPlot
+    static = files("fjr_monitor") / TEMPLATES  # files that go into a page as they are, like those of uPlot
     made.globals["static"] = lambda name: Markup((static / name).read_text(encoding="utf-8"))
     made.globals |= {"colour": colour, "provenance": provenance, "asset": lambda name: Markup(asset(name))}
     made.policies["json.dumps_kwargs"] = {}

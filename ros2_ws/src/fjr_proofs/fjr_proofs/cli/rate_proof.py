@@ -33,6 +33,7 @@ from fjr_proofs.rate.proof_of_rate import proof_of_rate
 from fjr_proofs.rate.rate_certificate import digest, rate_certificate
 from fjr_proofs.verification.inertia_bounds import is_provable
 
+PACKAGE = Path(__file__).parents[1]
 SAMPLES = 512
 DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
 
@@ -185,7 +186,7 @@ def _has_kinds(found: dict[str, Any], n: int) -> bool:
 
 def _name(scenario: Scenario) -> str:
     """Return the name of the kept file: a digest of program, robot, gains and joint range."""
-    inputs = hashlib.sha256(program_digest().encode() + scenario.robot.fingerprint())
+    inputs = hashlib.sha256(program_digest(PACKAGE).encode() + scenario.robot.fingerprint())
     law = scenario.law
     assert isinstance(law, TrackingLaw)
     for array in (*law.gains.arrays().values(), *bounds_of(scenario.robot)):
