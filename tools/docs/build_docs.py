@@ -114,7 +114,8 @@ def public_names(package: str) -> Iterator[str]:
     module = importlib.import_module(package)
     for name in getattr(module, "__all__", ()):
         home = getattr(getattr(module, name), "__module__", None)
-        yield f"{home if home and home.startswith('fjr_') else package}.{name}"
+        is_ours = home is not None and home.startswith("fjr_")
+        yield f"{home if is_ours else package}.{name}"
 
 
 if __name__ == "__main__":
