@@ -33,6 +33,7 @@ from .plant import plant as plant
 from .plant import plant_parameters
 from .reference import reference
 from .robot import joints_of, robot_parameters
+from .robot import robot as robot
 from .safety import with_robot
 from .user_options import is_option, option_parameters, options
 
