@@ -13,10 +13,10 @@ from functools import cache
 
 import numpy as np
 
+from fjr_core.model.newton_euler import serial_chain
+from fjr_core.model.rigid_body import Body
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.newton_euler import serial_chain
-from fjr_core.robot.rigid_body import Body
-from fjr_core.robot.robot import Robot
 from fjr_identification.estimation.coordinates import packed
 from fjr_identification.estimation.elastic_arm import ElasticArm
 from fjr_identification.estimation.motion_record import MotionRecord

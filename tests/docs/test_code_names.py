@@ -108,10 +108,10 @@ def first_column(page: Path) -> Iterator[list[str]]:
 @pytest.mark.parametrize(
     "cell",
     [
-        ["robot/virtual_system.py::derivative_expression", "virtual_velocities"],
-        ["control/vdpbc/no_such_file.py"],
-        ["control/vdpbc/law.py::TrackingLaw.no_method"],
-        ["control/test_law.py::test_the_four_error_equations", "test_of_nothing"],
+        ["model/virtual_system.py::derivative_expression", "virtual_velocities"],
+        ["law/vdpbc/no_such_file.py"],
+        ["law/vdpbc/law.py::TrackingLaw.no_method"],
+        ["law/test_law.py::test_the_four_error_equations", "test_of_nothing"],
         ["test_of_nothing"],
         ["no_such_folder/"],
     ],

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 import yaml
 
-from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.errors import CompareError, FjrError
+from fjr_core.law.registry import LAWS, V_DPBC
 from fjr_core.numerics import jit_cache
 from fjr_design.studies.comparison import job as comparison_job
 from fjr_design.studies.comparison import markdown as comparison_markdown

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import StoragePlugin
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 from fjr_design.posterior.result import DEFLECTION, UNKNOWN, WEAK
 from fjr_identification.estimation.hold_out import hold_out
 from fjr_identification.estimation.identify import identify

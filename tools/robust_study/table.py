@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 import fjr_core as fjr
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_core.control.robust import Robust
+from fjr_core.law.robust import Robust
 from fjr_core.numerics.checks import Array
 from fjr_monitor.plotting.picture import COLOURS, STYLE
 

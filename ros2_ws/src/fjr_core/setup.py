@@ -19,7 +19,7 @@ setup(
     package_data={
         package_name: [
             "py.typed",
-            "control_step/*.[ch]",
+            "runtime/*.[ch]",
             "simulation/batch/*.[ch]",
         ]
     },

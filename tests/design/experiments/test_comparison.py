@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.control.sampled_law import AsSampledLaw
 from fjr_core.errors import CompareError
+from fjr_core.law.sampled_law import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.stability.sampled_loop import check
 from fjr_design.experiments.comparison import PERTURBATIONS, Direction, Trial, directions, motion_demand, search

@@ -26,8 +26,8 @@ from design.exports.c_program import (
     replayed,
 )
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.control.robust import Robust
-from fjr_core.estimation.measurement_model import Measurement
+from fjr_core.law.robust import Robust
+from fjr_core.runtime.measurement_model import Measurement
 from fjr_design.exports import Loop, export, loop_of, prefix_of
 from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, quoted
 

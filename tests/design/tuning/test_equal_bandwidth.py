@@ -14,11 +14,11 @@ from core.oracles.cases import Arm, planar
 from core.oracles.chains import arm7
 from fjr_core.config.builders import control_law
 from fjr_core.config.scenario import Scenario, parse_scenario
-from fjr_core.control.registry import LAWS
-from fjr_core.control.sampled_law import AsSampledLaw
-from fjr_core.control.static_law import StaticLaw
-from fjr_core.control.vdpbc import two_scale_gains
-from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.law.registry import LAWS
+from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.vdpbc import two_scale_gains
+from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.linearization import rest_position, slope_at_rest
 from fjr_design.baselines import feedback_linearisation

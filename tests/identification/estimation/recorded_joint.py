@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import fjr_core as fjr
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 from fjr_identification.estimation.motion_record import MotionRecord
 
 J, B, K, D_L, D_M, WEIGHT = 0.5, 0.2, 400.0, 0.3, 0.5, 6.0  # kg m^2, kg m^2, N m/rad, N m s/rad, N m s/rad, N m

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.model.payload import PayloadArm
 from fjr_core.monitoring.axes import Axes
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.payload import PayloadArm
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 from fjr_monitor.diagnosis.fault_isolation import isolation
 from fjr_monitor.diagnosis.fault_isolation.added_body import SECOND_MOMENTS, body_torques

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.control_step.wiring_fault import WiringFault
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.wiring_fault import WiringFault
 from fjr_monitor.diagnosis.wiring import WiringCheck
 
 PERIOD, SAMPLES = 1e-3, 60

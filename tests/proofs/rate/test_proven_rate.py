@@ -9,10 +9,10 @@ from scipy.optimize import differential_evolution
 
 import fjr_core as fjr
 from core.oracles.chains import arm7, random_chain, scaled_gains
-from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.robot.domain import Domain
-from fjr_core.robot.joint_limits import JointLimits
-from fjr_core.trajectories.tube import tube
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.domain import Domain
+from fjr_core.model.joint_limits import JointLimits
+from fjr_core.motions.tube import tube
 
 CHAINS = [(1 + k % 7, k) for k in range(20)]
 

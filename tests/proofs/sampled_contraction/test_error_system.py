@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.motions.sine import MultiSine
 from fjr_core.numerics.intervals import Interval
-from fjr_core.trajectories.sine import MultiSine
 from fjr_proofs.sampled_contraction.error_system import ErrorSystem
 from fjr_proofs.sampled_contraction.sine_jets import sine_jets
 from proofs.sampled_contraction.loops import CUBIC, derivatives, errors, joint, state, two_link

@@ -14,34 +14,34 @@ import warnings
 from typing import Any
 
 from . import testing
-from .control.python_law import PythonLaw
-from .control.vdpbc.convergence_rate import Rate
-from .control.vdpbc.gains import PAPER_GAINS, Gains
-from .control.vdpbc.law import Evaluation, TrackingLaw
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
-from .estimation.measurement_model import Measurement
-from .estimation.velocity_observer import VelocityObserver
 from .files import other_package
+from .law.python_law import PythonLaw
+from .law.vdpbc.convergence_rate import Rate
+from .law.vdpbc.gains import PAPER_GAINS, Gains
+from .law.vdpbc.law import Evaluation, TrackingLaw
+from .model.closed_form_arms import planar_two_link, single_link
+from .model.joint_limits import JointLimits
+from .model.newton_euler import serial_chain
+from .model.port_hamiltonian import Plant
+from .model.python_plant import PythonPlant
+from .model.rigid_body import Body
+from .model.robot import Robot
+from .model.urdf_import import robot_from_urdf
+from .model.virtual_system import VirtualSystem
 from .monitoring.certificate import Certificate
-from .robot.closed_form_arms import planar_two_link, single_link
-from .robot.joint_limits import JointLimits
-from .robot.newton_euler import serial_chain
-from .robot.port_hamiltonian import Plant
-from .robot.python_plant import PythonPlant
-from .robot.rigid_body import Body
-from .robot.robot import Robot
-from .robot.urdf_import import robot_from_urdf
-from .robot.virtual_system import VirtualSystem
+from .motions.circle import Circle
+from .motions.motion_limits import MotionLimits, check_motion
+from .motions.point_to_point import Hold, PointToPoint, standing
+from .motions.reference import Reference
+from .motions.sampled_motion import SampledMotion
+from .motions.sine import MultiSine, Sine
+from .motions.spline import Spline
+from .motions.transition import time_shifted, transition
+from .runtime.measurement_model import Measurement
+from .runtime.velocity_observer import VelocityObserver
 from .simulation.closed_loop import Trajectory, simulate
 from .stability.sampled_loop import SampledCheck, check, spectral_radius
-from .trajectories.circle import Circle
-from .trajectories.motion_limits import MotionLimits, check_motion
-from .trajectories.point_to_point import Hold, PointToPoint, standing
-from .trajectories.reference import Reference
-from .trajectories.sampled_motion import SampledMotion
-from .trajectories.sine import MultiSine, Sine
-from .trajectories.spline import Spline
-from .trajectories.transition import time_shifted, transition
 from .version import __version__
 
 __all__ = [

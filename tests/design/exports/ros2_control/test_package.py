@@ -15,8 +15,8 @@ import own_code
 from design.exports.c_program import SHIPPED
 from design.exports.ros2_control.exported_package import exported, replayed, scenario
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.control_step.event_kinds import ERRORS, KINDS, WARNINGS
-from fjr_core.control_step.library import HEADER, text
+from fjr_core.runtime.event_kinds import ERRORS, KINDS, WARNINGS
+from fjr_core.runtime.library import HEADER, text
 from fjr_design.exports.ros2_control import export_package, package_name_of
 
 PACKAGE = "two_link_ros2_control"

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from ..control.python_law import own_law
-from ..control.registry import V_DPBC, LawKind, law_kind
-from ..control.robust import Robust, sampled_law
-from ..control.static_law import StaticLaw
-from ..control.vdpbc.law import TrackingLaw
 from ..errors import FjrError, GainsError, ParameterError
 from ..files import other_package
 from ..files.python_class import is_named
-from ..robot.robot import Robot
+from ..law.python_law import own_law
+from ..law.registry import V_DPBC, LawKind, law_kind
+from ..law.robust import Robust, sampled_law
+from ..law.static_law import StaticLaw
+from ..law.vdpbc.law import TrackingLaw
+from ..model.robot import Robot
 from ..stability.integral_bound import refuse_fast_integral
 from . import law
 from .controller import controller_parameters

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from ..control.registry import LAWS, V_DPBC
-from ..control.robust.options import Robust
+from ..law.registry import LAWS, V_DPBC
+from ..law.robust.options import Robust
 from ..numerics.parameter_field import declared
 from .parameter import LIST, VECTOR, Parameter, Values, named, read
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
+from ..law.vdpbc.law import TrackingLaw
 from ..numerics.checks import Array, vector
 from .thresholds import TOLERANCE
 

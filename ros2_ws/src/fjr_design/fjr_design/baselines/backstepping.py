@@ -22,9 +22,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.control.lie_derivative import Flow
+from fjr_core.law.lie_derivative import Flow
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from .baseline import Baseline, damping, effort, rate
 

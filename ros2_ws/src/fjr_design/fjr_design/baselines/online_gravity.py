@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import GainsError
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 
 from .set_point_storage import gravity_hessians
 

@@ -8,12 +8,12 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from fjr_core.control.lie_derivative import Flow
 from fjr_core.errors import GainsError
+from fjr_core.law.lie_derivative import Flow
+from fjr_core.model.configuration_sampling import checked_configurations
+from fjr_core.model.equilibrium import equilibria_at
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.configuration_sampling import checked_configurations
-from fjr_core.robot.equilibrium import equilibria_at
-from fjr_core.robot.robot import Robot
 
 SAMPLED = 256  # configurations at which gravity is compared with the joint stiffness
 

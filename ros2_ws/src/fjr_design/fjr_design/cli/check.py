@@ -17,13 +17,13 @@ from fjr_core.config.law import TYPE
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.config.user_options import options
-from fjr_core.control.registry import law_kind
-from fjr_core.control.robust import Robust
-from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import ParameterError
 from fjr_core.files import other_package
 from fjr_core.files.python_class import is_named
-from fjr_core.robot.joint_units import joined
+from fjr_core.law.registry import law_kind
+from fjr_core.law.robust import Robust
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.joint_units import joined
 from fjr_core.stability.sampled_loop import SampledCheck
 from fjr_design.cli.preflight import (
     StartError,

@@ -13,7 +13,7 @@ from fjr_core.config.gains import gains
 from fjr_core.config.parameter import Value, Values, vector
 from fjr_core.config.reference import reference
 from fjr_core.config.robot import robot
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 from fjr_core.stability.linearization import rest_position
 
 from ..tuning.bandwidth import BaselineTarget

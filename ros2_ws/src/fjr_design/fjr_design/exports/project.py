@@ -7,8 +7,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from fjr_core.control_step.library import SOURCES
 from fjr_core.errors import FjrError
+from fjr_core.runtime.library import SOURCES
 
 from .c_code import checked_prefix, comment, number, numbers
 from .exported_loop import Loop

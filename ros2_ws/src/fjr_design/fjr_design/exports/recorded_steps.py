@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_core.errors import StateError
+from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.port_hamiltonian import Plant
 
 from .step_code import Controller
 

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write a reference as C text: constant arrays and an initialised struct fjr_reference (control_step/step.h)."""
+"""Write a reference as C text: constant arrays and an initialised struct fjr_reference (fjr_core/runtime/step.h)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from fjr_core.control_step.reference_table import ReferenceTable, reference_table
 from fjr_core.errors import TrajectoryError
-from fjr_core.trajectories.reference import Reference
+from fjr_core.motions.reference import Reference
+from fjr_core.runtime.reference_table import ReferenceTable, reference_table
 
 from .c_code import number, numbers
 

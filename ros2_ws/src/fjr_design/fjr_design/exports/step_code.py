@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The control step of a scenario as C: the text of control_step/, its mathematics and its constants.
+"""The control step of a scenario as C: the text of fjr_core/runtime/, its mathematics and its constants.
 
-control_step/*.c, step.h   unchanged         model.h, model.c   sizes, limits, gains, reference
+runtime/*.c, step.h   unchanged         model.h, model.c   sizes, limits, gains, reference
 control_step.c             includes them     casadi.c           law, gravity, observer
 """
 
@@ -20,20 +20,20 @@ from fjr_core.config.builders import robust_action
 from fjr_core.config.measurement import measurement, observer
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.control.robust import Robust, sampled_law
-from fjr_core.control.safety_settings import Settings
-from fjr_core.control.sampled_law import ARGUMENTS, SampledLaw
-from fjr_core.control.static_law import StaticLaw
-from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.control_step.control_step import ControlStep
-from fjr_core.control_step.library import HEADER, SOURCES, text
-from fjr_core.control_step.settings_struct import model_functions
 from fjr_core.errors import StateError
-from fjr_core.estimation.measurement_model import Measurement
-from fjr_core.estimation.velocity_observer import VelocityObserver
+from fjr_core.law.robust import Robust, sampled_law
+from fjr_core.law.safety_settings import Settings
+from fjr_core.law.sampled_law import ARGUMENTS, SampledLaw
+from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.monitoring.certificate import OUTPUTS
+from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import joint_names
-from fjr_core.trajectories.reference import Reference
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.library import HEADER, SOURCES, text
+from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.settings_struct import model_functions
+from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from .c_code import casadi_code, comment, number, numbers, quoted, work_sizes
 from .filled_template import filled

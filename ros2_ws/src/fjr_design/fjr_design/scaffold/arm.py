@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from fjr_core.errors import RobotError
-from fjr_core.robot.free_inertia import joints_without_inertia
-from fjr_core.robot.kinematic_chains import Chain, chains
-from fjr_core.robot.robot import Robot
-from fjr_core.robot.typical_joints import typical_joints
-from fjr_core.robot.urdf_import import MasslessJointError, robot_from_urdf
-from fjr_core.robot.urdf_parser import MOVING, UrdfTree, read_urdf
+from fjr_core.model.free_inertia import joints_without_inertia
+from fjr_core.model.kinematic_chains import Chain, chains
+from fjr_core.model.robot import Robot
+from fjr_core.model.typical_joints import typical_joints
+from fjr_core.model.urdf_import import MasslessJointError, robot_from_urdf
+from fjr_core.model.urdf_parser import MOVING, UrdfTree, read_urdf
 from fjr_design.scaffold.joint_data import published
 
 

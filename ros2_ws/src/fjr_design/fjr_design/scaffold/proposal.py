@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.control.vdpbc.gains import Gains
-from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc.gains import Gains
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.robot import Robot
+from fjr_core.motions.sine import Sine
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_core.stability.linearization import rest_position
-from fjr_core.trajectories.sine import Sine
 from fjr_design.stability.integration_steps import fastest_mode, least_steps
 from fjr_design.tuning.first_gains import FirstGains, first_gains
 from fjr_design.tuning.first_motion import first_motion

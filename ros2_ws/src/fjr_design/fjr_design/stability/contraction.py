@@ -11,13 +11,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import StateError
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.motions.reference import JETS, Reference
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.integrators import INNER_STEP, rk4_expression
-from fjr_core.robot.port_hamiltonian import Plant
-from fjr_core.trajectories.reference import JETS, Reference
 
 from .prolonged_system import ProlongedSystem
 

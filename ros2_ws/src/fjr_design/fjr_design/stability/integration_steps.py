@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from fjr_core.model.equilibrium import equilibria_at, plant_matrices
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.equilibrium import equilibria_at, plant_matrices
-from fjr_core.robot.robot import Robot
 
 RK4_REACH = 2.7  # rad: largest stable product of step and frequency for the Runge-Kutta method of order 4
 

@@ -15,14 +15,14 @@ from functools import cached_property
 import numpy as np
 
 from fjr_core.config.law import START_ERROR
-from fjr_core.control.inverse_dynamics import inverse_dynamics
-from fjr_core.control.static_law import StaticLaw
-from fjr_core.control.vdpbc.gains import Gains
-from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.law.inverse_dynamics import inverse_dynamics
+from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.vdpbc.gains import Gains
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.robot import Robot
+from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_core.stability.linearization import rest_position, slope_at_rest
-from fjr_core.trajectories.reference import Reference
 
 from ..baselines.lqr import velocity_matrices
 

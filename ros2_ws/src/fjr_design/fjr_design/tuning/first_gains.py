@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fjr_core.control.vdpbc.gains import Gains
-from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import GainsError
+from fjr_core.law.vdpbc.gains import Gains
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_core.stability.sampled_loop import SampledCheck, check
 
 from .gain_synthesis import GainSearch, gain_search

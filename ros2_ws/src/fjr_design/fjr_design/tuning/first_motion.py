@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from fjr_core.errors import TrajectoryError
+from fjr_core.model.configuration_sampling import bounds_of, sample_configurations
+from fjr_core.model.robot import Robot
+from fjr_core.motions.sine import Sine
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.configuration_sampling import bounds_of, sample_configurations
-from fjr_core.robot.robot import Robot
-from fjr_core.trajectories.sine import Sine
 
 FREQUENCY = np.pi  # rad/s: 0.5 Hz
 LARGEST_AMPLITUDE = 0.2, 0.05  # rad, m; of revolute and prismatic joints

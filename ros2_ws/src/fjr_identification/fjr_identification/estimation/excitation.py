@@ -18,14 +18,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.control.inverse_dynamics import inverse_dynamics
 from fjr_core.errors import TrajectoryError
+from fjr_core.law.inverse_dynamics import inverse_dynamics
+from fjr_core.model.robot import Robot
+from fjr_core.motions.fourier_series import FEWEST, RestingSeries, logarithmic_harmonics
+from fjr_core.motions.reference import JETS, Reference
+from fjr_core.motions.sine import MultiSine
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
-from fjr_core.robot.robot import Robot
-from fjr_core.trajectories.fourier_series import FEWEST, RestingSeries, logarithmic_harmonics
-from fjr_core.trajectories.reference import JETS, Reference
-from fjr_core.trajectories.sine import MultiSine
 
 from .information import EMPHASIS, InformationModel, JointMotion, JointNoise
 from .motion_envelope import QUANTITIES, MotionEnvelope, elastic_motion
@@ -166,7 +166,7 @@ class ExcitationDesign:
 
         emphasis: scalar or (n,), on the stiffness of each joint.
         """
-        from scipy.optimize import minimize  # loaded on use: see control/vdpbc/gains.py
+        from scipy.optimize import minimize  # loaded on use: see law/vdpbc/gains.py
 
         scale, emphasised = self._scale(), np.broadcast_to(np.asarray(emphasis, float), self.robot.n)
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from fjr_core.errors import StateError
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_design.posterior.result import Identification
 
 from .estimation_problem import SHORTEST, Estimation

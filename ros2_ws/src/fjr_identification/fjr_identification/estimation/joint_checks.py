@@ -13,8 +13,8 @@ from itertools import combinations
 
 import numpy as np
 
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from .finding import ORDER, SIGN, Finding
 from .line_fit import Line, line

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 
 from .finding import DEGREES, GEAR_RATIO, SCALE, SIGN, SKEW, SWAPPED, Finding
 from .line_fit import Line, bounded_slope, line

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError
+from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_design.posterior.result import LINEAR, LOG, NONNEGATIVE
 
 

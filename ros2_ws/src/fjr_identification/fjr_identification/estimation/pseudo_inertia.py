@@ -16,10 +16,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from fjr_core.model.inertial_arm import InertialArm, pseudo_inertia
+from fjr_core.model.rigid_arm import ArmDynamics
+from fjr_core.model.rigid_body import Body
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.inertial_arm import InertialArm, pseudo_inertia
-from fjr_core.robot.rigid_arm import ArmDynamics
-from fjr_core.robot.rigid_body import Body
 from fjr_design.posterior.result import Identification
 
 from .parameters import PSEUDO_INERTIA

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 
 from fjr_core.errors import RecordError
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 
 from . import continuity_checks, joint_checks, motion_checks, scale_checks, signal_checks
 from .finding import Finding

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from fjr_core.control.inverse_dynamics import spring_torque
+from fjr_core.law.inverse_dynamics import spring_torque
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from .motion_record import MotionRecord
 

@@ -18,8 +18,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from .finding import GEAR_RATIO, TIME, Finding
 from .motion_record import MotionRecord

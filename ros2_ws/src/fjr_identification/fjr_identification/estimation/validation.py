@@ -16,9 +16,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from fjr_core.errors import StateError
+from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_design.posterior.result import Identification
 
 from .elastic_arm import ElasticArm, free_entries, position_torque

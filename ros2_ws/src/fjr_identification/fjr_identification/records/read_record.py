@@ -12,7 +12,7 @@ import numpy as np
 from fjr_core.config.measurement import measurement
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RecordError
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.record_checks import findings
 from fjr_identification.estimation.scale_checks import unseen

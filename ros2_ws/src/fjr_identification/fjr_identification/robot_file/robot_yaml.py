@@ -13,7 +13,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.builders import gain_values
 from fjr_core.config.robot_file import URDF
 from fjr_core.errors import GainsError, TrajectoryError
-from fjr_core.robot.robot import Robot
+from fjr_core.model.robot import Robot
 from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
 from fjr_design.posterior.drawn_plants import MATRICES
 from fjr_design.posterior.result import UNKNOWN, Estimate, Identification

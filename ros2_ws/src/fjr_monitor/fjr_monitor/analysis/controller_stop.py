@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fjr_core.control_step.event_kinds import STARTS_REFUSED, STOPS
+from fjr_core.runtime.event_kinds import STARTS_REFUSED, STOPS
 from fjr_msgs_py.messages.events import STAMP
 
 HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}

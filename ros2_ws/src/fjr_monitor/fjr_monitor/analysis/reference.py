@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.trajectories.reference import JETS
+from fjr_core.motions.reference import JETS
 from fjr_monitor.analysis.commands import match_stamps
 from fjr_monitor.analysis.states import first_of_each_stamp
 from fjr_monitor.recording.reader import Array, JointTable, Times

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fjr_core.config.measurement import measurement
 from fjr_core.config.scenario import Scenario
-from fjr_core.estimation.velocity_observer import VelocityObserver
+from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_monitor.diagnosis.record import LEAD
 from fjr_monitor.recording.reader import Array, Bag, JointTable, Times, in_order
 from fjr_msgs_py import names

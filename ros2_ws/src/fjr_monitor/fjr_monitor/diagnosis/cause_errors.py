@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.control.vdpbc.linearized import feedback
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc.linearized import feedback
+from fjr_core.model.equilibrium import equilibria_at, plant_matrices
+from fjr_core.model.robot import Robot
 from fjr_core.monitoring.thresholds import BLOCK, GAP
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.equilibrium import equilibria_at, plant_matrices
-from fjr_core.robot.robot import Robot
 from fjr_core.stability.linear_controller import momentum_matrix
 from fjr_core.stability.one_sample_map import SampledLoop
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.model.robot import Robot
 from fjr_core.monitoring import thresholds
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from .innovations import Innovations, needed
 

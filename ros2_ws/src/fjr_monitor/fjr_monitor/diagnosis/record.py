@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
+from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints, span
-from fjr_core.trajectories.reference import JETS
 
 LEAD = 2
 """States of the part before that a part of a record repeats: an interval needs the effort before it."""

@@ -14,9 +14,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.model.robot import Robot
 from fjr_core.monitoring.thresholds import AT_LIMIT, BLOCK, GAP, SAME_EFFORT, SIGNIFICANT, UNSURE
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from .delay_estimation import Acting
 from .innovations import Innovations, foreseen

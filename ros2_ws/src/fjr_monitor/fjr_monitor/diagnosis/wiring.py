@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.control_step.c_function import CFunction, WorkSpace
-from fjr_core.control_step.library import step_library
-from fjr_core.control_step.settings_struct import rigid_arm_functions, write_robot
-from fjr_core.control_step.wiring_fault import WiringFault
+from fjr_core.model.robot import Robot
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
+from fjr_core.runtime.c_function import CFunction, WorkSpace
+from fjr_core.runtime.library import step_library
+from fjr_core.runtime.settings_struct import rigid_arm_functions, write_robot
+from fjr_core.runtime.wiring_fault import WiringFault
 
 
 class WiringCheck:

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from fjr_core.model.joint_units import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
-from fjr_core.robot.joint_units import joined
 from fjr_monitor.analysis import headlines
 from fjr_monitor.analysis.metrics import Report
 from fjr_monitor.analysis.timing import Distribution

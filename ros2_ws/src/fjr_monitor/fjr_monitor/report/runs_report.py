@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fjr_core.model.joint_units import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
-from fjr_core.robot.joint_units import joined
 from fjr_monitor.analysis import headlines
 from fjr_monitor.analysis.metrics import Energy, Report, Storage
 from fjr_monitor.analysis.timing import Distribution

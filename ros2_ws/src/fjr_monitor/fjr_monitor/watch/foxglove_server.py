@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from fjr_core.errors import FjrError
-from fjr_core.robot.urdf_frames import Frame
+from fjr_core.model.urdf_frames import Frame
 from fjr_monitor.recording.message_types import definition
 
 PORT = 8765  # Foxglove's default

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.control.robust import RobustLaw
 from fjr_core.errors import ParameterError
+from fjr_core.law.robust import RobustLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_most
 from fjr_msgs_py.console.progress import progress_bar

@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
+from fjr_core.motions.sine import MultiSine, Sines
 from fjr_core.numerics.checks import Array
-from fjr_core.trajectories.sine import MultiSine, Sines
 
 from .peak_gains import ROUNDING
 from .reference_cells import Cells, cycles

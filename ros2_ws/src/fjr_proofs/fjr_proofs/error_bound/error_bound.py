@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.control.static_law import StaticLaw
 from fjr_core.errors import ParameterError
+from fjr_core.law.static_law import StaticLaw
+from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import one_line
 from fjr_core.stability.sampled_loop import checked_times
-from fjr_core.trajectories.reference import Reference
 
 from .deviation_model import FACTORS
 from .part import Part

@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

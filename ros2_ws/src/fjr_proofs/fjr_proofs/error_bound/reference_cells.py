@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fjr_core.errors import ParameterError
+from fjr_core.model.equilibrium import Indices
+from fjr_core.motions.reference import JETS, Reference
+from fjr_core.motions.sine import Sines, common_period
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.equilibrium import Indices
-from fjr_core.trajectories.reference import JETS, Reference
-from fjr_core.trajectories.sine import Sines, common_period
 
 from ..verification.taylor_models import Shape, TaylorModels
 from .deviation_model import DERIVATIVES

@@ -9,11 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
-from fjr_core.control.static_law import StaticLaw
 from fjr_core.errors import StateError
+from fjr_core.law.static_law import StaticLaw
+from fjr_core.model.equilibrium import Indices
+from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.equilibrium import Indices
-from fjr_core.trajectories.reference import Reference
 
 from ..verification.taylor_models import taylor_function
 from .centre_motion import CentreMotion

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fjr_core.control.vdpbc.convergence_rate import Rate, rate_with
-from fjr_core.control.vdpbc.gains import CheckedGains
+from fjr_core.law.vdpbc.convergence_rate import Rate, rate_with
+from fjr_core.law.vdpbc.gains import CheckedGains
+from fjr_core.model.domain import GOAL, MOST_BOXES, Domain, joint_range
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.domain import GOAL, MOST_BOXES, Domain, joint_range
-from fjr_core.robot.robot import Robot
 
 from ..verification.branch_and_bound import Watch, unwatched
 from ..verification.inertia_bounds import RelativeInertia, largest_inertia

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.control.vdpbc.gains import CheckedGains, Gains
+from fjr_core.law.vdpbc.gains import CheckedGains, Gains
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from ..verification.branch_and_bound import Part
 from .proof_of_rate import RateProof

@@ -21,11 +21,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.control.vdpbc.law import TrackingLaw
-from fjr_core.control.vdpbc.symbolic_gains import terms
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc.symbolic_gains import terms
+from fjr_core.motions.reference import JETS
 from fjr_core.numerics.intervals import Interval
 from fjr_core.numerics.symbolic import solve
-from fjr_core.trajectories.reference import JETS
 
 from ..verification.interval_function import IntervalFunction
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.equilibrium import Indices
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import Interval
-from fjr_core.robot.equilibrium import Indices
 
 from ..verification.interval_matrices import ABOVE, matmul
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fjr_core.model.equilibrium import Indices
+from fjr_core.motions.sine import Sines
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import Interval
-from fjr_core.robot.equilibrium import Indices
-from fjr_core.trajectories.sine import Sines
 
 from ..verification.interval_matrices import (
     ABOVE,

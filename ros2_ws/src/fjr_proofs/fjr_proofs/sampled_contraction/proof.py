@@ -14,13 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
-from fjr_core.control.vdpbc.law import TrackingLaw
 from fjr_core.errors import StateError, TrajectoryError
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.equilibrium import Indices
+from fjr_core.motions.reference import Reference
+from fjr_core.motions.sine import Sines
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import one_line
-from fjr_core.robot.equilibrium import Indices
-from fjr_core.trajectories.reference import Reference
-from fjr_core.trajectories.sine import Sines
 
 from ..verification.interval_matrices import ABOVE
 from .error_system import ErrorSystem

@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from fjr_core.errors import TrajectoryError
+from fjr_core.motions.reference import Reference
+from fjr_core.motions.sine import Sines, common_period
 from fjr_core.numerics.checks import Array, kind_of
 from fjr_core.numerics.intervals import Interval, cosine, sine, stack
-from fjr_core.trajectories.reference import Reference
-from fjr_core.trajectories.sine import Sines, common_period
 
 
 def period_of(reference: Reference) -> float | None:

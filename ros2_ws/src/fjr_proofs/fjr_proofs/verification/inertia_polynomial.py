@@ -15,9 +15,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from fjr_core.model.rigid_body import Body, z_aligned
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import Interval, product, stack
-from fjr_core.robot.rigid_body import Body, z_aligned
 
 SIZES = {False: 5, True: 3}
 """Number of basis functions of a revolute and of a prismatic joint."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fjr_core.control.inverse_dynamics import spring_torque
 from fjr_core.errors import CompareError
+from fjr_core.law.inverse_dynamics import spring_torque
+from fjr_core.model.robot import Robot
+from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
-from fjr_core.trajectories.reference import Reference
 
 INSTANTS = 4096
 CONFIGURATIONS = 16

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fjr_core.errors import ParameterError
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 from fjr_core.simulation.batch import counter_rng
 
 from ...posterior.drawn_plants import MATRICES, check_joints, drawn_values

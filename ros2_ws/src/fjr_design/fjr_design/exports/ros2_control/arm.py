@@ -14,9 +14,9 @@ from fjr_core.config.description import description
 from fjr_core.config.parameter import Parameter
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError
+from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.parameter_field import declared
-from fjr_core.robot.port_hamiltonian import Plant
 from fjr_core.simulation.nonideal_parameters import NAMES, ChannelErrors, Nonidealities, SensorErrors
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
 

@@ -7,8 +7,8 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import RobotError
+from fjr_core.model.rigid_arm import ArmDynamics
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.rigid_arm import ArmDynamics
 
 from .torque_residuals import over_rows
 

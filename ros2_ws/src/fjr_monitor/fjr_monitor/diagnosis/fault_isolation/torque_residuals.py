@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.robot import Robot
 from fjr_core.monitoring.one_step_prediction import Prediction
 from fjr_core.monitoring.thresholds import BLOCK
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 from ..delay_estimation import Acting, acting, effort_delay
 from ..innovations import Innovations, consecutive, foreseen, held, needed
