@@ -12,7 +12,7 @@ import click
 import pytest
 
 from fjr_bringup.cli.app import fjr, main
-from fjr_bringup.cli.exit_codes import Exit
+from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import fjr as run_fjr
 from time_limits import HANG
 

@@ -17,9 +17,9 @@ sys.path.insert(0, str(ROOT / "tools"))
 from diagnosis_benchmark.bags import read_record  # noqa: E402
 from diagnosis_benchmark.runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases  # noqa: E402
 from diagnosis_benchmark.table import BEGIN, NAMES, diagnosed, diagnosed_cause, right, table  # noqa: E402
-from fjr_bringup.cli.exit_codes import Exit  # noqa: E402
 from fjr_core.config.scenario import load_scenario  # noqa: E402
-from fjr_core.monitoring.diagnosis import Diagnosis, diagnose  # noqa: E402
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose  # noqa: E402
+from fjr_msgs_py.console.exit_codes import Exit  # noqa: E402
 from system.executables import fjr_here  # noqa: E402
 from system.shared_runs import shared_run  # noqa: E402
 

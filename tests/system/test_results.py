@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_bringup import progress
-from fjr_bringup.analysis.controller_stop import ControllerStop
 from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.app import main
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.cli.report import report as report_bags
 from fjr_bringup.cli.run import _result
-from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report import html
-from fjr_bringup.report.run_report import write_run_page
-from fjr_bringup.report.write import RunSummary, compare, report_bag, table
-from fjr_bringup.result import json_text
 from fjr_core.config.scenario import load_scenario
+from fjr_monitor.analysis.controller_stop import ControllerStop
+from fjr_monitor.cli.report import report as report_bags
+from fjr_monitor.recording.reader import read_bag
+from fjr_monitor.report import html
+from fjr_monitor.report.run_report import write_run_page
+from fjr_monitor.report.write import RunSummary, compare, report_bag, table
+from fjr_msgs_py.console import progress
+from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.result import json_text
 from system.documented import documented_keys
 from system.shared_runs import shared_run
 from time_limits import Limit

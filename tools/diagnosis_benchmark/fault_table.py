@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fjr_core.config.diagnosis import axes
-from fjr_core.monitoring.diagnosis import diagnose
+from fjr_monitor.diagnosis.diagnosis import diagnose
 
 from .fault_runs import FAULTS, HEALTHY, VALIDATION_SEED, WIRING, FaultCase, cases
 

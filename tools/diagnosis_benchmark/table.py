@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from fjr_core.monitoring.diagnosis import Diagnosis, diagnose
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 
 from .bags import read_record, write_bag
 from .runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, Label, cases, label, run

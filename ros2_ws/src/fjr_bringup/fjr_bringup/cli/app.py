@@ -7,16 +7,17 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from runpy import run_path
 
 import click
 
-from fjr_bringup.cli.commands import COMMANDS
-from fjr_bringup.cli.exit_codes import HELP, Exit
-from fjr_bringup.interrupt import interruptible, uninterruptible
-from fjr_bringup.provenance import begin_command
+from fjr_msgs_py.console.declaration import COMMANDS
+from fjr_msgs_py.console.exit_codes import HELP, Exit
+from fjr_msgs_py.console.interrupt import interruptible, uninterruptible
+from fjr_msgs_py.console.provenance import begin_command
 from fjr_msgs_py.node.loading import (
     ament_index_of_wheels,
     end_on_signals,
@@ -25,6 +26,24 @@ from fjr_msgs_py.node.loading import (
     resume_garbage_collection,
     without_blas_threads,
 )
+
+GROUP = "fjr.commands"
+"""Entry points of this group name the modules that declare the commands of a package."""
+ORDER = (
+    *("demo", "run", "new", "report", "check", "gains", "excite", "scenarios", "description"),
+    *("export-c", "export-ros2-control", "contraction", "sweep", "tune", "compare", "identify"),
+    *("echo", "record", "play", "call", "set", "lifecycle", "send", "watch"),
+)
+"""Commands in the order of the help."""
+MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification"}
+"""Commands of packages without which the others run."""
+
+
+def declared() -> dict[str, click.Command]:
+    """Return the commands of all installed packages by name."""
+    for point in entry_points(group=GROUP):
+        point.load()
+    return dict(COMMANDS.commands)
 
 
 def program() -> int:
@@ -44,7 +63,7 @@ def _loaded() -> None:
 
 
 def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = lambda: None) -> int:
-    """Run a command line and return its exit code (fjr_bringup.cli.exit_codes).
+    """Run a command line and return its exit code (fjr_msgs_py.console.exit_codes).
 
     arguments: default sys.argv[1:]. loaded: called when the modules of the command are imported.
     """
@@ -81,8 +100,17 @@ class Application(click.Group):
             return exit_code(error)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order of their declaration."""
-        return list(self.commands)
+        """Return the commands in the order of the help; those that it does not know come last."""
+        return sorted(self.commands, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command of the arguments; raise UsageError, which names the package of one that is not there."""
+        if args and args[0] not in self.commands and args[0] in MAY_BE_LEFT_OUT:
+            package = MAY_BE_LEFT_OUT[args[0]]
+            raise click.UsageError(f"{args[0]} needs the package {package}, which is not installed")
+        return super().resolve_command(ctx, args)
 
 
 def _log_to_stderr() -> None:
@@ -105,7 +133,7 @@ def _show_version(ctx: click.Context, _parameter: click.Parameter, asked: bool) 
 
 @click.group(
     cls=Application,
-    commands=COMMANDS.commands,
+    commands=declared(),
     epilog=f"\b\n{HELP}",
     context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )

@@ -18,19 +18,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fjr_bringup.interrupt import Interrupted
-from fjr_bringup.progress import heartbeat, note, phase, progress_bar
-from fjr_bringup.recording.reader import header_stamp
-from fjr_bringup.recording.recorder import Recorder
-from fjr_bringup.recording.run_folder import RunFolder
 from fjr_bringup.runner.node_process import NodeProcess
 from fjr_bringup.runner.plant_client import PlantClient
 from fjr_core.errors import FjrError
+from fjr_monitor.recording.reader import header_stamp
+from fjr_monitor.recording.recorder import Recorder
+from fjr_monitor.recording.run_folder import RunFolder
 from fjr_msgs_py import names
-from fjr_msgs_py.node.environment import domain, domain_fault, ensure_log_folder
+from fjr_msgs_py.console.discovery import discover_quickly
+from fjr_msgs_py.console.interrupt import Interrupted
+from fjr_msgs_py.console.progress import heartbeat, note, phase, progress_bar
+from fjr_msgs_py.node.environment import domain
 from fjr_msgs_py.node.scheduling import prioritised
 
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
@@ -70,18 +70,6 @@ class Plan:
     duration: float
     folder: Path
     lockstep: bool
-
-
-def discover_quickly() -> None:
-    """Use a DDS profile with quick discovery unless the user set another; set the folder of the ROS 2 logs.
-
-    Raises FjrError for an invalid ROS_DOMAIN_ID.
-    """
-    if fault := domain_fault():
-        raise FjrError(fault)
-    ensure_log_folder()
-    profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
 
 
 def set_ros_environment() -> None:
