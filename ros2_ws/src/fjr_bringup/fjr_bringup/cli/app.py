@@ -27,14 +27,20 @@ from fjr_msgs_py.node.loading import (
     without_blas_threads,
 )
 
+ALL = "fjr.all_commands"
+"""Key of a context whose help shows all commands."""
 GROUP = "fjr.commands"
 """Entry points of this group name the modules that declare the commands of a package."""
-ORDER = (
-    *("demo", "run", "new", "report", "check", "gains", "excite", "scenarios", "description"),
-    *("export-c", "export-ros2-control", "contraction", "sweep", "tune", "compare", "identify"),
-    *("echo", "record", "play", "call", "set", "lifecycle", "send", "watch"),
-)
-"""Commands in the order of the help."""
+GROUPS = {
+    "Run": ("demo", "run", "watch", "report"),
+    "Your robot": ("new", "check", "gains", "identify"),
+    "Studies": ("sweep", "compare"),
+}
+"""Commands of the help, by title; `fjr help all` shows the others, too."""
+OTHERS = {
+    "Running nodes": ("send", "echo", "record", "play", "call", "set", "lifecycle", "description"),
+    "More": ("scenarios", "excite", "tune", "contraction", "export-c", "export-ros2-control"),
+}
 MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification"}
 """Commands of packages without which the others run."""
 
@@ -99,9 +105,21 @@ class Application(click.Group):
 
             return exit_code(error)
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order of the help; those that it does not know come last."""
-        return sorted(self.commands, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands in groups: GROUPS, and after `fjr help all` OTHERS and those that no group names."""
+        groups = GROUPS
+        if ctx.meta.get(ALL):
+            named = {name for names in (GROUPS | OTHERS).values() for name in names}
+            unnamed = {name for name, each in self.commands.items() if name not in named and not each.hidden}
+            groups = GROUPS | OTHERS | {"Others": tuple(sorted(unnamed))}
+        for title, names in groups.items():
+            rows = [(name, self.commands[name].get_short_help_str(60)) for name in names if name in self.commands]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        if groups is GROUPS:
+            formatter.write_paragraph()
+            formatter.write_text("All commands: fjr help all")
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -142,3 +160,19 @@ def _show_version(ctx: click.Context, _parameter: click.Parameter, asked: bool) 
 )
 def fjr() -> None:
     """Simulate, control, record and report flexible-joint robots on ROS 2 nodes."""
+
+
+@fjr.command("help", hidden=True)
+@click.argument("topic", default="")
+@click.pass_context
+def show_help(ctx: click.Context, topic: str) -> None:
+    """Show the help of fjr, of `all` commands, or of one."""
+    parent = ctx.parent
+    assert parent is not None
+    if topic in ("", "all"):
+        parent.meta[ALL] = topic == "all"
+        click.echo(parent.get_help())
+        return
+    _, wanted, _ = fjr.resolve_command(parent, [topic])
+    assert wanted is not None
+    click.echo(wanted.get_help(click.Context(wanted, parent, topic)))
