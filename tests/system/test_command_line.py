@@ -53,7 +53,7 @@ def test_the_help_has_ten_commands_in_three_groups_and_all_on_request(capsys: py
     assert set(listed(capsys.readouterr().out)) == {name for name, each in fjr.commands.items() if not each.hidden}
     assert main(["help", "run"]) == Exit.DONE
     assert capsys.readouterr().out.startswith("Usage: fjr run [OPTIONS]")
-    assert main(["help", "nothing"]) == Exit.USAGE
+    assert main(["help", "nothing"]) == Exit.NOT_UNDERSTOOD
 
 
 def listed(text: str) -> list[str]:
