@@ -105,7 +105,7 @@ def test_invalid_numbers_and_remaps_are_named(
 
 
 def test_options_with_an_optional_value() -> None:
-    assert str(given("compare", "--document")["document"]) == "docs/compare.md"
+    assert str(given("compare", "--document")["document"]) == "docs/tables/compare.md"
     assert str(given("compare", "quick", "--document", "other.md")["document"]) == "other.md"
     assert given("compare")["document"] is None
     assert given("compare")["suite"] == "paper"

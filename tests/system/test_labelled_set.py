@@ -60,7 +60,7 @@ def test_diagnosis_of_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
 
 def test_the_page_shows_the_set() -> None:
     """The table is diagonal if every bag is right; its numbers are those of the set."""
-    page = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8").partition(BEGIN)[2]
+    page = (ROOT / "docs" / "tables" / "diagnosis.md").read_text(encoding="utf-8").partition(BEGIN)[2]
     rows = [line for line in page.splitlines() if line.startswith("| ")]
     causes, grades = rows[2 : 2 + len(NAMES)], rows[4 + len(NAMES) : 8 + len(NAMES)]
     for part in (causes, grades):

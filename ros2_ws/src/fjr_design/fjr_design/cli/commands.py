@@ -224,14 +224,14 @@ def tune(**given: Any) -> Any:
     type=options.PATH,
     metavar="[FILE]",
     is_flag=False,
-    flag_value="docs/compare.md",
-    help="Write the table into FILE too. [FILE: docs/compare.md]",
+    flag_value="docs/tables/compare.md",
+    help="Write the table into FILE too. [FILE: docs/tables/compare.md]",
 )
 @click.option(
     "--readme",
     type=options.PATH,
     is_flag=False,
-    flag_value="docs/compare.md",
+    flag_value="docs/tables/compare.md",
     hidden=True,
     help="Deprecated in 0.1.0: use --document.",
 )

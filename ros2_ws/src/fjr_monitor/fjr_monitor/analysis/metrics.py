@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compute the metrics of a run from its bag and scenario: report.json. Unknown metrics are null.
 
-docs/reports.md defines each metric.
+docs/tables/json.md defines each metric.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the table of a comparison in Markdown between two marks of a document (docs/compare.md)."""
+"""Write the table of a comparison in Markdown between two marks of a document (docs/tables/compare.md)."""
 
 from __future__ import annotations
 
