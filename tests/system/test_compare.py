@@ -161,7 +161,7 @@ def test_constant_reference_is_refused_in_one_sentence() -> None:
 def test_key_of_kept_results_depends_on_code(monkeypatch: pytest.MonkeyPatch) -> None:
     job = comparison_job.jobs(suite.read("mine", QUICK))[0]
     keys = [job.key, job.key]
-    monkeypatch.setattr(jit_cache, "source_digest", lambda: "another")
+    monkeypatch.setattr(jit_cache, "source_digest", lambda *_: "another")
     comparison_job._source.cache_clear()
     keys.append(job.key)
     monkeypatch.undo()

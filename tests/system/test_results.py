@@ -32,6 +32,9 @@ from two_link_urdf import two_link_urdf
 pytestmark = pytest.mark.system
 
 
+SHOWN = [name for name, each in application.commands.items() if not each.hidden]
+
+
 @pytest.fixture(scope="module")
 def summary(tmp_path_factory: pytest.TempPathFactory) -> RunSummary:
     """A report of a run in lock-step."""
@@ -40,7 +43,7 @@ def summary(tmp_path_factory: pytest.TempPathFactory) -> RunSummary:
     return report_bag("paper_k31", read_bag(run / "bag"), scenario, tmp_path_factory.mktemp("report"))
 
 
-@pytest.mark.parametrize("name", application.commands)
+@pytest.mark.parametrize("name", SHOWN)
 def test_every_command_offers_json(name: str) -> None:
     assert "--json" in {option for each in application.commands[name].params for option in each.opts}
 
@@ -70,7 +73,7 @@ def test_result_is_one_json_document_with_the_documented_keys(
 
 
 def test_every_command_is_documented() -> None:
-    assert {*documented_keys(), "echo", "watch"} == set(application.commands)
+    assert {*documented_keys(), "echo", "watch"} == set(SHOWN)
 
 
 def test_result_of_a_run_has_the_documented_keys(summary: RunSummary) -> None:

@@ -231,7 +231,7 @@ def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytes
         (tmp_path / name).write_text(name)
         jit_cache.source_digest.cache_clear()
         digest = jit_cache.source_digest(tmp_path)
-        monkeypatch.setattr(jit_cache, "source_digest", lambda digest=digest: digest)
+        monkeypatch.setattr(jit_cache, "source_digest", lambda *_, digest=digest: digest)
         found.append(paper_loop().fingerprint)
         monkeypatch.undo()
     monkeypatch.setattr(jit_cache.ca, "__version__", "another")

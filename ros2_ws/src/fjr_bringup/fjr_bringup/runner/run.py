@@ -20,7 +20,7 @@ from typing import Any
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fjr_bringup.runner.node_process import NodeProcess
+from fjr_bringup.runner.node_process import NodeError, NodeProcess
 from fjr_bringup.runner.plant_client import PlantClient
 from fjr_core.errors import FjrError
 from fjr_monitor.recording.reader import header_stamp
@@ -272,7 +272,11 @@ class _Run:
         if self.stop.wait(POLL):
             raise Interrupted(self.plan.folder if self.going else None)
         for node in self.nodes.values():
-            node.check()
+            try:
+                node.check()
+            except NodeError:
+                self._refuse_others(0.0)  # for which it may have ended
+                raise
         if self.recorder.failure:
             raise RunError(f"the recorder failed: {self.recorder.failure}")
         if self.recorder.loss:

@@ -45,7 +45,7 @@ def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[
 
 def program_digest(*folders: Path) -> str:
     """Return a cache key for results: hash of the source of this package and of folders, and the CasADi version."""
-    sources = " ".join(source_digest(folder) for folder in (PACKAGE, *folders))
+    sources = " ".join(map(source_digest, (PACKAGE, *folders)))
     return hashlib.sha256(f"{sources} {ca.__version__}".encode()).hexdigest()
 
 
