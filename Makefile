@@ -51,11 +51,11 @@ bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.
 	$(SETUP) bench
 	@$(ENTER) && exec "$(VENV)/bin/python" -m bench $(BENCH_ARGS)
 
-faults: ## inject faults into the running nodes and write docs/faults.md (FAULTS_ARGS="...")
+faults: ## inject faults into the running nodes and write docs/tables/faults.md (FAULTS_ARGS="...")
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.faults $(FAULTS_ARGS)
 
-hosts: ## feed all hosts of the control step with the same states, half an hour, write docs/control_step.md (HOSTS_ARGS="...")
+hosts: ## feed all hosts of the control step with the same states, half an hour, write docs/tables/hosts.md (HOSTS_ARGS="...")
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.hosts $(HOSTS_ARGS)
 
