@@ -145,7 +145,7 @@ def write(figures: list[Figure], path: Path) -> dict[str, Any]:
     """Write the figures with machine and date, and keep the other figures of this day and machine; return all."""
     machine = {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()}
     versions = {module.__name__: module.__version__ for module in (casadi, mujoco, numpy, pinocchio)}
-    document = {
+    document: dict[str, Any] = {
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "machine": machine,
         "versions": versions,

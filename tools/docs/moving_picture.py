@@ -18,7 +18,7 @@ from tqdm import tqdm
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from system.browser import Browser  # noqa: E402  the browser of the tests
+from system.browser import Browser  # type: ignore[import-not-found]  # noqa: E402
 
 FRAMES, PERIOD = 48, 0.1  # s of the run between two frames
 WIDTH, COLOURS = 480, 48  # pixels of the picture; of the palette
