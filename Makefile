@@ -63,7 +63,7 @@ compare: ## compare all laws on three robots, half an hour, write docs/tables/co
 	$(SETUP) build
 	@$(ENTER) && for suite in paper paper_tuned arm7_tuned; do fjr compare $$suite --document $(COMPARE_ARGS) || exit $$?; done
 
-robots: ## try `fjr new` on public robots, an hour, and write the table into docs/robots.md
+robots: ## try `fjr new` on public robots, an hour, and write docs/tables/robots.md
 	$(SETUP) test
 	@$(ENTER) && "$(VENV)/bin/python" -m pip install --quiet --no-deps --constraint constraints.txt \
 		--requirement requirements/robots.txt && exec "$(VENV)/bin/python" -m tools.robot_survey.table

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regenerate the tables of docs/measurements.md between their markers; seeded, so that they repeat.
+"""Regenerate the tables of docs/tables/measurements.md between their markers; seeded, so that they repeat.
 
 . ros2_ws/install/setup.sh && .venv/bin/python -m tools.measurement_study.table
 """
@@ -16,7 +16,7 @@ from fjr_core.config.scenario import Scenario
 
 from .loop import Run, Sensors, run, scenario
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "measurements.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "measurements.md"
 TORQUE_RANGES = {"paper_k31": 5.0, "paper_k3p1": 5.0, "two_link": 50.0, "arm7": 200.0}  # N m, of the torque sensors
 BANDWIDTHS = (30.0, 60.0, 100.0, 150.0, 200.0, 300.0, 500.0)  # rad/s
 SETTLED = 2.0  # s

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run `fjr new`, `fjr check` and two seconds in lock-step for each public robot; write the table of docs/robots.md.
+"""Run `fjr new`, `fjr check` and two seconds in lock-step for each public robot; write docs/tables/robots.md.
 
 make robots                                          # an hour on two cores
 .venv/bin/python -m tools.robot_survey.table Panda   # only robots with this in their name, into the same table
@@ -20,7 +20,7 @@ from typing import Any
 
 from .robots import ROBOTS, PublicRobot
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "robots.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "robots.md"
 BEGIN = "<!-- survey: written by tools/robot_survey/table.py -->"
 END = "<!-- end of survey -->"
 FOLDER = Path("runs/survey")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regenerate the table of docs/robust.md between its markers, and its figure.
+"""Regenerate the table of docs/tables/robust.md between its markers, and its figure.
 
 . ros2_ws/install/setup.sh && .venv/bin/python -m tools.robust_study.table
 """
@@ -22,7 +22,7 @@ from fjr_monitor.plotting.picture import COLOURS, STYLE
 from .loops import PERIOD, errors, heavier, pushed, rms
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE, PICTURE = ROOT / "docs" / "robust.md", ROOT / "docs" / "figures" / "robust.png"
+PAGE, PICTURE = ROOT / "docs" / "tables" / "robust.md", ROOT / "docs" / "figures" / "robust.png"
 START, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 RESIDUAL, INTEGRAL = Robust(residual_gain=60.0), Robust(integral_gain=5.0)
 PREDICTION = Robust(delay=PERIOD)

@@ -108,16 +108,16 @@ def blocks(document: Path) -> list[str]:
 
 def test_files_of_your_robot_md_form_a_valid_scenario(tmp_path: Path) -> None:
     robot, mine, _ros2_control, limits = blocks(BRINGUP.parents[2] / "docs" / "your_robot.md")
-    (tmp_path / "my_arm.yaml").write_text(robot)
+    (tmp_path / "my_arm_robot.yaml").write_text(robot)
     scenario, key = yaml.safe_load(mine), "ros__parameters"
     scenario["/**"][key] |= yaml.safe_load(limits)["/**"][key]
-    (tmp_path / "my_scenario.yaml").write_text(yaml.safe_dump(scenario))
+    (tmp_path / "my_arm.yaml").write_text(yaml.safe_dump(scenario))
     chain = ["shoulder", "elbow", "wrist", "gripper"]
     parts = [link("base_link", 1.0, 0.1, 0.01)]
     for parent, child in zip(["base", *chain], chain, strict=False):
         parts += [link(f"{child}_link", 1.0, 0.1, 0.01), joint(child, f"{parent}_link", f"{child}_link", -0.2)]
     (tmp_path / "my_arm.urdf").write_text(f"<robot name='my_arm'>{''.join(parts)}</robot>")
-    scenario = load_scenario(tmp_path / "my_scenario.yaml")
+    scenario = load_scenario(tmp_path / "my_arm.yaml")
     assert scenario.warnings == ()
     assert scenario.joints == ("shoulder", "elbow", "wrist")
     np.testing.assert_allclose(np.diag(scenario.robot.M_m), [1.2, 0.8, 0.32])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters imperfections.*: non-idealities of the simulated robot (docs/imperfections.md)."""
+"""Parameters imperfections.*: non-idealities of the simulated robot (docs/measurements.md)."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
     if arm.guesses:
         lines += [
             "      # A URDF has neither. These values are typical for the size of the joints, no data of this robot",
-            "      # (docs/robots.md): replace them above. `fjr` reports each value that still equals its guess here.",
+            "      # (docs/your_robot.md): replace them above. `fjr` reports values that still equal their guess here.",
             "      guesses:",
             *(f"        {name}: {_list(values)}" for name, values in arm.guesses.items()),
         ]
