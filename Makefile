@@ -47,19 +47,19 @@ test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TE
 test-all: TESTS =
 test-all: test ## run the suite with the labelled bags at all strengths, minutes more
 
-bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="...")
+bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="--document docs/tables/benchmarks.md")
 	$(SETUP) bench
 	@$(ENTER) && exec "$(VENV)/bin/python" -m bench $(BENCH_ARGS)
 
-faults: ## inject faults into the running nodes and write docs/faults.md (FAULTS_ARGS="...")
+faults: ## inject faults into the running nodes and write docs/tables/faults.md (FAULTS_ARGS="...")
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.faults $(FAULTS_ARGS)
 
-hosts: ## feed all hosts of the control step with the same states, half an hour, write docs/control_step.md (HOSTS_ARGS="...")
+hosts: ## feed all hosts of the control step with the same states, half an hour, write docs/tables/hosts.md (HOSTS_ARGS="...")
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.hosts $(HOSTS_ARGS)
 
-compare: ## compare all laws on three robots, half an hour, and write the tables into docs/compare.md (COMPARE_ARGS="...")
+compare: ## compare all laws on three robots, half an hour, write docs/tables/compare.md (COMPARE_ARGS="...")
 	$(SETUP) build
 	@$(ENTER) && for suite in paper paper_tuned arm7_tuned; do fjr compare $$suite --document $(COMPARE_ARGS) || exit $$?; done
 

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import casadi
 import mujoco
@@ -40,7 +41,7 @@ from bench import (
     starts,
 )
 from bench.arm import arm7
-from bench.figures import Figure, table
+from bench.figures import Figure, page, table
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 LONG = ("starts", "memory", "sweep-memory", "report-memory")
@@ -60,7 +61,9 @@ def main() -> int:
     all_of_them = measurements(arguments.quick)
     figures = measured({name: run for name, run in all_of_them.items() if name in (arguments.only or USUAL)})
     print(f"{processor()}, {os.cpu_count()} cores\n\n{table(figures)}")
-    write(figures, arguments.output)
+    document = write(figures, arguments.output)
+    if arguments.document:
+        arguments.document.write_text(page(document), encoding="utf-8")
     missed = [figure.name for figure in figures if not figure.holds]
     print(f"\n{arguments.output}" + (f"\nmissed: {', '.join(missed)}" if missed else ""))
     return 1 if missed else 0
@@ -123,6 +126,7 @@ def parser() -> argparse.ArgumentParser:
         help=f"some of {', '.join(NAMES)} (default: all but {', '.join(LONG)})",
     )
     made.add_argument("--quick", action="store_true", help="run nodes for a few seconds only; bounds do not apply")
+    made.add_argument("--document", type=Path, help="where the table of all figures of this day goes (Markdown)")
     made.add_argument("--output", type=Path, default=RESULTS, help=f"where the JSON goes (default: {RESULTS})")
     return made
 
@@ -137,18 +141,22 @@ def processor() -> str:
     return models[0] if models else platform.machine()
 
 
-def write(figures: list[Figure], path: Path) -> None:
-    """Write all figures with machine and date."""
+def write(figures: list[Figure], path: Path) -> dict[str, Any]:
+    """Write the figures with machine and date, and keep the other figures of this day and machine; return all."""
     machine = {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()}
     versions = {module.__name__: module.__version__ for module in (casadi, mujoco, numpy, pinocchio)}
-    document = {
+    document: dict[str, Any] = {
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "machine": machine,
         "versions": versions,
-        "figures": [figure.as_json() for figure in figures],
     }
+    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    same = before.get("machine") == machine and before.get("date", "")[:10] == document["date"][:10]
+    found = {each["name"]: each for each in (before["figures"] if same else [])}
+    document["figures"] = list((found | {figure.name: figure.as_json() for figure in figures}).values())
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return document
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ import pinocchio as pin
 
 from fjr_core import Plant, TrackingLaw
 from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.model.robot import Robot
 from fjr_core.numerics import symbolic
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 ROOT = Path(__file__).resolve().parents[1]
 BRINGUP = ROOT / "ros2_ws" / "src" / "fjr_bringup"

@@ -16,14 +16,14 @@ import numpy as np
 from tqdm import tqdm
 
 from bench.figures import Figure, table
-from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import Scenario
-from fjr_core.control.inverse_dynamics import motor_motion
-from fjr_core.control.sampled_law import AsSampledLaw
-from fjr_core.control.vdpbc.law import TrackingLaw
+from fjr_core.law.inverse_dynamics import motor_motion
+from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
-from fjr_core.stability.error_bound import bound_errors
+from fjr_msgs_py.scenarios import library
+from fjr_proofs.error_bound import bound_errors
 
 RUNS = 10_000
 AT_ONCE = 250  # runs between two steps of the bar

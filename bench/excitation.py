@@ -13,12 +13,12 @@ import argparse
 
 import numpy as np
 
-from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import Scenario
-from fjr_core.identification.identify import identify
-from fjr_core.identification.motion_record import MotionRecord
-from fjr_core.identification.parameters import Options, Prior
 from fjr_core.numerics.checks import Array
+from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.parameters import Options, Prior
+from fjr_msgs_py.scenarios import library
 
 SHOWN = ("joint_stiffness", "motor_inertia")
 

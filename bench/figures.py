@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
+FIELDS = ("name", "value", "unit", "bound", "aim", "at_least", "parts")
 HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
 
 
@@ -53,6 +55,16 @@ class Figure:
 
     def _limit(self, limit: float | None) -> str:
         return "" if limit is None else f"{'>=' if self.at_least else '<='} {limit:g}"
+
+
+def page(document: Mapping[str, Any]) -> str:
+    """Format the figures of bench.json as a page in Markdown."""
+    figures = [Figure(**{name: each[name] for name in FIELDS}) for each in document["figures"]]
+    machine = document["machine"]
+    said = f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {document['date'][:10]}."
+    rows = [HEADINGS, ("---",) * len(HEADINGS), *(figure.row() for figure in figures)]
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join(["# Benchmark figures", "", f"Written by `make bench`. {said}", "", *lines, ""])
 
 
 def table(figures: Sequence[Figure]) -> str:

@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-import fjr_core.identification
+import fjr_identification.estimation
 from bench import identification_cases
 from bench.identification_cases import MEASURED, Case, draw
 from fjr_core.errors import FjrError
-from fjr_core.identification.identify import identify
-from fjr_core.identification.parameters import KINDS, Options
-from fjr_core.identification.result import LOG, UNKNOWN, Identification
+from fjr_design.posterior.result import LOG, UNKNOWN, Identification
+from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.parameters import KINDS, Options
 
 Row = dict[str, Any]
 Key = tuple[str, int, int]
@@ -41,7 +41,7 @@ FIRST = 1000
 @cache
 def code() -> str:
     """Return a digest of the estimator and of the cases: results of another code do not count."""
-    folder = Path(next(iter(fjr_core.identification.__path__)))
+    folder = Path(next(iter(fjr_identification.estimation.__path__)))
     files = [*sorted(folder.glob("*.py")), *sorted(folder.glob("*.[ch]")), Path(identification_cases.__file__)]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
 

@@ -13,16 +13,16 @@ from functools import cache
 
 import numpy as np
 
-from fjr_core.identification.coordinates import packed
-from fjr_core.identification.elastic_arm import ElasticArm
-from fjr_core.identification.motion_record import MotionRecord
-from fjr_core.identification.parameters import KINDS, Prior, size
-from fjr_core.identification.segments import SIGNALS, SKEWS
-from fjr_core.identification.shooting import HeldEffort, Shooting
+from fjr_core.model.newton_euler import serial_chain
+from fjr_core.model.rigid_body import Body
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.newton_euler import serial_chain
-from fjr_core.robot.rigid_body import Body
-from fjr_core.robot.robot import Robot
+from fjr_identification.estimation.coordinates import packed
+from fjr_identification.estimation.elastic_arm import ElasticArm
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.parameters import KINDS, Prior, size
+from fjr_identification.estimation.segments import SIGNALS, SKEWS
+from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
 ARMS = 3  # different arms of each number of joints; their equations are compiled once

@@ -30,10 +30,10 @@ from bench.campaign_peers import pendulum
 from bench.figures import Figure, table
 from bench.mujoco_arm import mjcf
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_core.identification.identify import identify
-from fjr_core.identification.motion_record import MotionRecord
-from fjr_core.identification.parameters import Options, Prior
 from fjr_core.numerics.checks import Array
+from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.parameters import Options, Prior
 
 NAMES = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
 WRONG = {"joint_stiffness": 1.3, "motor_inertia": 0.8, "link_damping": 0.5, "motor_damping": 2.0}  # times the truth

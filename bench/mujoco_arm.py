@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pinocchio import Quaternion
 
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
 
 OFF = (
     *("constraint", "equality", "frictionloss", "limit", "contact", "refsafe", "warmstart", "filterparent"),

@@ -31,12 +31,12 @@ from sensor_msgs.msg import JointState
 from bench.figures import Figure
 from bench.nodes import controller, plant, ros_environment
 from bench.tap import DEPTH, Tap
-from fjr_bringup.scenarios import library
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.control_step.event_kinds import STOPS
+from fjr_core.runtime.event_kinds import STOPS
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import nanoseconds
+from fjr_msgs_py.scenarios import library
 
 ROBOTS, PAUSED = ("arm7", "two_link"), (("controller",), ("plant",), ("plant", "controller"))
 PAUSES, KILLS, SEED = 40, 4, 0

@@ -13,10 +13,10 @@ import time
 from bench.arm import Arm, arm7
 from bench.figures import Figure
 from bench.measure import one_core
-from fjr_core.control.vdpbc.proof_of_rate import proof_of_rate
-from fjr_core.robot.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
-from fjr_core.trajectories.tube import tube
-from fjr_core.verification.inertia_bounds import Domain
+from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
+from fjr_core.model.domain import Domain
+from fjr_core.motions.tube import tube
+from fjr_proofs.rate.proof_of_rate import proof_of_rate
 
 RADIUS, WIDER = 1e-3, 0.05  # rad, of the tubes
 LONGEST = 120.0  # s

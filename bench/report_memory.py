@@ -18,9 +18,9 @@ from pathlib import Path
 from mcap.records import Message
 
 from bench.figures import Figure
-from fjr_bringup.recording.message_types import type_hash
-from fjr_bringup.recording.reader import Bag, header_stamp, in_order, read_bag
-from fjr_bringup.recording.writer import BagWriter
+from fjr_monitor.recording.message_types import type_hash
+from fjr_monitor.recording.reader import Bag, header_stamp, in_order, read_bag
+from fjr_monitor.recording.writer import BagWriter
 from fjr_msgs_py import names
 
 MINUTES = 60.0
@@ -33,7 +33,7 @@ PEAK = (  # in a small process: a child's peak is at least that of the process t
     "import resource, subprocess, sys; code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode; "
     "print(code, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
 )
-VERDICT = "import sys; from pathlib import Path; from fjr_bringup.report.write import report_run as r; "
+VERDICT = "import sys; from pathlib import Path; from fjr_monitor.report.write import report_run as r; "
 VERDICT += "r('arm7', Path(sys.argv[1]), None, pages=False)"
 
 

@@ -25,7 +25,7 @@ isolate()  # before NumPy and rclpy load
 settings.register_profile("any machine", settings(), deadline=None)  # no deadline: other processes may use the cores
 settings.load_profile("any machine")
 
-CORE = Path(__file__).parent / "core"
+WITHOUT_NODES = [Path(__file__).parent / name for name in ("core", "design", "monitor", "identification", "proofs")]
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 QUEUE = TURN.with_suffix(".queue")
 LONGEST_WAIT = 3600.0  # s for a turn
@@ -55,11 +55,11 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     """Run tests with the marker real_time alone among all test processes.
 
     With real-time scheduling their nodes would starve other processes and wait for locks of Fast DDS that those hold.
-    Tests of fjr_core start no node and run meanwhile, if the system lets the nodes take precedence. Waiting for the
-    lock does not count for the timeout of a test. A process keeps its turn while its next test has the marker too, so
-    that the other processes wait only once.
+    Tests in the folders WITHOUT_NODES start no node and run meanwhile, if the system lets the nodes take precedence.
+    Waiting for the lock does not count for the timeout of a test. A process keeps its turn while its next test has the
+    marker too, so that the other processes wait only once.
     """
-    if item.path.is_relative_to(CORE) and _nodes_take_precedence():
+    if any(map(item.path.is_relative_to, WITHOUT_NODES)) and _nodes_take_precedence():
         return (yield)
     alone = _needs_the_clock(item)
     turn = _turn.pop() if _turn else _next_turn(alone)

@@ -1,37 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that take long. They start first, so that no worker is left alone with one: a file runs on one worker.
 
-The files of fjr_core run beside the two files that need the clock (conftest.py). A worker that reaches the second of
-these before the first has finished would wait for it; the files between them take longer than the first.
+The files of the mathematics, which start no node, run beside the two files that need the clock (conftest.py). A worker
+that reaches the second of these before the first has finished would wait for it; the files between them take longer
+than the first.
 """
 
 LONGEST_FIRST = (
     "faults/test_faults.py",
-    "core/tuning/test_gain_synthesis.py",
+    "design/tuning/test_gain_synthesis.py",
     "core/numerics/test_jit.py",
     "core/stability/test_sampled_loop.py",
-    "core/control/test_loaded_law.py",
-    "core/tuning/test_equal_bandwidth.py",
-    "core/control_step/test_step.py",
-    "core/control/test_robust.py",
-    "core/codegen/ros2_control/test_package.py",
-    "core/codegen/ros2_control/test_plugins.py",
-    "core/codegen/test_export_c.py",
-    "core/control/test_baseline_identities.py",
+    "core/law/test_loaded_law.py",
+    "design/tuning/test_equal_bandwidth.py",
+    "core/runtime/test_step.py",
+    "core/law/test_robust.py",
+    "design/exports/ros2_control/test_package.py",
+    "design/exports/ros2_control/test_plugins.py",
+    "design/exports/test_export_c.py",
+    "design/baselines/test_baseline_identities.py",
     "system/test_network_namespaces.py",
-    "core/control/test_law.py",
+    "core/law/test_law.py",
     "system/test_fjr_tune.py",
     "system/test_compare_tuned.py",
-    "core/experiments/test_tuning.py",
+    "design/experiments/test_tuning.py",
     "core/stability/test_complete_loop_check.py",
-    "core/stability/test_error_bound.py",
-    "core/monitoring/test_diagnosis.py",
-    "core/stability/sampled_contraction/test_proof.py",
-    "core/monitoring/test_storage_growth.py",
-    "core/stability/test_prolonged_system.py",
+    "proofs/error_bound/test_error_bound.py",
+    "monitor/diagnosis/test_diagnosis.py",
+    "proofs/sampled_contraction/test_proof.py",
+    "monitor/diagnosis/test_storage_growth.py",
+    "design/stability/test_prolonged_system.py",
     "core/simulation/test_batch.py",
     "core/simulation/test_batch_control.py",
-    "core/tuning/test_first_loop.py",
+    "design/tuning/test_first_loop.py",
     "docs/test_blocks.py",
     "system/test_labelled_set.py",
     "system/test_pages.py",

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fjr_core as fjr
-from fjr_core.control.baselines.pd_gravity import PdGains, PdGravity
+from fjr_design.baselines.pd_gravity import PdGains, PdGravity
 
 Array = NDArray[np.float64]
 

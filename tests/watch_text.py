@@ -7,8 +7,8 @@ import io
 
 from rich.console import Console
 
-from fjr_bringup.monitor.state import View
-from fjr_bringup.monitor.terminal import WIDE, render
+from fjr_monitor.watch.state import View
+from fjr_monitor.watch.terminal import WIDE, render
 
 
 def text(view: View, width: int = WIDE) -> str:

@@ -15,7 +15,17 @@ from envsetup import pins
 from envsetup.console import PREFIX, SetupError, Step, clean_environment, run_logged
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant", "fjr_controller", "fjr_bringup")
+PACKAGES = (
+    "fjr_core",
+    "fjr_msgs_py",
+    "fjr_monitor",
+    "fjr_plant",
+    "fjr_controller",
+    "fjr_design",
+    "fjr_identification",
+    "fjr_proofs",
+    "fjr_bringup",
+)
 COPIED = ("README.md", "LICENSE", "pyproject.toml", "requirements", "ros2_ws/src")
 """What the wheels are made of; they are built in a copy, so that no file of an earlier build enters."""
 LOG = ROOT / ".setup" / "wheels.log"

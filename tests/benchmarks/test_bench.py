@@ -30,7 +30,7 @@ from bench import (
 )
 from bench.arm import Arm, arm7, random_motion
 from bench.chain_urdf import chain_urdf, joint_names
-from bench.figures import Figure, table
+from bench.figures import Figure, page, table
 from bench.measure import in_turns, ratio
 from bench.mujoco_arm import MujocoArm
 from bench.tap import Seen
@@ -117,6 +117,17 @@ def test_missed_bound_is_reported_last_and_fails_the_command(
     document = json.loads((tmp_path / "deep" / "bench.json").read_text())
     assert [figure["value"] for figure in document["figures"]] == [value, 1.0]
     assert document["versions"]["mujoco"] == mujoco.__version__
+
+
+def test_figures_of_one_day_are_written_together_and_others_dropped(tmp_path: Path) -> None:
+    file = tmp_path / "bench.json"
+    command.write([Figure("one", 1.0, "s"), Figure("two", 1.0, "s")], file)
+    document = command.write([Figure("two", 2.0, "s", bound=3.0, parts={"part [ms]": 4.0})], file)
+    assert [(each["name"], each["value"]) for each in document["figures"]] == [("one", 1.0), ("two", 2.0)]
+    assert "| two | 2 s | <= 3 |  | yes | part [ms] 4 |" in page(document)
+    document["date"] = "2026-01-01T00:00:00"
+    file.write_text(json.dumps(document))
+    assert [each["name"] for each in command.write([Figure("three", 1.0, "s")], file)["figures"]] == ["three"]
 
 
 def test_measurements_have_the_listed_names() -> None:

@@ -16,7 +16,7 @@ from docs.pages import ROOT, tokens
 
 PACKAGES = ROOT / "ros2_ws" / "src"
 CORE = PACKAGES / "fjr_core" / "fjr_core"
-FOLDERS = (CORE, *sorted(PACKAGES.iterdir()), ROOT / "tests" / "core", ROOT)
+FOLDERS = (CORE, *sorted(PACKAGES.iterdir()), ROOT / "tests" / "core", ROOT / "tests", ROOT)
 """Folders to which the paths on a page are relative, in search order."""
 PAGES = tuple(ROOT / "docs" / f"{name}.md" for name in ("paper_map", "errata", "notation"))
 PATH = re.compile(r"([\w*/]+(?:\.(?:py|c|md)|/))(?:::([\w.]+))?")
@@ -79,7 +79,9 @@ def missing(cell: list[str]) -> list[str]:
 @cache
 def symbols() -> frozenset[str]:
     """Return all identifiers in the mathematics."""
-    nodes = [node for file in CORE.rglob("*.py") for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))]
+    nodes = [
+        node for file in PACKAGES.glob("*/*/**/*.py") for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+    ]
     names = {getattr(node, key) for node in nodes for key in ("id", "attr", "arg", "name") if hasattr(node, key)}
     return frozenset(name for name in names if isinstance(name, str))
 
@@ -106,10 +108,10 @@ def first_column(page: Path) -> Iterator[list[str]]:
 @pytest.mark.parametrize(
     "cell",
     [
-        ["robot/virtual_system.py::derivative_expression", "virtual_velocities"],
-        ["control/vdpbc/no_such_file.py"],
-        ["control/vdpbc/law.py::TrackingLaw.no_method"],
-        ["control/test_law.py::test_the_four_error_equations", "test_of_nothing"],
+        ["model/virtual_system.py::derivative_expression", "virtual_velocities"],
+        ["law/vdpbc/no_such_file.py"],
+        ["law/vdpbc/law.py::TrackingLaw.no_method"],
+        ["law/test_law.py::test_the_four_error_equations", "test_of_nothing"],
         ["test_of_nothing"],
         ["no_such_folder/"],
     ],

@@ -12,37 +12,44 @@ import pytest
 from docs.pages import ROOT
 
 SOURCES = ROOT / "ros2_ws" / "src"
-PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant fjr_controller", "fjr_bringup")
+PACKAGES = (
+    "fjr_core",
+    "fjr_msgs_py",
+    "fjr_monitor",
+    "fjr_plant fjr_controller",
+    "fjr_design",
+    "fjr_identification fjr_proofs",
+    "fjr_bringup",
+)
 """Packages from the bottom up; packages in one entry do not import each other."""
 LAYERS = {
     "fjr_core": (
         "errors version",
         "files",
         "numerics",
-        "robot",
-        "verification",
-        "estimation trajectories",
-        "control",
-        "control_step",
+        "model",
+        "motions",
+        "law",
+        "runtime",
         "stability simulation",
-        "identification tuning monitoring",
+        "monitoring",
         "config",
-        "experiments codegen testing",
+        "testing",
     ),
-    "fjr_msgs_py": ("names", "messages", "native", "node"),
+    "fjr_msgs_py": ("names", "messages", "native", "node", "console", "scenarios"),
+    "fjr_monitor": ("diagnosis", "recording scene", "analysis", "plotting", "report", "watch", "cli"),
     "fjr_plant": ("native", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),
     "fjr_controller": ("tracking", "ros", "native", "trajectory", "components", "controller_node", "executable"),
-    "fjr_bringup": (
-        "atomic_file formatting interrupt progress provenance result ros2_tools",
-        "recording scene",
-        "analysis",
-        "plotting",
-        "report",
-        "scenarios runner monitor services",
-        "studies scaffold",
-        "identification",
+    "fjr_design": (
+        "stability baselines",
+        "tuning posterior",
+        "experiments exports",
+        "scaffold studies",
         "cli",
     ),
+    "fjr_identification": ("estimation", "records page robot_file", "cli"),
+    "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "cli"),
+    "fjr_bringup": ("runner services", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 

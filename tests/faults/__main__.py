@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inject all faults and regenerate the table of docs/faults.md: `python -m tests.faults [WORD ...]`.
+"""Inject all faults and regenerate the table of docs/tables/faults.md: `python -m tests.faults [WORD ...]`.
 
 The workspace must be sourced. With words, only rows whose name contains one of them run, and the table is only printed.
 """
@@ -17,7 +17,7 @@ from faults.fault_rows import ROWS, Row  # noqa: E402
 from faults.outcome import Outcome, outcome  # noqa: E402
 from faults.table import table, written  # noqa: E402
 
-DOCUMENT = TESTS.parent / "docs" / "faults.md"
+DOCUMENT = TESTS.parent / "docs" / "tables" / "faults.md"
 
 
 def main(words: list[str]) -> int:

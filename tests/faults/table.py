@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Format the table of docs/faults.md between its markers."""
+"""Format the table of docs/tables/faults.md between its markers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each fault of docs/faults.md, injected into real processes in full motion and measured by an independent watcher."""
+"""Each fault of docs/tables/faults.md, injected into real processes in motion, measured by an independent watcher."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feed all hosts of the control step with the same samples and write docs/control_step.md: `python -m tests.hosts`.
+"""Feed all hosts of the control step with the same samples and write docs/tables/hosts.md: `python -m tests.hosts`.
 
     python -m tests.hosts [--samples 100000] [WORD ...]
 
@@ -20,13 +20,13 @@ sys.path.insert(0, str(TESTS))
 
 import conftest  # noqa: E402, F401 (a ROS domain of its own)
 from faults.fault_rows import ROWS  # noqa: E402
-from fjr_bringup.scenarios.installed import installed  # noqa: E402
+from fjr_msgs_py.scenarios.installed import installed  # noqa: E402
 from hosts import recording  # noqa: E402
 from hosts.comparison import Compared, Comparison, with_states  # noqa: E402
 from hosts.inputs import Sequence  # noqa: E402
 from hosts.table import head, line, written  # noqa: E402
 
-DOCUMENT = TESTS.parent / "docs" / "control_step.md"
+DOCUMENT = TESTS.parent / "docs" / "tables" / "hosts.md"
 SAMPLES = 100_000
 
 

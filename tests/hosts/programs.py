@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from core.codegen.c_program import C99, built
-from core.codegen.ros2_control import exported_package
-from fjr_core.codegen import export, loop_of, write
+from design.exports.c_program import C99, built
+from design.exports.ros2_control import exported_package
 from fjr_core.config.scenario import Scenario
-from fjr_core.control_step.library import step_library
+from fjr_core.runtime.library import step_library
+from fjr_design.exports import export, loop_of, write
 from hosts.inputs import Sequence
 from hosts.step_hosts import Efforts, changes
 from time_limits import HANG

@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.codegen.step_code import controller_of
 from fjr_core.config.measurement import measurement, observer
 from fjr_core.config.safety import safety
-from fjr_core.control_step.control_step import ControlStep
-from fjr_core.control_step.event_kinds import KINDS
-from fjr_core.control_step.library import StepLibrary
-from fjr_core.control_step.reference_struct import ReferenceStruct
-from fjr_core.control_step.settings_struct import Model, settings_struct
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.event_kinds import KINDS
+from fjr_core.runtime.library import StepLibrary
+from fjr_core.runtime.reference_struct import ReferenceStruct
+from fjr_core.runtime.settings_struct import Model, settings_struct
 from fjr_core.simulation.batch.program import BatchProgram
+from fjr_design.exports.step_code import controller_of
 from hosts.inputs import Kind, Sequence
 
 Efforts = NDArray[np.float64]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Format the table of docs/control_step.md between its markers."""
+"""Format the table of docs/tables/hosts.md between its markers."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ def test_a_running_thread_outlives_the_destruction_of_its_node(echo) -> None:
 
 def test_only_the_creation_of_a_loop_allocates_memory() -> None:
     """The text of all C that runs in a native loop calls an allocator in one function only."""
-    folders = [SOURCES / part for part in ("fjr_core/fjr_core/control_step", "fjr_msgs_py/fjr_msgs_py/native")]
+    folders = [SOURCES / part for part in ("fjr_core/fjr_core/runtime", "fjr_msgs_py/fjr_msgs_py/native")]
     folders += [SOURCES / part / part / "native" for part in ("fjr_controller", "fjr_plant")]
     allocating = []
     for file in sorted(file for folder in folders for file in folder.glob("*.c")):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.codegen.c_program import built
+from design.exports.c_program import built
 from nodes.harness import PATIENCE, Ros, stamped
 from nodes.managed import Manager
 from time_limits import HANG

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
-from fjr_core.control_step.control_step import ControlStep
+from fjr_core.runtime.control_step import ControlStep
 from nodes.harness import Listener, Ros, nanoseconds, stamped
 from nodes.managed import Manager, trajectory
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from core.codegen.c_program import built
+from design.exports.c_program import built
 from time_limits import HANG
 
 COUNTER = Path(__file__).with_name("allocations.c")

@@ -12,7 +12,7 @@ import fjr_core as fjr
 from fjr_core.config import builders
 from fjr_core.config import nonidealities as words
 from fjr_core.config.parameter import complete
-from fjr_core.robot.rigid_arm import closed_form
+from fjr_core.model.rigid_arm import closed_form
 from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors
 from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
 from fjr_plant.simulated_robot import SimulatedRobot

@@ -541,12 +541,21 @@ def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
     manager.ask(stamped(0.0, 0.0))
     assert manager.trigger("resume") == (False, "the controller is not stopped; expected a stopped one")
     assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
-    done, sentence = manager.trigger("resume")
-    assert (done, sentence.partition(":")[0]) == (False, "the controller stays stopped")
     assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
     assert manager.trigger("resume")[0]
     assert manager.ask(stamped(0.003, 0.0)).effort is not None
     ros.until(lambda: "recoveries" in manager.kinds(), "the recovery")
+
+
+def test_resume_is_refused_outside_the_limits(ros: Ros, manager: Manager) -> None:
+    ros.controller(limits__link_velocity=[2.0])
+    manager.meet_controller()
+    manager.ask(stamped(0.0, 0.0))
+    assert list(manager.ask(stamped(0.001, 0.0, 3.0)).effort) == [0.0]
+    done, sentence = manager.trigger("resume")
+    assert (done, sentence.partition(":")[0]) == (False, "the controller stays stopped")
+    assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
+    assert manager.trigger("resume")[0]
 
 
 def test_services_are_refused_while_inactive(ros: Ros, manager: Manager) -> None:

@@ -9,9 +9,9 @@ import pytest
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from fjr_bringup.monitor.node import FjrWatch
-from fjr_bringup.monitor.state import Event, Health, JointLine, Timing, View, Watched
-from fjr_bringup.monitor.terminal import log_bar, signed_bar, sparkline
+from fjr_monitor.watch.node import FjrWatch
+from fjr_monitor.watch.state import Event, Health, JointLine, Timing, View, Watched
+from fjr_monitor.watch.terminal import log_bar, signed_bar, sparkline
 from fjr_msgs_py.messages.certificate import labelled
 from nodes.harness import Ros
 from watch_text import text

@@ -289,7 +289,7 @@ WIRED_ELSEWHERE = {
 WIRED_BY_GROUP = (
     "reference.",  # tests/core/config/test_reference.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
-    "measurement.",  # tests/core/estimation/test_measurement_model.py, test_limits_over_ros
+    "measurement.",  # tests/core/runtime/test_measurement_model.py, test_limits_over_ros
     "limits.",  # tests/tracking, test_limits_over_ros
     "on_stop",
     "start.",
@@ -297,7 +297,7 @@ WIRED_BY_GROUP = (
     "hold.",
     "constraints.",  # test_goal_tolerances
     "allow_partial_joints",  # test_trajectories
-    "law.",  # test_other_laws, tests/core/tuning/test_equal_bandwidth.py
+    "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
     "plant.",  # test_own_code
     "robust.",  # test_robust_action
     "robot.guesses.",  # tests/core/config/test_guesses.py

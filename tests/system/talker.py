@@ -6,7 +6,7 @@ import sys, time
 from pathlib import Path
 import rclpy
 from std_msgs.msg import String
-from fjr_bringup.recording.recorder import Recorder
+from fjr_monitor.recording.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1])).start()
 rclpy.init()
 node = rclpy.create_node("talker")

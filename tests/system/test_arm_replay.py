@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio
 import pytest
 
-from fjr_bringup.scene.urdf_scene import scene
 from fjr_core.config.description import description
 from fjr_core.config.scenario import load_scenario
+from fjr_monitor.scene.urdf_scene import scene
 from system.browser import Browser
 from system.executables import scenario
 from system.shared_runs import DURATION, shared_run

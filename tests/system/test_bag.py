@@ -26,12 +26,12 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from fjr_bringup.recording import message_types
-from fjr_bringup.recording.reader import Bag, BagError, header_stamp, read_bag
-from fjr_bringup.recording.recorder import QUEUE_DEPTH, Recorder, Track
-from fjr_bringup.recording.topic import Topic
-from fjr_bringup.recording.writer import BagWriter
 from fjr_bringup.runner.run import JOINT_COMMANDS, _Run
+from fjr_monitor.recording import message_types
+from fjr_monitor.recording.reader import Bag, BagError, header_stamp, read_bag
+from fjr_monitor.recording.recorder import QUEUE_DEPTH, Recorder, Track
+from fjr_monitor.recording.topic import Topic
+from fjr_monitor.recording.writer import BagWriter
 from fjr_msgs_py.node.participant import leave
 from system.talker import TALKER
 from time_limits import Limit

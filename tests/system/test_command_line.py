@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -11,8 +12,8 @@ from collections.abc import Sequence
 import click
 import pytest
 
-from fjr_bringup.cli.app import fjr, main
-from fjr_bringup.cli.exit_codes import Exit
+from fjr_bringup.cli.app import GROUPS, fjr, main
+from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import fjr as run_fjr
 from time_limits import HANG
 
@@ -40,6 +41,24 @@ def test_help_scenarios_and_usage_errors_import_nothing_slow(arguments: Sequence
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == Exit.DONE
     assert capsys.readouterr().out == "fjr 0.1.0\n"
+
+
+def test_the_help_has_ten_commands_in_three_groups_and_all_on_request(capsys: pytest.CaptureFixture[str]) -> None:
+    assert [*GROUPS] == ["Run", "Your robot", "Studies"]
+    assert sum(map(len, GROUPS.values())) <= 10
+    assert main(["--help"]) == Exit.DONE
+    short = listed(capsys.readouterr().out)
+    assert short == [name for names in GROUPS.values() for name in names]
+    assert main(["help", "all"]) == Exit.DONE
+    assert set(listed(capsys.readouterr().out)) == {name for name, each in fjr.commands.items() if not each.hidden}
+    assert main(["help", "run"]) == Exit.DONE
+    assert capsys.readouterr().out.startswith("Usage: fjr run [OPTIONS]")
+    assert main(["help", "nothing"]) == Exit.NOT_UNDERSTOOD
+
+
+def listed(text: str) -> list[str]:
+    """Return the commands that a help lists."""
+    return [name for name in re.findall(r"^  ([a-z][a-z0-9-]*)  ", text, re.MULTILINE) if name in fjr.commands]
 
 
 def test_a_reader_that_ends_early_ends_the_command_quietly() -> None:
@@ -86,7 +105,7 @@ def test_invalid_numbers_and_remaps_are_named(
 
 
 def test_options_with_an_optional_value() -> None:
-    assert str(given("compare", "--document")["document"]) == "docs/compare.md"
+    assert str(given("compare", "--document")["document"]) == "docs/tables/compare.md"
     assert str(given("compare", "quick", "--document", "other.md")["document"]) == "other.md"
     assert given("compare")["document"] is None
     assert given("compare")["suite"] == "paper"

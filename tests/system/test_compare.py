@@ -16,17 +16,17 @@ from typing import Any
 import pytest
 import yaml
 
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.scenarios import library
-from fjr_bringup.studies.comparison import job as comparison_job
-from fjr_bringup.studies.comparison import markdown as comparison_markdown
-from fjr_bringup.studies.comparison import pool as comparison_pool
-from fjr_bringup.studies.comparison import report as comparison_report
-from fjr_bringup.studies.comparison import suite
-from fjr_bringup.studies.comparison.results import Row, Value, extent, rows
-from fjr_core.control.registry import LAWS, V_DPBC
 from fjr_core.errors import CompareError, FjrError
+from fjr_core.law.registry import LAWS, V_DPBC
 from fjr_core.numerics import jit_cache
+from fjr_design.studies.comparison import job as comparison_job
+from fjr_design.studies.comparison import markdown as comparison_markdown
+from fjr_design.studies.comparison import pool as comparison_pool
+from fjr_design.studies.comparison import report as comparison_report
+from fjr_design.studies.comparison import suite
+from fjr_design.studies.comparison.results import Row, Value, extent, rows
+from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.scenarios import library
 from system.browser import Browser
 from system.documented import documented_keys
 from system.executables import TIME_LIMIT, Executable, fjr_here
@@ -161,7 +161,7 @@ def test_constant_reference_is_refused_in_one_sentence() -> None:
 def test_key_of_kept_results_depends_on_code(monkeypatch: pytest.MonkeyPatch) -> None:
     job = comparison_job.jobs(suite.read("mine", QUICK))[0]
     keys = [job.key, job.key]
-    monkeypatch.setattr(jit_cache, "source_digest", lambda: "another")
+    monkeypatch.setattr(jit_cache, "source_digest", lambda *_: "another")
     comparison_job._source.cache_clear()
     keys.append(job.key)
     monkeypatch.undo()

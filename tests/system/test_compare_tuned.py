@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.studies.comparison.markdown import BEGIN, END, marks
-from fjr_bringup.studies.comparison.results import rows, table_rows
+from fjr_design.studies.comparison.markdown import BEGIN, END, marks
+from fjr_design.studies.comparison.results import rows, table_rows
+from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fjr_bringup.monitor.state import Health
-from fjr_bringup.monitor.terminal import _status
-from fjr_bringup.report import html, runs_report
-from fjr_bringup.result import finite
-from fjr_core.monitoring.diagnosis import Diagnosis
+from fjr_monitor.diagnosis.diagnosis import Diagnosis
+from fjr_monitor.report import html, runs_report
+from fjr_monitor.watch.state import Health
+from fjr_monitor.watch.terminal import _status
+from fjr_msgs_py.console.result import finite
 from fjr_msgs_py.messages.diagnosis import LEVELS
 
 pytestmark = pytest.mark.system
@@ -34,7 +34,7 @@ def test_the_page_shows_the_number_in_amber() -> None:
     line = html.environment().get_template("macros.html").module.verdict_line(DEGRADED)
     assert 'class="verdict degraded"' in line
     assert "Degraded: delay makes 0.14 mrad at joint2" in line
-    css = (files("fjr_bringup") / "report" / "templates" / "page.css").read_text(encoding="utf-8")
+    css = (files("fjr_monitor") / "report" / "templates" / "page.css").read_text(encoding="utf-8")
     rule = re.search(r"\.degraded[^{]*\{([^}]*)\}", css)
     assert rule is not None
     assert "--doubt" in rule[1]

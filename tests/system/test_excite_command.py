@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_bringup.cli.exit_codes import Exit
 from fjr_core.config.scenario import load_scenario
-from fjr_core.identification import excitation
+from fjr_identification.estimation import excitation
+from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import fjr_here, scenario
 
 pytestmark = pytest.mark.system

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 
 import fjr_core
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.cli.preflight import StartError, refuse_start_outside
-from fjr_bringup.cli.rate_proof import cached_rate
-from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
-from fjr_core.control.robust import Robust, sampled_law
-from fjr_core.control.vdpbc.rate_certificate import digest
+from fjr_core.law.robust import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.sampled_loop import check
+from fjr_design.cli.preflight import StartError, refuse_start_outside
+from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.scenarios import library
+from fjr_proofs.cli.rate_proof import cached_rate
+from fjr_proofs.rate.rate_certificate import digest
 from system.executables import fjr_here, scenario
 from two_link_urdf import two_link_urdf
 

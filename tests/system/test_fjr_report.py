@@ -16,13 +16,13 @@ import pytest
 import yaml
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
-from fjr_bringup.analysis import run_data
-from fjr_bringup.analysis.metrics import Metrics, make_report
-from fjr_bringup.analysis.run_data import Recording, RunData
-from fjr_bringup.recording.reader import header_stamp, read_bag
-from fjr_bringup.recording.writer import BagWriter
-from fjr_bringup.report.shown import BUCKETS, Columns, Shown
 from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_monitor.analysis import run_data
+from fjr_monitor.analysis.metrics import Metrics, make_report
+from fjr_monitor.analysis.run_data import Recording, RunData
+from fjr_monitor.recording.reader import header_stamp, read_bag
+from fjr_monitor.recording.writer import BagWriter
+from fjr_monitor.report.shown import BUCKETS, Columns, Shown
 from system.bags import STORE, in_chunks, rewritten
 from system.executables import fjr_here, scenario
 

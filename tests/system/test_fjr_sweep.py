@@ -17,10 +17,10 @@ import matplotlib.image
 import pyarrow.parquet as pq
 import pytest
 
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.studies.monte_carlo import command as monte_carlo_command
-from fjr_bringup.studies.monte_carlo.pool import ClusterError, cluster, run_missing
-from fjr_bringup.studies.monte_carlo.store import open_store
+from fjr_design.studies.monte_carlo import command as monte_carlo_command
+from fjr_design.studies.monte_carlo.pool import ClusterError, cluster, run_missing
+from fjr_design.studies.monte_carlo.store import open_store
+from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import Executable, fjr, fjr_here
 from time_limits import Limit
 

@@ -12,16 +12,16 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.interrupt import Interrupted
-from fjr_bringup.studies.monte_carlo.command import Options
-from fjr_bringup.studies.monte_carlo.pool import threads
-from fjr_bringup.studies.tuning.command import planned
-from fjr_bringup.studies.tuning.evaluation import Evaluation
-from fjr_bringup.studies.tuning.picture import pareto
-from fjr_bringup.studies.tuning.store import open_store
 from fjr_core.config.scenario import load_scenario
-from fjr_core.experiments.tuning.search import search
+from fjr_design.experiments.tuning.search import search
+from fjr_design.studies.monte_carlo.command import Options
+from fjr_design.studies.monte_carlo.pool import threads
+from fjr_design.studies.tuning.command import planned
+from fjr_design.studies.tuning.evaluation import Evaluation
+from fjr_design.studies.tuning.picture import pareto
+from fjr_design.studies.tuning.store import open_store
+from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.interrupt import Interrupted
 from system.documented import documented_keys
 from system.executables import fjr_here
 

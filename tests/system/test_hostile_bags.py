@@ -19,9 +19,9 @@ from mcap.writer import CompressionType, Writer
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import CompressionMode
 
-from fjr_bringup.recording import message_types
-from fjr_bringup.recording.reader import Bag, BagError, read_bag
-from fjr_bringup.recording.writer import BagWriter
+from fjr_monitor.recording import message_types
+from fjr_monitor.recording.reader import Bag, BagError, read_bag
+from fjr_monitor.recording.writer import BagWriter
 from fuzzing import answer, bytes_of, fuzzed
 from system.bags import rewritten
 
@@ -191,7 +191,7 @@ def test_a_definition_that_is_not_utf8_is_needed_for_unknown_types_only(folder: 
 def test_invalid_definitions_are_reported_in_one_sentence(name: str, text: str) -> None:
     from mcap.records import Message
 
-    from fjr_bringup.recording.topic import Topic
+    from fjr_monitor.recording.topic import Topic
 
     topic = Topic("/t", name, text, [Message(0, 0, ALL[0], 0, 0)])
     with pytest.raises(BagError, match="/t "):

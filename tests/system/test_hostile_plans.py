@@ -13,16 +13,16 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fjr_bringup.atomic_file import is_sealed, write_text
-from fjr_bringup.cli.report import _known
-from fjr_bringup.scenarios import library
-from fjr_bringup.studies.comparison import pool as comparison_pool
-from fjr_bringup.studies.comparison import suite
-from fjr_bringup.studies.comparison.job import Job
-from fjr_bringup.studies.monte_carlo import command as monte_carlo_command
-from fjr_bringup.studies.monte_carlo.store import open_store
-from fjr_bringup.studies.monte_carlo.sweep_file import usual
-from fjr_core.experiments.monte_carlo.sweep import Sweep
+from fjr_core.files.atomic_file import is_sealed, write_text
+from fjr_design.experiments.monte_carlo.sweep import Sweep
+from fjr_design.studies.comparison import pool as comparison_pool
+from fjr_design.studies.comparison import suite
+from fjr_design.studies.comparison.job import Job
+from fjr_design.studies.monte_carlo import command as monte_carlo_command
+from fjr_design.studies.monte_carlo.store import open_store
+from fjr_design.studies.monte_carlo.sweep_file import usual
+from fjr_monitor.cli.report import _known
+from fjr_msgs_py.scenarios import library
 from fuzzing import answer, bytes_of, documents, fuzzed, texts
 
 SUITE = """

@@ -11,8 +11,8 @@ import pytest
 
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
-from fjr_core.identification.drawn_plants import drawn_values
-from fjr_core.identification.result import Identification
+from fjr_design.posterior.drawn_plants import drawn_values
+from fjr_design.posterior.result import Identification
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system

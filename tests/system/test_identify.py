@@ -10,15 +10,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from fjr_bringup.identification.command import unconfirmed
-from fjr_bringup.identification.nominal_robot import identified_values, nominal_robot
-from fjr_bringup.identification.page_figures import autocorrelation
-from fjr_bringup.identification.page_rows import groups
-from fjr_bringup.identification.robot_yaml import robot_file
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
-from fjr_core.identification.hold_out import HoldOut
-from fjr_core.identification.result import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
+from fjr_design.posterior.result import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
+from fjr_identification.cli.command import unconfirmed
+from fjr_identification.estimation.hold_out import HoldOut
+from fjr_identification.page.page_figures import autocorrelation
+from fjr_identification.page.page_rows import groups
+from fjr_identification.robot_file.nominal_robot import identified_values, nominal_robot
+from fjr_identification.robot_file.robot_yaml import robot_file
 from system.browser import Browser
 from system.executables import fjr_here
 from system.shared_runs import shared_run

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from fjr_bringup.analysis import headlines
-from fjr_bringup.cli.check import check_rows
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.cli.preflight import checked
-from fjr_bringup.monitor.state import Watched
-from fjr_bringup.report.write import report_run
 from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import ParameterError, TrajectoryError
-from fjr_core.robot.joint_units import PRISMATIC, REVOLUTE
-from fjr_core.trajectories.motion_limits import check_motion
-from fjr_core.trajectories.point_to_point import Hold
+from fjr_core.model.joint_units import PRISMATIC, REVOLUTE
+from fjr_core.motions.motion_limits import check_motion
+from fjr_core.motions.point_to_point import Hold
+from fjr_design.cli.check import check_rows
+from fjr_design.cli.preflight import checked
+from fjr_monitor.analysis import headlines
+from fjr_monitor.report.write import report_run
+from fjr_monitor.watch.state import Watched
+from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import fjr_here
 from system.shared_runs import shared_run
 from tracking.tracked import sample

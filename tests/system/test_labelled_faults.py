@@ -92,7 +92,7 @@ def test_saturated_motor_is_not_diagnosed_as_wrong_wiring(scenario: str) -> None
 
 
 def test_page_shows_the_set_and_the_required_shares() -> None:
-    page = (ROOT / "docs" / "fault_isolation.md").read_text(encoding="utf-8").partition(BEGIN)[2]
+    page = (ROOT / "docs" / "tables" / "diagnosis.md").read_text(encoding="utf-8").partition(BEGIN)[2]
     rows = [line for line in page.splitlines() if line.startswith("| ")][2 : 2 + len(KINDS)]
     counts = [int(cell) for row in rows for cell in row.split("|")[2:-2] if cell.strip()]
     assert sum(counts) == len(SET)

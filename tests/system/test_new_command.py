@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from tools.robot_survey.robots import ROBOTS
 
-from fjr_bringup.scaffold.arm import arm_of
-from fjr_bringup.scaffold.joint_data import published
-from fjr_bringup.scenarios import library
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError
-from fjr_core.robot.free_inertia import joints_without_inertia
+from fjr_core.model.free_inertia import joints_without_inertia
+from fjr_design.scaffold.arm import arm_of
+from fjr_design.scaffold.joint_data import published
+from fjr_msgs_py.scenarios import library
 from system.executables import fjr, fjr_here
 from two_link_urdf import joint, two_link_urdf
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 import fjr_core as fjr
-from fjr_bringup.provenance import EPOCH, Provenance, begin_command, machine, provenance
-from fjr_bringup.report import html
+from fjr_monitor.report import html
+from fjr_msgs_py.console.provenance import EPOCH, Provenance, begin_command, machine, provenance
 from system.executables import fjr_here
 from system.shared_runs import shared_run
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from jinja2 import UndefinedError
 
-from fjr_bringup.plotting.figure import Line, Plot
-from fjr_bringup.report import html
+from fjr_monitor.plotting.figure import Line, Plot
+from fjr_monitor.report import html
 
 HOSTILE = "</script><b onload='x' title=\"y\">&amp;"
 VALUES: dict[str, Any] = {

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from fjr_bringup.analysis.controller_stop import ControllerStop
-from fjr_bringup.analysis.metrics import Report
-from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report.paper_claim import Claim, paper_claim
-from fjr_bringup.report.write import RunSummary, compare, report_bag
 from fjr_core.config.scenario import load_scenario
+from fjr_monitor.analysis.controller_stop import ControllerStop
+from fjr_monitor.analysis.metrics import Report
+from fjr_monitor.recording.reader import read_bag
+from fjr_monitor.report.paper_claim import Claim, paper_claim
+from fjr_monitor.report.write import RunSummary, compare, report_bag
 from system.browser import Browser
 from system.shared_runs import shared_run
 

@@ -19,10 +19,10 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from fjr_bringup.recording import reader
-from fjr_bringup.recording.play import due
-from fjr_bringup.recording.reader import in_order, read_bag
-from fjr_bringup.recording.topic import BagError
+from fjr_monitor.recording import reader
+from fjr_monitor.recording.play import due
+from fjr_monitor.recording.reader import in_order, read_bag
+from fjr_monitor.recording.topic import BagError
 from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
 from system.documented import documented_keys
@@ -201,7 +201,7 @@ def test_topics_that_are_not_played_are_refused(tmp_path: Path, arguments: tuple
 
 
 def test_hint_names_the_installed_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fjr_bringup.ros2_tools import play_command
+    from fjr_msgs_py.console.ros2_tools import play_command
 
     monkeypatch.setenv("PATH", str(tmp_path))
     assert play_command(Path("my bag")) == "fjr play 'my bag'"

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_core.identification.result import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
+from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
+from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system

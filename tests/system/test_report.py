@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fjr_bringup.analysis import timing
-from fjr_bringup.analysis.timing import Clock, Counts, Distribution
 from fjr_bringup.cli import run
-from fjr_bringup.plotting.picture import LABEL_GAP, apart, labels
-from fjr_bringup.scenarios import library
+from fjr_monitor.analysis import timing
+from fjr_monitor.analysis.timing import Clock, Counts, Distribution
+from fjr_monitor.plotting.picture import LABEL_GAP, apart, labels
+from fjr_msgs_py.scenarios import library
 from system.executables import fjr, scenario
 
 pytestmark = pytest.mark.system

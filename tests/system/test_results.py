@@ -11,25 +11,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_bringup import progress
-from fjr_bringup.analysis.controller_stop import ControllerStop
 from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.app import main
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.cli.report import report as report_bags
 from fjr_bringup.cli.run import _result
-from fjr_bringup.recording.reader import read_bag
-from fjr_bringup.report import html
-from fjr_bringup.report.run_report import write_run_page
-from fjr_bringup.report.write import RunSummary, compare, report_bag, table
-from fjr_bringup.result import json_text
 from fjr_core.config.scenario import load_scenario
+from fjr_monitor.analysis.controller_stop import ControllerStop
+from fjr_monitor.cli.report import report as report_bags
+from fjr_monitor.recording.reader import read_bag
+from fjr_monitor.report import html
+from fjr_monitor.report.run_report import write_run_page
+from fjr_monitor.report.write import RunSummary, compare, report_bag, table
+from fjr_msgs_py.console import progress
+from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.result import json_text
 from system.documented import documented_keys
 from system.shared_runs import shared_run
 from time_limits import Limit
 from two_link_urdf import two_link_urdf
 
 pytestmark = pytest.mark.system
+
+
+SHOWN = [name for name, each in application.commands.items() if not each.hidden]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +43,7 @@ def summary(tmp_path_factory: pytest.TempPathFactory) -> RunSummary:
     return report_bag("paper_k31", read_bag(run / "bag"), scenario, tmp_path_factory.mktemp("report"))
 
 
-@pytest.mark.parametrize("name", application.commands)
+@pytest.mark.parametrize("name", SHOWN)
 def test_every_command_offers_json(name: str) -> None:
     assert "--json" in {option for each in application.commands[name].params for option in each.opts}
 
@@ -70,7 +73,7 @@ def test_result_is_one_json_document_with_the_documented_keys(
 
 
 def test_every_command_is_documented() -> None:
-    assert {*documented_keys(), "echo", "watch"} == set(application.commands)
+    assert {*documented_keys(), "echo", "watch"} == set(SHOWN)
 
 
 def test_result_of_a_run_has_the_documented_keys(summary: RunSummary) -> None:

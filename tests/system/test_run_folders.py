@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fjr_bringup.recording.run_folder import FolderError, RunFolder
+from fjr_monitor.recording.run_folder import FolderError, RunFolder
 
 
 def new_run(link: Path, text: str) -> Path:

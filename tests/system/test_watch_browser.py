@@ -16,9 +16,9 @@ from urllib.parse import urlsplit
 import pytest
 from ament_index_python.packages import get_package_prefix
 
-from fjr_bringup.monitor.browser import BrowserPage
 from fjr_core.config.description import description
 from fjr_core.config.scenario import load_scenario
+from fjr_monitor.watch.browser import BrowserPage
 from system.browser import Browser
 from system.executables import Executable, fjr_here, lockstep_loop, scenario
 from time_limits import HANG, Limit

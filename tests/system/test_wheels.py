@@ -62,11 +62,10 @@ def test_fjr_core_requires_what_it_imports(wheels: dict[str, Path]) -> None:
     always, extra = requirements(wheels["fjr_core"])
     imports = top_level_imports(ROOT / "ros2_ws" / "src" / "fjr_core" / "fjr_core")
     required = {pins.requirement_name(each) for each in always}
-    assert required == {DISTRIBUTIONS.get(name, name) for name in imports} - {"cma", "matplotlib", "pyarrow"}
+    assert required == {DISTRIBUTIONS.get(name, name) for name in imports} - {"matplotlib", "pyarrow"}
     assert {re.sub(r".*extra == [\"'](\w+)[\"']", r"\1", each) for each in extra} == {
         "sweep",
         "plot",
-        "tune",
         "compiler",
         "all",
     }

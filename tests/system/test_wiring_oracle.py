@@ -12,10 +12,10 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.wiring import NumericCheck
-from fjr_core.control_step.wiring_fault import WiringFault
-from fjr_core.monitoring.record import Record
-from fjr_core.monitoring.wiring import WiringCheck
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.wiring_fault import WiringFault
+from fjr_monitor.diagnosis.record import Record
+from fjr_monitor.diagnosis.wiring import WiringCheck
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 

@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from docs.pages import ROOT
-from fjr_bringup.identification.header_map import FILL_IN, written_map
-from fjr_bringup.identification.record_map import EFFORT, LINK, MOTOR, TORQUE, TableMap, read_map
 from fjr_core.errors import ParameterError, RecordError
+from fjr_identification.records.header_map import FILL_IN, written_map
+from fjr_identification.records.record_map import EFFORT, LINK, MOTOR, TORQUE, TableMap, read_map
 from system.executables import fjr_here
 
 ARM = ("shoulder", "elbow")

@@ -8,8 +8,8 @@ import pytest
 
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.control_step.control_step import NEVER
-from fjr_core.control_step.library import constant
+from fjr_core.runtime.control_step import NEVER
+from fjr_core.runtime.library import constant
 from tracking.tracked import LAW, MS, SECOND, SINE, sample, settings
 
 WAITING, PAUSE = int(constant("WAITING")), int(constant("PAUSE"))

@@ -9,8 +9,8 @@ import pytest
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
 from fjr_core import PythonLaw
-from fjr_core.trajectories.point_to_point import Hold, standing
-from fjr_core.trajectories.spline import Spline
+from fjr_core.motions.point_to_point import Hold, standing
+from fjr_core.motions.spline import Spline
 from tracking.tracked import (
     LAW,
     MS,

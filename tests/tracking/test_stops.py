@@ -8,7 +8,7 @@ import pytest
 
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.trajectories.point_to_point import Hold, standing
+from fjr_core.motions.point_to_point import Hold, standing
 from tracking.tracked import (
     ARMS,
     LAW,

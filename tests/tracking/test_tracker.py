@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import fjr_core as fjr
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.trajectories.point_to_point import Hold
+from fjr_core.motions.point_to_point import Hold
 from tracking.tracked import (
     LAW,
     MS,

@@ -12,8 +12,8 @@ import fjr_core as fjr
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config import builders
-from fjr_core.control_step.library import constant
-from fjr_core.trajectories.point_to_point import Hold
+from fjr_core.motions.point_to_point import Hold
+from fjr_core.runtime.library import constant
 from tracking.tracked import (
     ARMS,
     LAW,

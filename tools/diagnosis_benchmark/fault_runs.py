@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs with one known fault each, in three sizes, on the paper's joint, the two-link and the seven-joint arm.
 
-Thresholds (fjr_core.monitoring.fault_isolation) are tuned on the sets of TUNING_SEEDS and validated on that of
+Thresholds (fjr_monitor.diagnosis.fault_isolation) are tuned on the sets of TUNING_SEEDS and validated on that of
 VALIDATION_SEED. A seed draws joint, side, size within 20 %, and initial position.
 """
 
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.record import Record
 
 from .faulty_loop import Fault, FaultyLoop
 from .loop import record

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate every labelled fault and regenerate the confusion table of docs/fault_isolation.md between its markers.
+"""Simulate every labelled fault and regenerate the confusion table of docs/tables/diagnosis.md.
 
 . ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.fault_table        # about 10 min for a seed
 """
@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fjr_core.config.diagnosis import axes
-from fjr_core.monitoring.diagnosis import diagnose
+from fjr_monitor.diagnosis.diagnosis import diagnose
 
 from .fault_runs import FAULTS, HEALTHY, VALIDATION_SEED, WIRING, FaultCase, cases
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "fault_isolation.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "diagnosis.md"
 BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/fault_table.py -->"
 END = "<!-- end of confusion -->"
 KINDS = (*FAULTS, *WIRING, HEALTHY)
@@ -87,7 +87,7 @@ def main() -> int:
     """Rewrite the table on the page."""
     page = PAGE.read_text(encoding="utf-8")
     before, rest = page.split(BEGIN)
-    _, after = rest.split(END)
+    _, _, after = rest.partition(END)
     lines = ["", f"Validation set (seed {VALIDATION_SEED}):", "", *confusion(VALIDATION_SEED)]
     PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
     return 0

@@ -16,8 +16,8 @@ from fjr_controller.tracking.tracker import Tracker
 from fjr_core import StateError
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.monitoring.record import Record
 from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.record import Record
 from fjr_msgs_py.messages.joint_states import JointSample
 from fjr_plant.simulated_robot import simulated
 from fjr_plant.timing.lock_step import START

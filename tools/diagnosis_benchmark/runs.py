@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from fjr_bringup.scenarios import library
 from fjr_core import check
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import PLANT, Scenario, parse_scenario
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.record import Record
 from fjr_core.monitoring.thresholds import TOLERANCE
 from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.record import Record
+from fjr_msgs_py.scenarios import library
 
 from .loop import LockStepLoop, Log, record
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnose every labelled run from its bag and regenerate the confusion table of docs/diagnosis.md between its markers.
+"""Diagnose every labelled run from its bag and regenerate the confusion tables of docs/tables/diagnosis.md.
 
 . ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.table
 """
@@ -12,12 +12,12 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from fjr_core.monitoring.diagnosis import Diagnosis, diagnose
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 
 from .bags import read_record, write_bag
 from .runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, Label, cases, label, run
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "diagnosis.md"
 BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/table.py -->"
 END = "<!-- end of confusion -->"
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
@@ -76,7 +76,7 @@ def main() -> int:
     parts = [["", f"{heading} (seed {seed}):", "", *confusion(seed)] for seed, heading in headings.items()]
     lines = [line for part in parts for line in part]
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    after = rest.split(END)[1]
+    after = rest.partition(END)[2]
     PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
     return 0
 

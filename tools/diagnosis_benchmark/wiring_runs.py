@@ -134,7 +134,7 @@ def _initial(scenario: str, loaded: Scenario, rng: np.random.Generator) -> dict[
 
 
 def main() -> None:
-    """Print the table of docs/fault_isolation.md and the number of healthy starts that were stopped."""
+    """Print the table of docs/tables/diagnosis.md and the number of healthy starts that were stopped."""
     for scenario in ROBOTS:
         for kind in WIRING:
             stops = [Stop.of(case, LASTING) for case in wrong(scenario, kind)]

@@ -21,7 +21,16 @@ from sphinx.cmd.build import main as sphinx
 ROOT = Path(__file__).resolve().parents[2]
 LINKED = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "ros2_ws", "bench", "tests", "tools")
 """Pages and their link targets, laid out as in the repository."""
-PACKAGES = ("fjr_core", "fjr_msgs_py", "fjr_plant", "fjr_controller")
+PACKAGES = (
+    "fjr_core",
+    "fjr_msgs_py",
+    "fjr_plant",
+    "fjr_controller",
+    "fjr_monitor.diagnosis",
+    "fjr_design",
+    "fjr_identification.estimation",
+    "fjr_proofs",
+)
 CONTENTS = """fjr
 ===
 
@@ -105,7 +114,8 @@ def public_names(package: str) -> Iterator[str]:
     module = importlib.import_module(package)
     for name in getattr(module, "__all__", ()):
         home = getattr(getattr(module, name), "__module__", None)
-        yield f"{home if home and home.startswith(package) else package}.{name}"
+        is_ours = home is not None and home.startswith("fjr_")
+        yield f"{home if is_ours else package}.{name}"
 
 
 if __name__ == "__main__":

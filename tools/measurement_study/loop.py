@@ -10,9 +10,9 @@ import numpy as np
 
 from fjr_core import Plant
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_core.estimation.velocity_observer import VelocityObserver
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
+from fjr_core.runtime.velocity_observer import VelocityObserver
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
 START = 1_000_000_000  # ns; stamp of the first sample

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regenerate the table of docs/compare.md on the noise that arm7 tolerates, between its markers.
+"""Regenerate the table of docs/tables/compare.md on the noise that arm7 tolerates, between its markers.
 
 . ros2_ws/install/setup.sh && fjr tune arm7_tune
 .venv/bin/python -m tools.noise_study.table runs/tuned/arm7_tune_v_dpbc/tuned.yaml
@@ -16,18 +16,18 @@ import numpy as np
 from tqdm import tqdm
 
 import fjr_core as fjr
-from fjr_bringup.studies.monte_carlo.command import Options, planned
 from fjr_core.config.scenario import load_scenario
-from fjr_core.control.sampled_law import AsSampledLaw
-from fjr_core.experiments.baseline_target import baseline_target
-from fjr_core.experiments.comparison import Trial, directions, motion_demand
-from fjr_core.experiments.monte_carlo.sweep import Sweep
-from fjr_core.experiments.scenario_loop import scenario_loop
-from fjr_core.experiments.tuning.goal import figures
+from fjr_core.law.sampled_law import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop
-from fjr_core.tuning.equal_bandwidth import tune
+from fjr_design.experiments.baseline_target import baseline_target
+from fjr_design.experiments.comparison import Trial, directions, motion_demand
+from fjr_design.experiments.monte_carlo.sweep import Sweep
+from fjr_design.experiments.scenario_loop import scenario_loop
+from fjr_design.experiments.tuning.goal import figures
+from fjr_design.studies.monte_carlo.command import Options, planned
+from fjr_design.tuning.equal_bandwidth import tune
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "compare.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "compare.md"
 BEGIN, END = "<!-- noise of arm7: written by tools/noise_study/table.py -->", "<!-- end of noise of arm7 -->"
 STIFFER = 7.0  # factor on K_md
 DRAWN = 200  # plants
@@ -49,7 +49,7 @@ def gains_of_arm7(study: Sweep, tuned: Path) -> dict[str, fjr.Gains]:
         "`Pi_m = K`": softer,
         f"`K_md` {STIFFER:g} times as large": replace(given, K_md=STIFFER * np.asarray(given.K_md)),
         "both": replace(softer, K_md=STIFFER * np.asarray(given.K_md)),
-        "[tuning rule](baselines.md#tuning-rule)": by_rule.matrices,
+        "[tuning rule](../baselines.md#tuning-rule)": by_rule.matrices,
         "`fjr tune arm7_tune`": load_scenario(tuned).gains,
     }
 
@@ -83,7 +83,7 @@ def table(study: Sweep, tuned: Path) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Compute the table and write it into the page."""
-    parser = argparse.ArgumentParser(description="Write the table of the noise of arm7 into docs/compare.md.")
+    parser = argparse.ArgumentParser(description="Write the table of the noise of arm7 into docs/tables/compare.md.")
     parser.add_argument("tuned", type=Path, help="tuned.yaml that `fjr tune arm7_tune` has written")
     tuned = parser.parse_args(arguments).tuned
     study = planned("arm7_tune", Options(1, None, Path(), {}, {}))

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 import fjr_core as fjr
-from fjr_core.control.robust import Robust, sampled_law
+from fjr_core.law.robust import Robust, sampled_law
 from fjr_core.numerics.checks import Array
 
 PERIOD = 1e-3  # s

@@ -4,27 +4,11 @@ from glob import glob
 from setuptools import find_packages, setup
 
 package_name = "fjr_bringup"
-libraries = [
-    "PyYAML>=6.0.1",
-    "click>=8.2",
-    "cma>=4.0",
-    "jinja2>=3.1",
-    "jupyter-threejs-sage>=130",
-    "matplotlib>=3.6",
-    "mcap>=1.1",
-    "numpy>=1.26",
-    "pyarrow>=15",
-    "rich>=13",
-    "rosbags>=0.10",
-    "tqdm>=4.66",
-    "uplot-python>=1.1",
-]
-
 setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(),
-    package_data={package_name: ["py.typed", "report/templates/*"]},
+    package_data={package_name: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
@@ -39,16 +23,24 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=[
-        "fjr_core",
-        "fjr_controller",
-        "fjr_msgs_py",
+        "fjr_core[plot,sweep]",
+        "fjr_msgs_py[commands]",
+        "fjr_monitor[commands]",
         "fjr_plant",
-        *libraries,
+        "fjr_controller",
+        "fjr_design[commands]",
+        "PyYAML>=6.0.1",
+        "click>=8.2",
+        "numpy>=1.26",
     ],  # rclpy and messages: from ROS 2, or its wheels
+    extras_require={"all": ["fjr_identification[commands]", "fjr_proofs[commands]"]},
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",
-    description="Scenarios, launch files, recording, reports and the fjr command",
+    description="Scenarios, launch files, runner and the fjr command",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["fjr = fjr_bringup.cli.app:program"]},
+    entry_points={
+        "console_scripts": ["fjr = fjr_bringup.cli.app:program"],
+        "fjr.commands": ["bringup = fjr_bringup.cli.commands"],
+    },
 )

@@ -17,6 +17,7 @@ setup(
     install_requires=[
         "fjr_core",
         "fjr_msgs_py",
+        "fjr_monitor",
         "casadi>=3.6.5",
         "numpy>=1.26",
     ],  # rclpy and messages: from ROS 2, or its wheels

@@ -7,9 +7,8 @@ from setuptools import find_packages, setup
 package_name = "fjr_core"
 version = run_path(str(Path(__file__).parent / package_name / "version.py"))["__version__"]
 extras = {
-    "sweep": ["pyarrow>=15"],  # reads Parquet: the tables of `fjr sweep`, motions
+    "sweep": ["pyarrow>=15"],  # reads Parquet: motions
     "plot": ["matplotlib>=3.6"],
-    "tune": ["cma>=4.0"],  # CMA-ES, the search of `fjr tune`
 }
 
 setup(
@@ -19,13 +18,8 @@ setup(
     package_data={
         package_name: [
             "py.typed",
-            "control_step/*.[ch]",
+            "runtime/*.[ch]",
             "simulation/batch/*.[ch]",
-            "verification/*.[ch]",
-            "identification/*.[ch]",
-            "stability/error_bound/*.[ch]",
-            "codegen/templates/*",
-            "codegen/ros2_control/templates/*",
         ]
     },
     data_files=[

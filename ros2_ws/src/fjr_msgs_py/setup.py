@@ -14,6 +14,7 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=["fjr_core", "numpy>=1.26", "cffi>=1.17"],  # rclpy and messages: from ROS 2, or its wheels
+    extras_require={"commands": ["PyYAML>=6.0.1", "click>=8.2", "tqdm>=4.66"]},  # what the commands of fjr share
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -12,7 +12,7 @@ import fjr_core as fjr
 from fjr_core.config import builders
 from fjr_core.config.parameter import complete
 from fjr_core.config.reference import reference_parameters
-from fjr_core.trajectories.reference import Reference
+from fjr_core.motions.reference import Reference
 
 T = np.array([0.3, 1.3, 2.2, 7.7])
 OFFSET = {"offset": (0.4, -0.3)}

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from cffi import FFI
 
-from fjr_core.control_step.library import HEADER, declarations, text
 from fjr_core.numerics.c_types import ffi_of
+from fjr_core.runtime.library import HEADER, declarations, text
 
 STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
 STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 import fjr_core as fjr
 from core.oracles.cases import Arm, Array, GainSet, gain_set, square
-from fjr_core.robot.rigid_arm import ArmDynamics
+from fjr_core.model.rigid_arm import ArmDynamics
 
 ROBOTS = Path(__file__).parents[3] / "ros2_ws/src/fjr_bringup/robots"
 ARM7 = ROBOTS / "arm7.urdf"

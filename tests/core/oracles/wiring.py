@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check of the wiring in NumPy, from the equations of control_step/wiring.c with full matrices."""
+"""The check of the wiring in NumPy, from the equations of runtime/wiring.c with full matrices."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.control_step.wiring_fault import WiringFault
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.robot import Robot
+from fjr_core.runtime.wiring_fault import WiringFault
 
 Order = NDArray[np.intp]
 

@@ -15,10 +15,10 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, linear
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
-from fjr_core.control.sampled_law import AsSampledLaw
-from fjr_core.control_step.library import c_text
-from fjr_core.estimation.measurement_model import Measurement
+from fjr_core.law.sampled_law import AsSampledLaw
 from fjr_core.numerics import jit_cache
+from fjr_core.runtime.library import c_text
+from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, counter_rng, outcomes, program
 
 PERIOD = 1e-3
@@ -231,7 +231,7 @@ def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytes
         (tmp_path / name).write_text(name)
         jit_cache.source_digest.cache_clear()
         digest = jit_cache.source_digest(tmp_path)
-        monkeypatch.setattr(jit_cache, "source_digest", lambda digest=digest: digest)
+        monkeypatch.setattr(jit_cache, "source_digest", lambda *_, digest=digest: digest)
         found.append(paper_loop().fingerprint)
         monkeypatch.undo()
     monkeypatch.setattr(jit_cache.ca, "__version__", "another")

@@ -16,8 +16,8 @@ from core.oracles.cases import ARMS, PLANAR, Arm, PlanarTwoLink, random_point, r
 from core.oracles.chains import ARM7, ARM7_JOINTS, STIFF, PinocchioLinks, random_chain, random_urdf
 from core.oracles.oracle import stencil
 from core.oracles.properties import TOLERANCE, residual
+from fjr_core.model.rigid_arm import closed_form
 from fjr_core.numerics.casadi_function import NumericFunction
-from fjr_core.robot.rigid_arm import closed_form
 from fjr_core.simulation.nonideal_parameters import NAMES, SWITCHES, Nonidealities, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 

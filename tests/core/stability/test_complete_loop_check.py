@@ -14,19 +14,19 @@ import pytest
 import fjr_core as fjr
 from core.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
-from fjr_core.control.registry import LAWS, law_kind
-from fjr_core.control.robust import Robust, sampled_law
-from fjr_core.control.sampled_law import AsSampledLaw, SampledLaw
-from fjr_core.estimation.observer_stability import error_radii
-from fjr_core.estimation.velocity_observer import VelocityObserver
-from fjr_core.experiments.comparison.tuned_law import tuned_law
+from fjr_core.law.registry import LAWS, law_kind
+from fjr_core.law.robust import Robust, sampled_law
+from fjr_core.law.sampled_law import AsSampledLaw, SampledLaw
+from fjr_core.model.equilibrium import equilibria_at
 from fjr_core.numerics.casadi_function import NumericFunction
-from fjr_core.robot.equilibrium import equilibria_at
+from fjr_core.runtime.observer_stability import error_radii
+from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.integral_bound import refuse_fast_integral
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import linearize, on_plant
-from fjr_core.stability.model_errors import radii_with_model_errors
 from fjr_core.stability.sampled_loop import check, spectral_radius
+from fjr_design.experiments.comparison.tuned_law import tuned_law
+from fjr_design.stability.model_errors import radii_with_model_errors
 
 DRAWS = 60
 BASELINES = [name for name, kind in LAWS.items() if kind.standard is not None]

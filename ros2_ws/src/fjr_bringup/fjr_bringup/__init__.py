@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios, launch files, recording, reports, studies and the `fjr` command."""
+"""Scenarios, launch files, runner and the `fjr` command."""

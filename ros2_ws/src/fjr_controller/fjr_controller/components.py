@@ -19,8 +19,8 @@ from fjr_core.config.parameter import named
 from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.config.user_options import in_python
+from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
-from fjr_core.trajectories.motion_limits import check_motion
 from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.messages.follow_joint_trajectory import follow_messages
 

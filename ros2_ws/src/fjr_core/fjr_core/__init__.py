@@ -11,38 +11,37 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 """
 
 import warnings
+from typing import Any
 
 from . import testing
-from .control.python_law import PythonLaw
-from .control.vdpbc.convergence_rate import Rate
-from .control.vdpbc.gains import PAPER_GAINS, Gains
-from .control.vdpbc.law import Evaluation, TrackingLaw
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
-from .estimation.measurement_model import Measurement
-from .estimation.velocity_observer import VelocityObserver
+from .files import other_package
+from .law.python_law import PythonLaw
+from .law.vdpbc.convergence_rate import Rate
+from .law.vdpbc.gains import PAPER_GAINS, Gains
+from .law.vdpbc.law import Evaluation, TrackingLaw
+from .model.closed_form_arms import planar_two_link, single_link
+from .model.joint_limits import JointLimits
+from .model.newton_euler import serial_chain
+from .model.port_hamiltonian import Plant
+from .model.python_plant import PythonPlant
+from .model.rigid_body import Body
+from .model.robot import Robot
+from .model.urdf_import import robot_from_urdf
+from .model.virtual_system import VirtualSystem
 from .monitoring.certificate import Certificate
-from .monitoring.diagnosis import Diagnosis, diagnose
-from .monitoring.record import Record
-from .robot.closed_form_arms import planar_two_link, single_link
-from .robot.joint_limits import JointLimits
-from .robot.newton_euler import serial_chain
-from .robot.port_hamiltonian import Plant
-from .robot.python_plant import PythonPlant
-from .robot.rigid_body import Body
-from .robot.robot import Robot
-from .robot.urdf_import import robot_from_urdf
-from .robot.virtual_system import VirtualSystem
+from .motions.circle import Circle
+from .motions.motion_limits import MotionLimits, check_motion
+from .motions.point_to_point import Hold, PointToPoint, standing
+from .motions.reference import Reference
+from .motions.sampled_motion import SampledMotion
+from .motions.sine import MultiSine, Sine
+from .motions.spline import Spline
+from .motions.transition import time_shifted, transition
+from .runtime.measurement_model import Measurement
+from .runtime.velocity_observer import VelocityObserver
 from .simulation.closed_loop import Trajectory, simulate
 from .stability.sampled_loop import SampledCheck, check, spectral_radius
-from .trajectories.circle import Circle
-from .trajectories.motion_limits import MotionLimits, check_motion
-from .trajectories.point_to_point import Hold, PointToPoint, standing
-from .trajectories.reference import Reference
-from .trajectories.sampled_motion import SampledMotion
-from .trajectories.sine import MultiSine, Sine
-from .trajectories.spline import Spline
-from .trajectories.transition import time_shifted, transition
-from .tuning.gain_synthesis import synthesize
 from .version import __version__
 
 __all__ = [
@@ -98,6 +97,13 @@ __all__ = [
     "transition",
 ]
 
+_ELSEWHERE = {
+    "Diagnosis": "fjr_monitor.diagnosis.diagnosis",
+    "Record": "fjr_monitor.diagnosis.record",
+    "diagnose": "fjr_monitor.diagnosis.diagnosis",
+    "synthesize": "fjr_design.tuning.gain_synthesis",
+}
+"""Public names of other packages, each with its module, which is imported on use."""
 _RENAMED = {
     "Balance": "Certificate",
     "Verdict": "Diagnosis",
@@ -108,12 +114,19 @@ _RENAMED = {
 """Names before 0.1.0, each with its new one."""
 
 
-def __getattr__(name: str) -> object:
-    """Return the object of a renamed public name, with a DeprecationWarning."""
-    if name not in _RENAMED:
-        raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
-    warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
-    return globals()[_RENAMED[name]]
+def __getattr__(name: str) -> Any:
+    """Return the object of a renamed public name, with a DeprecationWarning, or one of another package.
+
+    Raises MissingPackageError if that package is not installed.
+    """
+    if name in _RENAMED:
+        warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+        name = _RENAMED[name]
+    if name in _ELSEWHERE:
+        return getattr(other_package.module(_ELSEWHERE[name]), name)
+    if name in globals():
+        return globals()[name]
+    raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -44,5 +44,9 @@ class UserCodeError(FjrError):
     """Failure of code of the user, a law or a plant: an exception, or a result of the wrong shape."""
 
 
+class MissingPackageError(FjrError):
+    """A package of this project is not installed."""
+
+
 class CompilerError(FjrError):
     """No C compiler, or one that fails, where compiled code is needed."""

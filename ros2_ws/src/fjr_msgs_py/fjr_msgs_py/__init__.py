@@ -1,2 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared ROS interface of the nodes: names, QoS, messages, parameters and process. Only here are messages built."""
+"""What nodes and commands share: names, QoS, messages, parameters, process, console, scenarios.
+
+Only here are messages built.
+"""

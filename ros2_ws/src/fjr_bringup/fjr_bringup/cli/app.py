@@ -7,16 +7,17 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from runpy import run_path
 
 import click
 
-from fjr_bringup.cli.commands import COMMANDS
-from fjr_bringup.cli.exit_codes import HELP, Exit
-from fjr_bringup.interrupt import interruptible, uninterruptible
-from fjr_bringup.provenance import begin_command
+from fjr_msgs_py.console.declaration import COMMANDS
+from fjr_msgs_py.console.exit_codes import HELP, Exit
+from fjr_msgs_py.console.interrupt import interruptible, uninterruptible
+from fjr_msgs_py.console.provenance import begin_command
 from fjr_msgs_py.node.loading import (
     ament_index_of_wheels,
     end_on_signals,
@@ -25,6 +26,30 @@ from fjr_msgs_py.node.loading import (
     resume_garbage_collection,
     without_blas_threads,
 )
+
+ALL = "fjr.all_commands"
+"""Key of a context whose help shows all commands."""
+GROUP = "fjr.commands"
+"""Entry points of this group name the modules that declare the commands of a package."""
+GROUPS = {
+    "Run": ("demo", "run", "watch", "report"),
+    "Your robot": ("new", "check", "gains", "identify"),
+    "Studies": ("sweep", "compare"),
+}
+"""Commands of the help, by title; `fjr help all` shows the others, too."""
+OTHERS = {
+    "Running nodes": ("send", "echo", "record", "play", "call", "set", "lifecycle", "description"),
+    "More": ("scenarios", "excite", "tune", "contraction", "export-c", "export-ros2-control"),
+}
+MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification"}
+"""Commands of packages without which the others run."""
+
+
+def declared() -> dict[str, click.Command]:
+    """Return the commands of all installed packages by name."""
+    for point in entry_points(group=GROUP):
+        point.load()
+    return dict(COMMANDS.commands)
 
 
 def program() -> int:
@@ -44,7 +69,7 @@ def _loaded() -> None:
 
 
 def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = lambda: None) -> int:
-    """Run a command line and return its exit code (fjr_bringup.cli.exit_codes).
+    """Run a command line and return its exit code (fjr_msgs_py.console.exit_codes).
 
     arguments: default sys.argv[1:]. loaded: called when the modules of the command are imported.
     """
@@ -80,9 +105,30 @@ class Application(click.Group):
 
             return exit_code(error)
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order of their declaration."""
-        return list(self.commands)
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands in groups: GROUPS, and after `fjr help all` OTHERS and those that no group names."""
+        groups = GROUPS
+        if ctx.meta.get(ALL):
+            named = {name for names in (GROUPS | OTHERS).values() for name in names}
+            unnamed = {name for name, each in self.commands.items() if name not in named and not each.hidden}
+            groups = GROUPS | OTHERS | {"Others": tuple(sorted(unnamed))}
+        for title, names in groups.items():
+            rows = [(name, self.commands[name].get_short_help_str(60)) for name in names if name in self.commands]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        if groups is GROUPS:
+            formatter.write_paragraph()
+            formatter.write_text("All commands: fjr help all")
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command of the arguments; raise UsageError, which names the package of one that is not there."""
+        if args and args[0] not in self.commands and args[0] in MAY_BE_LEFT_OUT:
+            package = MAY_BE_LEFT_OUT[args[0]]
+            raise click.UsageError(f"{args[0]} needs the package {package}, which is not installed")
+        return super().resolve_command(ctx, args)
 
 
 def _log_to_stderr() -> None:
@@ -105,7 +151,7 @@ def _show_version(ctx: click.Context, _parameter: click.Parameter, asked: bool) 
 
 @click.group(
     cls=Application,
-    commands=COMMANDS.commands,
+    commands=declared(),
     epilog=f"\b\n{HELP}",
     context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
@@ -114,3 +160,19 @@ def _show_version(ctx: click.Context, _parameter: click.Parameter, asked: bool) 
 )
 def fjr() -> None:
     """Simulate, control, record and report flexible-joint robots on ROS 2 nodes."""
+
+
+@fjr.command("help", hidden=True)
+@click.argument("topic", default="")
+@click.pass_context
+def show_help(ctx: click.Context, topic: str) -> None:
+    """Show the help of fjr, of `all` commands, or of one."""
+    parent = ctx.parent
+    assert parent is not None
+    if topic in ("", "all"):
+        parent.meta[ALL] = topic == "all"
+        click.echo(parent.get_help())
+        return
+    _, wanted, _ = fjr.resolve_command(parent, [topic])
+    assert wanted is not None
+    click.echo(wanted.get_help(click.Context(wanted, parent, topic)))

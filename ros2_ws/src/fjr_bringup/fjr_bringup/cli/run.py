@@ -10,20 +10,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fjr_bringup.cli.exit_codes import Exit
-from fjr_bringup.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
-from fjr_bringup.formatting import percent
-from fjr_bringup.interrupt import stoppable
-from fjr_bringup.progress import phase
-from fjr_bringup.recording.topic import BagError
-from fjr_bringup.report.paper_claim import Claim, paper_claim
-from fjr_bringup.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
-from fjr_bringup.result import Result
-from fjr_bringup.runner.run import Plan, RunError, discover_quickly
+from fjr_bringup.runner.run import Plan, RunError
 from fjr_bringup.runner.run import run as run_plan
-from fjr_bringup.scenarios import library
 from fjr_core.errors import FjrError
 from fjr_core.numerics.jit import require_compiler
+from fjr_design.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
+from fjr_monitor.recording.topic import BagError
+from fjr_monitor.report.paper_claim import Claim, paper_claim
+from fjr_monitor.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
+from fjr_msgs_py.console.discovery import discover_quickly
+from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.formatting import percent
+from fjr_msgs_py.console.interrupt import stoppable
+from fjr_msgs_py.console.progress import phase
+from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.scenarios import library
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")  # the paper's stiff joint, its soft joint, any arm
 LOCKSTEP = {"realtime_priority": 0, "lockstep": True}

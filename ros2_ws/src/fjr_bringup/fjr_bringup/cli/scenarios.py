@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from fjr_bringup.result import Result
-from fjr_bringup.scenarios.installed import installed, summary
+from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.scenarios.installed import installed, summary
 
 
 def list_scenarios() -> Result:

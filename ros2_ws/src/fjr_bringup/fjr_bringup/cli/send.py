@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_bringup.interrupt import stoppable
-from fjr_bringup.recording.echo import absolute
-from fjr_bringup.result import Result
-from fjr_bringup.runner.run import discover_quickly
 from fjr_bringup.runner.trajectory_client import connected
-from fjr_bringup.scenarios import library
 from fjr_core.config.reference_file import effort_limits, motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
-from fjr_core.trajectories.sampled_motion import SampledMotion
-from fjr_core.trajectories.waypoints import waypoints
+from fjr_core.motions.sampled_motion import SampledMotion
+from fjr_core.motions.waypoints import waypoints
+from fjr_monitor.recording.echo import absolute
+from fjr_msgs_py.console.discovery import discover_quickly
+from fjr_msgs_py.console.interrupt import stoppable
+from fjr_msgs_py.console.result import Result
 from fjr_msgs_py.messages.trajectories import trajectory_message
+from fjr_msgs_py.scenarios import library
 
 EXACT = 1e-6  # rad; largest difference between the smoothed motion and that of the transmitted points
 

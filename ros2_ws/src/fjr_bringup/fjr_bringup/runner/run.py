@@ -18,19 +18,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fjr_bringup.interrupt import Interrupted
-from fjr_bringup.progress import heartbeat, note, phase, progress_bar
-from fjr_bringup.recording.reader import header_stamp
-from fjr_bringup.recording.recorder import Recorder
-from fjr_bringup.recording.run_folder import RunFolder
-from fjr_bringup.runner.node_process import NodeProcess
+from fjr_bringup.runner.node_process import NodeError, NodeProcess
 from fjr_bringup.runner.plant_client import PlantClient
 from fjr_core.errors import FjrError
+from fjr_monitor.recording.reader import header_stamp
+from fjr_monitor.recording.recorder import Recorder
+from fjr_monitor.recording.run_folder import RunFolder
 from fjr_msgs_py import names
-from fjr_msgs_py.node.environment import domain, domain_fault, ensure_log_folder
+from fjr_msgs_py.console.discovery import discover_quickly
+from fjr_msgs_py.console.interrupt import Interrupted
+from fjr_msgs_py.console.progress import heartbeat, note, phase, progress_bar
+from fjr_msgs_py.node.environment import domain
 from fjr_msgs_py.node.scheduling import prioritised
 
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
@@ -46,7 +46,7 @@ PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
 NOT_JUDGED = "expected room for the whole bag: what was not recorded is not judged"
 UNKNOWN = "an unknown node"
-PASSING = 5.0  # s; a second plant or controller is in the graph for less, because it refuses to start
+PASSING = 6.0  # s; a second plant or controller is in the graph for less: it refuses to start, or its lease of 5 s ends
 RECORDER_PRIORITY = 1  # below the nodes, above other programs: without a core for 0.1 s the recorder loses messages
 
 
@@ -70,18 +70,6 @@ class Plan:
     duration: float
     folder: Path
     lockstep: bool
-
-
-def discover_quickly() -> None:
-    """Use a DDS profile with quick discovery unless the user set another; set the folder of the ROS 2 logs.
-
-    Raises FjrError for an invalid ROS_DOMAIN_ID.
-    """
-    if fault := domain_fault():
-        raise FjrError(fault)
-    ensure_log_folder()
-    profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
 
 
 def set_ros_environment() -> None:
@@ -152,7 +140,7 @@ class _Run:
         self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
         self._wait_for(CONTROLLER, JOINT_COMMANDS)
         self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
-        self._refuse_others()
+        self._wait(lambda: not self._refuse_others(PASSING), STARTUP_LIMIT, "other publishers to leave")
         self._wait(self.client.ready, STARTUP_LIMIT, "the plant's pause service")
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
@@ -171,9 +159,12 @@ class _Run:
         wait(lambda: self.client.discovered_by(node), f"{node} to discover the recorder")
 
     def _appeared(self, node: str, signature: str) -> bool:
-        """Return whether our node publishes the topic `signature`; raise RunError if there are other publishers."""
-        self._refuse_others()
-        return (node, self.enclave) in self._present() and signature in self.client.published_by(node)
+        """Return whether our node publishes the topic `signature`, alone; raise RunError if others stay for PASSING.
+
+        Publishers that ended without notice stay in the graph for their lease.
+        """
+        alone = not self._refuse_others(PASSING)
+        return alone and (node, self.enclave) in self._present() and signature in self.client.published_by(node)
 
     def _present(self) -> list[tuple[str, str]]:
         """Return name and enclave of each node without a namespace."""
@@ -207,7 +198,7 @@ class _Run:
     def _reads(self, node: str, topic: str) -> bool:
         return node in map(_name, self.recorder.node.get_subscriptions_info_by_topic(topic))
 
-    def _refuse_others(self, lasting: float = 0.0) -> bool:
+    def _refuse_others(self, lasting: float) -> bool:
         """Return whether there are other nodes (`_others`); raise RunError if there have been for `lasting` [s]."""
         found, now = self._others(), time.monotonic()
         self.alone = self.alone if found else now
@@ -281,7 +272,11 @@ class _Run:
         if self.stop.wait(POLL):
             raise Interrupted(self.plan.folder if self.going else None)
         for node in self.nodes.values():
-            node.check()
+            try:
+                node.check()
+            except NodeError:
+                self._refuse_others(0.0)  # for which it may have ended
+                raise
         if self.recorder.failure:
             raise RunError(f"the recorder failed: {self.recorder.failure}")
         if self.recorder.loss:

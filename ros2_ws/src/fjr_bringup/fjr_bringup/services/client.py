@@ -14,9 +14,9 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from fjr_bringup.recording.echo import nodes_seen
-from fjr_bringup.recording.message_types import interface_class
 from fjr_core.errors import FjrError
+from fjr_monitor.recording.echo import nodes_seen
+from fjr_monitor.recording.message_types import interface_class
 from fjr_msgs_py.node.participant import own_node
 
 POLL = 0.05  # s

@@ -12,9 +12,9 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
 from fjr_core import TrackingLaw
-from fjr_core.control_step.certificate_struct import CertificateStruct
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.certificate_struct import CertificateStruct
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.layout import float_array
 from fjr_msgs_py.messages.certificate import LABELS

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from fjr_core.control_step.control_step import ControlStep
+from fjr_core.runtime.control_step import ControlStep
 from fjr_msgs_py.native.loop import Loop
 from fjr_msgs_py.native.program import Program
 

@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fjr_core.control_step import library
-from fjr_core.control_step.library import StepLibrary
+from fjr_core.runtime import library
+from fjr_core.runtime.library import StepLibrary
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
 
 PART = "controller_loop"

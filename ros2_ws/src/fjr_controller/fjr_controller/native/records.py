@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.control_step.control_step import NEVER
+from fjr_core.runtime.control_step import NEVER
 from fjr_msgs_py.messages.joint_states import JointSample
 
 from ..tracking.events import STATES, State

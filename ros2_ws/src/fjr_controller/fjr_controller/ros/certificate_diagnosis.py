@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from fjr_core import TrackingLaw
-from fjr_core.control.robust import Robust
-from fjr_core.control_step.library import StepLibrary
-from fjr_core.monitoring.diagnosis import Diagnosis, unknown
-from fjr_core.monitoring.grading import Axes
-from fjr_core.monitoring.latency import Latency
-from fjr_core.monitoring.online_certificate import OnlineCertificate
-from fjr_core.monitoring.online_diagnosis import OnlineDiagnosis
+from fjr_core.law.robust import Robust
+from fjr_core.monitoring.axes import Axes
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.library import StepLibrary
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, unknown
+from fjr_monitor.diagnosis.latency import Latency
+from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
+from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.diagnosis import diagnosis_status
 

@@ -10,8 +10,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
 
-from fjr_core.control_step.control_step import NEVER
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.control_step import NEVER
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.readers import SerialisedStates
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointSample, JointStateWriter, MessageError, StateReader

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
-from fjr_core.control.safety_settings import Settings
-from fjr_core.control_step.control_step import NEVER, ControlStep
-from fjr_core.control_step.event_kinds import KINDS, STARTS_REFUSED, STOPS
-from fjr_core.control_step.wiring_fault import WiringFault
+from fjr_core.law.safety_settings import Settings
+from fjr_core.runtime.control_step import NEVER, ControlStep
+from fjr_core.runtime.event_kinds import KINDS, STARTS_REFUSED, STOPS
+from fjr_core.runtime.wiring_fault import WiringFault
 
 INFO, WARN, ERROR = "info", "warn", "error"
 SIMPLE = {

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fjr_core import Measurement, Reference, VelocityObserver
-from fjr_core.control.robust import Robust
-from fjr_core.control.safety_settings import Settings
-from fjr_core.control.static_law import StaticLaw
-from fjr_core.control_step.control_step import NEVER, ControlStep
+from fjr_core.law.robust import Robust
+from fjr_core.law.safety_settings import Settings
+from fjr_core.law.static_law import StaticLaw
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.control_step import NEVER, ControlStep
 
 from .events import STATES, Event, Journal, State
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.parameter import vector
+from fjr_core.model.joint_units import Units
 from fjr_core.numerics.checks import Array
-from fjr_core.robot.joint_units import Units
 
 
 class Code(IntEnum):

@@ -10,8 +10,8 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core import FjrError, Reference
-from fjr_core.trajectories.motion_limits import MotionLimits, check_motion
-from fjr_core.trajectories.transition import transition
+from fjr_core.motions.motion_limits import MotionLimits, check_motion
+from fjr_core.motions.transition import transition
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build the objects that the parameters of both nodes describe: control law, robust action, tuning.
+"""Build the objects that the parameters of both nodes describe: control law, robust action.
 
 The other builders are in the modules of their parameters and are imported here.
 """
@@ -7,34 +7,33 @@ The other builders are in the modules of their parameters and are imported here.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from ..control.python_law import own_law
-from ..control.registry import V_DPBC, LawKind, law_kind
-from ..control.robust import Robust, sampled_law
-from ..control.static_law import StaticLaw
-from ..control.vdpbc.law import TrackingLaw
 from ..errors import FjrError, GainsError, ParameterError
+from ..files import other_package
 from ..files.python_class import is_named
-from ..robot.robot import Robot
+from ..law.python_law import own_law
+from ..law.registry import V_DPBC, LawKind, law_kind
+from ..law.robust import Robust, sampled_law
+from ..law.static_law import StaticLaw
+from ..law.vdpbc.law import TrackingLaw
+from ..model.robot import Robot
 from ..stability.integral_bound import refuse_fast_integral
-from ..stability.linearization import rest_position
-from ..tuning.bandwidth import BaselineTarget
-from ..tuning.equal_bandwidth import Tuning, tune
 from . import law
 from .controller import controller_parameters
 from .gains import gain_values as gain_values
 from .gains import gains
 from .law import robust
-from .parameter import Parameter, Value, Values, number, vector
+from .parameter import Parameter, Values, number
 from .plant import initial_state as initial_state
 from .plant import plant as plant
 from .plant import plant_parameters
 from .reference import reference
-from .robot import joints_of, robot, robot_parameters
+from .robot import joints_of, robot_parameters
+from .robot import robot as robot
 from .safety import with_robot
 from .user_options import is_option, option_parameters, options
 
@@ -118,30 +117,6 @@ def robust_action(values: Values, static_law: StaticLaw) -> Robust:
     return action
 
 
-def tuning(values: Values) -> Tuning:
-    """Return the law of the values tuned to equal bandwidth, and the result of tuning.
-
-    Raises ParameterError or GainsError.
-    """
-    relevant = ("robot.", "gains.", "reference.", law.TYPE.name, law.INITIAL_ERROR.name, law.SAMPLE_RATE.name, "joints")
-    return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(relevant))))
-
-
-@lru_cache(maxsize=8)
-def _tuned(items: tuple[tuple[str, Value], ...]) -> Tuning:
-    values = dict(items)
-    return tune(str(values[law.TYPE.name]), baseline_target(values, robot(values)))
-
-
-def baseline_target(values: Values, robot: Robot) -> BaselineTarget:
-    """Return the tuning target: v-dPBC with gains.* along the reference, starting at rest with law.start_error."""
-    motion = reference(values, robot.n)
-    error = np.tile(vector(values, law.INITIAL_ERROR.name, robot.n), 2)
-    position = rest_position(robot, np.asarray(motion.jets(0.0))[0]) + error
-    start = position, np.zeros(2 * robot.n)
-    return BaselineTarget(robot, motion, gains(values, robot.n), start, _sample_period(values))
-
-
 def _baseline_gains(values: Values, robot: Robot) -> Any:
     """Return the gains of a baseline: tuned, or of law.natural_frequency and law.damping_ratio; law.gain_factors."""
     kind, factors = law_kind(str(values[law.TYPE.name])), np.asarray(values[law.GAIN_FACTORS.name])
@@ -150,11 +125,12 @@ def _baseline_gains(values: Values, robot: Robot) -> Any:
 
 def _rule_gains(values: Values, robot: Robot, kind: LawKind) -> Any:
     if values[law.TUNED.name]:
-        return tuning(values).law.gains
+        return other_package.module("fjr_design.experiments.tuned_parameters").tuning(values).law.gains
     q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
     frequency, damping = number(values, law.NATURAL_FREQUENCY.name), number(values, law.DAMPING_RATIO.name)
-    return kind.standard(robot, q_0, frequency, damping, _sample_period(values))
+    return kind.standard(robot, q_0, frequency, damping, sample_period(values))
 
 
-def _sample_period(values: Values) -> float:
+def sample_period(values: Values) -> float:
+    """Return the sample period of the law [s]."""
     return 1.0 / number(values, law.SAMPLE_RATE.name)

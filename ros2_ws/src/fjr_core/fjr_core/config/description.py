@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from ..robot.urdf_export import Rod, hanging_rod, urdf_of_rods
-from ..robot.urdf_parser import parse_xml
+from ..model.urdf_export import Rod, hanging_rod, urdf_of_rods
+from ..model.urdf_parser import parse_xml
 from . import robot_file
 from .parameter import Values, names, vector
 from .robot import MODEL

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from ..monitoring.grading import Axes
+from ..model.robot import Robot
+from ..monitoring.axes import Axes
 from ..monitoring.thresholds import TOLERANCE
-from ..robot.robot import Robot
 from .parameter import VECTOR, Parameter, Values, names, vector
 
 CERTIFICATE = Parameter(

@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from ..control.registry import LAWS, V_DPBC
-from ..control.robust.options import Robust
+from ..law.registry import LAWS, V_DPBC
+from ..law.robust.options import Robust
 from ..numerics.parameter_field import declared
-from ..tuning.bandwidth import START_ERROR
 from .parameter import LIST, VECTOR, Parameter, Values, named, read
+
+START_ERROR = 0.1  # rad; initial error of all joints, at rest, if no start is given
 
 TYPE = Parameter(
     "law.type",
     V_DPBC,
     "Control law; the gains of v_dpbc are gains.*, the options of a class module:Class are law.options.*",
-    choices=tuple(LAWS),
+    choices=LAWS,
     options="law.options.",
 )
 TUNED = Parameter(

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from ..estimation.measurement_model import OBSERVER, TORQUE, Measurement
-from ..estimation.velocity_observer import VelocityObserver
+from ..model.robot import Robot
 from ..numerics.parameter_field import declared
-from ..robot.robot import Robot
+from ..runtime.measurement_model import OBSERVER, TORQUE, Measurement
+from ..runtime.velocity_observer import VelocityObserver
 from .parameter import Parameter, Values, number, read, table
 
 BANDWIDTH = 150.0  # rad/s; chosen in docs/measurements.md

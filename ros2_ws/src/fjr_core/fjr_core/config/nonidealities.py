@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ..errors import ParameterError
+from ..model.robot import Robot
 from ..numerics.parameter_field import declared
-from ..robot.robot import Robot
 from ..simulation.nonideal_parameters import ChannelErrors, Nonidealities, SensorErrors
 from .parameter import Parameter, Values, number, read, table
 

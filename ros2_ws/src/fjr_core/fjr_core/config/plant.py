@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from ..errors import FjrError, ParameterError
+from ..model.port_hamiltonian import Plant
+from ..model.python_plant import own_plant
+from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
-from ..robot.port_hamiltonian import Plant
-from ..robot.python_plant import own_plant
-from ..robot.robot import Robot
 from .nonidealities import imperfection_parameters
 from .parameter import VECTOR, Parameter, Values, read
 from .process import process_parameters

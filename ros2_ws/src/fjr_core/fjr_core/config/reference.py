@@ -7,14 +7,14 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ..control.safety_settings import Settings
 from ..errors import ParameterError
-from ..robot.robot import Robot
-from ..trajectories.circle import Circle
-from ..trajectories.motion_limits import MotionLimits
-from ..trajectories.point_to_point import Hold, PointToPoint
-from ..trajectories.reference import Reference
-from ..trajectories.sine import MultiSine, Sine
+from ..law.safety_settings import Settings
+from ..model.robot import Robot
+from ..motions.circle import Circle
+from ..motions.motion_limits import MotionLimits
+from ..motions.point_to_point import Hold, PointToPoint
+from ..motions.reference import Reference
+from ..motions.sine import MultiSine, Sine
 from . import reference_file
 from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, names, read
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.effort_demand import EffortDemand, effort_demand
 from ..errors import ParameterError, TrajectoryError
 from ..files.motion_table import is_text, motion_text, read_motion
+from ..law.effort_demand import EffortDemand, effort_demand
+from ..model.robot import Robot
+from ..motions.sampled_motion import SampledMotion
 from ..numerics.checks import Array
-from ..robot.robot import Robot
-from ..trajectories.sampled_motion import SampledMotion
 from .parameter import Values, names, vector
 from .safety import safety
 

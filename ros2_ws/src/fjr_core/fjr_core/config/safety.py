@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from ..control.safety_settings import Settings
 from ..errors import ParameterError
+from ..law.safety_settings import Settings
+from ..model.robot import Robot
 from ..numerics.parameter_field import declared
-from ..robot.robot import Robot
 from .parameter import Parameter, Values, names, read, table
 
 FROM_ROBOT = Parameter(

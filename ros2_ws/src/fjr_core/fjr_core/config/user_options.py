@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..control.static_law import StaticLaw
 from ..errors import ParameterError
 from ..files import python_class
+from ..law.static_law import StaticLaw
 from .parameter import LIST, SCALAR, Parameter, Value, Values
 
 

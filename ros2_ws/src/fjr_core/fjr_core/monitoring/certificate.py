@@ -17,12 +17,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
+from ..law.vdpbc.law import TrackingLaw
+from ..motions.reference import JETS
 from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.one_line import one_line
-from ..trajectories.reference import JETS
 
 OUTPUTS = ("V", "H", "dissipation", "dissipated", "u_law", "drive", "slope")
 

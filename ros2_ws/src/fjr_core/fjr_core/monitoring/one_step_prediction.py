@@ -8,13 +8,13 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from ..control.vdpbc.law import TrackingLaw
+from ..law.vdpbc.law import TrackingLaw
+from ..model.coordinates import Coordinates
+from ..model.port_hamiltonian import Plant
 from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.integrators import rk4_expression
 from ..numerics.symbolic import symbols
-from ..robot.coordinates import Coordinates
-from ..robot.port_hamiltonian import Plant
 
 STEPS = 4  # integrator steps per call
 LONGEST = 1e-3  # s, longest horizon of a call; longer intervals take several calls

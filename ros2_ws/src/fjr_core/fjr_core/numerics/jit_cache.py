@@ -43,9 +43,10 @@ def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[
     return function
 
 
-def program_digest() -> str:
-    """Return a cache key for results: hash of the package source and the CasADi version."""
-    return hashlib.sha256(f"{source_digest()} {ca.__version__}".encode()).hexdigest()
+def program_digest(*folders: Path) -> str:
+    """Return a cache key for results: hash of the source of this package and of folders, and the CasADi version."""
+    sources = " ".join(map(source_digest, (PACKAGE, *folders)))
+    return hashlib.sha256(f"{sources} {ca.__version__}".encode()).hexdigest()
 
 
 @cache

@@ -12,19 +12,19 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import SampledLaw, check_law, raise_failure
-from ..control.static_law import StaticLaw
 from ..errors import StateError
+from ..law.sampled_law import SampledLaw, check_law, raise_failure
+from ..law.static_law import StaticLaw
+from ..model.coordinates import Coordinates, law_view
+from ..model.joint_units import Units
+from ..model.port_hamiltonian import Plant
+from ..model.robot import Robot
+from ..motions.reference import JETS, Reference, check_reference
 from ..numerics import checks
 from ..numerics.casadi_function import NumericFunction, bind, dense_function, not_converged
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..numerics.one_line import brief, joints, span
-from ..robot.coordinates import Coordinates, law_view
-from ..robot.joint_units import Units
-from ..robot.port_hamiltonian import Plant
-from ..robot.robot import Robot
-from ..trajectories.reference import JETS, Reference, check_reference
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FjrError
+from ..model.joint_units import joined
 from ..numerics.checks import Array
-from ..robot.joint_units import joined
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..control.robust import Robust, sampled_law
-from ..control.static_law import StaticLaw
 from ..errors import GainsError
+from ..law.robust import Robust, sampled_law
+from ..law.static_law import StaticLaw
+from ..model.configuration_sampling import sample_configurations
 from ..numerics.checks import Array
-from ..robot.configuration_sampling import sample_configurations
 from .sampled_loop import spectral_radius
 
 NAMES = ("integral_gain", "motor_integral_gain")

@@ -18,14 +18,14 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from ..control.sampled_law import ARGUMENTS, AsSampledLaw, SampledLaw, raise_failure
-from ..control.vdpbc.law import TrackingLaw
-from ..control.vdpbc.linearized import feedback
-from ..estimation.velocity_observer import LONGEST_CALL, corrections, steps_of
+from ..law.sampled_law import ARGUMENTS, AsSampledLaw, SampledLaw, raise_failure
+from ..law.vdpbc.law import TrackingLaw
+from ..law.vdpbc.linearized import feedback
+from ..model.equilibrium import Equilibria, Indices, plant_matrices
+from ..model.robot import Robot
+from ..motions.reference import JETS
 from ..numerics.checks import Array
-from ..robot.equilibrium import Equilibria, Indices, plant_matrices
-from ..robot.robot import Robot
-from ..trajectories.reference import JETS
+from ..runtime.velocity_observer import LONGEST_CALL, corrections, steps_of
 
 DIRECTIONS = 16  # columns of a Jacobian per evaluation
 MOST_SAMPLES = 64  # until the controller state is stationary at an equilibrium: more than any delay has

@@ -9,19 +9,19 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import AsSampledLaw, SampledLaw, check_law
-from ..control.static_law import StaticLaw
-from ..control.vdpbc.gains import CheckedGains
-from ..control.vdpbc.law import TrackingLaw
-from ..control.vdpbc.linearized import error_matrices, feedback, metric_roots
 from ..errors import StateError
+from ..law.sampled_law import AsSampledLaw, SampledLaw, check_law
+from ..law.static_law import StaticLaw
+from ..law.vdpbc.gains import CheckedGains
+from ..law.vdpbc.law import TrackingLaw
+from ..law.vdpbc.linearized import error_matrices, feedback, metric_roots
+from ..model.configuration_sampling import checked_configurations
+from ..model.equilibrium import Equilibria, equilibria_at, plant_matrices
+from ..model.port_hamiltonian import Plant
+from ..model.robot import Robot
+from ..motions.reference import JETS
 from ..numerics.checks import Array
 from ..numerics.symbolic import directional, symbols
-from ..robot.configuration_sampling import checked_configurations
-from ..robot.equilibrium import Equilibria, equilibria_at, plant_matrices
-from ..robot.port_hamiltonian import Plant
-from ..robot.robot import Robot
-from ..trajectories.reference import JETS
 from .linear_controller import At, Sensing, controller, plant_in_velocities
 from .one_sample_map import SampledLoop
 

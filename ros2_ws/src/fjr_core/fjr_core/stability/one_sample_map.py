@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..model.equilibrium import Indices
 from ..numerics.checks import Array
-from ..robot.equilibrium import Indices
 from .linear_controller import At, Controller, static
 
 SCREENED = (0.0, 1.0)  # additional samples of delay at which the worst configurations are selected

@@ -17,14 +17,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..control.sampled_law import SampledLaw
-from ..control.static_law import StaticLaw
-from ..control.vdpbc.law import TrackingLaw
 from ..errors import StateError
+from ..law.sampled_law import SampledLaw
+from ..law.static_law import StaticLaw
+from ..law.vdpbc.law import TrackingLaw
+from ..model.equilibrium import Indices
+from ..model.port_hamiltonian import Plant
 from ..numerics.checks import Array, positive
 from ..numerics.one_line import one_line
-from ..robot.equilibrium import Indices
-from ..robot.port_hamiltonian import Plant
 from .linear_controller import Sensing
 from .linearization import as_static, closed_form, linearize, loop_configurations, without_state
 from .one_sample_map import SampledLoop

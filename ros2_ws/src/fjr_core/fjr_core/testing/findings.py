@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..errors import FjrError
+from ..model.robot import Robot
 from ..numerics.checks import Array
-from ..robot.robot import Robot
 
 STEP = 1e-5
 """Step of central differences, relative to the direction."""

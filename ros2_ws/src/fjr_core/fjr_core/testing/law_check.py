@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..control.python_law import PythonLaw
-from ..control.static_law import StaticLaw
-from ..control.vdpbc.law import TrackingLaw
 from ..errors import FjrError, ParameterError
+from ..law.python_law import PythonLaw
+from ..law.static_law import StaticLaw
+from ..law.vdpbc.law import TrackingLaw
+from ..model.port_hamiltonian import Plant
+from ..model.robot import Robot
+from ..motions.reference import JETS
 from ..numerics.checks import Array
-from ..robot.port_hamiltonian import Plant
-from ..robot.robot import Robot
-from ..trajectories.reference import JETS
 from .findings import RELATIVE, Findings, random_states, rounded, slope
 
 Sample = tuple[Array, Array]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import FjrError, ParameterError
+from ..model.port_hamiltonian import Plant
+from ..model.python_plant import PythonPlant
+from ..model.robot import Robot
 from ..numerics.checks import Array
-from ..robot.port_hamiltonian import Plant
-from ..robot.python_plant import PythonPlant
-from ..robot.robot import Robot
 from .findings import RELATIVE, Findings, random_states, rounded, slope
 
 EFFORT = 10.0  # N m

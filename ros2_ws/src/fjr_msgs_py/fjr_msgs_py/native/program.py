@@ -9,10 +9,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from fjr_core.control_step.library import declarations
 from fjr_core.errors import CompilerError
 from fjr_core.numerics.c_types import ffi_of
 from fjr_core.numerics.jit import shared_object
+from fjr_core.runtime.library import declarations
 
 COMMON = ("ring", "cdr", "loop")
 """Parts of every native loop, in the order in which they are included."""

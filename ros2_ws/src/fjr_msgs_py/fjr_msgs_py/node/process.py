@@ -178,7 +178,7 @@ def _end(node: StoppableNode | None) -> None:
     rclpy.try_shutdown()
 
 
-def flush(*publishers: Publisher, seconds: float = 0.2) -> None:
+def flush(*publishers: Publisher, seconds: float = 1.0) -> None:
     """Wait until all published messages are acknowledged, at most `seconds`."""
     for publisher in publishers:
         publisher.wait_for_all_acked(Duration(seconds=seconds))

@@ -72,7 +72,7 @@ def apply_process_settings(settings: ProcessSettings) -> Scheduling:
 def take_priority(priority: int, inherited: bool = True) -> str:
     """Schedule the threads of this process as SCHED_FIFO at `priority`; 0 leaves the scheduling unchanged.
 
-    Threads that stepped back by NICE stay as they are.
+    Threads that stepped back stay as they are.
 
     inherited: threads and processes started later inherit the priority.
     Return "", or one sentence with the reason of the refusal.
@@ -80,7 +80,11 @@ def take_priority(priority: int, inherited: bool = True) -> str:
     if priority == 0:
         return ""
     try:
-        _schedule(os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK), priority)
+        for thread in _threads():
+            with suppress(ProcessLookupError):
+                if os.sched_getscheduler(thread) != os.SCHED_BATCH:
+                    policy = os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK)
+                    os.sched_setscheduler(thread, policy, os.sched_param(priority))
     except (OSError, AttributeError) as error:
         return (
             f"realtime_priority {priority} is refused ({error}): the process has ordinary scheduling; "
@@ -107,7 +111,7 @@ def take_short_slices() -> int:
     for thread in _threads():
         with suppress(OSError, AttributeError):
             if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER:
-                _ask_for_slice(thread)
+                _ask_for_slice(thread, os.SCHED_OTHER)
     return slice_of(0)
 
 
@@ -122,12 +126,14 @@ def slice_of(thread: int) -> int:
 def step_back(nice: int = NICE) -> None:
     """Let the calling thread, and threads and processes that it starts, yield to loops: SCHED_BATCH, and `nice`.
 
-    A thread of this policy never preempts another when it wakes up. Every user may ask for it, and no user without
-    privileges may lower `nice` again.
+    A thread of this policy never preempts another when it wakes up. Its slices are short, so that it gets its core back
+    soon if it holds a lock for which a loop waits. Every user may ask for it, and no user without privileges may lower
+    `nice` again.
     """
     with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
         thread = threading.get_native_id()
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        _ask_for_slice(thread, os.SCHED_BATCH)
         os.setpriority(os.PRIO_PROCESS, thread, max(nice, os.getpriority(os.PRIO_PROCESS, thread)))
 
 
@@ -157,6 +163,8 @@ def prioritised(priority: int, beside: bool = False) -> Iterator[None]:
     granted = priority > 0 and not take_priority(priority, inherited=False)
     if beside and not granted:
         _schedule(os.SCHED_BATCH, 0)
+        for thread in _threads():
+            _ask_for_slice(thread, os.SCHED_BATCH)
     try:
         yield
     finally:
@@ -273,17 +281,14 @@ def _capable(capability: int) -> bool:
 
 
 def _schedule(policy: int, priority: int) -> None:
-    """Schedule every thread of this process, except those that stepped back."""
     for thread in _threads():
         with suppress(ProcessLookupError):
-            back = os.sched_getscheduler(thread) == os.SCHED_BATCH and os.getpriority(os.PRIO_PROCESS, thread) >= NICE
-            if not back:
-                os.sched_setscheduler(thread, policy, os.sched_param(priority))
+            os.sched_setscheduler(thread, policy, os.sched_param(priority))
 
 
-def _ask_for_slice(thread: int) -> None:
+def _ask_for_slice(thread: int, policy: int) -> None:
     call, nice = _SYSTEM_CALLS.get(platform.machine()), os.getpriority(os.PRIO_PROCESS, thread)
-    attributes = _Attributes(ctypes.sizeof(_Attributes), os.SCHED_OTHER, 0, nice, 0, SLICE, 0, 0)
+    attributes = _Attributes(ctypes.sizeof(_Attributes), policy, 0, nice, 0, SLICE, 0, 0)
     if call is not None:
         _system_call(call[0], thread, ctypes.byref(attributes), 0)
 

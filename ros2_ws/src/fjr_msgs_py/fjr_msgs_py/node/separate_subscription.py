@@ -44,7 +44,7 @@ class SeparateSubscription:
 
     def _receive(self, kind: type, topic: str) -> None:
         """Create the participant, whose threads inherit the scheduling of this one, and spin until `close`."""
-        step_back()
+        step_back(0)  # its threads also take locks for which loops wait
         inbox = Node(
             f"_{self._node.get_name()}_inbox",
             namespace=self._node.get_namespace(),

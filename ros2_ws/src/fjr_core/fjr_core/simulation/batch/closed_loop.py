@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...control.safety_settings import Settings
-from ...control.sampled_law import SampledLaw
 from ...errors import StateError
-from ...estimation.measurement_model import Measurement
-from ...estimation.velocity_observer import VelocityObserver
+from ...law.safety_settings import Settings
+from ...law.sampled_law import SampledLaw
+from ...model.port_hamiltonian import Plant
+from ...model.robot import Robot
+from ...motions.reference import Reference
 from ...numerics import checks
 from ...numerics.checks import Array
-from ...robot.port_hamiltonian import Plant
-from ...robot.robot import Robot
-from ...trajectories.reference import Reference
+from ...runtime.measurement_model import Measurement
+from ...runtime.velocity_observer import VelocityObserver
 from ..closed_loop import check_joints
 from . import uncertain_robot
 from .draws import Draws

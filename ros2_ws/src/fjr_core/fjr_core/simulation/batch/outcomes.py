@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ...control_step.event_kinds import KINDS, STARTS_REFUSED, STOPS
 from ...numerics.checks import Array
+from ...runtime.event_kinds import KINDS, STARTS_REFUSED, STOPS
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,22 +14,22 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...control.safety_settings import Settings
-from ...control.sampled_law import SampledLaw, in_python, raise_failure
-from ...control_step.c_function import CFunction
-from ...control_step.library import HEADER, StepLibrary, c_text, declarations, text
-from ...control_step.reference_struct import ReferenceStruct
-from ...control_step.settings_struct import Model, model_functions, settings_struct
 from ...errors import StateError
-from ...estimation.measurement_model import Measurement
-from ...estimation.velocity_observer import VelocityObserver
 from ...files.python_class import source_digest
+from ...law.safety_settings import Settings
+from ...law.sampled_law import SampledLaw, in_python, raise_failure
+from ...model.port_hamiltonian import Plant
+from ...model.robot import Robot
+from ...motions.reference import Reference
 from ...numerics import jit
 from ...numerics.c_types import ffi_of
 from ...numerics.jit_cache import program_digest
-from ...robot.port_hamiltonian import Plant
-from ...robot.robot import Robot
-from ...trajectories.reference import Reference
+from ...runtime.c_function import CFunction
+from ...runtime.library import HEADER, StepLibrary, c_text, declarations, text
+from ...runtime.measurement_model import Measurement
+from ...runtime.reference_struct import ReferenceStruct
+from ...runtime.settings_struct import Model, model_functions, settings_struct
+from ...runtime.velocity_observer import VelocityObserver
 from .uncertain_robot import UncertainPlant
 
 LANES = 4

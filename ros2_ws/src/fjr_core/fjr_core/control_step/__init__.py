@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""The control step in C, from a measured state to the effort that is sent, and what Python hands to it."""

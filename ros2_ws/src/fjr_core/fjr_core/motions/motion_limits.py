@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motion limits, and checks of references and points against them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import TrajectoryError
+from ..model.joint_limits import JointLimits
+from ..model.joint_units import REVOLUTE, Units
+from ..numerics.checks import Array, floats, freeze
+from ..numerics.one_line import one_line
+from .piecewise_polynomial import PiecewisePolynomial
+from .reference import Reference, check_reference
+from .sampled_motion import SampledMotion
+from .spline import Spline
+
+ROUNDING = 1e-9  # relative tolerance of a limit
+_NUMBERS = ("lower", "upper", "velocity", "acceleration")
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits of n joints: positions lower, upper [rad], |velocity| [rad/s] and |acceleration| [rad/s^2], each (n,).
+
+    Scalars apply to every joint; infinite means no limit. units: units of each joint, revolute by default.
+    Raises TrajectoryError for a wrong length, nan, a negative velocity or acceleration, or lower > upper.
+    """
+
+    lower: ArrayLike
+    upper: ArrayLike
+    velocity: ArrayLike = np.inf
+    acceleration: ArrayLike = np.inf
+    units: tuple[Units, ...] = ()
+
+    __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        n = max(int(np.size(getattr(self, name))) for name in _NUMBERS)
+        for name in _NUMBERS:
+            freeze(self, name, _limit(name, getattr(self, name), n))
+        object.__setattr__(self, "units", self.units or (REVOLUTE,) * n)
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        if not np.all(lower <= upper):
+            raise TrajectoryError(f"lower limit is {lower.tolist()}, upper {upper.tolist()}; expected lower <= upper")
+        for name in ("velocity", "acceleration"):
+            limit = np.asarray(getattr(self, name))
+            if np.any(limit < 0):
+                raise TrajectoryError(f"{name} limit is {limit.tolist()}; expected no negative number")
+
+    @staticmethod
+    def of(limits: JointLimits | None, n: int, acceleration: ArrayLike = np.inf) -> MotionLimits:
+        """Return the limits of a robot (robot.limits; None: n joints without limits) with acceleration limits."""
+        if limits is None:
+            return MotionLimits(np.full(n, -np.inf), np.full(n, np.inf), np.inf, acceleration)
+        return MotionLimits(limits.lower, limits.upper, limits.velocity, acceleration)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(np.size(self.lower))
+
+    @property
+    def minimum(self) -> Array:
+        """Lower limits (3, n) of position, velocity and acceleration."""
+        return np.array([self.lower, -np.asarray(self.velocity), -np.asarray(self.acceleration)])
+
+    @property
+    def maximum(self) -> Array:
+        """Upper limits (3, n) of position, velocity and acceleration."""
+        return np.array([self.upper, self.velocity, self.acceleration])
+
+
+def check_motion(
+    reference: Reference | PiecewisePolynomial,
+    limits: MotionLimits,
+    t0: float = 0.0,
+    t1: float = np.inf,
+    joints: Sequence[str] = (),
+) -> None:
+    """Raise TrajectoryError if the reference exceeds the limits between t0 and t1 [s] (may be infinite).
+
+    The message names the joint (by `joints`, else by its index), the point of a Spline or the time, the value and the
+    limit. The given points are checked first, then the bounds of the motion. Polynomials whose convex hull is within
+    the limits need no further check.
+    """
+    check_reference(reference)
+    if limits.n != reference.n:
+        raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
+    if isinstance(reference, Spline):
+        first = int(np.searchsorted(np.asarray(reference.times), t0))
+        given = (reference.positions, reference.velocities, reference.accelerations)
+        q, dq, ddq = (None if rows is None else np.asarray(rows)[first:] for rows in given)
+        check_points(limits, np.asarray(q), dq, ddq, joints, first)
+    hull = reference.hull(t0, t1) if isinstance(reference, (Spline, SampledMotion, PiecewisePolynomial)) else ()
+    if hull and not any(_beyond(bounds, limits).any() for bounds in hull):
+        return
+    e = reference.motion_bounds(t0, t1)
+    for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):
+        wrong = np.argwhere(_beyond(values, limits))
+        if len(wrong):
+            row, joint = wrong[0]
+            when = "" if np.isnan(at[row, joint]) else f" at {at[row, joint]:.4g} s"
+            subject = f"joint {_name(joints, joint)} would reach"
+            raise TrajectoryError(f"{subject} {_message(values[:, joint], limits, row, joint, when)}")
+
+
+def check_points(
+    limits: MotionLimits,
+    positions: ArrayLike,
+    velocities: ArrayLike | None = None,
+    accelerations: ArrayLike | None = None,
+    joints: Sequence[str] = (),
+    first: int = 0,
+) -> None:
+    """Raise TrajectoryError if a point (k, n) exceeds the limits; the message names point and joint.
+
+    Points are numbered from `first`.
+    """
+    rows = [np.asarray(positions, dtype=float)]
+    rows += [np.zeros_like(rows[0]) if given is None else np.asarray(given) for given in (velocities, accelerations)]
+    points = np.stack(rows, axis=1)
+    wrong = np.argwhere(_beyond(points, limits))
+    if len(wrong):
+        point, row, joint = wrong[0]
+        subject = f"point {point + first} of joint {_name(joints, joint)} asks for"
+        raise TrajectoryError(f"{subject} {_message(points[point, :, joint], limits, row, joint)}")
+
+
+def _beyond(values: Array, limits: MotionLimits) -> Array:
+    """Return which of the values (.., 3, n) exceed their limits."""
+    minimum, maximum = limits.minimum, limits.maximum
+    low = minimum - ROUNDING * np.where(np.isfinite(minimum), np.abs(minimum), 0.0)
+    high = maximum + ROUNDING * np.where(np.isfinite(maximum), np.abs(maximum), 0.0)
+    return np.asarray((values < low) | (values > high))
+
+
+def _message(values: Array, limits: MotionLimits, row: int, joint: int, when: str = "") -> str:
+    """Format the value (3,)[row] with its time and the limit it exceeds."""
+    value, unit = values[row], limits.units[joint][row]
+    limit = limits.maximum[row, joint] if value > limits.maximum[row, joint] else limits.minimum[row, joint]
+    if row:
+        value, limit = abs(value), abs(limit)
+    return f"{_digits(value, limit)} {unit}{when}; its limit is {limit:.6g} {unit}"
+
+
+def _digits(value: float, limit: float) -> str:
+    """Format the value with enough digits to distinguish it from the limit."""
+    short = f"{value:.6g}"
+    return f"{value:.12g}" if short == f"{limit:.6g}" else short
+
+
+def _name(joints: Sequence[str], joint: int) -> str:
+    return f"'{joints[joint]}'" if len(joints) else str(joint)
+
+
+def _limit(name: str, value: ArrayLike, n: int) -> Array:
+    array = floats(f"{name} limit", value, TrajectoryError)
+    if array.shape not in ((), (n,)) or np.any(np.isnan(array)):
+        raise TrajectoryError(
+            f"{name} limit is {array.tolist()}; expected a number or {n}, one per joint, infinite for none"
+        )
+    return np.array(np.broadcast_to(array, n))

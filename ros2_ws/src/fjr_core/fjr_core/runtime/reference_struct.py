@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build struct fjr_reference of step.h in memory, so that C evaluates a reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import FjrError, TrajectoryError, UserCodeError
+from ..files.python_class import described
+from ..motions.reference import JETS, Reference
+from ..numerics.checks import Array
+from ..numerics.python_function import checked
+from .reference_table import ReferenceTable, reference_table
+
+_NUMBERS = ("shift", "end", "period", "radius", "until")
+_SINES = ("amplitude", "frequency", "phase")
+_POLYNOMIALS = ("edge", "origin", "rate", "coefficients")
+
+
+class ReferenceStruct:
+    """A reference as struct fjr_reference, with all that it points to; valid as long as this object lives.
+
+    ffi: cffi's FFI that knows step.h. pointer: struct fjr_reference *, not to be changed.
+    A reference that is not built in is called in Python. If it raises an exception, or its jets have another shape, the
+    jets are nan and `raise_failure` raises UserCodeError.
+    Raises TrajectoryError for an object that is no reference and for another number of joints than FJR_N.
+    """
+
+    def __init__(self, ffi: Any, reference: Reference) -> None:
+        self._ffi, self._owned = ffi, []  # type: Any, list[Any]
+        self._failure: BaseException | None = None
+        self.pointer = self._struct(reference_table(reference))
+
+    def raise_failure(self) -> None:
+        """Raise the first error of the user's reference since the last call, if there is one."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def _struct(self, table: ReferenceTable) -> Any:
+        struct = self._kept(self._ffi.new("struct fjr_reference *"))
+        joints = len(struct.position)
+        if table.n != joints:
+            raise TrajectoryError(f"the reference has {table.n} joints; expected {joints}")
+        struct.kind = self._ffi.typeof("enum fjr_reference_kind").relements[table.kind]
+        struct.position = table.position.tolist()
+        for name in _NUMBERS:
+            setattr(struct, name, getattr(table, name))
+        self._point(struct, _SINES, table)
+        self._point(struct.polynomials, _POLYNOMIALS, table)
+        struct.terms = len(table.arrays.get("amplitude", ()))
+        struct.polynomials.edges = len(table.arrays.get("edge", ()))
+        if table.then is not None:
+            struct.then = self._struct(table.then)
+        if table.function is not None:
+            struct.jets = self._kept(self._callback(table.function, (JETS, joints)))
+        return struct
+
+    def _point(self, struct: Any, names: tuple[str, ...], table: ReferenceTable) -> None:
+        """Let the fields of these names point to the arrays that the table has."""
+        for name in names:
+            if name in table.arrays:
+                array: Array = np.ascontiguousarray(table.arrays[name], dtype=float)
+                setattr(struct, name, self._kept(self._ffi.from_buffer("double[]", array)))
+
+    def _callback(self, reference: Reference, shape: tuple[int, int]) -> Any:
+        """Return the C function that calls a reference of the user."""
+
+        def jets(_context: Any, t: float, result: Any) -> None:
+            found = np.frombuffer(self._ffi.buffer(result, 8 * shape[0] * shape[1])).reshape(shape)
+            try:
+                found[:] = checked(f"jets of {type(reference).__name__}", reference.jets(t), shape)
+            except BaseException as error:  # nothing may pass through C, not even Ctrl-C
+                found.fill(np.nan)
+                self._failure = self._failure or _failure(reference, error)
+
+        return self._ffi.callback("void(void *, double, double *)", jets)
+
+    def _kept(self, owned: Any) -> Any:
+        self._owned.append(owned)
+        return owned
+
+
+def _failure(reference: Reference, error: BaseException) -> BaseException:
+    """Return what raise_failure raises for an exception of a user's reference."""
+    if isinstance(error, FjrError) or not isinstance(error, Exception):
+        return error
+    return UserCodeError(f"jets of {type(reference).__name__} raises {described(error)}; expected a value")

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Base class of the baseline laws: symbolic gains and expressions of u and V."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from fjr_core.errors import GainsError
+from fjr_core.law.lie_derivative import Flow, flow
+from fjr_core.law.static_law import StaticLaw
+from fjr_core.model.robot import Robot
+from fjr_core.numerics import checks
+from fjr_core.numerics.checks import Array
+
+
+class Baseline(StaticLaw):
+    """A baseline law of a robot: u and V as functions of the measured motion and of q_ld .. d4q_ld.
+
+    compile: compile to machine code if a C compiler is available (numerics.jit); results agree to rounding.
+    Raises GainsError (see the gains) on construction and StateError for wrong shapes.
+    """
+
+    @abstractmethod
+    def expressions(self, f: Flow, g: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
+        """Return u (n,) [N m] and V [J] (nan without a storage) in the symbols of the flow f at x_v = x and gains g."""
+
+    def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """Return the arguments of measured_function, and expressions of u and V."""
+        f = flow(self.robot, diagonal=True)
+        u, V = self.expressions(f, SimpleNamespace(**self.symbols.by_name))
+        return self.at_measured(f, {"u": u, "V": V})
+
+
+def effort(robot: Robot, torque: ca.SX) -> ca.SX:
+    """Return the effort u (n,) [N m] for a motor torque B_m u (n,) [N m]."""
+    return ca.DM(np.linalg.inv(robot.B_m)) @ torque
+
+
+def metric(name: str, value: Any, n: int) -> Array:
+    """Return the gain as a matrix (n, n); raise GainsError unless it is symmetric positive definite."""
+    return checks.positive_definite(name, checks.matrix(name, value, n, GainsError), GainsError)
+
+
+def damping(name: str, value: Any, n: int, own: Array) -> Array:
+    """Return the gain as a symmetric matrix (n, n).
+
+    Raises GainsError unless gain + own is positive definite; own (n, n): damping of the robot.
+    """
+    array = checks.symmetric(name, checks.matrix(name, value, n, GainsError), GainsError)
+    checks.positive_definite(f"{name} with the robot's own damping", array + own, GainsError)
+    return array
+
+
+def rate(name: str, value: Any) -> Array:
+    """Return the gain as (1,); raise GainsError unless it is a positive number."""
+    array = checks.finite(name, value, GainsError)
+    if array.shape != () or not array > 0:
+        raise GainsError(f"{name} is {array.tolist()}; expected a positive number")
+    return array.reshape(1)

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Declare the commands before a run; the code behind each is imported when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from fjr_msgs_py.console import options
+from fjr_msgs_py.console.declaration import command, implementation
+from fjr_msgs_py.console.options import duration_option, output_option, scenario_argument, set_option
+
+
+def _drawn_plants_options(cores: str) -> Callable[[Any], Any]:
+    """Return a decorator with the options that `sweep` and `tune` share; cores: default."""
+    shared = (
+        click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the file's, else 0]"),
+        duration_option("Duration of a run in seconds. [default: the file's, else 5]"),
+        click.option(
+            "--cores", type=options.cores, metavar="N", default=cores, help="Cores of this machine, or `all`."
+        ),
+        click.option(
+            "--scheduler", metavar="ADDRESS", help="Dask cluster to use instead of this machine, e.g. tcp://host:8786."
+        ),
+    )
+
+    def add(function: Any) -> Any:
+        for option in reversed(shared):
+            function = option(function)
+        return function
+
+    return add
+
+
+@command()
+@click.argument("urdf", type=options.PATH)
+@click.option(
+    "--joints", type=options.names, metavar="A,B,...", default="", help="Joints to move. [default: the longest chain]"
+)
+@click.option("--chain", type=options.CHAIN, metavar="N", help="Number of a chain that the command has listed, from 1.")
+@click.option("--name", metavar="NAME", help="Name of the scenario. [default: of the URDF]")
+@click.option("--force", is_flag=True, help="Replace earlier files of this name.")
+@output_option("Folder for both files.", ".")
+def new(**given: Any) -> Any:
+    """Write a robot file and a scenario from a URDF.
+
+    Grippers and joints off the chain are locked. Joint stiffness and motor inertia, which a URDF lacks, are guesses
+    until you replace them in the robot file.
+    """
+    return implementation("fjr_design.cli.new").new(**given)
+
+
+@command()
+@scenario_argument
+@click.option(
+    "--certificate",
+    type=options.PATH,
+    metavar="FILE",
+    help="Prove the rate over the joint range and write its certificate (JSON).",
+)
+@click.option("--seconds", type=options.SECONDS, metavar="S", default=120.0, help="Longest time of the proof.")
+@click.option(
+    "--error",
+    "errors",
+    type=options.model_error,
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="Bound the tracking error for a robot whose NAME is wrong by up to VALUE, e.g. payload=0.2; may be repeated.",
+)
+@click.option(
+    "--prove-error",
+    is_flag=True,
+    help="Prove the bound of --error for three or more joints, too; takes minutes to an hour.",
+)
+@click.option(
+    "--prove-sampled", is_flag=True, help="Prove that the sampled loop contracts near the reference; takes seconds."
+)
+@click.option(
+    "--delay",
+    type=options.SAMPLES,
+    metavar="D",
+    help="Delay in samples: constant for the bound, largest for this proof. [default: the scenario's]",
+)
+@set_option
+def check(**given: Any) -> Any:
+    """Check rates, stability and margins before a run.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error, --delay or
+    --prove-error a bound of the tracking error along the reference is computed. Relative errors: payload (inertia and
+    weight of the links), link_inertia, gravity, stiffness, motor_inertia, link_damping, motor_damping; in N m:
+    link_torque, motor_torque.
+    """
+    return implementation("fjr_design.cli.check").check_scenario(**given)
+
+
+@command()
+@scenario_argument
+@click.option("--beta", type=options.RATE, metavar="B", required=True, help="Required rate of convergence [1/s].")
+@click.option("--delay", type=options.SAMPLES, metavar="D", default=0.0, help="Delay of the loop in samples.")
+@click.option("--everywhere", is_flag=True, help="Cover the joints' whole range instead of the reference only.")
+@click.option("--proven", is_flag=True, help="Bound the inertia by a proof instead of samples (docs/proof.md).")
+@click.option("--write", is_flag=True, help="Replace the gains in the scenario's file; its comments are kept.")
+@click.option(
+    "--from",
+    "identification",
+    type=options.PATH,
+    metavar="FILE",
+    help="identification.json of an identified robot: stable for plants drawn from it, checked on fresh draws.",
+)
+@click.option("--seed", type=options.SEED, metavar="N", default=0, help="Seed of the drawn plants.")
+@set_option
+def gains(**given: Any) -> Any:
+    """Synthesise gains and print them as YAML.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("fjr_design.cli.gains").synthesised(**given)
+
+
+@command()
+@scenario_argument
+@set_option
+def description(**given: Any) -> Any:
+    """Print a robot as URDF for robot_state_publisher.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("fjr_design.cli.export").describe(**given)
+
+
+@command("export-c")
+@click.argument("scenario", shell_complete=options.complete_scenario)
+@click.argument("folder", metavar="DIR", type=options.PATH)
+@click.option("--prefix", metavar="NAME", help="Prefix of all names in C. [default: the scenario's name]")
+@click.option("--force", is_flag=True, help="Replace an earlier export; other files are kept.")
+@set_option
+def export_c(**given: Any) -> Any:
+    """Export control step and plant as C99.
+
+    SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder.
+    """
+    return implementation("fjr_design.cli.export").export_scenario(**given)
+
+
+@command("export-ros2-control")
+@click.argument("scenario", shell_complete=options.complete_scenario)
+@click.argument("folder", metavar="DIR", type=options.PATH)
+@click.option("--package", metavar="NAME", help="Name of the package. [default: SCENARIO_ros2_control]")
+@click.option("--force", is_flag=True, help="Replace an earlier export; other files are kept.")
+@set_option
+def export_ros2_control(**given: Any) -> Any:
+    """Export a controller and a simulated arm for ros2_control.
+
+    SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder, the package.
+    """
+    return implementation("fjr_design.cli.export").export_ros2_control(**given)
+
+
+@command()
+@scenario_argument
+@click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
+@duration_option("Duration in seconds.", 1.0)
+@click.option("--starts", type=options.SOLUTIONS, metavar="M", default=8, help="Number of virtual solutions, 2 to 64.")
+@click.option(
+    "--spread", type=options.ANGLE, metavar="RAD", default=0.5, help="Largest initial distance of the links [rad]."
+)
+@click.option("--seed", type=int, metavar="N", default=0, help="Seed of the random initial states.")
+@output_option("Folder in which contraction/ is written.", "runs")
+@set_option
+def contraction(**given: Any) -> Any:
+    """Show that solutions of the virtual system converge.
+
+    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
+    """
+    return implementation("fjr_design.cli.studies").contraction(**given)
+
+
+@command()
+@scenario_argument
+@click.option("--runs", type=options.RUNS, metavar="N", help="Number of runs. [default: the file's, else 1000]")
+@_drawn_plants_options(cores="1")
+@output_option("Folder in which NAME/ is written.", "runs/sweeps")
+@set_option
+def sweep(**given: Any) -> Any:
+    """Run a Monte-Carlo study of model errors.
+
+    SCENARIO is the name of an installed sweep or scenario, or a YAML file of either.
+    """
+    return implementation("fjr_design.cli.studies").sweep(**given)
+
+
+@command()
+@scenario_argument
+@click.option("--law", metavar="NAME", help="Law to tune. [default: the file's, else law.type of the scenario]")
+@click.option(
+    "--candidates", type=options.RUNS, metavar="N", help="Number of candidates. [default: the file's, else 300]"
+)
+@click.option(
+    "--draws", type=options.RUNS, metavar="N", help="Drawn plants of a candidate. [default: the file's, else 48]"
+)
+@click.option(
+    "--fresh", type=options.RUNS, metavar="N", help="Runs of the validation. [default: the file's, else 1000]"
+)
+@_drawn_plants_options(cores="all")
+@output_option("Folder in which NAME_LAW/ is written.", "runs/tuned")
+@set_option
+def tune(**given: Any) -> Any:
+    """Choose gains for stated model errors.
+
+    SCENARIO is the name of an installed sweep or scenario, or a YAML file of either. The gains minimise a cost over
+    drawn plants and are validated on fresh ones (docs/tuning.md).
+    """
+    return implementation("fjr_design.cli.studies").tune(**given)
+
+
+@command()
+@click.argument("suite", default="paper")
+@output_option("Folder in which compare_SUITE/ is written.", "runs")
+@click.option("--cores", type=options.cores, metavar="N", help="Cores of this machine, or `all`. [default: all]")
+@click.option(
+    "--document",
+    type=options.PATH,
+    metavar="[FILE]",
+    is_flag=False,
+    flag_value="docs/tables/compare.md",
+    help="Write the table into FILE too. [FILE: docs/tables/compare.md]",
+)
+@click.option(
+    "--readme",
+    type=options.PATH,
+    is_flag=False,
+    flag_value="docs/tables/compare.md",
+    hidden=True,
+    help="Deprecated in 0.1.0: use --document.",
+)
+def compare(**given: Any) -> Any:
+    """Compare control laws under non-idealities.
+
+    SUITE is the name of a comparison or a YAML file. [default: paper]
+    """
+    return implementation("fjr_design.cli.studies").compare(**given)

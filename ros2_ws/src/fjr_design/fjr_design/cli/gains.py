@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr gains`: synthesise gains, print them as a block of YAML for a scenario or write them into its file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from fjr_core.config import builders
+from fjr_core.config.builders import robust_action
+from fjr_core.config.scenario import Scenario
+from fjr_core.errors import GainsError, ParameterError
+from fjr_core.files import other_package
+from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import read_text
+from fjr_core.law.robust import sampled_law
+from fjr_core.law.vdpbc.convergence_rate import Rate
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.domain import Domain, joint_range
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import at_least
+from fjr_core.stability.sampled_loop import SampledCheck, check
+from fjr_design.cli.posterior_gains import Posterior
+from fjr_design.tuning.gain_synthesis import synthesize
+from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.scenarios import library
+from fjr_msgs_py.scenarios.gains_block import GainValues, gain_lines, with_gains
+from fjr_msgs_py.scenarios.installed import installed
+from fjr_msgs_py.scenarios.library import ScenarioError
+
+
+def synthesised(
+    scenario: str | None,
+    assignments: Sequence[str],
+    beta: float,
+    delay: float,
+    everywhere: bool,
+    proven: bool,
+    write: bool,
+    identification: Path | None,
+    seed: int,
+) -> Result:
+    """Return gains for a scenario's robot as YAML: rate beta [1/s] at its sample rate and a loop delay [samples].
+
+    The rate holds along the scenario's reference, or everywhere within the joints' range. proven: it holds for all
+    positions near the reference or in the range, not only for the sampled ones. write: replace the gains in
+    the scenario's file. identification: file of a posterior; the loop is then stable with plants drawn from it, and
+    checked on fresh draws. Raises GainsError if no such gains exist or a fresh draw is unstable.
+    """
+    path = _file(scenario, write)
+    loaded = library.load(scenario, assignments, robot_only=True)
+    robot, period = loaded.robot, loaded.sample_period
+    where = None if everywhere else loaded.configurations()
+    posterior = Posterior(identification, loaded, seed) if identification else None
+    design, domain = posterior.design if posterior else None, _domain(loaded, everywhere) if proven else None
+    gains = synthesize(robot, beta, period, delay * period, where, loaded.joints, design, domain)
+    law = TrackingLaw(robot, gains)
+    found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
+    confirmed = posterior.confirmed(law, delay * period, where) if posterior else None
+    head = _head(loaded, rate, found, everywhere, beta if proven else None)
+    head += f"# {confirmed.sentence}\n" if confirmed else ""
+    numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
+    numbers |= {"delay_margin_samples": found.delay_margin, **(confirmed.numbers if confirmed else {})}
+    values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
+    if write:
+        _write(path, values, robot.n)
+    where_to = f"# written to {path}:" if write else "# in place of `gains` below ros__parameters:"
+    block = "\n".join([f"{head}{where_to}", "    gains:", *gain_lines(values, robot.n, indent=6)])
+    return Result(block, {"scenario": loaded.name, **numbers, "gains": values, "written": path if write else None})
+
+
+def _file(scenario: str | None, write: bool) -> Path:
+    """Return the file of a scenario; raise ScenarioError if an installed one is to be changed."""
+    if write and scenario in installed("scenarios"):
+        raise ScenarioError(f"'{scenario}' is an installed scenario; expected a file of your own for --write")
+    return library.find(scenario)
+
+
+def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool, proven: float | None) -> str:
+    """Return the comment above the gains; proven [1/s]: rate for which a proof bounds the inertia, None without one."""
+    place, basis = "everywhere" if everywhere else "along its reference", "proven" if rate.proven else "sampled"
+    head = (
+        f"# for {scenario.name} {place}: beta {at_least(rate.beta, 3)} 1/s ({basis}); "
+        f"at {1 / scenario.sample_period:g} Hz spectral radius {found.spectral_radius:.4f}, "
+        f"delay margin {found.delay_margin:.2f} samples\n"
+    )
+    if proven is None:
+        return head
+    place = "over the joint range" if everywhere else "near the reference (see `fjr check`)"
+    least = at_least(proven, 3)
+    return f"{head}# the inertia is bounded by a proof {place}: beta is at least {least} 1/s there before rounding\n"
+
+
+def _domain(scenario: Scenario, everywhere: bool) -> Domain:
+    """Return the domain of a proof: the joint range or the tube around the reference."""
+    prover = other_package.module("fjr_proofs.cli.rate_proof")
+    prover.refuse_unprovable(scenario)
+    domain: Domain = joint_range(scenario.robot) if everywhere else prover.near_reference(scenario)[0]
+    return domain
+
+
+def _write(path: Path, values: GainValues, n: int) -> None:
+    """Replace the gains in a scenario file; raises ParameterError, which names the file."""
+    try:
+        changed = with_gains(read_text(path), values, n)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+    write_text(path.resolve(), changed)
+
+
+def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:
+    """Check the gains with the scenario's robust.* options, observer and sensors; raise GainsError if unstable."""
+    robust = robust_action(scenario.controller_values, law)
+    found = check(sampled_law(law, robust), scenario.sample_period, delay, where, sensing=scenario.sensing)
+    if not found.stable:
+        raise GainsError(
+            f"the spectral radius with the scenario's robust.* options and observer is {found.spectral_radius:.4g}; "
+            "expected less than 1: try a lower rate, lower robust.* gains or a faster observer"
+        )
+    return found

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check a scenario before it runs: stability as sampled, integrator steps, initial position."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fjr_core.config.safety import safety
+from fjr_core.config.scenario import Scenario
+from fjr_core.errors import FjrError
+from fjr_core.law.safety_settings import Settings
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.model.joint_units import joined
+from fjr_core.numerics.checks import Array
+from fjr_core.stability.sampled_loop import HIGHEST_RATE, SampledCheck, check
+from fjr_design.stability.integration_steps import fastest_mode, least_steps
+from fjr_design.stability.spring_lag import late_spring
+
+
+class UnstableError(FjrError):
+    """The loop of a scenario is unstable at its sample rate."""
+
+
+class StartError(FjrError):
+    """The robot of a scenario starts outside a limit of the controller."""
+
+
+def checked(scenario: Scenario) -> SampledCheck:
+    """Check the sampled loop that the nodes run in lock-step, with robust.* options, observer, sensors and delay.
+
+    v-dPBC is checked in the whole range of the joints. Another law, whose gains may hold for one configuration only,
+    is checked along the reference.
+    """
+    where = None if isinstance(scenario.law, TrackingLaw) else scenario.configurations()
+    return checked_at(scenario, where)
+
+
+def checked_at(scenario: Scenario, where: Array | None) -> SampledCheck:
+    """Check the sampled loop at link positions (k, n) [rad, m], or at samples of the whole range for None."""
+    law, period, delay = scenario.sampled_law, scenario.sample_period, scenario.loop_delay
+    return check(law, period, delay, where, scenario.plant, scenario.sensing)
+
+
+def refuse_coarse_steps(scenario: Scenario) -> None:
+    """Raise UnstableError if the plant's explicit integrator is unstable for its fastest mode."""
+    values, plant = scenario.plant_values, scenario.plant
+    fastest = fastest_mode(plant.robot, scenario.configurations())
+    steps, least = int(values["inner_steps"]), least_steps(fastest, scenario.sample_period)  # type: ignore[arg-type]
+    if plant.integrator == "rk4" and steps < least:
+        raise UnstableError(
+            f"scenario {scenario.name}: inner_steps is {steps}, too few for rk4 and the plant's fastest mode of "
+            f"{fastest:.4g} rad/s; expected at least {least}"
+        )
+
+
+def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
+    """Raise UnstableError if the checked loop is unstable."""
+    if found.stable:
+        return
+    raise UnstableError(
+        f"scenario {scenario.name} is unstable as sampled at {1 / found.sample_period:g} Hz: "
+        f"spectral radius {found.spectral_radius:.4g} at q_l = {as_list(found.configuration)} "
+        f"{position_unit(scenario)}; {_remedy(scenario, found)}"
+    )
+
+
+def _remedy(scenario: Scenario, found: SampledCheck) -> str:
+    """Return what makes an unstable loop stable; names the joint whose spring is too fast for the loop."""
+    robot, rate = scenario.robot, found.lowest_stable_rate
+    M_l = [robot.M_l(q_l) for q_l in found.closely]
+    reason = late_spring(robot, M_l, found.sample_period, found.delay, scenario.joints)
+    from_rate = f"stable from {rate:.4g} Hz on" if rate else ""
+    if reason:
+        return f"{reason}{f' ({from_rate})' if rate else ''}, then new gains (fjr gains)"
+    from_rate = from_rate or f"nor is it at higher rates, up to {HIGHEST_RATE:g} Hz"
+    return f"expected less than 1 ({from_rate}; other gains: fjr gains)"
+
+
+def refuse_start_outside(scenario: Scenario) -> None:
+    """Raise StartError if the plant starts outside a range in which the controller runs."""
+    found = start_outside(scenario)
+    if found:
+        raise StartError(
+            f"scenario {scenario.name} starts outside a limit, where the controller stops: {'; '.join(found)}"
+        )
+
+
+def ranges(settings: Settings) -> dict[str, tuple[Array, Array]]:
+    """Return lower and upper limit (n,) [rad, m] of the initial positions, by symbol."""
+    deflection = np.asarray(settings.deflection)
+    return {
+        "q_l": (np.asarray(settings.link_position_lower), np.asarray(settings.link_position_upper)),
+        "q_m": (np.asarray(settings.motor_position_lower), np.asarray(settings.motor_position_upper)),
+        "q_m - q_l": (-deflection, deflection),
+    }
+
+
+def start_outside(scenario: Scenario) -> list[str]:
+    """Return a sentence for each initial position outside its range."""
+    q_l, q_m = np.split(scenario.x0[: 2 * scenario.robot.n], 2)
+    values = {"q_l": q_l, "q_m": q_m, "q_m - q_l": q_m - q_l}
+    settings = safety(scenario.controller_values, scenario.robot)
+    return [
+        f"{joint}: {symbol} is {value:.4g} {unit.position}; expected {low:.4g} to {high:.4g} {unit.position}"
+        for symbol, limits in ranges(settings).items()
+        for joint, unit, value, low, high in zip(
+            scenario.joints, scenario.robot.units, values[symbol], *limits, strict=True
+        )
+        if not low <= value <= high
+    ]
+
+
+def position_unit(scenario: Scenario) -> str:
+    """Return the unit of the joints' positions: rad, m, or both."""
+    return joined(each.position for each in scenario.robot.units)
+
+
+def as_list(values: Array) -> str:
+    """Return values with three digits in brackets."""
+    return "[" + ", ".join(f"{value:.3g}" for value in values) + "]"

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated arm of a scenario as hardware of ros2_control: its functions, and its parameters as C++ tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from fjr_core.config import nonidealities
+from fjr_core.config.description import description
+from fjr_core.config.parameter import Parameter
+from fjr_core.config.scenario import Scenario
+from fjr_core.errors import StateError
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.parameter_field import declared
+from fjr_core.simulation.nonideal_parameters import NAMES, ChannelErrors, Nonidealities, SensorErrors
+from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
+
+_GROUP = "imperfections."
+DYNAMICS = {field: declared(Nonidealities)[field] for field in NAMES}
+SENSORS = {field: each for field, each in declared(SensorErrors).items() if field != "velocities"}
+"""Declarations of the parameters by field; their names are those of imperfections.* without the group."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """Simulated arm: plant with n joints and its initial positions (2n,) [rad] of links, then motors.
+
+    inner_step [ns]: integrator step. urdf: description of the robot. given: parameters of imperfections.* that are not
+    the defaults, without the group. Raises StateError for a plant in Python.
+    """
+
+    plant: Plant
+    start: Array
+    inner_step: float
+    urdf: str
+    given: Mapping[str, object]
+
+    def __post_init__(self) -> None:
+        if self.plant.in_python:
+            raise StateError("the plant is written in Python; expected one made of expressions, to export it to C")
+
+    @property
+    def functions(self) -> dict[str, ca.Function]:
+        """Return the functions of the plant by their names in C."""
+        made = NonidealPlant(self.plant).functions_as_c
+        return {f"plant_{name}": function for name, function in made.items()}
+
+    @property
+    def table(self) -> list[tuple[str, int, int, float]]:
+        """Return name, first index, length and least value of each parameter of the plant.
+
+        The payload is left out for a robot without an end effector.
+        """
+        rows, first = [], 0
+        for field, size in layout(self.plant.robot.n).sizes.items():
+            if self.plant.robot.links.end_effector is not None or not field.startswith("payload"):
+                rows.append((DYNAMICS[field].name, first, size, DYNAMICS[field].minimum))
+            first += size
+        return rows
+
+
+def arm_of(scenario: Scenario) -> Arm:
+    """Return the simulated arm of a scenario; raises ParameterError."""
+    values, plant = scenario.plant_values, scenario.plant
+    n = plant.robot.n
+    _ = nonidealities.imperfections(values, plant.robot), nonidealities.sensor_errors(values, n)
+    inner_step = scenario.sample_period / int(values["inner_steps"]) * 1e9  # type: ignore[arg-type]
+    start = np.asarray(scenario.x0)[: 2 * n]
+    plant = plant if plant.in_python else Plant(plant.robot, plant.integrator)
+    return Arm(plant, start, inner_step, description(values), _given(values, n))
+
+
+def not_exported(scenario: Scenario) -> list[str]:
+    """Return the names of the scenario's imperfections that the exported arm does not have."""
+    values, defaults = scenario.plant_values, ChannelErrors()
+    fields = ("jitter", "loss", "repetition")
+    channel = {f: declared(ChannelErrors)[f].name for f in fields}
+    names = {
+        f"{_GROUP}{side}_{name}": getattr(defaults, f) for side in ("state", "command") for f, name in channel.items()
+    }
+    names |= {nonidealities.PERIOD_JITTER.name: 0.0, f"{_GROUP}publish_velocity": True}
+    return [name for name, default in names.items() if values[name] != default]
+
+
+def _given(values: Mapping[str, object], n: int) -> dict[str, object]:
+    """Return the values of imperfections.* that differ from their defaults and that the arm has, without the group."""
+    known: dict[str, Parameter] = {each.name: each for each in nonidealities.imperfection_parameters(n)}
+    names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
+    found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
+    return {name: value for name, (value, default) in found.items() if value != default}

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The control step of a scenario as C: the text of fjr_core/runtime/, its mathematics and its constants.
+
+runtime/*.c, step.h   unchanged         model.h, model.c   sizes, limits, gains, reference
+control_step.c             includes them     casadi.c           law, gravity, observer
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from fjr_core.config.builders import robust_action
+from fjr_core.config.measurement import measurement, observer
+from fjr_core.config.safety import safety
+from fjr_core.config.scenario import Scenario
+from fjr_core.errors import StateError
+from fjr_core.law.robust import Robust, sampled_law
+from fjr_core.law.safety_settings import Settings
+from fjr_core.law.sampled_law import ARGUMENTS, SampledLaw
+from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.monitoring.certificate import OUTPUTS
+from fjr_core.motions.reference import Reference
+from fjr_core.numerics.checks import joint_names
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.library import HEADER, SOURCES, text
+from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.settings_struct import model_functions
+from fjr_core.runtime.velocity_observer import VelocityObserver
+
+from .c_code import casadi_code, comment, number, numbers, quoted, work_sizes
+from .filled_template import filled
+from .reference_code import reference_code
+
+PREFIX = "fjr"
+"""Prefix of all names of the step in C."""
+CALLED = {"arg": len(ARGUMENTS), "res": len(OUTPUTS), "iw": 1, "w": 1}
+"""Least sizes of the work space: arguments of a SampledLaw, results of a certificate, which the step always passes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """Controller to export: everything between a measured state and an effort, without ROS.
+
+    law: not compiled, so that C can be generated from it. Raises StateError for a law in Python, and if law, reference
+    and names differ in the number of joints.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    law: StaticLaw
+    reference: Reference
+    settings: Settings
+    sample_period: float
+    measurement: Measurement
+    observer: VelocityObserver | None = None
+    robust: Robust | None = None
+
+    def __post_init__(self) -> None:
+        joint_names("joints", self.joints, StateError)
+        n = [self.law.robot.n, self.reference.n, len(self.joints), self.settings.n]
+        if len(set(n)) != 1:
+            raise StateError(f"law, reference, names and settings have {n} joints; expected equal numbers")
+        if self.law.in_python:
+            raise StateError("the law is written in Python; expected one made of expressions, to export it to C")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @cached_property
+    def sampled_law(self) -> SampledLaw:
+        """The law with its robust action."""
+        return sampled_law(self.law, self.robust)
+
+    @property
+    def certified_law(self) -> TrackingLaw | None:
+        """The law if it is v-dPBC, which has a certificate, else None."""
+        return self.law if isinstance(self.law, TrackingLaw) else None
+
+    @property
+    def functions(self) -> dict[str, ca.Function]:
+        """Return the functions of struct fjr_model by name."""
+        return model_functions(self.sampled_law, self.observer)
+
+    def step(self) -> ControlStep:
+        """Return the control step of this controller in memory, compiled, waiting for its first sample."""
+        given = self.law, self.reference, self.settings, self.observer
+        return ControlStep(*given, robust=self.robust, measurement=self.measurement, compile=True)
+
+
+def controller_of(scenario: Scenario) -> Controller:
+    """Return the controller of a scenario; raises FjrError."""
+    values = {**scenario.controller_values, "compile": False}
+    s = replace(scenario, controller_values=values)
+    settings, measured, seen = safety(values, s.robot), measurement(values, s.robot), observer(values, s.robot)
+    robust = robust_action(values, s.law)
+    return Controller(s.name, s.joints, s.law, s.reference, settings, s.sample_period, measured, seen, robust)
+
+
+def step_code(controller: Controller, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
+    """Return the texts of the step by file name; `more` functions are written as fjr_casadi_<name>, too.
+
+    Raises TrajectoryError for a reference that is not built in, CompilerError without a C compiler.
+    """
+    functions = {**controller.functions, **(more or {})}
+    sizes = work_sizes(PREFIX, functions)
+    sizes = {size: max(sizes[size], least) for size, least in CALLED.items()}
+    values = _values(controller) | {size: str(length) for size, length in sizes.items()}
+    texts = {name: filled(name, values) for name in ("model.h", "model.c", "control_step.c")}
+    texts |= {name: text(name) for name in (HEADER, *SOURCES)}
+    return texts | {"casadi.c": casadi_code(PREFIX, functions)}
+
+
+def _values(controller: Controller) -> dict[str, str]:
+    """Return the values of the names in the templates."""
+    law, step = controller.sampled_law, controller.step()
+    names = {name: f"{PREFIX}_casadi_{name}" for name in controller.functions}
+    arguments = "const double** arg, double** res, long long int* iw, double* w, int mem"
+    return {
+        "title": comment(controller.name),
+        "title_literal": quoted(controller.name),
+        "joint_list": comment(", ".join(controller.joints)),
+        "joint_literals": ", ".join(map(quoted, controller.joints)),
+        "n": str(controller.n),
+        "memory_length": str(max(1, len(law.memory))),
+        "gains": str(len(law.gain_values)),
+        "gain_words": _gain_words(controller.law),
+        "gain_numbers": numbers(law.gain_values),
+        "sample_period": number(controller.sample_period),
+        "functions": "\n".join(f"int {name}({arguments});" for name in names.values()),
+        "settings": _initialisers(step.ffi, step.controller.settings, {}),
+        "model": _initialisers(step.ffi, step.model, names),
+        "reference": reference_code(controller.reference, "reference"),
+        "includes": "\n".join(f'#include "{name}"' for name in SOURCES),
+    }
+
+
+def _initialisers(ffi: Any, struct: Any, functions: Mapping[str, str]) -> str:
+    """Format designated initialisers of a structure in memory: its numbers, and functions by field."""
+    return "\n".join(f"    .{name} = {value}," for name, value in _fields(ffi, struct, functions))
+
+
+def _fields(ffi: Any, struct: Any, functions: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    kind = ffi.typeof(struct)
+    for name, field in (kind.item if kind.kind == "pointer" else kind).fields:
+        value = getattr(struct, name)
+        if name in functions:
+            yield name, functions[name]
+        elif field.type.kind == "array":
+            yield name, f"{{{numbers(np.array(list(value)))}}}"
+        elif field.type.kind == "primitive":
+            yield name, number(value) if isinstance(value, float) else str(value)
+
+
+def _gain_words(law: StaticLaw) -> str:
+    """Describe the layout of the gains of a v-dPBC law as a C comment; an empty string for other laws."""
+    if not isinstance(law, TrackingLaw):
+        return ""
+    parts = [f"{name} ({symbol.nnz()})" for name, symbol in law.symbols.by_name.items()]
+    half = math.ceil(len(parts) / 2)
+    lines = (", ".join(parts[:half]), ", ".join(parts[half:]))
+    meaning = "n numbers are a diagonal, n*n a matrix by columns. Pi_m_inverse must be that of Pi_m."
+    return "\n/* " + ",\n * ".join(lines) + f";\n * {meaning} */"

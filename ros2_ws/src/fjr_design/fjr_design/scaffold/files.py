@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The text of the robot file and the scenario file of an arm."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fjr_core.config import ros_yaml
+from fjr_core.config.builders import gain_values
+from fjr_core.model.joint_units import joined
+from fjr_design.scaffold.arm import Arm
+from fjr_design.scaffold.proposal import RATE, Proposal
+from fjr_msgs_py.console.formatting import plural
+from fjr_msgs_py.scenarios.gains_block import gain_lines
+
+UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}
+SCENARIO = """\
+# {name}: slow sines of {n} joint(s) about a pose in their ranges. Written by `fjr new`; change it freely.
+# docs/your_robot.md explains the file, docs/references.md other motions, docs/safety.md the limits.
+/**:
+  ros__parameters:
+    realtime_priority: 50         # SCHED_FIFO where the system allows it, else a warning; 0: ordinary scheduling
+    robot:
+      file: {robot_file}
+
+    # fjr_plant, the simulated arm: at rest next to the reference, the springs loaded by the weight
+    publish_rate: {rate}          # Hz
+    inner_steps: {steps}                # integrator steps per state
+    initial_link_position: {q_l}   # {unit}
+    initial_motor_position: {q_m}
+
+    # fjr_controller
+    gains:   # others: fjr gains {name}.yaml --write --beta RATE
+{gains}
+    reference:   # q_ld = offset + amplitude sin(frequency t + phase)
+      type: sine
+      amplitude: {amplitude}   # {unit}
+      frequency: {frequency}   # rad/s
+      offset: {offset}
+      phase: {phase}
+    limits:
+      from_robot: {from_robot}            # range, speed and effort of the URDF
+      tracking_error: {tracking_error}   # {unit}
+      start_error: {start_error}
+    on_stop: gravity_hold         # the weight, with damped motors
+    start: {{ramp_time: 0.1, join_time: 1.0}}   # s; to the law's effort; to the reference, beyond start_error
+    recovery: {{join_time: 1.0}}    # s, or as long as the limits of velocity and acceleration ask
+    state_timeout: 0.2            # s without a state: on_stop
+"""
+TRACKING_ERROR, START_ERROR = (0.15, 0.03), (0.1, 0.02)  # rad, m; limits of revolute and prismatic joints
+
+
+def robot_text(arm: Arm, folder: Path) -> str:
+    """Return the robot file, for a file in this folder."""
+    stuck = {name: position for name, position in arm.locked.items() if position}
+    lines = [
+        f"# {arm.urdf.stem}: {plural(arm.robot.n, 'joint')} of {arm.urdf.name}, base to tip; written by `fjr new`.",
+        "# A robot file: `robot.file` of a scenario names it. docs/your_robot.md has all parameters.",
+        *([f"# Locked: {_wrapped(arm.locked)}"] if arm.locked else []),
+        *(f"# {note}" for note in arm.notes),
+        "/**:",
+        "  ros__parameters:",
+        f"    joints: {_list(arm.joints)}",
+        "    robot:",
+        "      model: urdf",
+        f"      urdf: {_scalar(path_from(folder, arm.urdf))}",
+        "      gravity: [0.0, 0.0, -9.81]   # m/s^2 in the root link of the URDF; differs for a wall-mounted arm",
+        *(
+            [f"      locked_joints: {_list(stuck)}", f"      locked_positions: {_list(stuck.values())}"]
+            if stuck
+            else []
+        ),
+    ]
+    for name, matrix in (("joint_stiffness", arm.robot.K), ("motor_inertia", arm.robot.M_m)):
+        lines.append(f"      {name}: {_list(np.diag(matrix))}   # {UNITS[name]}{_origin(arm, name)}")
+    if arm.guesses:
+        lines += [
+            "      # A URDF has neither. These values are typical for the size of the joints, no data of this robot",
+            "      # (docs/robots.md): replace them above. `fjr` reports each value that still equals its guess here.",
+            "      guesses:",
+            *(f"        {name}: {_list(values)}" for name, values in arm.guesses.items()),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> str:
+    """Return the scenario file, next to this robot file."""
+    motion, gains, n = proposal.motion, proposal.gains, arm.robot.n
+    values = {key.partition(".")[2]: entries for key, entries in gain_values(gains.gains, n).items()}
+    slides = [unit.position == "m" for unit in arm.robot.units]
+    return SCENARIO.format(
+        name=name,
+        n=n,
+        robot_file=_scalar(robot_file),
+        rate=RATE,
+        steps=proposal.inner_steps,
+        unit=joined(each.position for each in arm.robot.units),
+        q_l=_list(proposal.q_l),
+        q_m=_list(proposal.q_m),
+        gains="\n".join(gain_lines(values, n, indent=6)),
+        amplitude=_list(motion.amplitude),
+        frequency=_list(motion.frequency),
+        offset=_list(motion.offset),
+        phase=_list(motion.phase),
+        from_robot="false" if arm.robot.limits is None else "true",
+        tracking_error=_list(TRACKING_ERROR[each] for each in slides),
+        start_error=_list(START_ERROR[each] for each in slides),
+    )
+
+
+def _origin(arm: Arm, name: str) -> str:
+    """Return where a value comes from: a guess, published data, or both."""
+    known = arm.source if not all(arm.guesses.get(name, (0.0,))) else ""
+    guessed = "GUESS" if name in arm.guesses else ""
+    return "".join(f"; {part}" for part in (guessed, known) if part)
+
+
+def path_from(folder: Path, urdf: Path) -> str:
+    """Return the URDF's path relative to the folder, so that both can be moved together.
+
+    It is absolute if they have no folder in common but the root of the file system.
+    """
+    whole, base = urdf.resolve(), folder.resolve()
+    together = os.path.commonpath([whole, base]) != base.anchor
+    return os.path.relpath(whole, base) if together else str(whole)
+
+
+def _wrapped(locked: dict[str, float], most: int = 12) -> str:
+    names = [f"{_plain(name)}{f' at {position:g}' if position else ''}" for name, position in locked.items()]
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more + (", at 0" if not any(locked.values()) else ", the others at 0")
+
+
+def _plain(text: str) -> str:
+    """Return a name for a comment: without line breaks."""
+    return re.sub(r"\s+", " ", text)
+
+
+def _largest(amplitude: ArrayLike, arm: Arm) -> str:
+    """Return the largest amplitude of the revolute joints [rad] and of the prismatic joints [m]."""
+    largest: dict[str, float] = {}
+    for value, unit in zip(np.asarray(amplitude), arm.robot.units, strict=True):
+        largest[unit.position] = max(float(value), largest.get(unit.position, 0.0))
+    return " and ".join(f"{value:.2g} {unit}" for unit, value in largest.items())
+
+
+def _list(entries: Iterable[object] | ArrayLike) -> str:
+    return "[" + ", ".join(map(_scalar, entries)) + "]"  # type: ignore[arg-type]
+
+
+def _scalar(value: object) -> str:
+    """Return a text or a number in YAML; numbers have at most nine digits and a decimal point."""
+    if isinstance(value, str):
+        return ros_yaml.dump([value]).strip()[1:-1]
+    return ros_yaml.dump([float(f"{float(value):.9g}")]).strip()[1:-1]  # type: ignore[arg-type]
+
+
+def file_names(arm: Arm, name: str | None) -> tuple[str, str, str]:
+    """Return the name of the arm, its robot file and its scenario file."""
+    stem = re.sub(r"\W+", "_", name or arm.urdf.stem, flags=re.ASCII).strip("_") or "arm"
+    return stem, f"{stem}_robot.yaml", f"{stem}.yaml"
+
+
+def summary(arm: Arm, proposal: Proposal, files: Sequence[Path]) -> list[str]:
+    """Return what was chosen and written, a line for each subject."""
+    gains, robot = proposal.gains, arm.robot
+    K, M_m = np.diag(robot.K), np.diag(robot.M_m)
+    return [
+        f"joints     {', '.join(arm.joints)}",
+        *([f"locked     {_wrapped(arm.locked)}"] if arm.locked else []),
+        *(f"note       {note}" for note in arm.notes),
+        f"stiffness  {K.min():g} to {K.max():g} N m/rad{_origin(arm, 'joint_stiffness')}",
+        f"inertia    {M_m.min():g} to {M_m.max():g} kg m^2 of the motors{_origin(arm, 'motor_inertia')}",
+        f"gains      beta {gains.beta:g} 1/s {gains.where}; delay margin {gains.check.delay_margin:.2f} samples at "
+        f"{RATE:g} Hz in the whole range",
+        f"motion     {_largest(proposal.motion.amplitude, arm)} at most, at 0.5 Hz",
+        f"written    {', '.join(str(file) for file in files)}",
+        f"next       fjr check {files[-1]}",
+        f"           fjr run {files[-1]} --lockstep",
+    ]

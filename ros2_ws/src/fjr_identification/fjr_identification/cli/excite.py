@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr excite`: design the motion that best reveals the parameters of elastic joints, and write a scenario of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fjr_core.config.nonidealities import sensor_errors
+from fjr_core.config.parameter import vector
+from fjr_core.config.safety import safety
+from fjr_core.config.scenario import Scenario
+from fjr_core.files.atomic_file import write_text
+from fjr_core.numerics.checks import Array
+from fjr_core.stability.linearization import rest_position
+from fjr_design.scaffold.first_scenario import first_values
+from fjr_identification.estimation.excitation import Excitation, design
+from fjr_identification.estimation.information import PARAMETERS, JointNoise, encoder_noise
+from fjr_identification.estimation.motion_envelope import MotionEnvelope, motion_envelope
+from fjr_msgs_py.console.formatting import plural
+from fjr_msgs_py.console.progress import phase
+from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.scenarios import library
+from fjr_msgs_py.scenarios.library import ScenarioError
+
+SHARE = 0.9  # of each limit that the motion may use
+EFFORT_NOISE = 1e-3  # of the effort limit
+HALF_WIDTH = 1.96  # standard deviations of a 95 % interval
+SHOWN = {"joint_stiffness": "stiffness", "motor_inertia": "motor inertia"}
+
+
+def excite(
+    scenario: str | None,
+    assignments: Sequence[str],
+    duration: float,
+    noise: float,
+    seed: int,
+    output: Path | None,
+    force: bool,
+) -> Result:
+    """Write a scenario whose reference of `duration` [s] tells stiffness, inertia and friction of the joints best.
+
+    scenario: also a robot file, which gets a first motion and, along the new one, gains. noise [rad]: of encoders that
+    the scenario has without errors. Raises FjrError.
+    """
+    path = library.find(scenario)
+    target = output or Path(f"{path.stem}_excite.yaml")
+    if target.exists() and not force:
+        raise ScenarioError(f"{target} exists; expected a new file, another --output, or --force")
+    changes = library.parse_assignments(assignments)
+    loaded = library.as_run(path, changes, robot_only=True)[1]
+    if library.is_robot_file(path):
+        changes = {**first_values(loaded), **changes}
+        loaded = library.as_run(path, changes)[1]
+    limits = _limits(loaded, duration)
+    with phase(f"{loaded.name}: designing {duration:g} s of motion for {plural(loaded.robot.n, 'joint')}"):
+        found = design(
+            loaded.robot, limits, _noise(loaded, limits, noise), loaded.reference, duration, loaded.sample_period, seed
+        )
+    write_text(target, _text(path, loaded, found, changes))
+    library.load(str(target))  # a file that cannot be read back must not look finished
+    return Result(_table(loaded, found, target), _values(loaded, found, target))
+
+
+def _limits(scenario: Scenario, duration: float) -> MotionEnvelope:
+    """Return the limits of the motion: SHARE of those of the controller and the robot."""
+    values, robot = scenario.controller_values, scenario.robot
+    acceleration = vector(values, "limits.acceleration", robot.n)
+    return motion_envelope(robot, safety(values, robot), acceleration, scenario.reference, SHARE, duration)
+
+
+def _noise(scenario: Scenario, limits: MotionEnvelope, least: float) -> JointNoise:
+    """Return the noise of the simulated sensors, at least `least` [rad], and EFFORT_NOISE of the effort limits."""
+    sensors = sensor_errors(scenario.plant_values, scenario.robot.n)
+    link = encoder_noise(np.asarray(sensors.bits_l), np.asarray(sensors.position_l), least)
+    motor = encoder_noise(np.asarray(sensors.bits_m), np.asarray(sensors.position_m), least)
+    return JointNoise(link, motor, EFFORT_NOISE * limits.upper[-1] / SHARE)
+
+
+def _text(path: Path, scenario: Scenario, found: Excitation, changes: Mapping[str, Any]) -> str:
+    """Return the scenario of the file with the changes, the reference, and the plant at rest at its start."""
+    motion, robot = found.reference, scenario.plant.robot
+    position = rest_position(robot, np.asarray(motion.jets(0.0))[0])
+    rows = {name: _numbers(getattr(motion, name)) for name in ("amplitude", "frequency", "phase")}
+    values = {
+        **changes,
+        "reference.type": "multi_sine",
+        **{f"reference.multi_sine.{name}": entries for name, entries in rows.items()},
+        "reference.offset": _numbers(motion.offset),
+        "initial_link_position": _numbers(position[: robot.n]),
+        "initial_motor_position": _numbers(position[robot.n :]),
+        "initial_link_velocity": [0.0] * robot.n,
+        "initial_motor_velocity": [0.0] * robot.n,
+    }
+    text = library.as_run(path, values)[0]
+    settings = text[text.index("\n/**:") + 1 :]
+    return (
+        f"# Excitation of {scenario.name}: {found.duration:g} s that reveal stiffness, inertia and friction of its\n"
+        f"# joints, at rest at 0 s and every {found.period:g} s. Run and record it:\n"
+        f"#   fjr run THIS_FILE --duration {found.duration:g}\n{settings}"
+    )
+
+
+def _numbers(array: Any) -> list[float]:
+    return [float(value) for value in np.ravel(array)]
+
+
+def _table(scenario: Scenario, found: Excitation, target: Path) -> str:
+    """Return the expected intervals of each joint, and those along the reference of the scenario."""
+    frequencies = np.asarray(found.reference.frequency) / (2 * np.pi)
+    joints = scenario.joints
+    width = max(len("joint"), *(len(joint) for joint in joints))
+    lines = [
+        f"scenario   {target}",
+        f"reference  multi_sine, {frequencies.min():.3g} to {frequencies.max():.3g} Hz, {found.duration:g} s, at rest "
+        f"every {found.period:g} s",
+        f"expected 95 % intervals (Cramer-Rao bound), and those along the reference of {scenario.name}:",
+        f"  {'joint'.ljust(width)}  {'stiffness'.rjust(20)}  {'motor inertia'.rjust(20)}",
+    ]
+    half, was = (_half_widths(deviations) for deviations in (found.deviations, found.before))
+    for j, joint in enumerate(joints):
+        cells = [f"{_percent(half[name][j])} ({_percent(was[name][j])})".rjust(20) for name in SHOWN]
+        lines.append(f"  {joint.ljust(width)}  {'  '.join(cells)}")
+    return "\n".join(lines)
+
+
+def _half_widths(deviations: Array) -> dict[str, Array]:
+    return {name: HALF_WIDTH * deviations[:, PARAMETERS.index(name)] for name in SHOWN}
+
+
+def _percent(share: float) -> str:
+    return f"+-{100 * share:.2g} %" if share < 1 else "unknown"
+
+
+def _values(scenario: Scenario, found: Excitation, target: Path) -> dict[str, object]:
+    """Return the result as JSON values."""
+    half, was = (_half_widths(deviations) for deviations in (found.deviations, found.before))
+    return {
+        "scenario_file": target,
+        "duration_s": found.duration,
+        "period_s": found.period,
+        "joints": scenario.joints,
+        "relative_half_width": half,
+        "relative_half_width_before": was,
+    }

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predict segments of a record with sensitivities: shooting.c compiled for an arm and its free parameters."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.numerics import jit
+from fjr_core.numerics.c_library import c_library
+from fjr_core.numerics.checks import Array
+
+from .elastic_arm import ElasticArm
+
+VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a row of a block of sensitivities
+
+
+@dataclass(frozen=True, eq=False)
+class HeldEffort:
+    """Efforts u (k, n) [N m] of a record, each held for the sample period dt [s], and the steps of integration.
+
+    parts: steps of a sample period. slow_parts (2n,): steps while a link or motor, in this order, is slower than slow
+    (2n,) [rad/s]; friction is steep there.
+    """
+
+    u: Array
+    dt: float
+    parts: int
+    slow_parts: NDArray[np.int32]
+    slow: Array
+
+    def struct(self, ffi: Any, first: int, delay: Array) -> tuple[Any, ...]:
+        """Return the structure of C, and what it refers to."""
+        parts = np.array([self.parts, *self.slow_parts], dtype=np.int32)
+        u, slow, late = (np.ascontiguousarray(each, dtype=float) for each in (self.u, self.slow, delay / self.dt))
+        numbers = {"u": u, "delay": late, "slow": slow}
+        fields = {name: ffi.from_buffer("double[]", array) for name, array in numbers.items()}
+        fields["parts"] = ffi.from_buffer("int32_t[]", parts)
+        values = {**fields, "count": len(u), "first": first, "dt": self.dt}
+        return ffi.new("struct fjr_input *", values), values
+
+
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """Integrate the arm over segments. delays: joint of each free effort delay. Raises CompilerError on the first use.
+
+    A column of the sensitivities (4n, columns) is an entry of the initial state, a free parameter or a delay.
+    """
+
+    arm: ElasticArm
+    delays: tuple[int, ...]
+
+    @property
+    def columns(self) -> int:
+        """Return the number of columns of the sensitivities."""
+        return 4 * self.arm.robot.n + len(self.arm.free) + len(self.delays)
+
+    @property
+    def vectors(self) -> int:
+        """Return the number of vectors of a row in a block: equally many in all, at most LARGEST_BLOCK."""
+        blocks = -(-self.columns // (VECTOR * LARGEST_BLOCK))
+        return -(-self.columns // (VECTOR * blocks))
+
+    @property
+    def padded(self) -> int:
+        """Return the number of columns in memory, a multiple of the block's."""
+        return -(-self.columns // (VECTOR * self.vectors)) * VECTOR * self.vectors
+
+    def __call__(
+        self, x0: Array, effort: HeldEffort, first: int, samples: int, parameters: Array, delay: Array
+    ) -> tuple[Array, Array] | None:
+        """Return states (samples + 1, 4n) and sensitivities (samples + 1, 4n, columns) from x0 (4n,) at sample `first`.
+
+        delay (n,) [s]: of the effort. None if the state does not stay finite.
+        """
+        n, columns = self.arm.robot.n, self.columns
+        X, S = np.empty((samples + 1, 4 * n)), np.empty((samples + 1, 4 * n, self.padded))
+        X[0], S[0] = x0, np.eye(4 * n, self.padded)
+        ffi, lib = self.library
+        held = effort.struct(ffi, first, delay)
+        arrays = [ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(parameters), X, S)]
+        failed = lib.fjr_shoot(self._memory.arm, held[0], arrays[0], samples, *arrays[1:])
+        return None if failed else (X, S[:, :, :columns])
+
+    def normal_equations(self, J: Array, r: Array) -> tuple[Array, Array]:
+        """Return J'J (m, m) and J'r (m,) of J (k, m) and r (k,), in this thread alone."""
+        ffi, lib = self.library
+        rows, columns = J.shape
+        H, g = np.zeros((columns, columns)), np.zeros(columns)
+        of_J, of_r, of_H, of_g = (ffi.from_buffer("double[]", each) for each in (J, r, H, g))
+        lib.fjr_normal_equations(of_J, of_r, rows, columns, of_H, of_g)
+        return H, g
+
+    @cached_property
+    def library(self) -> tuple[Any, Any]:
+        """Return cffi's types and the compiled loop."""
+        sizes = {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors}
+        return c_library(__file__, sizes)
+
+    @cached_property
+    def function(self) -> Any:
+        """Return the compiled accelerations."""
+        return jit.compiled_together("elastic_arm", [self.arm.accelerations])[0]
+
+    @property
+    def _memory(self) -> _Memory:
+        """Return the memory of this thread."""
+        if not hasattr(self._local, "memory"):
+            self._local.memory = _Memory(self)
+        return self._local.memory
+
+    @cached_property
+    def _local(self) -> threading.local:
+        return threading.local()
+
+
+class _Memory:
+    """Arguments and work space of the C code for one thread."""
+
+    def __init__(self, shooting: Shooting) -> None:
+        ffi, _ = shooting.library
+        f = shooting.function
+        self.arm = ffi.new("struct fjr_arm *")
+        self.held = {
+            "arg": ffi.new("const double*[]", max(3, f.sz_arg())),
+            "res": ffi.new("double*[]", max(2, f.sz_res())),
+            "iw": ffi.new("long long[]", max(1, f.sz_iw())),
+            "w": ffi.new("double[]", max(1, f.sz_w())),
+            "nonzeros": ffi.new("double[]", 4 * len(shooting.arm.pattern[0])),
+            **{name: ffi.new("int32_t[]", list(map(int, each))) for name, each in _indices(shooting).items()},
+        }
+        for name, value in self.held.items():
+            setattr(self.arm, name, value)
+        self.arm.f = ffi.cast("fjr_function", jit.machine_code(f))
+        self.arm.count = len(shooting.arm.pattern[0])
+
+
+def _indices(shooting: Shooting) -> dict[str, Any]:
+    """Return where the nonzeros of the Jacobian act, as struct fjr_arm has it."""
+    n = shooting.arm.robot.n
+    rows, columns = map(np.array, shooting.arm.pattern)
+    first_effort = 4 * n + len(shooting.arm.free)
+    joints = np.where(columns < first_effort, -1, columns - first_effort)
+    targets = np.array([_target(column, first_effort, shooting.delays) for column in columns])
+    of_state = np.flatnonzero(columns < 4 * n)
+    of_state = of_state[np.argsort(rows[of_state], kind="stable")]
+    forced = np.flatnonzero((columns >= 4 * n) & (targets >= 0))
+    forced = forced[np.argsort(targets[forced], kind="stable")]
+    blocks = np.arange(0, shooting.padded + 1, VECTOR * shooting.vectors)
+    return {
+        "row_start": np.searchsorted(rows[of_state], np.arange(2 * n + 1)),
+        "entry": of_state,
+        "column": columns[of_state],
+        "forced_start": np.searchsorted(targets[forced], blocks),
+        "forced_entry": forced,
+        "forced_row": rows[forced],
+        "forced_column": targets[forced],
+        "forced_joint": joints[forced],
+    }
+
+
+def _target(column: int, first_effort: int, delays: tuple[int, ...]) -> int:
+    """Return the column of the sensitivities that a column of the Jacobian adds to, -1: none."""
+    if column < first_effort:
+        return column
+    joint = column - first_effort
+    return first_effort + delays.index(joint) if joint in delays else -1

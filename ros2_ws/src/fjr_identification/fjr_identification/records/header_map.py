@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr identify LOG --write-map`: the mapping file of a table from the names of its columns.
+
+    a1_motor_torque_nm = joint a1, signal effort, unit N m
+
+A column name is split into words. Words of UNIT, SIGNAL and SIDE give unit and signal; the words that remain are the
+joint. What no word gives is marked FILL_IN, which the reader of mapping files refuses until it is replaced.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fjr_core.config import ros_yaml
+from fjr_core.errors import LONGEST, RecordError
+from fjr_identification.records.record_map import ANGLES, EFFORT, LINK, MOTOR, TORQUE, UNITS
+from fjr_identification.records.table_record import PARQUET, header_of
+
+FILL_IN = "FILL_IN"
+TIME = "time"
+UNIT = {
+    **{word: word for word in ("rad", "mrad", "deg", "turn", "mm", "s", "ms", "us", "ns", "kn")},
+    **{"degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "rev": "turn", "turns": "turn"},
+    **{"nm": "N m", "mnm": "mN m", "knm": "kN m", "kn": "kN", "sec": "s", "seconds": "s"},
+}
+"""Unit of a word; m and n alone are units only at the end of a name, where N m may be two words."""
+TIMES = {"time", "timestamp", "stamp", "t"}
+IGNORED = {"reference", "ref", "desired", "des", "setpoint", "target", "velocity", "vel", "speed", "dq", "qd"}
+IGNORED |= {"acceleration", "acc", "ddq", "current", "temperature", "temp", "error", "err", "state", "status"}
+EFFORTS = {"torque", "effort", "tau", "trq", "u", "force", "moment"}
+POSITIONS = {"position", "pos", "angle", "q", "theta", "encoder", "enc"}
+SIDES = {MOTOR: {"motor", "rotor", "qm", "m"}, LINK: {"link", "load", "output", "secondary", "ql", "l"}}
+SENSORS = {"sensor", "measured", "ext", "jts"}
+
+
+@dataclass(frozen=True)
+class Named:
+    """What the name of a column says; "" where it says nothing. signal: also "position", of an unknown side."""
+
+    column: str
+    signal: str = ""
+    joint: str = ""
+    unit: str = ""
+
+
+def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the text of a mapping file for a table, and a line for each thing to fill in or to check.
+
+    joints: of the robot file, empty without one. Raises RecordError for a table without header or without positions.
+    """
+    delimiter, header = _header(table)
+    found = [_named(column, joints) for column in header]
+    if joints and {each.joint for each in found} & set(joints):  # columns of other joints are of no use
+        found = [each if each.joint in ("", *joints) else Named(each.column) for each in found]
+    times = [each for each in found if each.signal == TIME]
+    by_signal = {signal: [each for each in found if each.signal == signal] for signal in (*UNITS, "position")}
+    if not any(by_signal.values()):
+        raise RecordError(
+            f"{table}: no name of a column says position or torque ({', '.join(header)[: LONGEST // 4]}); expected "
+            "names such as a1_motor_rad and a1_motor_torque_nm, or a mapping file written by hand"
+        )
+    todo: list[str] = []
+    lines = [f"# Columns of {table.name}, by `fjr identify --write-map`; docs/identification.md explains the keys."]
+    lines += [] if delimiter == "," else [f"delimiter: {_text(delimiter)}"]
+    lines += _time(times, todo)
+    if by_signal["position"]:
+        todo.append(
+            f"fill in  whether {_few(by_signal['position'])} are {MOTOR} or {LINK}: replace {FILL_IN} by one of them"
+        )
+    for signal, columns in by_signal.items():
+        if columns:
+            lines += _signal(FILL_IN if signal == "position" else signal, columns, joints, todo)
+    if not by_signal[EFFORT]:
+        lines.append(f"{EFFORT}: {{column: {FILL_IN}, unit: {FILL_IN}}}")
+        todo.append(f"fill in  {EFFORT}: no column was recognised")
+    unused = [each for each in found if not each.signal or (each.signal == TIME and each != times[0])]
+    lines += [f"# not used: {', '.join(each.column for each in unused)}"] if unused else []
+    return "\n".join(lines) + "\n", todo
+
+
+def _time(times: Sequence[Named], todo: list[str]) -> Iterator[str]:
+    name, unit = (times[0].column, times[0].unit) if times else (FILL_IN, "")
+    if not times:
+        todo.append("fill in  time.column: no column was recognised")
+    if not unit:
+        todo.append("fill in  time.unit: s, ms, us or ns")
+    yield f"time: {{column: {_text(name)}, unit: {unit or FILL_IN}}}"
+
+
+def _signal(signal: str, columns: Sequence[Named], joints: Sequence[str], todo: list[str]) -> Iterator[str]:
+    """Yield the lines of a signal and add what is missing to `todo`."""
+    units = {each.unit for each in columns}
+    unit = units.pop() if len(units) == 1 else ""
+    known = list(ANGLES) if signal in (FILL_IN, LINK, MOTOR) else list(UNITS[EFFORT])
+    if not unit:
+        todo.append(f"fill in  {signal}.unit of {_few(columns)}: {', '.join(known)}")
+    own = [each.joint for each in columns]
+    by_name = all(own) and len(set(own)) == len(own)
+    if joints and by_name and set(own) <= set(joints):
+        named = own
+    elif joints and len(own) == len(joints):
+        named = list(joints)
+        todo.append(f"check    {signal}: {_few(columns)} are taken for {', '.join(joints)} in this order")
+    else:
+        named = own if by_name and not joints else []
+    if not named:
+        todo.append(
+            f"fill in  {signal}.joints of {_few(columns)}: one joint of the robot file for each, in their order"
+        )
+    pattern = {each.column.replace(joint, "{joint}", 1) for each, joint in zip(columns, named, strict=False)}
+    column = _text(pattern.pop()) if len(pattern) == 1 else _listed(each.column for each in columns)
+    yield f"{signal}:"
+    yield f"  column: {column}"
+    if not named or not joints or named != list(joints):
+        yield f"  joints: {_listed(named) if named else FILL_IN}"
+    yield f"  unit: {unit or FILL_IN}"
+    if signal in (FILL_IN, MOTOR, EFFORT):
+        yield "  gear_ratio: 1.0   # motor turns per joint turn, if the columns count at the motor's shaft"
+        todo.append(f"check    {signal}.gear_ratio is 1: {_few(columns)} count at the joint's side")
+
+
+def _named(column: str, joints: Sequence[str]) -> Named:
+    """Return what the name of a column says."""
+    words = _words(column)
+    own = next((joint for joint in sorted(joints, key=len, reverse=True) if _holds(words, _words(joint))), "")
+    left = _without(words, _words(own)) if own else words
+    unit, left = _unit(left)
+    said = set(left)
+    if said & IGNORED:
+        return Named(column)
+    if said & TIMES and not said & (EFFORTS | POSITIONS):
+        return Named(column, TIME, "", unit)
+    side = next((side for side, names in SIDES.items() if said & names), "")
+    if said & EFFORTS or unit in UNITS[EFFORT]:
+        signal = TORQUE if said & SENSORS or side == LINK else EFFORT
+    elif said & POSITIONS or side or unit in ANGLES:
+        signal = side or "position"
+    else:
+        return Named(column)
+    kept = [word for word in left if word not in EFFORTS | POSITIONS | SENSORS | SIDES[MOTOR] | SIDES[LINK]]
+    return Named(column, signal, own or "_".join(kept), unit)
+
+
+def _words(text: str) -> list[str]:
+    """Split a name at everything but letters and digits and before capitals, and letters of symbols from numbers."""
+    spread = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
+    parts = [part.lower() for part in re.split(r"[^A-Za-z0-9]+", spread) if part]
+    symbols = EFFORTS | POSITIONS | SIDES[MOTOR] | SIDES[LINK] | IGNORED
+    split = [re.fullmatch(r"([a-z]+)(\d+)", part) for part in parts]
+    return [
+        word
+        for part, found in zip(parts, split, strict=True)
+        for word in (found.groups() if found and found[1] in symbols else (part,))
+    ]
+
+
+def _unit(words: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the unit at the end of the words, "" if there is none, and the words before it."""
+    for count in (2, 1):
+        end = "".join(words[-count:])
+        if len(words) > count and (count == 1 or words[-2:] == ["n", "m"]) and end in {**UNIT, "m": "m", "n": "N"}:
+            return {**UNIT, "m": "m", "n": "N"}[end], list(words[:-count])
+    return "", list(words)
+
+
+def _holds(words: Sequence[str], part: Sequence[str]) -> bool:
+    return any(list(words[i : i + len(part)]) == list(part) for i in range(len(words) - len(part) + 1))
+
+
+def _without(words: Sequence[str], part: Sequence[str]) -> list[str]:
+    i = next(i for i in range(len(words)) if list(words[i : i + len(part)]) == list(part))
+    return [*words[:i], *words[i + len(part) :]]
+
+
+def _header(table: Path) -> tuple[str, list[str]]:
+    """Return delimiter and names of the columns; raises RecordError."""
+    try:
+        if table.name.endswith(PARQUET):
+            return ",", list(pq.read_schema(table).names)
+        headers: Mapping[str, list[str]] = {each: header_of(table, each)[1] for each in ",;\t"}
+    except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
+        raise RecordError(f"{table} is not a table ({' '.join(str(error).split())}); expected CSV or Parquet") from None
+    delimiter = max(headers, key=lambda each: len(headers[each]))
+    return delimiter, headers[delimiter]
+
+
+def _few(columns: Sequence[Named], most: int = 3) -> str:
+    names = [each.column for each in columns]
+    return ", ".join(names) if len(names) <= most else f"{names[0]} to {names[-1]}"
+
+
+def _text(name: str) -> str:
+    return ros_yaml.dump([name]).strip()[1:-1]
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ros_yaml.dump(list(names)).strip()

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Declare the commands on a running loop and its bags; the code behind each is imported when it runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from fjr_msgs_py.console import options
+from fjr_msgs_py.console.declaration import COMMANDS, command, implementation
+from fjr_msgs_py.console.options import duration_option, force_over_ros2, json_lines, output_option, scenario_argument
+
+
+@command()
+@click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
+@click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
+@output_option("Folder for the reports. [default: next to the bag]")
+@click.option(
+    "--namespace",
+    metavar="NS",
+    default="",
+    show_default=False,
+    help="Namespace of the nodes, if the bag holds several.",
+)
+def report(**given: Any) -> Any:
+    """Write pages and figures from bags of any robot.
+
+    BAG is the folder of a run, the folder of a bag, or an .mcap or .db3 file.
+    """
+    return implementation("fjr_monitor.cli.report").report(**given)
+
+
+@COMMANDS.command()
+@click.argument("topic")
+@click.option("--once", "count", flag_value=1, type=int, default=None, help="Print only the first message.")
+@click.option("--count", type=options.MESSAGES, metavar="N", help="Print only N messages.")
+@click.option(
+    "--timeout",
+    type=options.SECONDS,
+    metavar="S",
+    help=f"Give up after S seconds without a message. [default: {options.FIRST:g} with --once, else never]",
+)
+@force_over_ros2
+@json_lines
+def echo(**given: Any) -> Any:
+    """Print the messages of a topic, as `ros2 topic echo`."""
+    return implementation("fjr_monitor.cli.live").echo_topic(**given)
+
+
+@command()
+@click.argument("topics", nargs=-1, metavar="[TOPIC]...")
+@output_option("A new folder. [default: bag_ and the time]")
+@duration_option("Duration in seconds. [default: until Ctrl-C]")
+@force_over_ros2
+def record(**given: Any) -> Any:
+    """Record topics to an MCAP bag, as `ros2 bag record`.
+
+    All topics are recorded unless some are named.
+    """
+    return implementation("fjr_monitor.cli.live").record_topics(**given)
+
+
+@command()
+@click.argument("bag", type=options.PATH)
+@click.argument("topics", nargs=-1, metavar="[TOPIC]...")
+@click.option("--rate", type=options.SPEED, metavar="R", default=1.0, help="Speed relative to the recording.")
+@click.option("--efforts", is_flag=True, help="Publish commands to a robot too; they move it.")
+@force_over_ros2
+def play(**given: Any) -> Any:
+    """Publish the messages of a bag, as `ros2 bag play`.
+
+    BAG is the folder of a run, the folder of a bag, or an .mcap or .db3 file. All topics but the commands to a robot
+    are played unless some are named. Ctrl-C ends.
+    """
+    return implementation("fjr_monitor.cli.live").play_bag(**given)
+
+
+@COMMANDS.command()
+@scenario_argument
+@click.option("--namespace", type=options.ros_name, metavar="NS", default="/", help="Namespace of the nodes.")
+@click.option(
+    "--controller", type=options.ros_name, metavar="NAME", default="fjr_controller", help="Name of the controller node."
+)
+@click.option("--once", is_flag=True, help="Print the state once as plain text.")
+@click.option(
+    "--timeout", type=options.SECONDS, metavar="S", default=options.FIRST, help="Longest wait of --once for the nodes."
+)
+@click.option(
+    "--remap",
+    "remaps",
+    metavar="FROM:=TO",
+    type=options.remap,
+    multiple=True,
+    help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
+)
+@click.option("--browser", is_flag=True, help="Show the arm in 3D on a page of this computer.")
+@click.option("--foxglove", is_flag=True, help="Serve Foxglove on this computer; needs foxglove-sdk.")
+@click.option(
+    "--port",
+    type=options.PORT,
+    metavar="N",
+    help="Port of the page or of Foxglove; 0: any free one. [default: page: 0, Foxglove: 8765]",
+)
+@json_lines
+def watch(**given: Any) -> Any:
+    """Watch a running loop in terminal, browser or Foxglove.
+
+    The displayed effort limits are those of SCENARIO, by default those of the URDF on /robot_description. So is the arm
+    of --browser.
+    """
+    return implementation("fjr_monitor.cli.live").watch_loop(**given)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compute the tracking error due to each cause: its disturbances, propagated through the linearised sampled loop.
+
+    e_k+1 = (Phi + Gamma F) e_k + w_k        e = (q_l, q_m, dq_l, dq_m) less that of the undisturbed loop
+
+w_k is the effect of the cause on the state in interval k: an effort that differs from that of the law, or the residual
+of the model. The remainder of the measured tracking error is due to the loop itself: initial error and hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc.linearized import feedback
+from fjr_core.model.equilibrium import equilibria_at, plant_matrices
+from fjr_core.model.robot import Robot
+from fjr_core.monitoring.thresholds import BLOCK, GAP
+from fjr_core.numerics.checks import Array
+from fjr_core.stability.linear_controller import momentum_matrix
+from fjr_core.stability.one_sample_map import SampledLoop
+
+from .delay_estimation import Acting
+from .innovations import Innovations, foreseen
+from .storage_budget import CAUSES, blocks_of, foreign, state_change
+
+
+@dataclass(frozen=True)
+class CauseErrors:
+    """Tracking errors in b blocks, by cause.
+
+    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] due to each of CAUSES in a block. own (b, n): largest remaining
+    error, due to the loop itself.
+    """
+
+    peaks: Array
+    own: Array
+
+
+def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array:
+    """Return Phi + Gamma F (k, 4n, 4n) in positions and velocities at k configurations (k, n), held for period [s]."""
+    equilibria = equilibria_at(law.robot, configurations)
+    momenta = momentum_matrix(equilibria)
+    A, B = plant_matrices(equilibria)
+    F = feedback(equilibria, law.gains)
+    Phi, Gamma = SampledLoop(configurations, A, B, F).held_map(period)
+    return np.asarray(np.linalg.solve(momenta, (Phi + Gamma @ F) @ momenta))
+
+
+def cause_errors(
+    found: Innovations,
+    acted: Acting,
+    robot: Robot,
+    period: float,
+    limit: Array,
+    loops: Array,
+    start: Array | None = None,
+    before: int = 0,
+    total: int | None = None,
+) -> tuple[CauseErrors, Array]:
+    """Return the errors due to the causes in the complete blocks of the intervals, and the final e (4n, 4) of each.
+
+    loops (m, 4n, 4n): closed loops at m configurations, spread evenly over `total` intervals, of which `before` came
+    before these; None: these are all. start (4n, 4): e of each cause before the first interval; None: zero.
+    """
+    count, n = len(found) // BLOCK * BLOCK, robot.n
+    total = total or count
+    w = disturbances(found, acted, robot, period, limit)
+    e = np.zeros((4 * n, len(CAUSES))) if start is None else start
+    steps = np.maximum(1, np.round(found.dt / period)).astype(int)
+    made = np.zeros((count, len(CAUSES), n))
+    for k in range(count):
+        loop = loops[(before + k) * len(loops) // total]
+        for _ in range(steps[k]):
+            e = loop @ e
+        e = e + w[k]
+        made[k] = e[:n].T
+    own = found.tracking[:count] - made.sum(axis=1)
+    return CauseErrors(_peaks(made), _peaks(own)), e
+
+
+def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
+    """Return the change of the state (k, 4n, 4) due to each of CAUSES in each interval."""
+    other, answered = found.sent - found.law, found.answered[:, None]
+    saturation = other * (answered & ~foreign(found, limit)[:, None]) + acted.cut
+    loss = acted.lost + other * ~answered + _outdated(found, period)
+    mismatch = found.error - state_change(found, acted.cut + acted.late + acted.lost + foreseen(found), robot)
+    efforts = (state_change(found, effort, robot) for effort in (saturation, acted.late, loss))
+    return np.stack([mismatch, *efforts], axis=2)
+
+
+def _outdated(found: Innovations, period: float) -> Array:
+    """Return the mean difference (k, n) between the held effort and that of the law, had it been sampled in a gap."""
+    law = np.vstack([found.law[1:], found.law[-1:]])
+    samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
+    share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
+    return np.asarray((found.law - law) * share[:, None])
+
+
+def _peaks(values: Array) -> Array:
+    return np.asarray(np.abs(blocks_of(values)).max(axis=1))

@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnose a recorded run as holding, degraded, violated or unknown: whether V decayed as guaranteed, else the causes.
+
+Only measured states and sent efforts are used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.monitoring import thresholds
+from fjr_core.monitoring.axes import Axes
+from fjr_core.monitoring.certificate import Certificate, CertificateSeries
+from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import brief
+from fjr_core.stability.linearization import linearize
+
+from .cause_errors import CauseErrors, cause_errors, closed_loop
+from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
+from .fault_isolation.isolation import LONGEST, UNKNOWN, Finding, isolate
+from .grading import Grade, Grading, detail
+from .innovations import Innovations, held, innovations, latency, needed
+from .record import PART, Ends, Record
+from .storage_budget import CAUSES, StorageBudget, foreign, storage_budget
+from .storage_growth import floor, growth, highest, rises
+
+SAMPLING, SATURATION = "sampling", "saturation"
+CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of comparing V with its guaranteed decay.
+
+    kind: "holding": V decayed as guaranteed, to the floor that hold and noise predict. "degraded": V exceeds the floor
+    and the resulting tracking error is within the tolerance. "violated": it is not, or V grew. "unknown": too few
+    data. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
+    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the underlying
+    numbers by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
+    detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2". findings: faults of the robot or
+    its signals, by joint, side and kind.
+    """
+
+    kind: Literal["holding", "degraded", "violated", "unknown"]
+    causes: tuple[str, ...]
+    sentence: str
+    figures: dict[str, float]
+    errors: dict[str, Array] = field(default_factory=dict, compare=False)
+    detail: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.kind}: {brief(self.sentence)})"
+
+
+def diagnose(
+    record: Record,
+    law: TrackingLaw,
+    beta: float | None = None,
+    axes: Axes | None = None,
+    velocities_measured: bool = True,
+    size: int = PART,
+) -> Diagnosis:
+    """Diagnose a record and isolate the faults that explain it.
+
+    beta [1/s]: guaranteed rate of V; None: the rate of the law at configurations of the record. axes: names, units and
+    tolerances of the joints; None: Axes.plain. velocities_measured: false if an observer estimates them; faults are
+    then not isolated, nor in a loop that is unstable at its sample period. size: states that are processed at once.
+    """
+    running = PartwiseDiagnosis(law, Outline.of(record), axes)
+    for part in record.parts(size):
+        running.learn(part)
+    for part in record.parts(size):
+        running.judge(part, beta)
+    return running.result(velocities_measured)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What a diagnosis must know of a record before its first part.
+
+    states: their number. step [s]: median time between two. timed: whether latencies are known.
+    """
+
+    states: int
+    step: float
+    timed: bool
+
+    @classmethod
+    def of(cls, record: Record) -> Outline:
+        """Return the outline of a whole record."""
+        step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
+        return cls(len(record.t), step, bool(latency(record).any()))
+
+
+class PartwiseDiagnosis:
+    """Diagnosis of a record that is never in memory as a whole: `learn` every part, then `judge` every part.
+
+    Memory does not grow with the record, except by one number for each BLOCK of intervals.
+    """
+
+    def __init__(self, law: TrackingLaw, outline: Outline, axes: Axes | None = None) -> None:
+        """axes: names, units and tolerances of the joints; None: Axes.plain."""
+        self._law, self._outline, self._axes = law, outline, axes or Axes.plain(law.robot.n)
+        self._delay = DelaySums(law.robot.n)
+        self._ages = [ActingSums(age, law.robot.n) for age in CANDIDATES]
+        self._ends = Ends(LONGEST // 2)
+        self._visited: list[Array] = []
+        self._learned = self._states = 0
+        self._moving = False
+        self._parts = _Parts(law)
+        self._judging: _Judging | None = None
+
+    def learn(self, part: Record) -> None:
+        """Take a part of the record for the first time."""
+        with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
+            found, begin = self._parts.add(part, None, valued=False), self._parts.begin
+            required = needed(found, self._law.robot)
+            regular = regular_changes(found, self._outline.step, self._outline.timed, begin)
+            self._delay.add(found, required, regular)
+            for age in self._ages:
+                age.add(found, required, regular, begin)
+        self._learned += len(found) - begin
+        self._parts.done(found, len(found) - begin)
+        self._ends.add(part)
+        self._moving |= bool(np.isfinite(part.velocity).any())
+        stride, q_ld = max(1, self._outline.states // CONFIGURATIONS), part.jets[part.begin :, 0]
+        rows = q_ld[-self._states % stride :: stride]  # a diverging robot may be anywhere else
+        self._visited.append(rows[np.isfinite(rows).all(axis=1)])
+        self._states += len(q_ld)
+
+    def judge(self, part: Record, beta: float | None = None, series: CertificateSeries | None = None) -> None:
+        """Take a part for the second time, once all were learned.
+
+        beta [1/s]: guaranteed rate of V, as of diagnose. series: certificate along the part; None: it is computed here.
+        """
+        if not self._learned:
+            return
+        with np.errstate(all="ignore"):
+            if self._judging is None:
+                self._judging = self._judged_by(beta)
+            self._judging.add(part, series)
+
+    def result(self, velocities_measured: bool = True) -> Diagnosis:
+        """Return the diagnosis of all parts, with the faults that explain it; velocities_measured: as of diagnose."""
+        if not self._moving:
+            return unknown("the states hold no velocities")
+        with np.errstate(all="ignore"):
+            none = unknown("no state with a command is followed by another state")
+            diagnosis = self._judging.result() if self._judging else none
+            if not velocities_measured or SAMPLING in diagnosis.causes:
+                return diagnosis  # the model needs measured velocities and close samples
+            findings = isolate(self._ends.record(), self._law, self._axes.names)
+        known = diagnosis.kind in ("degraded", "violated") and "model mismatch" not in diagnosis.causes
+        explained = known or diagnosis.kind == "holding"
+        findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
+        sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
+        return replace(diagnosis, sentence=sentence, findings=findings)
+
+    def _judged_by(self, beta: float | None) -> _Judging:
+        """Return the second pass, by what the first one learned."""
+        visited, age = np.concatenate(self._visited), self._delay.delay()
+        acted = next(each for each in self._ages if each.age[::2] == age[::2])
+        acted.age = age
+        beta = self._law.rate(visited).beta if beta is None else beta
+        return _Judging(self._law, self._axes, beta, self._outline.step, visited, acted, self._learned)
+
+
+class _Parts:
+    """The latest intervals of a record that comes in parts: `found`, of which the first `begin` are done."""
+
+    def __init__(self, law: TrackingLaw) -> None:
+        self._certificate, self._prediction = Certificate(law), Prediction(law)
+        self._efforts: Array | None = None
+        self.found: Innovations | None = None
+        self.begin = 0
+
+    def add(self, part: Record, series: CertificateSeries | None, valued: bool = True) -> Innovations:
+        """Add the intervals of the next part; return all that are kept."""
+        known = self._efforts is not None and len(self._efforts) > part.begin
+        before = self._efforts[-part.begin - 1] if known else None  # type: ignore[index]
+        found = innovations(part, self._certificate, self._prediction, series, before, valued)
+        self._efforts = held(part.u, before)
+        self.found = found if self.found is None else self.found.followed_by(found)
+        return self.found
+
+    def done(self, found: Innovations, count: int) -> None:
+        """Note that `count` more intervals are done; keep BEFORE of these and the later ones."""
+        end = self.begin + count
+        self.begin = min(end, BEFORE)
+        self.found = found.rows(slice(end - self.begin, None))
+
+
+class _Judging:
+    """Second pass over the parts of a record: storage budget, tracking errors by cause and growth of V, by blocks."""
+
+    def __init__(
+        self, law: TrackingLaw, axes: Axes, beta: float, period: float, visited: Array, acted: ActingSums, total: int
+    ) -> None:
+        """visited (m, n): configurations of the reference. total: number of intervals."""
+        self._robot, self._beta, self._acting, self._total = law.robot, beta, acted, total
+        self._tolerated = axes.storage(law)
+        self._radius = float(linearize(law, visited).radii(period).max())
+        self._loops = closed_loop(law, visited, period)
+        self._judged = Judged(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
+        self._parts, self._done, self._period = _Parts(law), 0, period
+        self._state: Array | None = None
+        self._rise = (np.inf, np.nan)
+        self._highest: Array = np.zeros((2, 0))
+        self._V = np.zeros(2)  # largest in the first and in the last third
+        self._figures = {"intervals": float(total), "effort age": 0.0, "gaps": 0.0, "unanswered": 0.0}
+        self._figures |= {"largest V": -np.inf, "last V": np.nan}
+
+    def add(self, part: Record, series: CertificateSeries | None) -> None:
+        """Add a part; the intervals at its end wait for those that follow."""
+        found = self._parts.add(part, series)
+        self._sample_period, self._limit = part.sample_period, part.effort_limit
+        whole = (len(found) - self._parts.begin - AFTER) // thresholds.BLOCK * thresholds.BLOCK
+        if whole > 0:
+            self._take(found, whole, whole)
+
+    def result(self) -> Diagnosis:
+        """Return the diagnosis without findings."""
+        if (found := self._parts.found) is not None:
+            left = len(found) - self._parts.begin
+            self._take(found, left // thresholds.BLOCK * thresholds.BLOCK, left)
+        figures = {**self._figures, "spectral radius": self._radius}
+        first, last = self._V
+        if self._radius >= 1 and not (last < thresholds.FALLEN * first):
+            return violated((SAMPLING,), figures)
+        return self._judged.conclude(growth(self._highest, self._judged.floor(self._tolerated)), figures)
+
+    def _take(self, kept: Innovations, whole: int, every: int) -> None:
+        """Process the next `whole` intervals in blocks, and `every` interval for the growth of V and the figures."""
+        robot, period, limit, begin = self._robot, self._sample_period, self._limit, self._parts.begin
+        acted = self._acting.acting(kept, needed(kept, robot))
+        blocks, ahead = slice(begin, begin + whole), slice(begin, begin + whole + 1)  # a gap shows in the next law
+        budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
+        made, self._state = cause_errors(
+            kept.rows(ahead),
+            acted.rows(ahead),
+            robot,
+            period,
+            limit,
+            self._loops,
+            self._state,
+            self._done,
+            self._total // thresholds.BLOCK * thresholds.BLOCK,
+        )
+        self._judged.add(budget, made)
+        self._follow(kept.rows(slice(begin, begin + every)), acted.age)
+        self._done += every
+        self._parts.done(kept, every)
+
+    def _follow(self, found: Innovations, age: float) -> None:
+        """Follow V through the next intervals and count what the figures report."""
+        if not len(found):
+            return
+        risen = rises(found, self._limit, *self._rise)
+        foreign_last = bool(foreign(found.rows(slice(-1, None)), self._limit)[0])
+        self._rise = (float(risen[1, -1]), np.inf if foreign_last else float(found.V1[-1]))
+        self._highest = highest(np.hstack([self._highest, risen]))
+        third, places = max(1, self._total // 3), self._done + np.arange(len(found))
+        for i, rows in enumerate((places < third, places >= self._total - third)):
+            self._V[i] = np.maximum(self._V[i], found.V1[rows].max(initial=0.0))
+        figures = self._figures
+        figures["effort age"] = age * self._period
+        figures["gaps"] += float((found.dt > thresholds.GAP * self._sample_period).sum())
+        figures["unanswered"] += float((~found.answered).sum())
+        figures["largest V"] = float(np.maximum(figures["largest V"], found.V1.max()))
+        figures["last V"] = float(found.V1[-1])
+
+
+class Judged:
+    """The blocks of a loop that is stable at its sample period, counted."""
+
+    def __init__(self, decay: float, axes: Axes) -> None:
+        """decay: guaranteed factor of V in a block."""
+        self._decay, self._axes, self._grading = decay, axes, Grading(decay, axes.tolerance)
+        self._blocks = self._counted = self._above = 0
+        self._strongest = np.zeros(len(CAUSES), dtype=int)
+        self._hold = self._slack = 0.0
+        self._added: list[Array] = []
+
+    def add(self, blocks: StorageBudget, made: CauseErrors) -> None:
+        """Add blocks and the tracking errors by cause in them; only those with `judged` can be violated."""
+        causes = np.maximum(blocks.causes[blocks.judged], 0.0)
+        allowed = (blocks.slack + thresholds.PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
+        above = ~(causes.sum(axis=1) <= allowed)
+        self._blocks += len(blocks.judged)
+        self._counted += len(above)
+        self._above += int(above.sum())
+        self._strongest += np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES))
+        self._hold += float(blocks.hold.sum())
+        self._slack += float(blocks.slack.sum())
+        self._added.append(blocks.hold + blocks.noise)
+        self._grading.add(made, blocks.judged)
+
+    def floor(self, tolerated: float) -> float:
+        """Return the storage [J] that hold, noise and the tolerated error explain."""
+        return floor(np.concatenate([np.zeros(0), *self._added]), self._decay, tolerated)
+
+    def conclude(self, grown: float, figures: dict[str, float]) -> Diagnosis:
+        """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""
+        share, strongest = self._above / max(1, self._counted), self._strongest / max(1, self._above)
+        figures = {**figures, "blocks": float(self._counted), "violated share": share, "growth of V": grown}
+        figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
+        order = np.argsort(-strongest, kind="stable")
+        causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
+        if grown > thresholds.DIVERGED:  # the hold is the cause if it added more to V than the decay removed
+            return diverged(causes or ((SAMPLING,) if self._hold > self._slack else ()), figures)
+        if self._blocks < thresholds.FEWEST:
+            states = int(figures.get("intervals", self._blocks * thresholds.BLOCK))
+            fewest = thresholds.FEWEST * thresholds.BLOCK
+            return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
+        if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
+            return unknown("most efforts sent are not those of the law", figures)
+        found = self._grading.grade()
+        often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and self._above >= thresholds.FEWEST)
+        if grown > thresholds.EXCEEDED or often:
+            return graded(causes, found, self._axes, figures)
+        if share > thresholds.SHARE_OF_FEW:
+            few = f"V exceeds its floor in {self._above} of {self._counted} blocks; expected more blocks"
+            return unknown(few, figures)
+        sentence = "V decays as guaranteed, down to the floor that hold and noise predict"
+        return Diagnosis("holding", (), sentence, figures, found.errors)
+
+
+def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
+    """Return "unknown" with the reason."""
+    return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
+
+
+_EXPLANATIONS = {
+    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
+    SATURATION: "the effort was saturated at a limit",
+    "delay": "the effort acted late",
+    "loss": "states or efforts were lost",
+    SAMPLING: "the loop is unstable at this sample period",
+}
+
+
+def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str, float]) -> Diagnosis:
+    """Return "degraded" for known causes whose errors are within the tolerance, otherwise "violated"."""
+    size, why = detail(causes, found.errors, axes), _why(causes)
+    if causes and found.within and SATURATION not in causes:
+        sentence = f"{size}, within the tolerance: {why}"
+        return Diagnosis("degraded", causes, sentence, figures, found.errors, size)
+    sentence = f"V does not decay as guaranteed: {why}" + (f"; {size}" if size else "")
+    return Diagnosis("violated", causes, sentence, figures, found.errors, size)
+
+
+def violated(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
+    """Return "violated" with the causes, the strongest first."""
+    sentence = f"V does not decay as guaranteed: {_why(causes)}"
+    return Diagnosis("violated", causes, sentence, figures, {}, ", ".join(causes))
+
+
+def diverged(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
+    """Return "violated" for a run in which V grew."""
+    sentence = f"V grew to {figures['growth of V']:.2g} times its floor: {_why(causes)}"
+    return Diagnosis("violated", causes, sentence, figures, {}, ", ".join(causes))
+
+
+def _why(causes: tuple[str, ...]) -> str:
+    return "; ".join(_EXPLANATIONS[cause] for cause in causes) or "the cause is unknown"

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Attribute the growth of V, relative to the ideal sampled loop, to its causes.
+
+V(second state) - V(first) = [change of V in the model with the effort of the law held]
+                       + saturation: effort sent - effort of the law   + delay, loss: effort acting - effort sent
+                       + mismatch: mean residual of a block            + noise: residual that averages out
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.model.robot import Robot
+from fjr_core.monitoring.thresholds import AT_LIMIT, BLOCK, GAP, SAME_EFFORT, SIGNIFICANT, UNSURE
+from fjr_core.numerics.checks import Array
+
+from .delay_estimation import Acting
+from .innovations import Innovations, foreseen
+
+CAUSES = ("model mismatch", "saturation", "delay", "loss")
+
+
+@dataclass(frozen=True)
+class StorageBudget:
+    """Contributions to V over b blocks of intervals.
+
+    causes (b, 4) [J]: contribution of each of CAUSES. hold (b,) [J]: growth of V in the ideal sampled loop, with the
+    known latency, above the bound exp(-2 beta dt). slack (b,) [J]: decay of V below that bound. noise (b,) [J]: what
+    measurement noise explains. judged (b,): true if every effort is that of the law or at its limit. V (b,) [J]: at
+    the end of the block.
+    """
+
+    causes: Array
+    hold: Array
+    slack: Array
+    noise: Array
+    judged: NDArray[np.bool_]
+    V: Array
+
+
+def storage_budget(
+    found: Innovations, acted: Acting, robot: Robot, beta: float, period: float, limit: Array
+) -> StorageBudget:
+    """Return the contributions to V in the complete blocks of the intervals.
+
+    beta [1/s]: guaranteed rate of V. period [s]: sample period. limit (n,) [N m]: effort limits.
+    """
+    other = found.sent - found.law
+    saturation, unanswered = (_gain(found, other * mask[:, None], robot) for mask in (found.answered, ~found.answered))
+    cut, late, lost = (_gain(found, part, robot) for part in (acted.cut, acted.late, acted.lost))
+    residual = found.V1 - found.predicted - cut - late - lost
+    ideal = found.predicted - saturation - unanswered
+    usual = foreseen(found)
+    within = _gain(found, usual, robot)
+    excess = ideal + within - np.exp(-2 * beta * found.dt) * found.V0
+    gap = found.dt > GAP * period
+    lost = lost + unanswered + np.where(gap, np.maximum(excess, 0.0), 0.0)
+    excess = np.where(gap, 0.0, excess)
+    mismatch, uncertain = _persistent(found, acted, usual, robot)
+    unsure = _gain(found, (found.older - found.sent) * (UNSURE * (found.latency > 0))[:, None], robot)
+    causes = np.stack([mismatch, _sums(saturation + cut), _sums(late), _sums(lost)], axis=1)
+    return StorageBudget(
+        causes=causes,
+        hold=_sums(np.maximum(excess, 0.0)),
+        slack=_sums(np.maximum(-excess, 0.0)),
+        noise=np.abs(_sums(residual - within) - mismatch) + SIGNIFICANT * uncertain + np.abs(_sums(unsure)),
+        judged=_sums(foreign(found, limit).astype(float)) == 0,
+        V=blocks_of(found.V1)[:, -1],
+    )
+
+
+def foreign(found: Innovations, limit: Array) -> NDArray[np.bool_]:
+    """Return in which intervals (k,) the effort sent is neither that of the law nor at its limit (n,) [N m]."""
+    at_limit = np.abs(found.sent) >= AT_LIMIT * limit
+    same = SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
+    differs = np.abs(found.sent - found.law) > same
+    return np.asarray((differs & ~at_limit).any(axis=1) & found.answered)
+
+
+def state_change(found: Innovations, effort: Array, robot: Robot) -> Array:
+    """Return the change of positions and velocities (k, 4n) by efforts (k, n) [N m] held over their intervals."""
+    dv, n = effort @ _acceleration(robot) * found.dt[:, None], robot.n
+    change = np.zeros((len(found), 4 * n))
+    change[:, n : 2 * n] = dv * found.dt[:, None] / 2
+    change[:, 3 * n :] = dv
+    return change
+
+
+def _gain(found: Innovations, effort: Array, robot: Robot) -> Array:
+    """Return the change of V (k,) [J] by additional efforts (k, n) [N m] held over their intervals.
+
+    They change dq_m by dv = M_m^-1 B_m effort dt and q_m by dv dt / 2; V is quadratic in dq_m with the matrix M_m.
+    """
+    if not np.count_nonzero(effort):
+        return np.zeros(len(found))
+    dv, n = effort @ _acceleration(robot) * found.dt[:, None], robot.n
+    q, v = found.slope[:, n : 2 * n], found.slope[:, 3 * n :]
+    linear = ((v + q * found.dt[:, None] / 2) * dv).sum(axis=1)
+    gain: Array = linear - ((dv @ robot.M_m) * dv).sum(axis=1) / 2
+    return gain
+
+
+@lru_cache(maxsize=8)
+def _acceleration(robot: Robot) -> Array:
+    """Return (M_m^-1 B_m)' (n, n)."""
+    return np.asarray(np.linalg.solve(robot.M_m, robot.B_m).T)
+
+
+def _persistent(found: Innovations, acted: Acting, usual: Array, robot: Robot) -> tuple[Array, Array]:
+    """Return the change of V (b,) by the mean residual of each block and its standard deviation (b,).
+
+    The residual excludes the known deviations of the effort.
+    """
+    effort = acted.cut + acted.late + acted.lost + usual
+    slope, errors = _sums(found.slope), blocks_of(found.error - state_change(found, effort, robot))
+    gain: Array = (slope * errors.mean(axis=1)).sum(axis=1)
+    deviation: Array = np.sqrt((slope**2 * errors.var(axis=1)).sum(axis=1) / BLOCK)
+    return gain, deviation
+
+
+def blocks_of(values: Array) -> Array:
+    """Return values (k, ...) as (b, BLOCK, ...) without an incomplete last block."""
+    count = len(values) // BLOCK
+    return values[: count * BLOCK].reshape(count, BLOCK, *values.shape[1:])
+
+
+def _sums(values: Array) -> Array:
+    sums: Array = blocks_of(values).sum(axis=1)
+    return sums

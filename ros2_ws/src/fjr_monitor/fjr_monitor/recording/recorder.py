@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Record all or selected topics of the ROS graph into a rosbag2 bag with little load, next to a 1 kHz loop.
+
+No executor: one thread polls the graph and empties the subscription queues 100 times a second. The middleware
+stamps send and receive times of each message, so that batching costs no accuracy and saves wake-ups.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from fjr_monitor.recording.message_types import SchemaError, interface_class, type_hash
+from fjr_monitor.recording.writer import BagWriter, Channel
+from fjr_msgs_py.node.participant import leave
+
+QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
+BATCH = 500  # messages taken of one topic before the next has its turn: no fast topic keeps the others waiting
+DRAIN_PERIOD = 0.01  # s
+DISCOVERY_PERIOD = 0.1  # s
+FLUSH_PERIOD = 0.5  # s; a kill loses at most this much and the batch in progress
+
+
+@dataclass
+class Track:
+    """A recorded topic: subscription, channel in the file, publishers, first and last message, its send time [ns].
+
+    ends: replaced as a whole, because other threads read it; None before the first message.
+    """
+
+    subscription: Subscription
+    channel: Channel
+    publishers: list[TopicEndpointInfo]
+    ends: tuple[bytes, bytes] | None = None
+    sent: int = 0
+
+
+class Recorder:
+    """Record from `start` to `close`; a context manager. Owns an rclpy context and one thread."""
+
+    def __init__(self, folder: Path, topics: Collection[str] = ()) -> None:
+        """topics: absolute names of the topics to record; empty: all."""
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node: Node = rclpy.create_node(
+            "fjr_recorder", context=self.context, enable_rosout=False, start_parameter_services=False
+        )
+        self.writer = BagWriter(folder)
+        self.skipped: dict[str, str] = {}  # topic -> why it is not recorded
+        self.failure: Exception | None = None
+        self.loss = ""  # why writing stopped; subscriptions stay active
+        self._wanted = frozenset(topics)
+        self._tracks: dict[str, Track] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recorder")
+
+    def start(self) -> Recorder:
+        """Start to discover and record topics."""
+        self._thread.start()
+        return self
+
+    def close(self) -> None:
+        """Empty the queues a last time and close the bag."""
+        if not self._stop.is_set():
+            self._stop.set()
+            self._thread.join()
+            self._write(self.writer.close)
+            if self.loss:
+                self.writer.abandon()
+            leave(self.node)
+            self.context.try_shutdown()
+
+    def __enter__(self) -> Recorder:
+        return self.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def ends(self, topic: str) -> tuple[bytes, bytes] | None:
+        """Return the first and latest serialised message of a topic; None before the first."""
+        return self._tracks[topic].ends if topic in self._tracks else None
+
+    def sent(self, topic: str) -> int:
+        """Return the time at which the latest message of a topic was sent [ns]; 0 before the first."""
+        return self._tracks[topic].sent if topic in self._tracks else 0
+
+    def matched(self, topic: str) -> int:
+        """Return the number of publishers of a topic that are matched with this recorder."""
+        return self._tracks[topic].subscription.get_publisher_count() if topic in self._tracks else 0
+
+    def _run(self) -> None:
+        try:
+            self._record()
+        except Exception as error:  # the caller reads it and stops the run
+            self.failure = error
+
+    def _record(self) -> None:
+        look = flush = 0.0
+        left = False  # messages in a queue
+        while not self._stop.wait(0.0 if left else DRAIN_PERIOD):
+            now = time.monotonic()
+            if now >= look:
+                self._discover()
+                look = now + DISCOVERY_PERIOD
+            left = self._drain_all(BATCH)
+            if now >= flush:
+                self._write(self.writer.flush)
+                flush = now + FLUSH_PERIOD
+        self._drain_all(QUEUE_DEPTH)
+
+    def _write(self, write: Callable[..., object], *arguments: object) -> None:
+        """Write unless an earlier write failed; a full or missing disk ends the recording, which `loss` says."""
+        if self.loss:
+            return
+        try:
+            write(*arguments)
+        except OSError as error:
+            self.loss = f"recording stopped: {error.strerror or error}"
+            print(f"fjr: {self.loss}; {self.writer.path} holds the messages so far", file=sys.stderr)
+
+    def _drain_all(self, most: int) -> bool:
+        """Write at most `most` messages of each topic; return whether one may have more."""
+        left = [self._drain(track, most) for track in tuple(self._tracks.values())]
+        return any(left)
+
+    def _drain(self, track: Track, most: int) -> bool:
+        """Write at most `most` messages of a subscription; return whether there were as many."""
+        take, kind = track.subscription.handle.take_message, track.subscription.msg_type
+        write, keep, channel = self._write, self.writer.write, track.channel
+        first = last = b""
+        count = sent = 0
+        while count < most and (taken := take(kind, True)) is not None:
+            count += 1
+            last, info = taken
+            first = first or last
+            sequence = info["publication_sequence_number"] or 0
+            sent = info["source_timestamp"]
+            write(keep, channel, info["received_timestamp"], sent, sequence, last)
+        if last:
+            track.sent = sent
+            track.ends = (track.ends[0] if track.ends else first, last)
+        return count == most
+
+    def _discover(self) -> None:
+        """Subscribe to new topics; adapt the QoS to new publishers."""
+        for topic, types in self.node.get_topic_names_and_types():
+            publishers = self.node.get_publishers_info_by_topic(topic)
+            if not publishers or topic in self.skipped or (self._wanted and topic not in self._wanted):
+                continue
+            if topic not in self._tracks:
+                self._subscribe(topic, types[0], publishers)
+            elif len(publishers) > len(self._tracks[topic].publishers):
+                self._follow(self._tracks[topic], publishers)
+
+    def _subscribe(self, topic: str, type_name: str, publishers: list[TopicEndpointInfo]) -> None:
+        try:
+            subscription = self._subscription(interface_class(type_name), topic, publishers)
+            digest = str(publishers[0].topic_type_hash)
+            digest = digest if digest.startswith("RIHS") else type_hash(type_name)
+            offered = [info.qos_profile for info in publishers]
+            channel = self.writer.add_topic(topic, type_name, offered, digest)
+        except SchemaError as error:
+            self.skipped[topic] = str(error)
+            return
+        self._tracks[topic] = Track(subscription, channel, publishers)
+
+    def _follow(self, track: Track, publishers: list[TopicEndpointInfo]) -> None:
+        """Adapt the subscription to additional publishers if their QoS requires it."""
+        track.publishers = publishers
+        wanted, old = adapted_qos(publishers), track.subscription
+        present = old.qos_profile
+        if (wanted.reliability, wanted.durability) != (present.reliability, present.durability):
+            self._drain(track, QUEUE_DEPTH)
+            track.subscription = self._subscription(old.msg_type, old.topic, publishers)
+            self.node.destroy_subscription(old)
+
+    def _subscription(self, kind: type, topic: str, publishers: list[TopicEndpointInfo]) -> Subscription:
+        """Subscribe without a callback: the recorder's thread empties the queues, no executor calls it."""
+        return self.node.create_subscription(kind, topic, lambda _: None, adapted_qos(publishers), raw=True)
+
+
+def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
+    """Return the strongest QoS that all publishers offer, with a deep queue on the reader's side."""
+    offers = [info.qos_profile for info in publishers]
+    reliable = all(offer.reliability == QoSReliabilityPolicy.RELIABLE for offer in offers)
+    latched = all(offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=QUEUE_DEPTH,
+        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
+    )

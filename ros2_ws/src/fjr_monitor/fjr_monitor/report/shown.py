@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the page of a run shows of it: every state of a short run, the extremes of each signal in a longer one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.numerics.checks import Array
+from fjr_monitor.analysis.metrics import Metrics
+from fjr_monitor.analysis.run_data import RunData
+from fjr_monitor.analysis.storage import Power
+from fjr_monitor.plotting.figure import extremes
+
+EVERY = 40_000  # states of a run of which all are kept
+BUCKETS = 1_000  # parts of a longer run; of each the least and the largest value of every signal are kept
+FRAMES = 900  # of the motion of an arm; the page interpolates between them
+
+
+class Columns:
+    """Columns of numbers, decimated: no value of a column is above or below those that are kept of its bucket."""
+
+    def __init__(self, rows: int) -> None:
+        """rows: how many will come."""
+        self._width = 1 if rows <= EVERY else -(-rows // BUCKETS)
+        self._kept: dict[str, list[Array]] = {}
+
+    def add(self, **columns: Array) -> None:
+        """Add rows of columns (k,) or of several columns (k, m)."""
+        k = len(next(iter(columns.values())))
+        rows: NDArray[np.intp] = np.arange(k)
+        if self._width > 1 and k:
+            each = [column for values in columns.values() for column in values.reshape(k, -1).T]
+            rows = extremes(np.array(each), -(-k // self._width))
+        for name, values in columns.items():
+            self._kept.setdefault(name, []).append(values[rows])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the columns."""
+        return tuple(self._kept)
+
+    def __getitem__(self, name: str) -> Array:
+        """Return the rows of a column that are kept."""
+        self._kept[name] = [np.concatenate(self._kept[name])]
+        return self._kept[name][0]
+
+
+class Shown:
+    """Signals of a run. states: t, q_l, q_ld, error, u, V, H, since, latency; steps: rates of V, powers and energies.
+
+    since: send time of a state since that of the one before. frames: t, q_l, q_m, q_ld at FRAMES instants. deflection
+    (n,): largest |q_m - q_l|, NaN: unknown. apart, size: sums of the error of the predicted rate of V and of the rate.
+    """
+
+    def __init__(self, metrics: Metrics) -> None:
+        self.metrics, self.run = metrics, metrics.run
+        k, n = self.run.states, len(self.run.joints)
+        self.states, self.steps, self.frames = Columns(k), Columns(k), Columns(0)
+        self._frames: NDArray[np.int64] = np.unique(np.asarray(np.linspace(0, k - 1, FRAMES), dtype=np.int64))
+        self.deflection = np.full(n, np.nan)
+        self.apart = self.size = 0.0
+        self._count, self._joules = 0, np.zeros(4)
+
+    def add(self, part: RunData, flow: Power) -> None:
+        """Add the new states of a part, and the powers of the steps that end there."""
+        begin, n, certificate = part.begin, len(self.run.joints), part.certificate
+        new, q_m = slice(begin, None), part.position[:, n:]
+        since = np.diff(part.sent, prepend=np.nan)
+        self.states.add(
+            t=part.t[new],
+            q_l=part.q_l[new],
+            q_ld=part.q_ld[new],
+            error=part.error[new],
+            largest_error=np.abs(part.error[new]).max(axis=1),
+            u=part.u[new],
+            largest_effort=np.fmax.reduce(np.abs(part.u[new]), axis=1),
+            V=part.V[new],
+            H=certificate.H[new],
+            since=since[new],
+            latency=part.latency[new],
+        )
+        self._add_steps(part, flow)
+        rows = self._frames[(self._frames >= self._count) & (self._frames < self._count + len(part.t) - begin)]
+        rows = np.asarray(rows - self._count + begin)
+        self.frames.add(t=part.t[rows], q_l=part.q_l[rows], q_m=q_m[rows], q_ld=part.q_ld[rows])
+        self.deflection = np.fmax(self.deflection, np.fmax.reduce(np.abs(q_m - part.q_l), axis=0))
+        self._count += len(part.t) - begin
+
+    def _add_steps(self, part: RunData, flow: Power) -> None:
+        """Add the steps that end in a part."""
+        steps, V = slice(max(0, part.begin - 1), None), part.V
+        measured = (-np.diff(V) / np.diff(part.t))[steps]
+        predicted = -part.certificate.held_rate(part.u)[steps]
+        known = np.isfinite(predicted) & np.isfinite(measured)
+        self.size += float(np.abs(measured[known]).sum())
+        self.apart += float(np.abs(predicted - measured)[known].sum())
+        watts = np.column_stack([flow.supplied, flow.dissipated, flow.stored, flow.residual])
+        joules = self._joules + np.nancumsum(watts * flow.dt[:, None], axis=0)
+        self._joules = joules[-1] if len(joules) else self._joules
+        least = (self.metrics.decay.beta * (V[:-1] + V[1:]))[steps]
+        self.steps.add(t=flow.t, measured=measured, predicted=predicted, least=least, watts=watts, joules=joules)
+
+    @property
+    def relative_storage(self) -> Array:
+        """V / V(0); V itself where the run starts without error."""
+        return self.states["V"] / (self.metrics.decay.initial or 1.0)
+
+    @property
+    def relative_bound(self) -> Array:
+        """exp(-2 beta t), times V(0) as relative_storage is."""
+        first, decay = self.metrics.decay.initial, np.exp(-2.0 * self.metrics.decay.beta * self.states["t"])
+        return first * decay / (first or 1.0)

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments, options and number types that several commands of `fjr` share. Imports nothing slow."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+PATH = click.Path(path_type=Path)
+
+
+def number(noun: str, expected: str, accepts: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return a converter of text to a number; it raises click.BadParameter where `accepts` is false or for NaN."""
+
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not accepts(value):
+            raise click.BadParameter(f"'{text}' is not {noun}; expected {expected}")
+        return value
+
+    return convert
+
+
+def integer(noun: str, expected: str, lowest: int, highest: float = math.inf) -> Callable[[str], int]:
+    """Return a converter of text, such as 20 or 1e4, to an integer within lowest and highest."""
+    convert = number(noun, expected, lambda value: lowest <= value <= highest and value % 1 == 0)
+    return lambda text: int(convert(text))
+
+
+def cores(text: str) -> int:
+    """Convert a number of cores, or `all` of this machine."""
+    if text == "all":
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return integer("a number of cores", "1 or more, or all", 1, 1024)(text)
+
+
+def model_error(text: str) -> tuple[str, float]:
+    """Convert NAME=VALUE, the largest error of a parameter."""
+    name, _, value = text.partition("=")
+    return name, number("an error", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)(value)
+
+
+def remap(text: str) -> str:
+    """Check a remap FROM:=TO."""
+    if not all(text.partition(":=")[::2]):
+        raise click.BadParameter(f"'{text}' is not a remap; expected FROM:=TO")
+    return text
+
+
+def ros_name(text: str) -> str:
+    """Check the name of a node or a namespace."""
+    if not re.fullmatch(r"/|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", text, re.ASCII):
+        raise click.BadParameter(f"'{text}' is not a ROS name; expected letters, digits, _ and single /, e.g. /left")
+    return text
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Convert names separated by commas."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+SECONDS = number("a duration", "seconds, more than 0, at most 3600", lambda value: 0 < value <= 3600)
+SINCE = number("a time", "seconds, 0 or more", lambda value: 0 <= value < math.inf)
+RATE = number("a rate", "a positive number", lambda value: 0 < value < math.inf)
+SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
+SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
+ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < value <= 3)
+ENCODER_NOISE = number("a noise", "rad, more than 0, at most 0.1", lambda value: 0 < value <= 0.1)
+DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)
+
+FIRST = 30.0  # s; longest wait for a first message, discovery included
+
+MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
+SEED = integer("a seed", "0 or more", 0, 2**63)
+PORT = integer("a port", "0 to 65535", 0, 65535)
+CHAIN = integer("a chain", "its number, 1 or more", 1, 1000)
+RUNS = integer("a number of runs", "1 or more", 1, 1e9)
+SOLUTIONS = integer("a number of solutions", "2 to 64", 2, 64)
+
+
+def distances(text: str) -> tuple[float, ...]:
+    """Convert one distance, or several with commas between them."""
+    return tuple(DISTANCE(part) for part in text.split(","))
+
+
+def complete_scenario(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Complete the names of installed scenarios, or else file names."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+    try:
+        folder = Path(get_package_share_directory("fjr_bringup"), "scenarios")
+    except (PackageNotFoundError, OSError):  # OSError: no workspace is sourced
+        return [CompletionItem(incomplete, type="file")]
+    names = [path.stem for path in sorted(folder.glob("*.yaml")) if path.stem.startswith(incomplete)]
+    return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
+
+
+scenario_argument = click.argument("scenario", required=False, shell_complete=complete_scenario)
+set_option = click.option(
+    "--set",
+    "assignments",
+    metavar="NAME:=VALUE",
+    multiple=True,
+    help="Change a parameter, e.g. robot.joint_stiffness:=[10.0]; may be repeated.",
+)
+
+json_lines = click.option("--json", "as_json", is_flag=True, help="Print each as JSON in one line.")
+force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 is on the PATH.")
+
+
+def output_option(meaning: str, default: str | None = None, kind: str = "DIR") -> Callable[..., Any]:
+    """Return the option --output, of a folder by default."""
+    return click.option("--output", type=PATH, metavar=kind, default=default, help=meaning)
+
+
+def duration_option(meaning: str, default: float | None = None) -> Callable[..., Any]:
+    """Return the option --duration S."""
+    return click.option("--duration", type=SECONDS, metavar="S", default=default, help=meaning)

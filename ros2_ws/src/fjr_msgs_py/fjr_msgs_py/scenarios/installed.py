@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""List the installed scenarios, sweeps and suites. Imports nothing slow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+from fjr_msgs_py.console.ros2_tools import INSTALLATION
+
+
+def installed(kind: str) -> dict[str, Path]:
+    """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
+    try:
+        folder = Path(get_package_share_directory("fjr_bringup"), kind)
+    except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
+        from fjr_msgs_py.scenarios.library import ScenarioError  # loads CasADi
+
+        raise ScenarioError(f"package fjr_bringup is not installed here; {INSTALLATION}") from error
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def summary(path: Path) -> str:
+    """Return the first sentence of the first comment of a scenario file."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comments = [line.lstrip("# ") for line in lines if line.startswith("#") and "SPDX" not in line]
+    return comments[0].partition(". ")[0] if comments else ""

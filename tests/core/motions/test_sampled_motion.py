@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motions from samples: C^4, within the tolerance, free of the noise of rounding, at rest after the end."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.law.effort_demand import effort_demand
+from fjr_core.law.inverse_dynamics import inverse_dynamics
+from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
+from fjr_core.motions.smoothing import least_squares_fit
+from fjr_core.motions.waypoints import waypoints
+
+T = np.arange(10_001) / 1000  # s: 10 s at 1 kHz
+RNG = np.random.default_rng(3)
+LINK = fjr.single_link(stiffness=31.0)
+
+
+def sampled(q: np.ndarray, decimals: int = 6, tolerance: float = 1e-3) -> fjr.SampledMotion:
+    return fjr.SampledMotion(T[: len(q)], np.round(q, decimals).reshape(len(q), -1), tolerance)
+
+
+MOTIONS = {
+    "rounded sine": sampled(np.sin(T)),
+    "two joints": sampled(np.stack([np.sin(2 * T), np.cos(3 * T)], axis=1)[:4000]),
+    "noise": fjr.SampledMotion(T[::10], (np.sin(T[::10]) + 0.01 * RNG.normal(size=1001))[:, None], 0.1),
+    "waypoints": fjr.SampledMotion([0.0, 1.0, 1.5, 4.0], RNG.normal(size=(4, 2)), 1e-3),
+    "waypoints that end at speed": fjr.SampledMotion(
+        [0.0, 1.0, 2.0], RNG.normal(size=(3, 2)), 1e-3, RNG.normal(size=(3, 2))
+    ),
+}
+each = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+
+
+def exact_jets(motion: fjr.SampledMotion, half: int, t: float) -> list[list[mpmath.mpf]]:
+    """Return the five jets of the polynomial of one half piece at t [s], in 60 digits, from its position alone."""
+    _, origins, rates, tables = motion.pieces.table
+    with mpmath.workdps(60):
+        s, rate = (mpmath.mpf(t) - mpmath.mpf(origins[half])) * mpmath.mpf(rates[half]), mpmath.mpf(rates[half])
+        rows = []
+        c = [[mpmath.mpf(float(value)) for value in row] for row in tables[half, :, 0]]
+        for _ in range(5):
+            rows.append([mpmath.fsum(row[j] * s**k for k, row in enumerate(c)) for j in range(motion.n)])
+            c = [[(k + 1) * value * rate for value in row] for k, row in enumerate(c[1:])]
+        return rows
+
+
+@each
+def test_a_motion_is_c4_between_all_its_pieces(motion: fjr.SampledMotion) -> None:
+    edges = motion.pieces.table[0]
+    for i in range(1, len(edges) - 1):
+        before, after = (np.array(exact_jets(motion, half, edges[i]), dtype=float) for half in (i, i + 1))
+        scale = np.maximum(np.abs(before), 1.0).max(axis=1, keepdims=True)
+        assert np.all(np.abs(before - after) < 1e-9 * scale), edges[i]
+
+
+@each
+def test_a_motion_comes_to_rest_with_four_continuous_derivatives(motion: fjr.SampledMotion) -> None:
+    before = motion.jets(np.nextafter(motion.end, 0.0))
+    np.testing.assert_allclose(before[1:], 0.0, atol=1e-9 * (1.0 + np.abs(motion.pieces.knots).max()))
+    np.testing.assert_array_equal(motion.jets(motion.end + 1.0), fjr.standing(motion.jets(motion.end)[0]))
+
+
+@each
+def test_a_motion_is_within_the_tolerance_and_reports_its_deviation(motion: fjr.SampledMotion) -> None:
+    deviation = np.abs(motion.jets(motion.times)[:, 0] - motion.positions).max(axis=0)
+    np.testing.assert_allclose(deviation, motion.deviation, atol=1e-12)
+    assert np.all(motion.deviation <= motion.tolerance)
+
+
+@pytest.mark.parametrize("decimals", [4, 5, 6, 8])
+def test_rounding_of_samples_does_not_reach_the_effort(decimals: int) -> None:
+    """A sine at 1 kHz asks for 0.69 N m; interpolating its six decimals asks for more than 100 N m."""
+    smooth = effort_demand(LINK, sampled(np.sin(T), decimals), 0.0, T[-1])
+    along = inverse_dynamics(LINK).map(len(T))(*(row.T for row in fjr.Sine([1.0], 1.0).jets(T).swapaxes(0, 1)))
+    assert smooth.peak == pytest.approx([np.abs(along[-1].full()).max()], rel=0.05)
+    assert smooth.peak == pytest.approx([0.69], rel=0.05)
+
+
+def test_interpolating_rounded_samples_asks_for_hundreds_of_newton_metres() -> None:
+    raw = effort_demand(LINK, sampled(np.sin(T), tolerance=0.0), 1.0, 9.0)
+    assert raw.peak[0] > 100.0
+
+
+def test_a_reference_is_recovered_from_its_rounded_samples() -> None:
+    motion = fjr.PointToPoint((0.0,), (1.0,), 2.0, 0.5)
+    found = sampled(motion.jets(T[:3500])[:, 0])
+    assert found.end == pytest.approx(T[3499])
+    for order, error in enumerate((1e-6, 1e-5, 1e-3, 0.05, 5.0)):
+        np.testing.assert_allclose(found.jets(T[:3500])[:, order], motion.jets(T[:3500])[:, order], atol=error)
+
+
+def test_a_motion_that_starts_and_ends_at_rest_rests_exactly_there() -> None:
+    motion = fjr.PointToPoint((0.3,), (1.0,), 2.0, 0.5)
+    found = sampled(motion.jets(T[:3500])[:, 0])
+    for t in (0.0, found.end):
+        np.testing.assert_array_equal(found.jets(t)[1:], np.zeros((4, 1)))
+
+
+def test_a_motion_that_ends_at_speed_stops_with_moderate_efforts() -> None:
+    motion = MOTIONS["rounded sine"]
+    along, whole = effort_demand(LINK, motion, 0.0, 9.99), effort_demand(LINK, motion)
+    assert T[-1] < motion.end < 2 * T[-1]
+    assert whole.peak[0] < 1.5 * along.peak[0]
+
+
+def test_waypoints_are_interpolated_with_their_velocities() -> None:
+    motion = MOTIONS["waypoints that end at speed"]
+    assert not motion.smoothed
+    jets = motion.jets(motion.times)
+    np.testing.assert_allclose(jets[:, 0], motion.positions, atol=1e-14)
+    np.testing.assert_allclose(jets[:, 1], np.asarray(motion.velocities), atol=1e-13)
+
+
+def test_a_jump_is_not_smoothed() -> None:
+    assert least_squares_fit(T, (np.sin(T) + (T > 2.0))[:, None], 1e-2) is None
+
+
+def test_motion_limits_see_a_sampled_motion() -> None:
+    with pytest.raises(fjr.TrajectoryError, match=r"joint 0 would reach .* rad at .* s; its limit is -?0.5 rad"):
+        fjr.check_motion(MOTIONS["rounded sine"], fjr.MotionLimits([-0.5], [0.5]))
+
+
+def test_each_joint_has_a_tolerance_of_its_own() -> None:
+    """A prismatic joint with 0.1 mm of noise beside a revolute one with 10 mrad."""
+    noise = RNG.normal(size=(1001, 2)) * [0.01, 1e-4]
+    q = np.stack([np.sin(T[::10]), 0.1 * np.sin(T[::10])], axis=1)
+    motion = fjr.SampledMotion(T[::10], q + noise, [0.05, 5e-4])
+    assert motion.smoothed
+    assert np.all(motion.deviation <= [0.05, 5e-4])
+    assert np.all(np.abs(motion.jets(T[::10])[:, 0] - q).max(axis=0) < [0.01, 1e-4])
+    for tolerance in ([0.05, 1e-5], [0.05, 0.0], 5e-4):
+        assert not fjr.SampledMotion(T[::10], q + noise, tolerance).smoothed
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "sentence"),
+    [
+        (-1.0, r"tolerance is -1.0; expected 0 or more"),
+        (float("nan"), r"tolerance is nan; expected 0 or more"),
+        ([1e-3, 1e-3], r"tolerance has 2 entries; expected 1$"),
+    ],
+)
+def test_an_invalid_tolerance_is_rejected(tolerance: float, sentence: str) -> None:
+    with pytest.raises(fjr.TrajectoryError, match=sentence):
+        fjr.SampledMotion([0.0, 1.0], [[0.0], [1.0]], tolerance)
+
+
+def test_pieces_are_few_where_samples_are_smooth() -> None:
+    motion = MOTIONS["rounded sine"]
+    assert isinstance(motion.pieces, PiecewisePolynomial)
+    assert len(motion.pieces.times) < 40
+
+
+@pytest.mark.parametrize("name", [name for name in MOTIONS if name != "noise"])
+def test_a_spline_through_its_waypoints_is_the_motion(name: str) -> None:
+    motion = MOTIONS[name]
+    points = waypoints(motion, 1e-6)
+    t = np.linspace(0.0, motion.end, 3001)[1:]
+    spline = fjr.Spline(*points)
+    assert np.abs(spline.jets(t)[:, 0] - motion.jets(t)[:, 0]).max() < 2e-6
+    np.testing.assert_array_equal(points.velocities[-1], 0.0)
+    assert len(points.times) < 2000

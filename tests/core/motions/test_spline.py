@@ -1,0 +1,330 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Splines: C^4, interpolation of all given values, order of convergence for smooth data, bounded overshoot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly, make_interp_spline
+from scipy.linalg import solveh_banded
+
+import fjr_core as fjr
+from core.oracles.oracle import stencil
+from fjr_core.motions import minimum_jerk
+from fjr_core.motions.minimum_jerk import MONOTONE, TURNING
+from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial, taylor
+from fjr_core.motions.spline import STANDSTILL
+
+RNG = np.random.default_rng(4)
+K, N = 7, 3
+TIMES = np.array([0.3, 1.0, 1.4, 2.5, 2.9, 4.0, 5.0])
+POSITIONS, VELOCITIES, ACCELERATIONS = RNG.normal(size=(3, K, N))
+VELOCITIES[-1] = 0.0
+START = RNG.normal(size=(5, N))
+GIVEN: dict[str, dict[str, Any]] = {
+    "positions": {},
+    "velocities": {"velocities": VELOCITIES},
+    "both": {"velocities": VELOCITIES, "accelerations": ACCELERATIONS},
+    "accelerations": {"accelerations": ACCELERATIONS},
+}
+BEGIN: dict[str, dict[str, Any]] = {"alone": {}, "replacing": {"start": START}}
+given = pytest.mark.parametrize("derivatives", GIVEN.values(), ids=GIVEN)
+begin = pytest.mark.parametrize("start", BEGIN.values(), ids=BEGIN)
+
+
+@given
+@begin
+def test_given_values_are_interpolated(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
+    jets = fjr.Spline(TIMES, POSITIONS, **derivatives, **start).jets(TIMES)
+    np.testing.assert_allclose(jets[:, 0], POSITIONS, atol=1e-15)
+    for row, name in ((1, "velocities"), (2, "accelerations")):
+        if name in derivatives:
+            np.testing.assert_allclose(jets[:-1, row], derivatives[name][:-1], rtol=1e-12, atol=1e-13)
+
+
+@given
+@begin
+def test_spline_is_c4_at_and_between_its_points(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
+    reference = fjr.Spline(TIMES, POSITIONS, **derivatives, **start)
+    points = TIMES if start else TIMES[1:]
+    middles = points[:-1] + np.diff(points) / 2
+    for t in np.concatenate([points, middles]):
+        before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
+        scale = 1e-12 * (1.0 + np.abs(reference.jets(np.linspace(0.0, 5.0, 501))).max(axis=(0, 2)))[:, None]
+        assert np.all(np.abs(before - after) < np.maximum(scale, 1e-11)), t
+
+
+@given
+@begin
+def test_each_row_is_the_derivative_of_the_one_above(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
+    reference = fjr.Spline(TIMES, POSITIONS, **derivatives, **start)
+    for t in (0.5, 1.2, 2.0, 2.7, 3.3, 4.7):
+        rates = stencil(lambda s, t=t: reference.jets(t + s), 0.01)
+        scale = 1.0 + np.abs(rates).max(axis=1, keepdims=True)[:-1]
+        assert np.all(np.abs(reference.jets(t)[1:] - rates[:-1]) < 1e-8 * scale)
+
+
+@given
+def test_a_spline_starts_with_the_active_jets_and_ends_with_zero_velocity(derivatives: dict[str, Any]) -> None:
+    reference = fjr.Spline(TIMES, POSITIONS, **derivatives, start=START)
+    np.testing.assert_allclose(reference.jets(0.0), START, rtol=1e-15)
+    assert reference.end == 5.0
+    for t in (5.0, 5.1, 1e6):
+        np.testing.assert_array_equal(reference.jets(t), fjr.standing(POSITIONS[-1]))
+
+
+def test_without_start_a_spline_starts_with_zero_velocity() -> None:
+    reference = fjr.Spline(TIMES, POSITIONS)
+    for t in (-1.0, 0.0, 0.3):
+        np.testing.assert_array_equal(reference.jets(t), fjr.standing(POSITIONS[0]))
+
+
+def test_a_moving_end_is_interpolated_and_constant_after() -> None:
+    velocities = VELOCITIES + 0.5
+    reference = fjr.Spline(TIMES, POSITIONS, velocities, ACCELERATIONS, moving_end=True)
+    np.testing.assert_allclose(reference.jets(5.0)[:3], [POSITIONS[-1], velocities[-1], ACCELERATIONS[-1]])
+    np.testing.assert_array_equal(reference.jets(5.1), fjr.standing(POSITIONS[-1]))
+
+
+def test_one_point_suffices_with_an_active_reference() -> None:
+    reference = fjr.Spline([2.0], [[1.0, 2.0]], start=fjr.standing((0.0, 0.0), (0.3, -0.3)))
+    oracle = BPoly.from_derivatives([0.0, 2.0], [[0, 0.3, 0, 0, 0], [1, 0, 0, 0, 0]])
+    for order in range(5):
+        np.testing.assert_allclose(
+            reference.jets(np.linspace(0, 2, 21))[:, order, 0], oracle(np.linspace(0, 2, 21), order)
+        )
+
+
+def test_a_motion_far_from_the_first_point_comes_to_a_standstill_first() -> None:
+    """A polynomial over 20 s swings out by 300 rad from these jets, of 0.5 rad at 0.6 Hz."""
+    jets = fjr.Sine(0.5, 2 * np.pi * 0.6).jets(0.3)
+    for derivatives in ({}, {"velocities": [[0.0], [0.0]]}):
+        reference = fjr.Spline([20.0, 30.0], [[0.3], [0.4]], **derivatives, start=jets)
+        np.testing.assert_allclose(reference.jets(0.0), jets, rtol=1e-12)
+        np.testing.assert_allclose(
+            reference.jets(STANDSTILL), fjr.standing(jets[0] + jets[1] * STANDSTILL / 2), atol=1e-9
+        )
+        np.testing.assert_allclose(reference.jets([20.0, 30.0])[:, 0], [[0.3], [0.4]], atol=1e-12)
+        bounds = reference.motion_bounds(0.0, 30.0)
+        assert -1.0 < bounds.lower[0, 0] < bounds.upper[0, 0] < 1.0
+
+
+@pytest.mark.parametrize("known", [1, 2, 3])
+@pytest.mark.parametrize("spread", [0, 4], ids=["even", "uneven"])
+def test_long_splines_agree_with_the_banded_solver_of_scipy(known: int, spread: int) -> None:
+    """20,000 knots of two joints; intervals that differ by a factor of up to 10,000."""
+    k, rng = 20_000, np.random.default_rng(known)
+    times = 1e3 + np.cumsum(0.01 * 10.0 ** rng.uniform(-spread, 0.0, k))
+    jets, free = np.zeros((k, 5, 2)), np.zeros((k, 5), dtype=bool)
+    jets[:, :known], free[1:-1, known:] = rng.normal(size=(k, known, 2)), True
+    h = np.diff(times)
+    units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))
+    roots = minimum_jerk._roots_of_jerk(h, units)
+    diagonal, lower = minimum_jerk._normal_blocks(roots, free)
+    band = np.zeros((10, 5 * k))
+    for row, column in np.ndindex(5, 5):
+        if row >= column:
+            band[row - column, column::5] = diagonal[:, row, column]
+        band[5 + row - column, column : 5 * (k - 1) : 5] = lower[:, row, column]
+    expected = taylor(jets, units)
+    for _ in range(minimum_jerk.NEWTON_STEPS):
+        gradient = np.where(free[:, :, None], minimum_jerk._half_gradient(roots, expected), 0.0).reshape(-1, 2)
+        expected -= solveh_banded(band, gradient, lower=True).reshape(expected.shape)
+    found = taylor(minimum_jerk.minimum_jerk(times, jets, free), units)
+    assert np.all(np.abs(found - expected) <= 1e-9 * np.abs(expected).max(axis=1, keepdims=True))
+
+
+def test_segments_are_hermite_polynomials_of_degree_nine() -> None:
+    knots = RNG.normal(size=(K, 5, 2))
+    pieces, t = PiecewisePolynomial(TIMES, knots), np.linspace(0.3, 5.0, 300)
+    for joint in range(2):
+        oracle = BPoly.from_derivatives(TIMES, knots[:, :, joint])
+        for order in range(5):
+            expected = oracle(t, order)
+            np.testing.assert_allclose(
+                pieces.jets(t)[:, order, joint], expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max()
+            )
+
+
+def test_fourth_derivatives_are_accurate_in_short_segments_far_from_zero() -> None:
+    """Times and positions are of order 1000, with 10 ms between points."""
+    t0, f = 1000.0, (np.sin, np.cos, lambda t: -np.sin(t), lambda t: -np.cos(t), np.sin)
+    times = t0 + 0.01 * np.arange(4)
+    pieces = PiecewisePolynomial(times, np.stack([g(times - t0) for g in f], axis=1)[:, :, None])
+    t = t0 + np.linspace(0.001, 0.029, 57)
+    assert np.abs(pieces.jets(t)[:, 4, 0] - np.sin(t - t0)).max() < 1e-3
+
+
+def bump(t: np.ndarray) -> np.ndarray:
+    """Return a smooth bump with four zero derivatives at 0 and 2."""
+    return np.sin(np.pi * t / 2) ** 6 * np.exp(-t / 3)
+
+
+def bump_rates(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    s, c, w = np.sin(np.pi * t / 2), np.cos(np.pi * t / 2), np.pi / 2
+    g, dg, ddg = s**6, 6 * w * s**5 * c, w**2 * (30 * s**4 * c**2 - 6 * s**6)
+    e = np.exp(-t / 3)
+    return (dg - g / 3) * e, (ddg - 2 * dg / 3 + g / 9) * e
+
+
+@pytest.mark.parametrize("rates", [0, 1, 2])
+@pytest.mark.parametrize("uneven", [0.0, 0.15])
+def test_smooth_data_are_interpolated_with_order_five(rates: int, uneven: float) -> None:
+    t, errors = np.linspace(0.0, 2.0, 2001), []
+    for k in (12, 24, 48):
+        share = np.linspace(0.0, 1.0, k + 1)
+        times = 2 * (share + uneven * np.sin(2 * np.pi * share) / np.pi)
+        derivatives = [row[:, None] for row in bump_rates(times)[:rates]]
+        for row in derivatives:
+            row[-1] = 0.0
+        reference = fjr.Spline(times, bump(times)[:, None], *derivatives)
+        errors.append(np.abs(reference.jets(t)[:, 0, 0] - bump(t)).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(orders > 4.9), orders
+    assert errors[-1] < 1e-6
+
+
+def test_positions_alone_give_the_quintic_spline_inside() -> None:
+    times = np.linspace(0.0, 30.0, 61)
+    q = np.sin(times)
+    jets, free = np.zeros((61, 5, 1)), np.zeros((61, 5), dtype=bool)
+    jets[:, 0, 0], free[1:-1, 1:] = q, True
+    quintic = make_interp_spline(times, q, 5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)[28:33, :, 0]
+    np.testing.assert_allclose(chosen, np.array([quintic(times, order) for order in range(5)]).T[28:33], atol=1e-8)
+
+
+def squared_jerk(times: np.ndarray, jets: np.ndarray) -> float:
+    """Return the integral of the squared jerk of the reference, by Gauss quadrature on half segments."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    edges = np.sort(np.concatenate([times, times[:-1] + np.diff(times) / 2]))
+    h = np.diff(edges)[:, None]
+    t, w = edges[:-1, None] + h * (nodes + 1) / 2, h * weights / 2
+    return float(w.ravel() @ (PiecewisePolynomial(times, jets).jets(t.ravel())[:, 3] ** 2).sum(axis=1))
+
+
+@pytest.mark.parametrize("ratio", [1.0, 30.0])
+@pytest.mark.parametrize("known", [1, 2, 3])
+def test_free_derivatives_minimise_the_squared_jerk(known: int, ratio: float) -> None:
+    times = np.cumsum([0.0, 1.0, 1.0 / ratio, 1.0, 0.7, 1.2])
+    jets, free = np.zeros((6, 5, 2)), np.zeros((6, 5), dtype=bool)
+    jets[:, :known] = RNG.normal(size=(6, known, 2))
+    free[1:-1, known:] = True
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)
+    np.testing.assert_array_equal(chosen[~free], jets[~free])
+    least = squared_jerk(times, chosen)
+    for knot, order in np.argwhere(free):
+        step = np.zeros_like(jets)
+        step[knot, order] = 1e-2 * (1.0 + np.abs(chosen[knot, order]))
+        more, less = squared_jerk(times, chosen + step), squared_jerk(times, chosen - step)
+        assert min(more, less) > least
+        assert abs(more - less) < 1e-6 * (more + less - 2 * least) + 1e-9 * least
+
+
+def beyond(times: np.ndarray, q: np.ndarray, **derivatives: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the overshoot of each segment beyond its two points, and the range of the nearest four points."""
+    reference = fjr.Spline(times, q[:, None], **derivatives)
+    past, around = [], []
+    for i in range(len(q) - 1):
+        piece = reference.jets(np.linspace(times[i], times[i + 1], 200))[:, 0, 0]
+        low, high = sorted(q[i : i + 2])
+        past.append(max(piece.max() - high, low - piece.min(), 0.0))
+        around.append(np.ptp(q[max(i - 1, 0) : i + 3]))
+    return np.array(past), np.array(around)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_overshoot_of_monotone_positions_is_small(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.choice([0.02, 0.1, 1.0, 5.0], 8) * rng.uniform(0.5, 1.0, 8))
+    q = np.cumsum(rng.choice([0.0, 0.001, 0.1, 1.0], 8))
+    past, around = beyond(times, q)
+    assert np.all(past <= MONOTONE * around + 1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_overshoot_is_at_most_a_quarter_of_the_local_range(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(10.0 ** rng.uniform(-2, 1, 9))
+    past, around = beyond(times, rng.normal(size=9))
+    assert np.all(past <= TURNING * around + 1e-12)
+
+
+def test_a_step_in_sparse_positions_is_flat_before_and_after() -> None:
+    q = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+    past, _ = beyond(np.arange(6.0), q)
+    assert past[0] == past[-1] == 0.0
+    assert past.max() <= MONOTONE
+
+
+def test_zero_velocities_at_all_points_do_not_overshoot() -> None:
+    past, around = beyond(np.array([0.0, 0.5, 3.0, 3.2]), np.arange(4.0), velocities=np.zeros((4, 1)))
+    assert np.all(past <= MONOTONE * around + 1e-12)
+
+
+def test_smooth_data_are_unchanged_by_the_overshoot_limit() -> None:
+    times = np.linspace(0.0, 2.0, 41)
+    jets, free = np.zeros((41, 5, 1)), np.zeros((41, 5), dtype=bool)
+    jets[:, 0, 0], free[1:-1, 1:] = bump(times), True
+    chosen = minimum_jerk.minimum_jerk(times, jets, free)
+    inside = slice(3, -3)  # near the ends the bump is flat to rounding and may change
+    np.testing.assert_array_equal(minimum_jerk.without_overshoot(times, chosen, free)[inside], chosen[inside])
+
+
+def test_joints_are_interpolated_independently() -> None:
+    whole = fjr.Spline(TIMES, POSITIONS, VELOCITIES)
+    for joint in range(N):
+        alone = fjr.Spline(TIMES, POSITIONS[:, [joint]], VELOCITIES[:, [joint]])
+        np.testing.assert_allclose(whole.jets(2.2)[:, [joint]], alone.jets(2.2), rtol=1e-9)
+
+
+def test_splines_are_invariant_to_the_unit_of_time() -> None:
+    slow, quick = fjr.Spline(3600 * TIMES, POSITIONS), fjr.Spline(TIMES / 1e3, POSITIONS)
+    t = np.linspace(0.3, 5.0, 50)
+    np.testing.assert_allclose(slow.jets(3600 * t)[:, 0], quick.jets(t / 1e3)[:, 0], atol=1e-9)
+
+
+def test_configurations_span_the_first_to_the_last_point() -> None:
+    q = fjr.Spline(TIMES, POSITIONS, start=START).configurations(11)
+    assert q.shape == (11, N)
+    np.testing.assert_allclose(q[[0, -1]], [START[0], POSITIONS[-1]])
+
+
+NAN = np.where(np.arange(K * N).reshape(K, N) == 2 * N + 1, np.nan, POSITIONS)
+BACK = np.array([0.3, 1.0, 1.0, 2.5, 2.9, 4.0, 5.0])
+BAD: dict[str, tuple[tuple[Any, ...], dict[str, Any], tuple[str, ...]]] = {
+    "times stall": ((BACK, POSITIONS), {}, ("times", "1.0 s at point 1", "1.0 s at point 2", "increase")),
+    "times short": ((TIMES[1:], POSITIONS), {}, ("times", "(6,)", "(7,)")),
+    "times nan": ((np.full(K, np.nan), POSITIONS), {}, ("times", "nan", "finite")),
+    "times at start": ((TIMES - 0.3, POSITIONS), {"start": START}, ("times", "0.0 s", "more than 0", "start")),
+    "too close": ((1e-80 * np.arange(K), POSITIONS), {}, ("times", "1e-80 s at point 1", "at least 1e-06 s")),
+    "too large": ((TIMES, 1e307 * POSITIONS), {}, ("positions", "not finite", "smaller")),
+    "one point": ((TIMES[:1], POSITIONS[:1]), {}, ("times", "1 point", "at least 2")),
+    "no points": ((TIMES[:0], POSITIONS[:0]), {}, ("positions", "(0, 3)", "(k, n)")),
+    "flat": ((TIMES, POSITIONS[:, 0]), {}, ("positions", "(7,)", "(k, n)")),
+    "nan": ((TIMES, NAN), {}, ("positions", "nan", "point 2", "joint 1", "finite")),
+    "words": ((TIMES, "there"), {}, ("positions", "there", "numbers")),
+    "ragged": ((TIMES, [[1.0, 2.0], [1.0]]), {}, ("positions", "numbers")),
+    "velocities": ((TIMES, POSITIONS, VELOCITIES[1:]), {}, ("velocities", "(6, 3)", "(7, 3)")),
+    "accelerations": (
+        (TIMES, POSITIONS),
+        {"accelerations": ACCELERATIONS[:, :2]},
+        ("accelerations", "(7, 2)", "(7, 3)"),
+    ),
+    "velocities nan": ((TIMES, POSITIONS, NAN), {}, ("velocities", "nan", "point 2", "joint 1")),
+    "moving end": ((TIMES, POSITIONS, VELOCITIES + 1.0), {}, ("velocities", "1.0", "zeros at the last point")),
+    "start": ((TIMES, POSITIONS), {"start": START[:4]}, ("start", "(4, 3)", "(5, 3)")),
+    "start nan": ((TIMES, POSITIONS), {"start": START * np.inf}, ("start", "inf", "finite")),
+}
+
+
+@pytest.mark.parametrize(("arguments", "options", "words"), BAD.values(), ids=BAD)
+def test_invalid_references_are_refused_in_one_sentence(
+    arguments: tuple[Any, ...], options: dict[str, Any], words: tuple[str, ...]
+) -> None:
+    with pytest.raises(fjr.TrajectoryError) as caught:
+        fjr.Spline(*arguments, **options)
+    assert all(word in str(caught.value) for word in words), caught.value
+    assert "\n" not in str(caught.value)

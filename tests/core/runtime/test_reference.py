@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""References in C give the jets of the Python references at every time, from tables in memory and as exported text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from math import inf
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+
+import fjr_core as fjr
+from core.runtime.c_reference import Library, library
+from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
+from fjr_core.motions.reference import JETS, Reference
+from fjr_core.motions.transition import TimeShifted, Transition
+from fjr_core.runtime.reference_struct import ReferenceStruct
+from fjr_core.runtime.reference_table import reference_table
+from fjr_design.exports.reference_code import reference_code
+
+RNG = np.random.default_rng(0)
+KNOTS = np.arange(6.0) ** 1.3
+SPLINE = fjr.Spline(KNOTS, RNG.normal(size=(6, 2)))
+SINE = fjr.Sine((0.5, 0.2), (2.0, -3.0), (0.4, -0.3), (0.1, 0.2))
+CIRCLE = fjr.Circle((0.4, -0.3), 0.3, -2.0, 0.4, 1.7)
+WAY = ((0.1, 0.2), (1.5, -0.4), 1.6)
+JOINED = fjr.transition(SPLINE.jets(1.0), 1.0, SINE, 2.0)
+POLYNOMIALS: dict[str, Reference] = {
+    "spline": SPLINE,
+    "moving end": fjr.Spline([1.0, 2.0], RNG.normal(size=(2, 2)), RNG.normal(size=(2, 2)), moving_end=True),
+    "samples": fjr.SampledMotion(np.arange(90) / 30, np.sin(np.arange(180).reshape(90, 2) / 30), 1e-3),
+    "point to point": fjr.PointToPoint(*WAY, 0.2),
+    "to and fro": fjr.PointToPoint(*WAY, 0.2, True),
+    "to and fro without dwell": fjr.PointToPoint(*WAY, 0.0, True),
+    "pieces": PiecewisePolynomial(KNOTS, RNG.normal(size=(6, 5, 2))),
+    "pieces that continue": PiecewisePolynomial(KNOTS, RNG.normal(size=(6, 5, 2)), continues=True),
+    "hold": fjr.Hold((0.4, -0.3)),
+    "shifted": fjr.time_shifted(SPLINE, 0.3),
+    "shifted to and fro": fjr.time_shifted(fjr.PointToPoint(*WAY, 0.2, True), -0.7),
+    "joined to a hold": fjr.transition(SINE.jets(1.0), 1.0, fjr.Hold((0.4, -0.3)), 0.8),
+    "joined twice": fjr.transition(SINE.jets(2.0), 2.0, fjr.transition(SINE.jets(1.0), 1.0, SPLINE, 2.0), 0.5),
+    "shifted, joined, shifted": fjr.time_shifted(
+        fjr.transition(SINE.jets(1.0), 1.0, fjr.time_shifted(SPLINE, 0.3), 0.8), -0.4
+    ),
+}
+BUILT_IN: dict[str, Reference] = {
+    **POLYNOMIALS,
+    "sine": SINE,
+    "sine that stands": fjr.Sine((0.5, 0.2), (0.0, 3.0), 0.1, 0.3),
+    "sums of sines": fjr.MultiSine([[0.5, 0.2], [0.1, 0.3]], [[2.0, 3.0], [1.0, 0.5]], [[0.1, 0.2], [0.3, 0.4]], 0.2),
+    "circle": CIRCLE,
+    "circle that stands": fjr.Circle((0.4, -0.3), 0.3, 0.0),
+    "joined to a sine": JOINED,
+    "joined to a circle": fjr.transition(SPLINE.jets(1.0), 1.0, fjr.time_shifted(CIRCLE, 1.2), 1.0),
+}
+FAR = [1e6, 123456789.25, 1e15, -1e6, -1e15]
+each = pytest.mark.parametrize("name", BUILT_IN)
+
+
+class OwnReference:
+    """A reference of the user: a parabola."""
+
+    n, end = 2, inf
+
+    def jets(self, t: float) -> np.ndarray:
+        return np.array([[t * t, t], [2 * t, 1.0], [2.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
+
+
+class ScaledSine(fjr.Sine):
+    """A built-in reference with jets of its own."""
+
+    def jets(self, t: float) -> np.ndarray:
+        return 2.0 * super().jets(t)
+
+
+class NamedSine(fjr.Sine):
+    """A built-in reference whose jets are inherited."""
+
+
+@cache
+def two_joints() -> Library:
+    """Return the library for two joints with all built-in references as constants, in the order of BUILT_IN."""
+    code = "\n".join(reference_code(reference, f"way_{i}") for i, reference in enumerate(BUILT_IN.values()))
+    return library(2, [f"way_{i}" for i in range(len(BUILT_IN))], code)
+
+
+@cache
+def one_joint() -> Library:
+    return library(1)
+
+
+def times(reference: Reference) -> np.ndarray:
+    """Return times before, within and after a reference, and its edges with their neighbours."""
+    table, shift, edges = reference_table(reference), 0.0, [0.0, 1.6, 1.8, 3.4, 3.6]
+    while table is not None:
+        shift += table.shift
+        edges += [shift, table.until + shift, *(table.arrays.get("edge", np.zeros(0)) + shift)]
+        table = table.then
+    edge = np.array([at for at in edges if np.isfinite(at)])
+    return np.concatenate([np.linspace(-1.0, 9.0, 301), edge, np.nextafter(edge, inf), np.nextafter(edge, -inf), FAR])
+
+
+@each
+def test_jets_in_c_equal_those_of_python(name: str) -> None:
+    reference = BUILT_IN[name]
+    t = times(reference)
+    expected = reference.jets(t)
+    scale = np.abs(expected).max(axis=(0, 2))[:, None]
+    assert np.all(np.abs(two_joints().jets(reference, t) - expected) <= 1e-14 * scale)
+
+
+@pytest.mark.parametrize("name", POLYNOMIALS)
+def test_polynomials_in_c_equal_those_of_python_bit_by_bit(name: str) -> None:
+    reference = POLYNOMIALS[name]
+    np.testing.assert_array_equal(two_joints().jets(reference, times(reference)), reference.jets(times(reference)))
+
+
+@each
+def test_the_exported_text_is_the_reference_bit_by_bit(name: str) -> None:
+    """The text was compiled as C99 with warnings as errors."""
+    c, reference = two_joints(), BUILT_IN[name]
+    exported = c.at(c.lib.constant(list(BUILT_IN).index(name)), times(reference))
+    np.testing.assert_array_equal(exported, c.jets(reference, times(reference)))
+
+
+@each
+def test_end_and_shift_are_those_of_the_reference(name: str) -> None:
+    reference = BUILT_IN[name]
+    owner = ReferenceStruct(two_joints().ffi, reference)
+    struct = owner.pointer
+    if not isinstance(reference, PiecewisePolynomial):
+        assert struct.end + struct.shift == pytest.approx(reference.end, rel=1e-15)
+    if np.isfinite(struct.end):
+        last = two_joints().at(struct, np.nextafter(struct.end, inf) + struct.shift + np.array([0.0, 1.0, 1e6]))
+        np.testing.assert_array_equal(last[:, 1:], 0.0)
+        np.testing.assert_array_equal(last[1:], last[:-1])
+
+
+@given(data=some.data())
+@settings(max_examples=60, deadline=None)
+def test_any_piecewise_polynomial_is_equal_bit_by_bit_around_its_knots(data: some.DataObject) -> None:
+    steps = data.draw(some.lists(some.floats(1e-3, 1e3), min_size=1, max_size=5), "steps")
+    knots = np.cumsum([data.draw(some.floats(-1e3, 1e3), "start"), *steps])
+    numbers = some.lists(some.floats(-10, 10), min_size=5 * len(knots), max_size=5 * len(knots))
+    jets = np.array(data.draw(numbers, "jets")).reshape(-1, 5, 1)
+    pieces = PiecewisePolynomial(knots, jets, continues=data.draw(some.booleans(), "continues"))
+    within = data.draw(some.lists(some.floats(-2e3, 8e3), max_size=20), "times")
+    t = np.concatenate([knots, np.nextafter(knots, inf), np.nextafter(knots, -inf), pieces.table[0], within])
+    np.testing.assert_array_equal(one_joint().jets(pieces, t), pieces.jets(t))
+
+
+durations, starts = some.floats(1e-2, 1e2), some.floats(-1e2, 1e2)
+TWO_JETS = RNG.normal(size=(2, JETS, 1))
+any_two_jets = some.lists(some.floats(-10, 10), min_size=2 * JETS, max_size=2 * JETS).map(
+    lambda numbers: np.array(numbers).reshape(2, JETS, 1)
+)
+
+
+def size(jets: np.ndarray, h: float) -> np.ndarray:
+    """Return the size (5, 1) of the terms in each row of a segment of h [s] with jets (2, 5, 1) at its ends."""
+    powers = float(h) ** np.arange(JETS)[:, None]
+    return (np.abs(jets).max(axis=0) * powers).max() / powers * 10.0 ** np.arange(JETS)[:, None]
+
+
+@given(jets=any_two_jets, t0=starts, duration=durations)
+@settings(max_examples=100, deadline=None)
+def test_a_segment_has_the_given_jets_at_both_ends_and_is_constant_outside(
+    jets: np.ndarray, t0: float, duration: float
+) -> None:
+    c, t1 = one_joint(), t0 + duration
+    made = c.segment(*jets, t0, t1)
+    first, last = c.along(made, [t0, t1])
+    np.testing.assert_allclose(first, jets[0], rtol=1e-14, atol=1e-300)
+    np.testing.assert_allclose(last, jets[1], rtol=1e-14, atol=1e-300)
+    before, after = c.along(made, [np.nextafter(t0, -inf), np.nextafter(t1, inf)])
+    assert (before[0], after[0]) == (jets[0, 0], jets[1, 0])
+    assert not before[1:].any()
+    assert not after[1:].any()
+
+
+@given(jets=any_two_jets, t0=starts, duration=durations)
+@settings(max_examples=100, deadline=None)
+def test_a_segment_is_that_of_python(jets: np.ndarray, t0: float, duration: float) -> None:
+    c, t1 = one_joint(), t0 + duration
+    made, pieces = c.segment(*jets, t0, t1), PiecewisePolynomial(np.array([t0, t1]), jets)
+    edges, origins, rates, _ = pieces.table
+    assert (list(made.edge), list(made.origin), list(made.rate)) == (list(edges), list(origins), list(rates))
+    t = np.concatenate([np.linspace(t0 - 1, t1 + 1, 50), edges, np.nextafter(edges, inf), np.nextafter(edges, -inf)])
+    error = np.abs(c.along(made, t) - pieces.jets(t)).max(axis=0)
+    assert np.all(error <= 1e-13 * size(jets, t1 - t0))
+
+
+def hermite(jets: np.ndarray, h: float) -> list:
+    """Return the ascending coefficients of the polynomial with jets (2, 5) at t = 0 and h, in 60 digits."""
+    powers, rows = range(2 * JETS), []
+    for t in (mpmath.mpf(0), mpmath.mpf(h)):
+        for k in range(JETS):
+            rows.append([mpmath.ff(p, k) * (t ** (p - k)) if p >= k else mpmath.mpf(0) for p in powers])
+    return list(mpmath.lu_solve(mpmath.matrix(rows), mpmath.matrix(jets.ravel().tolist())))
+
+
+@pytest.mark.parametrize("h", [0.25, 2.0, 16.0])
+def test_a_segment_is_the_polynomial_of_degree_nine_of_sixty_digits(h: float) -> None:
+    c, t = one_joint(), h * np.linspace(0.0, 1.0, 33)
+    found = c.along(c.segment(*TWO_JETS, 0.0, h), t)
+    with mpmath.workdps(60):
+        position = hermite(TWO_JETS, h)
+        rows = [
+            [mpmath.ff(p, k) * a if (p := i + k) < 2 * JETS else mpmath.mpf(0) for i, a in enumerate(position[k:])]
+            for k in range(JETS)
+        ]
+        exact = [[float(mpmath.polyval(row, mpmath.mpf(float(at)), asc=True)) for row in rows] for at in t]
+    assert np.all(np.abs(found[:, :, 0] - exact) <= 1e-13 * size(TWO_JETS, h)[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("t0", "t1"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1e-100), (1e9, np.nextafter(1e9, inf)), (0.0, 2.0)]
+)
+def test_a_segment_is_refused_where_python_refuses_it(t0: float, t1: float) -> None:
+    finite = PiecewisePolynomial(np.array([t0, t1]), TWO_JETS).finite
+    assert (one_joint().segment(*TWO_JETS, t0, t1) is not None) == finite
+
+
+@pytest.mark.parametrize("wrong", [np.nan, inf])
+def test_a_segment_from_jets_that_are_not_finite_is_refused(wrong: float) -> None:
+    for place in np.ndindex(2, JETS):
+        jets = np.ones((2, JETS, 1))
+        jets[place] = wrong
+        assert one_joint().segment(*jets, 0.0, 1.0) is None
+
+
+def test_references_join_with_four_continuous_derivatives() -> None:
+    """The start of a transition, its end, and the knots of its target."""
+    reference = fjr.transition(SINE.jets(1.0), 1.0, SPLINE, 0.8)
+    knots = np.array([1.4, 1.8, *KNOTS[2:]])
+    before, after = (two_joints().jets(reference, np.nextafter(knots, side)) for side in (-inf, inf))
+    np.testing.assert_allclose(before, after, rtol=1e-11, atol=1e-9)
+    np.testing.assert_allclose(two_joints().jets(reference, [1.0])[0], SINE.jets(1.0), rtol=1e-14)
+
+
+def exact_sines(t: mpmath.mpf) -> list:
+    """Return the position of the sums of sines, term by term."""
+    sines = BUILT_IN["sums of sines"]
+    rows = [np.asarray(value) for value in (sines.amplitude, sines.frequency, sines.phase)]
+    terms = [
+        [a * mpmath.sin(mpmath.mpf(w) * t + mpmath.mpf(p)) for a, w, p in zip(*joint, strict=True)]
+        for joint in zip(*(row.T for row in rows), strict=True)
+    ]
+    return [mpmath.mpf(offset) + sum(joint) for offset, joint in zip(np.asarray(sines.offset), terms, strict=True)]
+
+
+def exact_circle(t: mpmath.mpf) -> list:
+    """Return the position of CIRCLE: until `ramp` the angle is the polynomial between its two jets."""
+    w, ramp, phase = (mpmath.mpf(value) for value in (CIRCLE.frequency, CIRCLE.ramp, CIRCLE.phase))
+    ends = np.zeros((2, JETS))
+    ends[1, :2] = CIRCLE.frequency * CIRCLE.ramp / 2, CIRCLE.frequency
+    swept = mpmath.polyval(hermite(ends, CIRCLE.ramp), t, asc=True) if t < ramp else w * (t - ramp / 2)
+    turns = mpmath.cos(phase + swept), mpmath.sin(phase + swept)
+    return [mpmath.mpf(c) + CIRCLE.radius * turn for c, turn in zip(np.asarray(CIRCLE.centre), turns, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("name", "position"), [("sums of sines", exact_sines), ("circle", exact_circle)], ids=["sines", "circle"]
+)
+def test_sines_and_circles_have_the_derivatives_of_sixty_digits(
+    name: str, position: Callable[[mpmath.mpf], list]
+) -> None:
+    t = [0.3, 0.8, 1.1, 1.6, 2.5, 20.0]
+    with mpmath.workdps(60):
+        exact = [
+            [[float(mpmath.diff(lambda s, i=i: position(s)[i], at, k)) for i in range(2)] for k in range(JETS)]
+            for at in map(mpmath.mpf, t)
+        ]
+    np.testing.assert_allclose(two_joints().jets(BUILT_IN[name], t), exact, rtol=1e-13, atol=1e-13)
+
+
+def test_sines_and_circles_are_for_any_number_of_joints() -> None:
+    three, t = library(3), np.linspace(-1.0, 5.0, 40)
+    for reference in (fjr.Circle((0.1, 0.2, 0.3), 0.4, 1.5), fjr.Sine((0.5, 0.2, 0.1), 2.0, 0.3)):
+        np.testing.assert_allclose(three.jets(reference, t), reference.jets(t), rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(one_joint().jets(fjr.Sine(1.0, 1.0), t), fjr.Sine(1.0, 1.0).jets(t), atol=1e-15)
+
+
+@pytest.mark.parametrize("reference", [OwnReference(), ScaledSine((0.5, 0.2), 2.0)])
+def test_a_reference_of_the_user_is_evaluated_in_python(reference: Reference) -> None:
+    t = np.linspace(-1.0, 5.0, 11)
+    np.testing.assert_array_equal(two_joints().jets(reference, t), [reference.jets(float(at)) for at in t])
+    joined = TimeShifted(Transition(JOINED.segment, reference), 0.5)
+    expected = [joined.jets(float(at)) for at in t]
+    np.testing.assert_allclose(two_joints().jets(joined, t), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_a_subclass_with_inherited_jets_is_a_table() -> None:
+    kinds = [reference_table(kind(1.0, 1.0)).kind for kind in (NamedSine, ScaledSine)]
+    assert kinds == ["FJR_SINES", "FJR_FUNCTION"]
+
+
+class BrokenReference(OwnReference):
+    """A reference that fails from 1 s on."""
+
+    def __init__(self, failure: Callable[[], object]) -> None:
+        self.failure = failure
+
+    def jets(self, t: float) -> np.ndarray:
+        return super().jets(t) if t < 1.0 else self.failure()  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(
+    ("failure", "error", "words"),
+    [
+        (lambda: 1 / 0, fjr.UserCodeError, "jets of BrokenReference raises ZeroDivisionError"),
+        (lambda: np.zeros((5, 3)), fjr.UserCodeError, r"jets of BrokenReference has shape \(5, 3\); expected \(5, 2\)"),
+        (lambda: "far", fjr.UserCodeError, "jets of BrokenReference is 'far'; expected numbers"),
+    ],
+    ids=["raises", "shape", "words"],
+)
+def test_a_reference_that_fails_is_nan_and_its_error_is_raised_once(
+    failure: Callable[[], object], error: type[Exception], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    c, struct = two_joints(), ReferenceStruct(two_joints().ffi, BrokenReference(failure))
+    good, bad = c.at(struct.pointer, [0.5, 1.5])
+    assert np.isfinite(good).all()
+    assert np.isnan(bad).all()
+    with pytest.raises(error, match=words):
+        struct.raise_failure()
+    struct.raise_failure()
+    assert capfd.readouterr() == ("", "")  # no traceback
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        (np.sin, "expected a reference, e.g. fjr.Sine"),
+        (fjr.Sine, "reference is the class Sine"),
+        (fjr.Sine(1.0, 1.0), "the reference has 1 joints; expected 2"),
+        (TimeShifted(fjr.Hold((0.1, 0.2, 0.3)), 1.0), "the reference has 3 joints; expected 2"),
+    ],
+    ids=["function", "class", "one joint", "three joints"],
+)
+def test_what_is_no_reference_of_the_arm_is_refused_in_one_sentence(reference: Reference, words: str) -> None:
+    with pytest.raises(fjr.TrajectoryError, match=words):
+        ReferenceStruct(two_joints().ffi, reference)
+
+
+@pytest.mark.parametrize("reference", [OwnReference(), TimeShifted(Transition(JOINED.segment, OwnReference()), 0.5)])
+def test_a_reference_of_the_user_is_not_exported(reference: Reference) -> None:
+    with pytest.raises(fjr.TrajectoryError, match="a reference OwnReference cannot be exported to C; expected one of"):
+        reference_code(reference, "way")

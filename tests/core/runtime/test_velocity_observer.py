@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Velocity observer: exact for the exact model, convergence at its bandwidth, tracking in the loop."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import ARMS, Arm
+from fjr_core.config.measurement import BANDWIDTH
+from fjr_core.runtime.observer_stability import error_radii
+from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, first_corrections
+from measurement_study.loop import Sensors, run, scenario
+
+MS = 1_000_000  # ns
+SHIPPED = ("paper_k31", "paper_k3p1", "two_link", "arm7")
+arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+
+
+class Moving:
+    """A robot under random held efforts, integrated with fine steps, and its observer."""
+
+    def __init__(self, arm: Arm, bandwidth: float = BANDWIDTH, seed: int = 0) -> None:
+        self.arm, self.n, self.stamp = arm, arm.n, 5 * MS
+        self.plant, self.rng = fjr.Plant(arm.robot), np.random.default_rng(seed)
+        q_l = self.rng.uniform(-0.5, 0.5, arm.n)
+        dq_l, dq_m = self.rng.uniform(-1, 1, (2, arm.n))
+        self.x, self.u = arm.robot.state(q_l, q_l + 0.05, dq_l, dq_m), np.zeros(arm.n)
+        self.observer = fjr.VelocityObserver(arm.robot, bandwidth)
+
+    @property
+    def q(self) -> np.ndarray:
+        return self.x[: 2 * self.n]
+
+    @property
+    def dq(self) -> np.ndarray:
+        return np.concatenate(self.plant.robot.velocities(self.x))
+
+    @property
+    def error(self) -> float:
+        """Largest velocity error [rad/s]."""
+        return float(np.abs(self.observer.state[2 * self.n :] - self.dq).max())
+
+    def move(self, dt: int = MS) -> None:
+        self.u = self.rng.uniform(-1, 1, self.n)
+        steps = math.ceil(dt / MS) * 8
+        for _ in range(steps):
+            self.x = self.plant.step(self.x, self.u, dt * 1e-9 / steps)
+        self.stamp += dt
+
+    def update(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.observer.update(self.stamp, self.q[: self.n], self.q[self.n :], self.u)
+
+    def run(self, samples: int, dt: int = MS) -> None:
+        for _ in range(samples):
+            self.move(dt)
+            self.update()
+
+    def begun(self, exact: bool = True) -> Moving:
+        """Process the first sample; exact: set the true velocities, otherwise start at zero."""
+        self.update()
+        if exact:
+            self.observer.state[2 * self.n :] = self.dq
+        return self
+
+
+@arms
+def test_an_exact_estimate_stays_exact_at_any_sample_period(arm: Arm) -> None:
+    moving = Moving(arm).begun()
+    for dt in (MS, 2 * MS, MS // 3, 10 * MS, MS, 99 * MS, MS):
+        moving.run(3, dt)
+        assert moving.error < 1e-6
+    np.testing.assert_allclose(moving.observer.state[: 2 * moving.n], moving.q, atol=1e-8)
+
+
+@arms
+def test_first_sample_is_exact_at_rest(arm: Arm) -> None:
+    moving = Moving(arm)
+    moving.x = arm.robot.state(moving.q[: arm.n], moving.q[arm.n :], 0, 0)
+    moving.begun(exact=False).run(50)
+    assert moving.error < 1e-8
+
+
+@pytest.mark.parametrize("bandwidth", [40.0, 150.0, 400.0])
+@arms
+def test_a_wrong_estimate_decays_exponentially_at_the_bandwidth(arm: Arm, bandwidth: float) -> None:
+    moving = Moving(arm, bandwidth).begun()
+    moving.run(200)  # until the gains have settled
+    moving.observer.state[2 * arm.n :] += 0.1
+    moving.run(math.ceil(20e3 / bandwidth))
+    assert moving.error < 1e-6
+
+
+@pytest.mark.parametrize("bandwidth", [40.0, 150.0])
+def test_decay_rate_is_the_bandwidth(bandwidth: float) -> None:
+    """The double pole gives (1 + c t) exp(-bandwidth t), so -log(error) / t approaches the bandwidth from below."""
+    moving = Moving(ARMS[0], bandwidth).begun()
+    moving.run(200)
+    moving.observer.state[2:] += 0.1
+    errors = []
+    for _ in range(2):
+        moving.run(round(5e3 / bandwidth))
+        errors.append(moving.error)
+    assert math.exp(-1.1 * 5) < errors[1] / errors[0] < math.exp(-0.75 * 5)
+
+
+@arms
+def test_start_in_motion_converges_well_before_one_time_constant(arm: Arm) -> None:
+    moving = Moving(arm, bandwidth=20.0).begun(exact=False)
+    assert moving.error == np.abs(moving.dq).max()
+    moving.run(1)
+    assert moving.error < 0.05 * np.abs(moving.dq).max()
+    moving.run(4)
+    assert moving.error < 0.02 * np.abs(moving.dq).max()
+
+
+@pytest.mark.parametrize("bandwidth", [1.0, 150.0, 3000.0])
+def test_both_poles_are_at_the_bandwidth(bandwidth: float) -> None:
+    dt = 1e-3
+    g, h = corrections(bandwidth, dt)
+    error = np.array([[1 - g, (1 - g) * dt], [-h / dt, 1 - h]])
+    z = math.exp(-bandwidth * dt)
+    np.testing.assert_allclose(np.poly(error), [1, -2 * z, z * z], atol=1e-12)
+
+
+def test_initial_gains_are_those_of_a_least_squares_line() -> None:
+    y = np.random.default_rng(0).standard_normal(12)
+    position, slope = y[0], 0.0
+    for k in range(1, len(y)):
+        g, h = first_corrections(k)
+        error = y[k] - position - slope
+        position, slope = position + slope + g * error, slope + h * error
+        line = np.polyfit(np.arange(k + 1), y[: k + 1], 1)
+        np.testing.assert_allclose([slope, position], [line[0], np.polyval(line, k)], rtol=1e-9)
+
+
+def test_a_repeated_stamp_changes_nothing() -> None:
+    moving = Moving(ARMS[2]).begun()
+    moving.run(5)
+    state = moving.observer.state.copy()
+    moving.observer.update(moving.stamp, moving.q[:2] + 1, moving.q[2:] - 1, moving.u + 9)
+    assert (moving.observer.state == state).all()
+    moving.run(3)
+    assert moving.error < 1e-8
+
+
+BEGINNINGS = {
+    "reset": lambda moving: moving.observer.reset(),
+    "a stamp that went back": lambda moving: setattr(moving, "stamp", 1),
+    "a long gap": lambda moving: setattr(moving, "stamp", moving.stamp + round(LONGEST_GAP * 1e9) + 1),
+}
+
+
+@pytest.mark.parametrize("beginning", BEGINNINGS)
+def test_restart_uses_positions_only(beginning: str) -> None:
+    moving = Moving(ARMS[2]).begun()
+    moving.run(5)
+    BEGINNINGS[beginning](moving)
+    dq_l, dq_m = moving.update()
+    assert not dq_l.any()
+    assert not dq_m.any()
+    assert (moving.observer.state[:4] == moving.q).all()
+    moving.run(300)
+    assert moving.error < 1e-6
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_non_finite_input_does_not_persist() -> None:
+    moving = Moving(ARMS[2]).begun()
+    for q, u in ((1e308, 0.0), (0.0, 1e308)):
+        moving.stamp += MS
+        moving.observer.update(moving.stamp, np.full(2, q), np.full(2, -q), np.full(2, u))
+    moving.run(300)
+    assert moving.error < 1e-6
+
+
+def test_one_integration_call_per_update_and_more_only_over_gaps() -> None:
+    moving = Moving(ARMS[2]).begun()
+    advance, calls = moving.observer._advance, []
+    moving.observer._advance = lambda: calls.append(advance())
+    for dt, expected in ((MS, 1), (MS // 2, 1), (3 * MS // 2, 1), (10 * MS, 7), (99 * MS, 66)):
+        calls.clear()
+        moving.run(1, dt)
+        assert len(calls) == expected
+
+
+def test_an_update_returns_views_of_one_state() -> None:
+    moving = Moving(ARMS[2]).begun()
+    state = moving.observer.state
+    for _ in range(3):
+        moving.move()
+        dq_l, dq_m = moving.update()
+        assert np.shares_memory(dq_l, state)
+        assert [*dq_l, *dq_m] == [*state[4:]]
+    assert moving.observer.state is state
+
+
+def test_compiled_observer_gives_the_same_numbers() -> None:
+    one, other = Moving(ARMS[-1]), Moving(ARMS[-1])
+    other.observer = fjr.VelocityObserver(ARMS[-1].robot, BANDWIDTH, compile=True)
+    for moving in (one, other):
+        moving.begun(exact=False).run(20)
+    np.testing.assert_allclose(one.observer.state, other.observer.state, rtol=1e-11)
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, -1.0, math.inf, math.nan])
+def test_invalid_bandwidths_are_refused(bandwidth: float) -> None:
+    with pytest.raises(fjr.ParameterError, match="expected a positive finite number"):
+        fjr.VelocityObserver(ARMS[0].robot, bandwidth)
+
+
+@cache
+def shipped(name: str):
+    return scenario(name)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_linearised_error_of_the_shipped_scenarios_decays_at_the_bandwidth(name: str) -> None:
+    loop = shipped(name)
+    radii = error_radii(loop.robot, BANDWIDTH, loop.sample_period, loop.configurations(3))
+    assert radii.max() < 1
+    np.testing.assert_allclose(radii, math.exp(-BANDWIDTH * loop.sample_period), rtol=3e-3)
+
+
+@pytest.mark.parametrize(("bandwidth", "inertia"), [(5.0, 1e-2), (150.0, 1e-2), (150.0, 1e-3), (2000.0, 1e-3)])
+def test_error_radius_of_an_undamped_joint_is_that_of_its_modes(bandwidth: float, inertia: float) -> None:
+    k, m, dt = 2000.0, 0.02, 1e-3
+    undamped = {"link_damping": 0.0, "motor_damping": 0.0, "gravity_torque": 1e-9}
+    robot = fjr.single_link(stiffness=k, link_inertia=inertia, motor_inertia=m, **undamped)
+    z, theta = math.exp(-bandwidth * dt), dt * math.sqrt(k / inertia + k / m)
+    trace = (1 + z * z) * math.cos(theta) - (1 - z) ** 2 * math.sin(theta) / theta
+    expected = max(z, np.abs(np.roots([1, -trace, z * z])).max())
+    assert error_radii(robot, bandwidth, dt, [[0.3]])[0] == pytest.approx(expected, rel=1e-3)
+    assert expected < 1
+
+
+def test_an_unstable_equilibrium_requires_a_bandwidth_above_its_rate() -> None:
+    """Upright, the joint of the paper falls at a rate below sqrt(m g l / M) = 5 1/s because of spring and damping."""
+    robot = fjr.single_link(stiffness=31.0, link_damping=0.0, motor_damping=0.0)
+    slow, fast = (error_radii(robot, bandwidth, 1e-3, [[np.pi]])[0] for bandwidth in (1.0, 50.0))
+    assert slow > 1 > fast
+
+
+@pytest.mark.parametrize("period", [0.0, -1e-3, 0.2, math.nan])
+def test_invalid_sample_periods_are_refused(period: float) -> None:
+    with pytest.raises(fjr.StateError, match="sample_period"):
+        error_radii(ARMS[0].robot, BANDWIDTH, period)
+
+
+@pytest.mark.parametrize("smoothed", [True, False])
+@pytest.mark.parametrize("name", SHIPPED)
+def test_tracks_with_16_bit_positions_only(name: str, smoothed: bool) -> None:
+    found = run(shipped(name), Sensors(bits=16), BANDWIDTH, smoothed, duration=3.0)
+    assert found.rms(2.0) < 2e-3
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "paper_k3p1"])
+def test_tracks_with_exact_positions_as_with_measured_velocities(name: str) -> None:
+    observed, measured = (run(shipped(name), Sensors(), bandwidth, duration=3.0) for bandwidth in (BANDWIDTH, None))
+    assert np.abs(observed.velocity_error).max() < 1e-10  # the steps are the plant's
+    np.testing.assert_allclose(observed.q_tilde_l, measured.q_tilde_l, atol=1e-8)
+
+
+def test_tracks_with_a_torque_sensor() -> None:
+    found = run(shipped("paper_k3p1"), Sensors(bits=16, torque_range=5.0), BANDWIDTH, duration=3.0)
+    assert found.rms(2.0) < 2e-3

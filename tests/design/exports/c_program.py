@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile exported C and C++ with warnings as errors, run the programs and read their output."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from fjr_core.config.scenario import load_scenario
+from fjr_design.exports import Loop, export, loop_of, prefix_of, write
+from time_limits import HANG
+
+SCENARIOS = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
+SHIPPED = sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
+STRICT = ("-O1", "-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
+C99, CPP = ("cc", "-std=c99", *STRICT), ("c++", "-std=c++17", *STRICT)
+
+
+@cache
+def loop(name: str) -> Loop:
+    """Return the loop of a shipped scenario."""
+    return loop_of(load_scenario(SCENARIOS / f"{name}.yaml"))
+
+
+def changed(scenario: str, **fields: object) -> Loop:
+    """Return the loop of a shipped scenario with other fields of the loop or its controller, e.g. another reference."""
+    made = loop(scenario)
+    of_loop = {name: fields.pop(name) for name in ("plant", "x0", "inner_steps") if name in fields}
+    return replace(made, controller=replace(made.controller, **fields), **of_loop)
+
+
+def exported(loop: Loop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
+    """Export a loop to a folder and return the folder."""
+    write(export(loop, prefix or prefix_of(loop.name), samples), folder)
+    return folder
+
+
+def built(command: Sequence[str], sources: Sequence[Path], program: Path, *options: str) -> Path:
+    """Compile sources to a program or object file; fail on the first warning."""
+    done = subprocess.run(
+        [*command, *options, *map(str, sources), "-o", str(program), "-lm"],
+        capture_output=True,
+        text=True,
+        timeout=HANG,
+    )
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    return program
+
+
+def program_output(program: Path, *arguments: str, code: int = 0) -> str:
+    """Return the output of a program that must end with this exit code."""
+    done = subprocess.run([str(program), *arguments], capture_output=True, text=True, timeout=HANG)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def replayed(folder: Path) -> Mapping[str, float]:
+    """Run the replay program of the folder; return the numbers that it compares, by what they are."""
+    return compared(built(C99, sorted(folder.glob("*.c")), folder / "replay"), folder / "case.txt")
+
+
+def compared(program: Path, case: Path, code: int = 0) -> Mapping[str, float]:
+    """Replay a case file; return the numbers that the program compares, by what they are."""
+    lines = program_output(program, str(case), code=code).splitlines()
+    found = (re.match(r"  (\w.*?)  +(\S+)  \(", line) for line in lines)
+    return {row[1]: float(row[2]) for row in found if row}

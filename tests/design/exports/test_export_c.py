@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Export to C99: efforts equal to Python's bit by bit, no warnings, no static state, use from C++, two exports."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+import own_code
+from design.exports.c_program import (
+    C99,
+    CPP,
+    SHIPPED,
+    built,
+    changed,
+    compared,
+    exported,
+    loop,
+    program_output,
+    replayed,
+)
+from fjr_core.config.scenario import parse_scenario
+from fjr_core.law.robust import Robust
+from fjr_core.runtime.measurement_model import Measurement
+from fjr_design.exports import Loop, export, loop_of, prefix_of
+from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, quoted
+
+EFFORTS, LOOP = "efforts that are not equal", "closed loop: worst difference"
+EQUAL = 1e-12
+ROBUST = Robust(residual_gain=20.0, integral_gain=2.0, delay=0.001)
+
+
+def replays(loop: Loop, folder: Path) -> None:
+    """Export the loop and replay it: efforts equal bit by bit, the closed loop to rounding."""
+    worst = replayed(exported(loop, folder))
+    assert worst[EFFORTS] == 0
+    assert worst.get(LOOP, 0.0) <= 1e-9
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_scenario_replays_without_warnings(name: str, tmp_path: Path) -> None:
+    replays(loop(name), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "two_link"])
+def test_law_with_controller_state_and_lead_replays(name: str, tmp_path: Path) -> None:
+    replays(changed(name, robust=ROBUST), tmp_path)
+    assert ".lead = 1500000" in (tmp_path / f"{name}.c").read_text()
+
+
+def test_implicit_midpoint_plant_replays(tmp_path: Path) -> None:
+    replays(changed("two_link", plant=fjr.Plant(loop("two_link").plant.robot, "implicit_midpoint")), tmp_path)
+
+
+def test_geared_motors_replay(tmp_path: Path) -> None:
+    replays(changed("two_link", measurement=Measurement(2, gear_ratio=np.array([100.0, -50.0]))), tmp_path)
+
+
+def test_plant_that_differs_from_the_model_replays(tmp_path: Path) -> None:
+    text = (
+        "/**: {ros__parameters: {realtime_priority: 0}}",
+        "/**/fjr_plant: {ros__parameters: {robot.link_inertia: [0.04]}}",
+    )
+    made = loop_of(parse_scenario("other", "\n".join(text)))
+    assert not np.allclose(made.plant.robot.M_l([0.0]), made.controller.law.robot.M_l([0.0]))
+    replays(made, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["Circle", "Spline", "PointToPoint", "MultiSine"])
+def test_built_in_references_replay(name: str, tmp_path: Path) -> None:
+    references = {
+        "Circle": fjr.Circle((0.2, -0.1), 0.3, 2.0),
+        "Spline": fjr.Spline([0.0, 0.03, 0.08], [[0.0, 0.0], [0.02, -0.01], [0.0, 0.01]]),
+        "PointToPoint": fjr.PointToPoint([0.0, 0.0], [0.05, 0.1], 0.1),
+        "MultiSine": fjr.MultiSine([[0.1, 0.2], [0.05, 0.0]], [[1.0, 2.0], [3.0, 1.0]]),
+    }
+    replays(changed("two_link", reference=references[name]), tmp_path)
+
+
+@pytest.fixture(scope="module")
+def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the replay program of paper_k31, next to its recorded case."""
+    folder = exported(loop("paper_k31"), tmp_path_factory.mktemp("replay"))
+    return built(C99, sorted(folder.glob("*.c")), folder / "replay")
+
+
+@pytest.mark.parametrize("column", [2, 5, -1])
+def test_replay_detects_a_wrong_number(column: int, replay: Path, tmp_path: Path) -> None:
+    rows = [line.split() for line in replay.with_name("case.txt").read_text().splitlines()]
+    rows[40][column] = float.hex(float.fromhex(rows[40][column]) + 1e-8)
+    (tmp_path / "case.txt").write_text("".join(" ".join(row) + "\n" for row in rows))
+    assert compared(replay, tmp_path / "case.txt", code=1)[EFFORTS] >= 1
+
+
+@pytest.mark.parametrize("text", ["", "t\n", "0 0 1.0\n", "1e3 0\n"])
+def test_replay_reports_an_invalid_case_file(text: str, replay: Path, tmp_path: Path) -> None:
+    (tmp_path / "case.txt").write_text(text)
+    assert "is not a case of this export" in program_output(replay, str(tmp_path / "case.txt"), code=2)
+    assert "cannot be opened" in program_output(replay, str(tmp_path / "nothing.txt"), code=2)
+
+
+TWO = r"""
+#include <cstdio>
+#include <thread>
+#include <vector>
+#include "two_link.h"
+#include "other.h"
+
+#define EFFORTS_OF(P) \
+  static std::vector<double> efforts_of_##P() \
+  { \
+    P##_work work; \
+    P##_model model; \
+    P##_controller controller; \
+    P##_command command; \
+    P##_sample sample = {0, {0.1, 0.2}, {0.15, 0.25}, {0.0, 0.1, 0.2, 0.3}}; \
+    std::vector<double> all; \
+    P##_scenario_model(&model, &work); \
+    P##_init(&controller, &P##_scenario_settings, P##_scenario_gains, P##_scenario_reference); \
+    for (int k = 0; k < 2000; ++k, sample.stamp += 1000000) { \
+      sample.link[k % 2] += 1e-5; \
+      P##_step(&model, &controller, &sample, sample.stamp, &command); \
+      all.insert(all.end(), command.u, command.u + 2); \
+    } \
+    return all; \
+  }
+EFFORTS_OF(two_link)
+EFFORTS_OF(other)
+
+int main()
+{
+  std::vector<double> a, b;
+  std::thread one([&] { a = efforts_of_two_link(); }), two([&] { b = efforts_of_other(); });
+  one.join();
+  two.join();
+  const bool same = a == efforts_of_two_link() && b == efforts_of_other();
+  std::printf("%s %s %a %a\n", two_link_scenario_name, other_joint_names[1], a[0], b[0]);
+  return same && a != b ? 0 : 1;
+}
+"""
+
+
+def test_two_exports_run_in_one_threaded_cpp_program(tmp_path: Path) -> None:
+    other = changed("two_link", reference=fjr.Circle((0.2, -0.1), 0.3, 2.0))
+    a, b = exported(loop("two_link"), tmp_path / "a"), exported(other, tmp_path / "b", prefix="other")
+    objects = [
+        built(C99, [source], source.with_suffix(".o"), "-c") for source in (*a.glob("two_link*.c"), *b.glob("other*.c"))
+    ]
+    (tmp_path / "main.cpp").write_text(TWO)
+    program = built(CPP, [tmp_path / "main.cpp", *objects], tmp_path / "main", f"-I{a}", f"-I{b}", "-pthread")
+    scenario, joint, *values = program_output(program).split()
+    assert (scenario, joint) == ("two_link", "elbow")
+    for value, each in zip(values, (loop("two_link"), other), strict=True):
+        step = each.controller.step()
+        step.step(0, 0, np.array([0.1 + 1e-5, 0.2]), np.array([0.15, 0.25]), np.array([0.0, 0.1]), np.array([0.2, 0.3]))
+        assert float.fromhex(value) == step.u[0]
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "two_link"])
+def test_exported_library_has_no_writable_data(name: str, tmp_path: Path) -> None:
+    folder = exported(changed(name, robust=ROBUST), tmp_path)
+    for source in folder.glob(f"{name}*.c"):
+        made = built(C99, [source], source.with_suffix(".o"), "-c", "-fno-pic")
+        symbols = subprocess.run(["nm", str(made)], capture_output=True, text=True, check=True).stdout
+        kinds = {line.split()[-2]: line.split()[-1] for line in symbols.splitlines()}
+        assert not set(kinds) & set("DdBbCSs"), symbols
+        defined = [line.split()[-1] for line in symbols.splitlines() if line.split()[-2] in "TRV"]
+        assert all(symbol.startswith(f"{name}_") for symbol in defined)
+        assert not {"malloc", "free", "printf"} & set(symbols.split())
+
+
+def test_constants_in_c_round_trip_exactly() -> None:
+    values = np.random.default_rng(3).normal(size=50) * 10.0 ** np.random.default_rng(4).integers(-300, 300, 50)
+    assert np.array_equal([float(text) for text in numbers(values).split(",")], values)
+    assert numbers([]) == "0.0"
+    assert numbers([np.inf, -np.inf, np.nan]) == "INFINITY, -INFINITY, NAN"
+    x = ca.MX.sym("x")
+    code = casadi_code("p", {"f": ca.Function("f", [x], [x * ca.DM(values)])})
+    found = {float(text) for text in re.findall(r"-?\d\.\d*(?:e[+-]\d+)?", code)}
+    assert set(values) <= found
+
+
+ODD = """a"b c\\d grün *//* */ int evil; %s what??/"""
+"""Name of scenario and joint."""
+
+
+def test_any_scenario_or_joint_name_compiles(tmp_path: Path) -> None:
+    folder = exported(changed("paper_k31", name=ODD, joints=(ODD,)), tmp_path, samples=3)
+    program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
+    assert program_output(program, str(folder / "case.txt")).startswith(ODD)
+
+
+@pytest.mark.parametrize(
+    ("name", "prefix"),
+    [
+        ("paper_k31", "paper_k31"),
+        ("arm-7 b", "arm_7_b"),
+        ("7", "loop_7"),
+        ("ä", "loop"),
+        ("_x_", "x"),
+        ("test", "loop_test"),
+        ("Math", "loop_Math"),
+        ("7" * 50, "loop_" + "7" * 35),
+        ("7" * 34 + " b", "loop_" + "7" * 34),
+    ],
+)
+def test_prefix_is_derived_from_the_name(name: str, prefix: str) -> None:
+    assert prefix_of(name) == checked_prefix(prefix) == prefix
+    assert quoted("?") == '"\\077"'
+
+
+@pytest.mark.parametrize("prefix", ["", "7a", "a-b", "a b", "ä", "a" * 41, "_a"])
+def test_prefixes_that_are_no_c_identifiers_are_refused(prefix: str) -> None:
+    with pytest.raises(fjr.ParameterError, match="expected a letter"):
+        export(loop("paper_k31"), prefix)
+
+
+@pytest.mark.parametrize(
+    "prefix", ["replay", "case", "test", "all", "install", "clean", "math", "STRING", "stdio", "m"]
+)
+def test_prefixes_that_collide_with_files_or_targets_are_refused(prefix: str) -> None:
+    with pytest.raises(fjr.ParameterError, match=f"prefix is '{prefix}', which .*; expected another one"):
+        export(loop("paper_k31"), prefix)
+
+
+def test_unsupported_loops_are_refused_with_the_reason() -> None:
+    with pytest.raises(fjr.StateError, match="expected equal numbers"):
+        changed("paper_k31", joints=("a", "b"))
+    with pytest.raises(fjr.StateError, match="expected equal numbers"):
+        changed("paper_k31", x0=np.zeros(8))
+    with pytest.raises(fjr.StateError, match="diverged at t = "):
+        export(changed("paper_k3p1", sample_period=0.05, inner_steps=1), "p")
+    with pytest.raises(fjr.TrajectoryError, match="cannot be exported to C; expected one of Sine"):
+        export(changed("paper_k31", reference=own_code_reference()), "p")
+    own = fjr.PythonLaw(own_code.Pd(fjr.single_link()), fjr.single_link())
+    with pytest.raises(fjr.StateError, match="the law is written in Python; expected one made of expressions"):
+        changed("paper_k31", law=own)
+
+
+def own_code_reference() -> object:
+    class Own:
+        n, end = 1, np.inf
+
+        def jets(self, t: float) -> np.ndarray:
+            return np.zeros((5, 1))
+
+        def configurations(self, k: int) -> np.ndarray:
+            return np.zeros((k, 1))
+
+    return Own()

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Synthesised gains: required rate, stable sampled loop, and one sentence if no gains exist."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.chains import arm7
+from core.stability.test_sampled_loop import chain3, loop_converges
+from fjr_core.model.domain import Domain
+from fjr_core.stability.linearization import closed_form
+from fjr_core.stability.sampled_loop import check, spectral_radius
+from fjr_design.tuning.gain_synthesis import synthesize
+
+TORQUE_LIMITS = np.array([176, 176, 110, 110, 110, 40, 40])
+HOME = np.array([0, 0.5, 0.2, -1.2, -0.2, 0.8, 0.4])
+
+
+@cache
+def robot(name: str) -> fjr.Robot:
+    if name == "arm7":
+        return arm7().robot
+    return {
+        "paper": fjr.single_link,
+        "soft": lambda: fjr.single_link(stiffness=3.1),
+        "planar": fjr.planar_two_link,
+        "full": lambda: fjr.planar_two_link(
+            [[40.0, 5.0], [5.0, 25.0]], motor_inertia=[[0.02, 0.003], [0.003, 0.01]], input_gain=[[1.2, 0.1], [0, 0.8]]
+        ),
+        "chain": lambda: chain3(np.random.default_rng(3)),
+    }[name]()
+
+
+def workspace(k: int = 40) -> np.ndarray:
+    """Return configurations of arm7 within 0.4 rad of a forward and downward reach."""
+    return HOME + np.random.default_rng(0).uniform(-0.4, 0.4, (k, 7))
+
+
+@cache
+def workspace_gains() -> fjr.Gains:
+    """Return the gains of arm7 for its workspace, on which several tests rest."""
+    return synthesize(robot("arm7"), 6.0, 1e-3, configurations=workspace())
+
+
+def elsewhere(arm: fjr.Robot, k: int = 1500) -> np.ndarray:
+    """Return random configurations that neither check nor synthesis uses, half of them with aligned axes."""
+    rng, limits = np.random.default_rng(11), arm.limits
+    lower, upper = (limits.lower, limits.upper) if limits else (-np.pi, np.pi)
+    q_l = rng.uniform(lower, upper, (k, arm.n))
+    q_l[k // 2 :] *= rng.random((k - k // 2, arm.n)) < 0.5
+    return q_l
+
+
+BETWEEN = 3e-3  # allowed excess of the radius between the sampled configurations
+
+
+@pytest.mark.parametrize(
+    ("name", "beta", "period", "delay"),
+    [
+        ("paper", 10.0, 1e-3, 0.0),
+        ("paper", 3.0, 5e-3, 5e-3),
+        ("soft", 8.0, 2e-3, 1e-3),
+        ("planar", 5.0, 1e-3, 1e-3),
+        ("full", 5.0, 2e-3, 0.0),
+        ("chain", 3.0, 1e-3, 0.5e-3),
+        ("arm7", 3.0, 1e-3, 0.0),
+    ],
+)
+def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
+    name: str, beta: float, period: float, delay: float
+) -> None:
+    law = fjr.TrackingLaw(robot(name), synthesize(robot(name), beta, period, delay))
+    rate, found = law.rate(), check(law, period, delay)
+    assert min(rate.beta_l, rate.beta_m, rate.beta_sigma_l, rate.beta_sigma_m) >= beta * (1 - 1e-9)
+    assert found.stable
+    assert found.spectral_radius <= np.exp(-beta * period / 2)
+    assert found.delay_margin >= delay / period + 0.5
+    loop = closed_form(law, elsewhere(law.robot), fjr.Plant(law.robot))
+    for late in (0.0, 0.2, 0.4, 0.5):
+        assert loop.radii(period, delay + late * period).max() <= np.exp(-beta * period / 2) + BETWEEN
+    assert law.rate(elsewhere(law.robot)).beta >= 0.9 * beta
+
+
+@pytest.mark.parametrize("name", ["planar", "full", "chain", "arm7"])
+def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
+    """The gains are for one configuration (of arm7: for a workspace), and the check uses a larger, different set."""
+    arm = robot(name)
+    at_zero = [np.zeros(arm.n)]
+    law = fjr.TrackingLaw(
+        arm, workspace_gains() if name == "arm7" else synthesize(arm, 6.0, 1e-3, configurations=at_zero)
+    )
+    found, loop = check(law, 1e-3), closed_form(law, elsewhere(arm), fjr.Plant(arm))
+    assert found.configurations >= 1000
+    assert found.lowest_stable_rate is not None
+    assert loop.radii(1e-3).max() == pytest.approx(found.spectral_radius, abs=BETWEEN)
+    assert loop.radii(1e-3, 0.93 * found.delay_margin * 1e-3).max() < 1
+    assert loop.radii(1 / (1.05 * found.lowest_stable_rate)).max() < 1
+    assert loop.radii(1e-3, 1.1 * found.delay_margin * 1e-3).max() > 1
+    assert loop.radii(1 / (0.95 * found.lowest_stable_rate)).max() > 1
+
+
+def test_gains_for_a_workspace_reach_a_higher_rate() -> None:
+    """M_l varies less away from singular configurations, so one more sample of delay is tolerated."""
+    q_l = workspace()
+    law = fjr.TrackingLaw(robot("arm7"), workspace_gains())
+    assert law.rate(q_l).beta >= 6 * (1 - 1e-9)
+    assert check(law, 1e-3, configurations=q_l).delay_margin > 1.5
+    with pytest.raises(fjr.GainsError, match="out of reach"):
+        synthesize(robot("arm7"), 6.0, 1e-3)
+
+
+def test_stiff_arm_with_synthesised_gains_is_stable_as_sampled_and_in_simulation() -> None:
+    law = fjr.TrackingLaw(robot("arm7"), workspace_gains())
+    for delay in (0.0, 1e-3):
+        for q_l in workspace(3):
+            assert spectral_radius(law, 1e-3, delay, [q_l])[0] < 1
+            assert loop_converges(law, q_l, 1e-3, delay)
+
+
+def test_stiff_arm_tracks_sines_from_an_offset_within_its_torques() -> None:
+    arm = robot("arm7")
+    law = fjr.TrackingLaw(arm, workspace_gains())
+    reference = fjr.Sine(np.full(7, 0.3), np.pi, HOME, -np.pi / 2)
+    q_l = reference.jets(0.0)[0] + 0.05
+    x0 = arm.state(q_l, q_l + np.linalg.solve(arm.K, arm.grad_P_l(q_l)), 0, 0)
+    run = fjr.simulate(fjr.Plant(arm), law, reference, x0, 3.0, 1e-3)
+    error = np.abs(run.x[:, :7] - run.jets[:, 0]).max(axis=1)
+    assert error[-500:].max() < 1e-4
+    assert np.all(np.abs(run.u).max(axis=0) < TORQUE_LIMITS)
+
+
+def test_rate_named_in_the_error_is_reachable() -> None:
+    paper = robot("paper")
+    with pytest.raises(fjr.GainsError) as caught:
+        synthesize(paper, 500.0, 0.005, 0.005)
+    message = str(caught.value)
+    assert "beta = 500 1/s is out of reach at 200 Hz with a delay of 0.005 s" in message
+    assert "\n" not in message
+    (reached,) = (float(number) for number in re.findall(r"at most ([\d.]+) 1/s", message))
+    assert fjr.TrackingLaw(paper, synthesize(paper, 0.99 * reached, 0.005, 0.005)).rate().beta >= 0.98 * reached
+    with pytest.raises(fjr.GainsError):
+        synthesize(paper, 1.2 * reached, 0.005, 0.005)
+
+
+def test_loop_without_any_reachable_rate_is_reported() -> None:
+    with pytest.raises(fjr.GainsError, match="so are all rates down to"):
+        synthesize(robot("chain"), 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("beta", [1e300, 1e160, 1e7])
+def test_huge_rates_are_out_of_reach(beta: float) -> None:
+    with pytest.raises(fjr.GainsError, match=r"out of reach at 1000 Hz .* expected at most [\d.]+ 1/s") as caught:
+        synthesize(robot("planar"), beta, 1e-3)
+    (reached,) = (float(number) for number in re.findall(r"at most ([\d.]+) 1/s", str(caught.value)))
+    assert synthesize(robot("planar"), 0.99 * reached, 1e-3)
+
+
+@pytest.mark.parametrize("beta", [0.0, -1.0, float("nan"), float("inf")])
+def test_invalid_rates_are_refused(beta: float) -> None:
+    with pytest.raises(fjr.GainsError, match=r"^beta is .*; expected a positive finite number$"):
+        synthesize(robot("paper"), beta, 1e-3)
+
+
+@pytest.mark.parametrize(("period", "delay"), [(0.0, 0.0), (1e-3, -1.0), (float("inf"), 0.0)])
+def test_invalid_times_are_refused(period: float, delay: float) -> None:
+    with pytest.raises(fjr.StateError, match="; expected "):
+        synthesize(robot("paper"), 5.0, period, delay)
+
+
+def test_gains_on_a_domain_have_the_rate_at_every_position_of_it() -> None:
+    """The straight arm has more inertia than the given configurations."""
+    robot = fjr.planar_two_link()
+    domain = Domain(np.array([-1.0, 0.0]), np.array([1.0, 2.0]))
+    given = [[0.0, 1.5], [0.5, 2.0]]
+    sampled, proven = (fjr.synthesize(robot, 5.0, 1e-3, configurations=given, domain=each) for each in (None, domain))
+    straight = [[0.0, 0.0]]
+    assert fjr.TrackingLaw(robot, sampled).rate(straight).beta < 5.0
+    assert fjr.TrackingLaw(robot, proven).rate(straight).beta >= 5.0
+    assert fjr.TrackingLaw(robot, proven).proven_rate(domain, goal=1 - 1e-6).beta >= 5.0

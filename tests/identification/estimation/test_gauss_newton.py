@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The descent begins with short parts of the segments and ends at least as near to the record as the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from core.oracles.elastic_joint import TRUTH
+from fjr_core.numerics.checks import Array
+from fjr_identification.estimation.gauss_newton import optimise
+from fjr_identification.estimation.multiple_shooting import FEWEST, ROUGH, Problem
+from identification.estimation.test_equation_error import JOINT, NOISE, setup_of
+
+
+def problem_at_truth() -> tuple[Problem, Array]:
+    """Return segments of a record of the joint, with the parameters z that made it."""
+    setup = setup_of()
+    motions, start = setup.start()
+    true = {**start, **{name: np.array([getattr(JOINT, field)]) for name, field in TRUTH.items()}}
+    return setup.problem(setup.coordinates, true, motions), setup.coordinates.of_values(true)
+
+
+def test_a_part_has_the_beginnings_of_some_segments() -> None:
+    problem, z = problem_at_truth()
+    part = problem.part(2, 4)
+    assert [each.first for each in part.segments] == [each.first for each in problem.segments[::2]]
+    assert [each.count for each in part.segments] == [max(FEWEST, each.count // 4) for each in problem.segments[::2]]
+    found, whole = (each.compare(0, z, each.filtered[0], np.full(2, NOISE)) for each in (part, problem))
+    assert found is not None
+    assert whole is not None
+    np.testing.assert_array_equal(found.predicted, whole.predicted[:, : found.predicted.shape[1]])
+
+
+def wrong_start(problem: Problem, z: Array) -> Array:
+    start = z + 0.3 * problem.coordinates.width * np.random.default_rng(4).standard_normal(len(z))
+    return np.where(np.abs(z) > 1, z + 0.1, np.clip(start, 0.0, None))
+
+
+def test_residuals_below_the_steps_of_the_encoders_lead_to_the_minimum_too() -> None:
+    problem, z = problem_at_truth()
+    coarse = replace(problem, floor=np.full(2, 3 * NOISE))
+    found = optimise(coarse, wrong_start(problem, z), problem.filtered)
+    assert found.converged
+    assert np.all(found.noise < 1.1 * coarse.floor)
+    stiffness = [name for name, _ in problem.coordinates.free].index("joint_stiffness")
+    assert abs(found.z[stiffness] - z[stiffness]) < 1e-3
+
+
+def test_the_optimum_fits_as_well_as_the_truth() -> None:
+    problem, z = problem_at_truth()
+    found = optimise(problem, wrong_start(problem, z), problem.filtered)
+    true = problem.evaluate(z, problem.filtered, np.maximum(problem.floor, ROUGH))
+    assert true is not None
+    assert found.converged
+    assert problem.cost(found.compared, found.z) < problem.cost(true[1], z)
+    assert np.all(found.noise < 1.5 * NOISE)

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Known joints are found again with intervals that contain the truth; what records cannot tell is said, not guessed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, usual_record
+from fjr_core.numerics.checks import Array
+from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, Estimate, Identification
+from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.parameters import Options, Prior
+from fjr_identification.estimation.posterior import inflation
+from fjr_identification.estimation.validation import predicted_deflection
+
+NOISE = 2e-5  # rad
+LINEAR = ElasticJoint().linear()
+
+
+def robot_like(joint: ElasticJoint) -> fjr.Robot:
+    """Return the robot with the right link and wrong springs and motors."""
+    return fjr.single_link(
+        stiffness=1.4 * joint.K,
+        motor_inertia=0.8 * joint.B,
+        link_inertia=joint.M,
+        gravity_torque=joint.load,
+        link_damping=0.0,
+        motor_damping=0.0,
+    )
+
+
+def noisy(
+    u: Array, link: Array | None, motor: Array | None, dt: float, torque: Array | None = None, noise: float = NOISE
+) -> MotionRecord:
+    random = np.random.default_rng(7)
+    nothing = np.full_like(u, np.nan)
+    q_l, q_m = (nothing if each is None else each + noise * random.standard_normal(len(u)) for each in (link, motor))
+    columns = (u, q_l, q_m, nothing if torque is None else torque)
+    return MotionRecord("a record", ("joint1",), dt, *(each[:, None] for each in columns))
+
+
+def sensed(joint: ElasticJoint, q_l: Array, q_m: Array) -> Array:
+    """Return what a torque sensor measures of the usual record, at the time of the motor."""
+    k = np.arange(len(q_m))
+    torque = joint.K * (q_m - np.interp(k - joint.skew / 4e-3, k, q_l) - joint.offset)
+    return np.asarray(torque + 2e-3 * np.random.default_rng(3).standard_normal(len(k)))
+
+
+def linear_record(frequencies: list[float], amplitude: float, link: bool, noise: float = NOISE) -> MotionRecord:
+    """Return a record that starts and ends smoothly, so that it excites these frequencies only."""
+    dt, joint = 2e-3, replace(LINEAR, skew=1.5e-3, delay=2.5e-3)
+    t = np.arange(1500) * dt
+    u = multi_sine(t, np.array(frequencies), amplitude, 2) * np.sin(np.pi * t / t[-1]) ** 4
+    q_l, q_m = exact(joint, u, dt, 5e-4)
+    return noisy(u, q_l if link else None, q_m, dt, noise=noise)
+
+
+def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> dict[str, Estimate]:
+    robot = robot_like(joint)
+    found = identify([record], robot, Prior.of(robot), Options(**options))  # type: ignore[arg-type]
+    return {each.name: each for each in found.estimates}
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_all_parameters_of_a_joint_are_found_within_their_intervals(seed: int) -> None:
+    found = found_in(noisy(*usual_record(seed), 4e-3), ElasticJoint())
+    for name, field in TRUTH.items():
+        true, estimate = getattr(ElasticJoint(), field), found[name]
+        sd = (estimate.high - estimate.low) / 3.92
+        assert abs(estimate.value - true) < 3 * sd, name
+        assert estimate.verdict == IDENTIFIED, name
+    assert found["joint_stiffness"].value == pytest.approx(31.0, rel=1e-3)
+    assert found["motor_inertia"].value == pytest.approx(0.004, rel=1e-3)
+
+
+def test_two_records_give_narrower_intervals_than_one() -> None:
+    robot = robot_like(ElasticJoint())
+    records = [noisy(*usual_record(seed), 4e-3) for seed in (0, 1)]
+    widths = []
+    for chosen in (records[:1], records):
+        found = identify(chosen, robot, Prior.of(robot))
+        widths.append([each.high - each.low for each in found.estimates])
+    assert np.median(np.array(widths[1]) / np.array(widths[0])) < 0.8
+
+
+def test_the_resonance_tells_the_stiffness_from_the_motor_side_alone() -> None:
+    found = found_in(linear_record([0.4, 1.1, 5.0, 15.0, 17.0], 0.15, link=False), LINEAR)
+    stiffness = found["joint_stiffness"]
+    assert stiffness.verdict == IDENTIFIED
+    assert stiffness.low < LINEAR.K < stiffness.high
+    assert "link_skew" not in found
+
+
+def test_without_its_resonance_the_motor_side_does_not_tell_the_stiffness() -> None:
+    found = found_in(linear_record([0.4, 0.9], 0.01, link=False, noise=5e-4), LINEAR)
+    stiffness = found["joint_stiffness"]
+    assert stiffness.verdict == UNKNOWN
+    assert stiffness.value == stiffness.prior == pytest.approx(1.4 * LINEAR.K)
+    assert "excite the joint near its resonance" in stiffness.reason
+
+
+def test_without_gravity_the_motor_side_does_not_tell_the_offset() -> None:
+    found = found_in(linear_record([0.4, 1.1, 5.0, 15.0, 17.0], 0.15, link=False), LINEAR)
+    assert found["offset"].verdict == UNKNOWN
+    assert "measure the link" in found["offset"].reason
+
+
+def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments() -> None:
+    joint, robot, (u, q_l, q_m) = ElasticJoint(), robot_like(ElasticJoint()), usual_record()
+    record = noisy(u, q_l, None, 4e-3, sensed(joint, q_l, q_m), noise=2e-6)
+    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), Options(segment=0.1))
+    assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.02)
+    offset = next(each for each in found.estimates if each.name == "offset")
+    assert (offset.verdict, offset.value) == (UNKNOWN, 0.0)
+    assert "measure the motor" in offset.reason
+
+
+def test_a_joint_that_stands_still_keeps_its_prior() -> None:
+    k = 500
+    found = found_in(noisy(np.zeros(k), np.zeros(k), np.zeros(k), 2e-3), LINEAR)
+    for name in ("motor_inertia", "link_damping", "motor_damping", "link_coulomb_friction", "link_skew"):
+        assert found[name].verdict == UNKNOWN
+        assert found[name].value == found[name].prior
+        assert "stands still" in found[name].reason
+    assert found["joint_stiffness"].verdict == UNKNOWN
+
+
+def test_a_torque_sensor_replaces_the_link_encoder() -> None:
+    u, q_l, q_m = usual_record()
+    joint = ElasticJoint()
+    found = found_in(noisy(u, None, q_m, 4e-3, sensed(joint, q_l, q_m)), joint)
+    assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.02)
+    assert found["motor_inertia"].value == pytest.approx(joint.B, rel=0.02)
+
+
+def test_correlated_scores_widen_the_intervals_and_white_ones_do_not() -> None:
+    random = np.random.default_rng(0)
+    white = random.standard_normal((4000, 2))
+    slow = np.repeat(random.standard_normal((1000, 2)), 4, axis=0)
+    posterior = np.eye(2) / 4000
+    np.testing.assert_allclose(inflation(white, posterior), 1.0, atol=0.1)
+    assert np.all(inflation(slow, posterior) > 1.4)
+
+
+def test_an_identification_is_read_back_and_draws_respect_signs() -> None:
+    robot = robot_like(ElasticJoint())
+    found = identify([noisy(*usual_record(), 4e-3)], robot, Prior.of(robot))
+    again = Identification.from_dict(json.loads(json.dumps(found.as_dict())))
+    np.testing.assert_array_equal(again.draws(50, 1), found.draws(50, 1))
+    names = [each.name for each in found.estimates]
+    draws = found.draws(500, 2)
+    assert np.all(draws[:, [names.index(name) for name in ("joint_stiffness", "motor_inertia", "link_damping")]] >= 0)
+    spread = draws[:, names.index("joint_stiffness")].std()
+    stiffness = found.estimates[names.index("joint_stiffness")]
+    assert spread == pytest.approx((stiffness.high - stiffness.low) / 3.92, rel=0.15)
+
+
+def test_records_of_other_joints_are_refused() -> None:
+    record = noisy(*usual_record(), 4e-3)
+    with pytest.raises(fjr.FjrError, match="expected the 2 of the robot"):
+        identify([record], fjr.planar_two_link(), Prior.of(fjr.planar_two_link()))
+
+
+def test_the_deflection_of_another_record_is_predicted() -> None:
+    robot, joint = robot_like(ElasticJoint()), ElasticJoint()
+    found = identify([noisy(*usual_record(0), 4e-3)], robot, Prior.of(robot))
+    held_out = noisy(*usual_record(1), 4e-3)
+    deflection = predicted_deflection(held_out, robot, Prior.of(robot), found)
+    assert deflection.rigid[0] > 5e-3
+    assert deflection.unexplained[0] < 0.1
+    wrong = replace(found, estimates=tuple(replace(e, value=e.prior) for e in found.estimates))
+    assert predicted_deflection(held_out, robot, Prior.of(robot), wrong).unexplained[0] > 0.2
+    assert pytest.approx(found.value("joint_stiffness")[0], rel=1e-3) == joint.K
+
+
+def test_a_torque_that_depends_on_the_position_is_found() -> None:
+    u, q_l, q_m = usual_record()
+    joint = ElasticJoint()
+    empty = fjr.single_link(
+        stiffness=25.0, motor_inertia=0.005, link_inertia=joint.M, gravity_torque=0.0, link_damping=0.0
+    )
+    record = noisy(u, q_l, q_m, 4e-3)
+    found = {e.name: e for e in identify([record], empty, Prior.of(empty), Options(position_torque="joint1")).estimates}
+    assert found["position_torque_sin1"].value == pytest.approx(joint.load, rel=0.01)
+    assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.01)

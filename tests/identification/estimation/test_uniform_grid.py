@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Uniform grid: jitter and lost samples are interpolated and reported; jumps and wrong units are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fjr_core.errors import RecordError
+from fjr_core.numerics.checks import Array
+from fjr_identification.estimation.uniform_grid import Uniform, uniform
+
+DT, K = 2e-3, 2000
+GRID = DT * np.arange(K)
+
+
+def motion(t: Array) -> Array:
+    return np.column_stack([np.sin(7 * t), np.full(len(t), np.nan)])
+
+
+def effort(t: Array) -> Array:
+    """Return an effort that changes at each nominal sample."""
+    return np.cos(5 * DT * np.floor(t / DT + 1e-9))[:, None]
+
+
+def put(t: Array) -> Uniform:
+    return uniform("run.csv", t, effort(t), motion(t))
+
+
+def test_uniform_samples_are_left_as_they_are() -> None:
+    found = put(GRID)
+    assert np.array_equal(found.sampled, motion(GRID), equal_nan=True)
+    assert np.array_equal(found.held, effort(GRID))
+    assert found.notes == ()
+
+
+def test_rounded_stamps_count_as_uniform() -> None:
+    assert put(np.round(GRID, 5)).notes == ()
+
+
+def test_jitter_is_interpolated_and_reported() -> None:
+    t = GRID + DT * 0.3 * np.random.default_rng(1).uniform(-1, 1, K)
+    t[0], t[-1] = 0.0, GRID[-1]
+    found = uniform("run.csv", t, np.ones((K, 1)), motion(t))
+    assert found.dt == pytest.approx(DT)
+    assert np.max(np.abs(found.sampled[:, 0] - motion(found.dt * np.arange(K))[:, 0])) < 1e-6
+    assert np.all(np.isnan(found.sampled[:, 1]))
+    assert found.held == pytest.approx(1.0)
+    assert "interpolated to 2 ms: samples are up to 0.6" in found.notes[0]
+
+
+def test_lost_samples_are_interpolated_and_counted() -> None:
+    kept = np.delete(np.arange(K), [500, 501, 900])
+    found = put(GRID[kept])
+    assert len(found.sampled) == K
+    assert found.missing == 3
+    assert np.max(np.abs(found.sampled[:, 0] - motion(GRID)[:, 0])) < 1e-6
+    still = np.delete(np.arange(K - 1), [500, 501, 899, 900])
+    assert found.held[still] == pytest.approx(effort(GRID)[still], abs=1e-9)
+
+
+def test_mean_of_a_held_effort_is_its_integral() -> None:
+    t = GRID + 0.25 * DT * (np.arange(K) % 2)
+    u = np.random.default_rng(2).standard_normal((K, 1))
+    found = uniform("run.csv", t, u, motion(t))
+    widths = np.append(np.diff(t), found.dt * len(found.held) - (t[-1] - t[0]))
+    assert found.dt * found.held.sum() == pytest.approx(float(widths @ u[:, 0]), abs=1e-2 * DT * K)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda t: np.where(t > 1.0, t + 0.5, t), "time jumps by 0.502 s at sample 501"),
+        (lambda t: np.where(t > 1.0, t - 0.5, t), "time runs back by 0.498 s at sample 501"),
+        (lambda t: np.maximum(t, 0.1), "time stands still at sample 1"),
+        (lambda t: t * 1e3, "is the unit of the time right?"),
+        (lambda t: t * 1e-6, "is the unit of the time right?"),
+        (lambda t: np.where(t > 1.0, 2 * t - 1.0, t), "expected one sample period"),
+        (lambda t: np.where(t == t[7], np.nan, t), "the time of sample 7 is not finite"),
+        (lambda t: t[:1], "has 1 samples; expected at least 2"),
+    ],
+    ids=["jump", "back", "still", "milliseconds", "microseconds", "other period", "not finite", "too few"],
+)
+def test_other_times_are_refused_in_one_sentence(change: object, sentence: str) -> None:
+    t = change(GRID)  # type: ignore[operator]
+    with pytest.raises(RecordError, match="^run.csv") as caught:
+        uniform("run.csv", t, np.zeros((len(t), 1)), np.zeros((len(t), 1)))
+    assert sentence in str(caught.value)

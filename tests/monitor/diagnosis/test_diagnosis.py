@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnosis of simulated runs: each cause alone, with and without measured torque, and insufficient data."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.monitoring.axes import Axes
+from fjr_core.monitoring.certificate import Certificate
+from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
+from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_monitor.diagnosis.innovations import innovations, needed
+from fjr_monitor.diagnosis.record import Ends, Record
+
+PERIOD, DURATION = 1e-3, 2.5
+LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+REFERENCE = fjr.Sine(1.0, 1.0)
+
+
+@cache
+def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record:
+    """Record a sampled run of the paper's joint; `robot`: parameters of the plant that the law does not know."""
+    real = fjr.single_link(**robot)
+    x0 = real.state(0.5, 0.5, 0.0, 0.0)
+    run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, x0, DURATION, PERIOD, delay=delay)
+    velocity = np.array([np.concatenate(real.velocities(x)) for x in run.x])
+    time_shifted = np.vstack([np.zeros((1, 1)), run.u[:-1]])
+    return Record(
+        t=run.t,
+        position=run.x[:, :2],
+        velocity=velocity,
+        jets=run.jets,
+        u=run.u,
+        u_applied=time_shifted if measured else None,
+        sent=None,
+        answered=None,
+        sample_period=PERIOD,
+        effort_limit=np.array([np.inf]),
+    )
+
+
+def test_exact_model_predicts_the_next_state() -> None:
+    found = innovations(record(), Certificate(LAW), Prediction(LAW))
+    assert np.abs(found.error).max() <= 1e-11
+    assert np.abs(found.V1 - found.predicted).max() <= 1e-11
+    assert np.abs(needed(found, LAW.robot) - found.sent).max() <= 1e-7
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_healthy_run_is_holding(measured: bool) -> None:
+    verdict = diagnose(record(measured=measured), LAW)
+    assert (verdict.kind, verdict.causes) == ("holding", ())
+    assert verdict.figures["violated share"] == 0.0
+    assert verdict.figures["spectral radius"] < 1
+    strict = Axes(("joint1",), ("rad",), np.array([1e-9]))
+    assert diagnose(record(measured=measured), LAW, axes=strict).kind == "holding"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("stiffness", 29.0),
+        ("link_inertia", 0.034),
+        ("motor_inertia", 0.0035),
+        ("motor_inertia", 0.0046),
+        ("motor_inertia", 0.0054),
+        ("motor_inertia", 0.007),
+        ("link_damping", 0.25),
+    ],
+)
+def test_wrong_plant_parameter_is_a_model_mismatch(name: str, value: float) -> None:
+    verdict = diagnose(record(**{name: value}), LAW)
+    assert verdict.kind in ("degraded", "violated")
+    assert verdict.causes == ("model mismatch",)
+    assert "differs from the model" in verdict.sentence
+
+
+@pytest.mark.parametrize("delay", [0.7e-3, 1e-3, 2.4e-3, 4e-3])
+def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
+    seen = record(delay=delay)
+    found = innovations(seen, Certificate(LAW), Prediction(LAW))
+    age = acting(found, effort_delay(found, LAW.robot), needed(found, LAW.robot)).age
+    assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
+    verdict = diagnose(seen, LAW)
+    assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))
+    assert verdict.figures["effort age"] == pytest.approx(delay, abs=0.02 * PERIOD)
+
+
+@pytest.mark.parametrize("latency", [0.2e-3, 0.35e-3, 0.6e-3])
+@pytest.mark.parametrize("measured", [False, True])
+def test_known_latency_within_a_sample_is_holding_and_more_is_a_delay(latency: float, measured: bool) -> None:
+    """In real time the previous effort acts until the new one arrives; known send times account for that."""
+    late = record(delay=latency, measured=measured)
+    known = replace(late, sent=late.t, answered=late.t + latency)
+    assert diagnose(late, LAW).causes == ("delay",)
+    assert diagnose(known, LAW).kind == "holding"
+    assert diagnose(replace(known, answered=late.t + latency + 0.1e-3), LAW).kind == "holding"
+    later = replace(record(delay=latency + 2e-3), sent=late.t, answered=late.t + latency)
+    assert diagnose(later, LAW).causes == ("delay",)
+    other = replace(record(delay=latency, stiffness=29.0), sent=late.t, answered=late.t + latency)
+    assert diagnose(other, LAW).causes[0] == "model mismatch"
+
+
+def test_missing_states_are_a_loss() -> None:
+    """Every second state is missing, so each effort is held for two periods."""
+    real = fjr.simulate(fjr.Plant(LAW.robot), LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0, 0), DURATION, 2 * PERIOD)
+    velocity = np.array([np.concatenate(LAW.robot.velocities(x)) for x in real.x])
+    seen = replace(record(), t=real.t, position=real.x[:, :2], velocity=velocity, jets=real.jets, u=real.u)
+    verdict = diagnose(seen, LAW)
+    assert (verdict.kind, verdict.causes) == ("degraded", ("loss",))
+    assert verdict.figures["gaps"] == len(real.t) - 1
+
+
+def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
+    """Run the loop with white velocity noise [rad/s] and the effort saturated at the limit [N m]."""
+    plant, rng = fjr.Plant(LAW.robot), np.random.default_rng(7)
+    x, rows = LAW.robot.state(0.5, 0.5, 0.0, 0.0), []
+    for k in range(round(DURATION / PERIOD)):
+        q, dq = x[:2], np.concatenate(LAW.robot.velocities(x)) + noise * rng.standard_normal(2)
+        jets = REFERENCE.jets(k * PERIOD)
+        u = np.clip(LAW.measured_command(q, dq, jets)[0], -limit, limit)
+        rows.append((k * PERIOD, q, dq, jets, u))
+        for _ in range(4):
+            x = plant.step(x, u, PERIOD / 4)
+    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
+    given = {"t": t, "position": position, "velocity": velocity, "jets": jets, "u": u}
+    return replace(record(), **given, effort_limit=np.array([limit]))
+
+
+def test_effort_at_its_limit_is_saturation() -> None:
+    verdict = diagnose(looped(limit=0.7), LAW)
+    assert (verdict.kind, verdict.causes) == ("violated", ("saturation",))
+    assert diagnose(looped(limit=30.0), LAW).kind == "holding"
+
+
+def test_efforts_other_than_those_of_the_law_are_no_violation() -> None:
+    """Without a known limit the saturated efforts are those of another source, under which V need not decay."""
+    seen = looped(limit=0.7)
+    assert diagnose(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
+def test_sensor_noise_is_no_violation(noise: float) -> None:
+    assert diagnose(looped(noise=noise), LAW).kind == "holding"
+
+
+def test_too_slow_sampling_is_violated_by_sampling() -> None:
+    real = LAW.robot
+    run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, real.state(0.5, 0.5, 0, 0), 0.4, 0.02)
+    velocity = np.array([np.concatenate(real.velocities(x)) for x in run.x])
+    seen = replace(
+        record(), t=run.t, position=run.x[:, :2], velocity=velocity, jets=run.jets, u=run.u, sample_period=0.02
+    )
+    verdict = diagnose(seen, LAW)
+    assert (verdict.kind, verdict.causes) == ("violated", ("sampling",))
+    assert verdict.figures["spectral radius"] > 1
+
+
+def test_insufficient_data_give_unknown_with_a_reason() -> None:
+    whole = record()
+    nothing = np.full_like(whole.velocity, np.nan)
+    assert "no velocities" in diagnose(replace(whole, velocity=nothing), LAW).sentence
+    unanswered = diagnose(replace(whole, u=np.full_like(whole.u, np.nan)), LAW)
+    assert (unanswered.kind, unanswered.causes) == ("unknown", ())
+    few = {name: getattr(whole, name)[:30] for name in ("t", "position", "velocity", "jets", "u")}
+    assert "29 consecutive states" in diagnose(replace(whole, **few), LAW).sentence
+    other = diagnose(replace(whole, u=whole.u + 0.1), LAW)
+    assert "not those of the law" in other.sentence
+
+
+def test_inconsistent_record_is_refused() -> None:
+    with pytest.raises(fjr.StateError, match=r"jets has shape \(3, 5, 1\); expected \(2501, 5, 1\)"):
+        replace(record(), jets=np.zeros((3, 5, 1)))
+    with pytest.raises(fjr.StateError, match="sample_period is 0"):
+        replace(record(), sample_period=0.0)
+
+
+@pytest.mark.parametrize(
+    "changed", [{}, {"delay": 0.7e-3}, {"delay": 2.4e-3, "measured": True}, {"stiffness": 29.0}], ids=str
+)
+def test_a_record_in_parts_has_the_diagnosis_of_the_whole(changed: dict[str, float]) -> None:
+    """With gaps, missing commands and known latencies, too; the parts are shorter than a block and longer."""
+    seen = record(**changed)
+    rows = np.delete(np.arange(len(seen.t)), [5, 700, 701, 1500, *range(1800, 1830)])
+    u = seen.u.copy()
+    u[[0, 900, 901, 902, 2000]] = np.nan
+    gaps = replace(seen, u=u).rows(rows)
+    timed = replace(gaps, sent=gaps.t, answered=gaps.t + 1e-4 * (1 + np.arange(len(gaps.t)) % 5))
+    for whole in (gaps, timed):
+        wanted = diagnose(whole, LAW, size=len(whole.t))
+        for size in (7, 300):
+            found = diagnose(whole, LAW, size=size)
+            assert (found.kind, found.causes, found.sentence) == (wanted.kind, wanted.causes, wanted.sentence)
+            assert list(found.figures) == list(wanted.figures)
+            for name, value in wanted.figures.items():
+                assert found.figures[name] == pytest.approx(value, rel=1e-9, abs=1e-13)
+            for cause, error in wanted.errors.items():
+                np.testing.assert_allclose(found.errors[cause], error, rtol=1e-9, atol=1e-13)
+
+
+def test_the_ends_of_a_record_in_parts_are_its_first_and_last_states() -> None:
+    whole = record()
+    for most, size in ((100, 30), (100, 1000), (5000, 700)):
+        ends = Ends(most)
+        for part in whole.parts(size):
+            ends.add(part)
+        rows = np.unique(np.r_[: min(most, len(whole.t)), max(0, len(whole.t) - most) : len(whole.t)])
+        wanted = whole.t[rows]
+        np.testing.assert_array_equal(ends.record().t, wanted)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A finding names kind, joint, side and size of what is wrong; body torques against an independent payload."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.model.payload import PayloadArm
+from fjr_core.monitoring.axes import Axes
+from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
+from fjr_monitor.diagnosis.fault_isolation import isolation
+from fjr_monitor.diagnosis.fault_isolation.added_body import SECOND_MOMENTS, body_torques
+from fjr_monitor.diagnosis.fault_isolation.velocity_consistency import velocity_faults
+from fjr_monitor.diagnosis.record import Record
+
+PERIOD, DURATION = 1e-3, 1.5
+MODEL = fjr.planar_two_link()
+NAMES = ("shoulder", "elbow")
+AXES = replace(Axes.plain(2), names=NAMES)
+
+
+@cache
+def law() -> fjr.TrackingLaw:
+    return fjr.TrackingLaw(MODEL, fjr.synthesize(MODEL, 8.0, PERIOD))
+
+
+def record(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Record:
+    """Run the loop with another robot than the model, or with offsets (4n,) of positions and velocities."""
+    plant, offset = fjr.Plant(robot), np.zeros(8) if offset is None else offset
+    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+    x, rows = np.zeros(8), []
+    for k in range(round(DURATION / PERIOD)):
+        q, dq = x[:4] + offset[:4], np.concatenate(robot.velocities(x)) + offset[4:]
+        jets = reference.jets(k * PERIOD)
+        u = law().measured_command(q, dq, jets)[0]
+        rows.append((k * PERIOD, q, dq, jets, u))
+        for _ in range(4):
+            x = plant.step(x, u, PERIOD / 4)
+    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
+    unlimited = np.full(2, np.inf)
+    return Record(t, position, velocity, jets, u, None, None, None, PERIOD, unlimited)
+
+
+def verdict(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Diagnosis:
+    return diagnose(record(robot, offset), law(), axes=AXES)
+
+
+def test_healthy_run_has_no_finding() -> None:
+    assert verdict().findings == ()
+
+
+def test_holding_names_no_torque_that_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:
+    unexplained = isolation.Finding(isolation.UNKNOWN, "", "", 0.0, "", 0.0, "no single fault explains the torque")
+    monkeypatch.setattr("fjr_monitor.diagnosis.diagnosis.isolate", lambda *_: (unexplained,))
+    healthy = verdict()
+    assert healthy.kind == "holding"
+    assert healthy.findings == ()
+    assert unexplained.sentence not in healthy.sentence
+
+
+@pytest.mark.parametrize(
+    ("robot", "kind", "joint", "side", "size"),
+    [
+        ({"stiffness": (40.0, 22.0)}, "stiffness", "elbow", "joint", -12.0),
+        ({"motor_inertia": (0.024, 0.01)}, "inertia", "shoulder", "motor", 0.004),
+        ({"link_inertia": (0.010, 0.008)}, "inertia", "elbow", "link", 0.003),
+        ({"link_damping": (0.2, 0.16)}, "viscous friction", "elbow", "link", 0.06),
+        ({"motor_damping": (0.05, 0.01)}, "viscous friction", "shoulder", "motor", 0.03),
+        ({"input_gain": (1.0, 0.9)}, "torque constant", "elbow", "motor", -10.0),
+    ],
+)
+def test_wrong_parameter_is_isolated_with_its_size(
+    robot: dict[str, tuple[float, float]], kind: str, joint: str, side: str, size: float
+) -> None:
+    found = verdict(fjr.planar_two_link(**robot))
+    (finding,) = found.findings
+    assert (finding.kind, finding.joint, finding.side) == (kind, joint, side)
+    assert finding.size == pytest.approx(size, rel=0.05)
+    assert finding.share > 0.9
+    assert finding.sentence in found.sentence
+
+
+@pytest.mark.parametrize(("change", "named"), [(0.05, True), (-0.05, False)])
+def test_friction_that_would_add_energy_is_not_named(change: float, named: bool) -> None:
+    """The motors of the model have a damping of 0.01 N m s/rad."""
+    seen = record()
+    u = seen.u + change * seen.velocity[:, 2:] * [1.0, 0.0]
+    kinds = [finding.kind for finding in diagnose(replace(seen, u=u), law(), axes=AXES).findings]
+    assert ("viscous friction" in kinds) is named
+
+
+def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:
+    (finding,) = verdict(fjr.planar_two_link(link_mass=(1.2, 0.9))).findings
+    assert (finding.kind, finding.joint, finding.side, finding.unit) == ("gravity load", "elbow", "link", "N m")
+    assert finding.size <= 0.1 * 9.81 * 0.12 * 1.01
+
+
+@pytest.mark.parametrize(("channel", "joint", "side"), [(0, "shoulder", "link"), (3, "elbow", "motor")])
+def test_position_sensor_offset_is_estimated_in_rad(channel: int, joint: str, side: str) -> None:
+    (finding,) = verdict(offset=1e-3 * np.eye(8)[channel]).findings
+    assert (finding.kind, finding.joint, finding.side, finding.unit) == ("position offset", joint, side, "rad")
+    assert finding.size == pytest.approx(1e-3, rel=0.02)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("velocity scale", 5.0), ("velocity delay", 2e-3), ("velocity sign", -1.0)])
+def test_velocity_that_contradicts_the_position_is_isolated_without_a_model(kind: str, size: float) -> None:
+    healthy = record()
+    velocity = healthy.velocity.copy()
+    changed = {"velocity scale": 1.05 * velocity, "velocity sign": -velocity}
+    late = np.vstack([velocity[:1], velocity[:1], velocity[:-2]])
+    velocity[:, 2] = changed.get(kind, late)[:, 2]
+    (fault,) = velocity_faults(replace(healthy, velocity=velocity))
+    assert (fault.kind, fault.channel) == (kind, 2)
+    assert fault.size == pytest.approx(size, rel=0.05)
+
+
+def test_a_record_without_velocities_or_too_short_has_no_finding() -> None:
+    seen = record()
+    few = {name: getattr(seen, name)[:15] for name in ("t", "position", "velocity", "jets", "u")}
+    assert diagnose(replace(seen, **few), law()).findings == ()
+    assert diagnose(replace(seen, velocity=np.full_like(seen.velocity, np.nan)), law()).findings == ()
+    assert diagnose(seen, law(), velocities_measured=False).findings == ()
+
+
+def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
+    """Oracle: inertia and potential with the payload minus those without, at zero velocity."""
+    m, r = 0.3, np.array([0.1, 0.05, 0.2])
+    theta = np.array([m, *(m * r), *(m * r[i] * r[j] for i, j in SECOND_MOMENTS)])
+    loaded, q = PayloadArm(MODEL.links, MODEL.links.end_effector, ca.SX(m), ca.SX(r)), ca.SX.sym("q", 2)
+    M = ca.Function("M", [q], [loaded.M_l(q) - MODEL.links.M_l(q)])
+    g = ca.Function("g", [q], [loaded.grad_P_l(q) - MODEL.links.grad_P_l(q)])
+    rng = np.random.default_rng(1)
+    q_l, ddq_l = rng.normal(size=(2, 4, 2))
+    found = body_torques(MODEL.links, 1, q_l, np.zeros((4, 2)), ddq_l) @ theta
+    wanted = [M(a).full() @ b + g(a).full().ravel() for a, b in zip(q_l, ddq_l, strict=True)]
+    assert found == pytest.approx(np.array(wanted), abs=1e-12)
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.05, False), (0.3, True)])
+def test_nearest_kind_is_named_only_if_it_explains_a_tenth(share: float, named: bool) -> None:
+    best = SimpleNamespace(fault=SimpleNamespace(kind="inertia", side="motor", joint=0))
+    assert ("inertia (motor of a)" in isolation._unknown(best, share, ["a"]).sentence) is named

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Online diagnosis of a loop in real time, in which commands arrive within the sample with varying latency."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.monitoring.axes import Axes
+from fjr_monitor.diagnosis.diagnosis import Diagnosis
+from fjr_monitor.diagnosis.latency import WINDOW, Latency
+from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
+from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
+
+PERIOD, BETA = 1e-3, 10.0
+LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+REFERENCE = fjr.Sine(1.0, 1.0)
+
+
+def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e-3, **robot: float) -> list[Diagnosis]:
+    """Diagnose once per second; `known`: latency of each command is known; `late`: additional delay in samples."""
+    real = fjr.single_link(**robot)
+    plant, x = fjr.Plant(real), real.state(0.5, 0.5, 0.0, 0.0)
+    online_certificate = OnlineCertificate(LAW)
+    running = OnlineDiagnosis(
+        LAW, np.array([np.inf]), online_certificate, Axes(("joint1",), ("rad",), np.array([tolerance]))
+    )
+    latencies = np.random.default_rng(7).uniform(0.15e-3, 0.5e-3, int(seconds / PERIOD))
+    efforts, verdicts = [np.zeros(1)] * (late + 2), []
+    for k, latency in enumerate(latencies):
+        velocity, jets = np.concatenate(real.velocities(x)), REFERENCE.jets(k * PERIOD)
+        u, _ = LAW.measured_command(x[:2], velocity, jets)
+        efforts.append(u)
+        online_certificate.take(k * 1_000_000, x[:2], velocity, jets, u, latency if known else 0.0)
+        if k:
+            running.look(BETA)
+        x = plant.step(x, efforts[-2 - late], latency)
+        x = plant.step(x, efforts[-1 - late], PERIOD - latency)
+        if (k + 1) % round(1 / PERIOD) == 0:
+            verdicts.append(running.verdict())
+    return verdicts
+
+
+def test_loop_with_known_latency_within_a_sample_is_holding() -> None:
+    assert [verdict.kind for verdict in run(3.0)] == ["holding"] * 3
+    assert [verdict.kind for verdict in run(3.0, tolerance=1e-9)] == ["holding"] * 3
+    assert "holding" not in [verdict.kind for verdict in run(3.0, known=False)]
+
+
+@pytest.mark.parametrize("late", [1, 2])
+def test_efforts_late_by_whole_samples_are_a_delay(late: int) -> None:
+    for verdict in run(2.0, late=late):
+        assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))
+        assert verdict.figures["effort age"] == pytest.approx(late * PERIOD, abs=0.6 * PERIOD)
+
+
+@pytest.mark.parametrize("robot", [{"stiffness": 22.0}, {"link_inertia": 0.05}, {"motor_inertia": 0.007}])
+def test_wrong_plant_parameter_is_a_model_mismatch(robot: dict[str, float]) -> None:
+    assert [verdict.causes for verdict in run(2.0, **robot)] == [("model mismatch",)] * 2
+
+
+@pytest.mark.parametrize("offset", [0, 5_000_000_000, -5_000_000_000])
+def test_latency_does_not_depend_on_the_clock_offset(offset: int) -> None:
+    latency, delays = Latency(), [120_000, 100_000, 250_000, 100_000]
+    found = [
+        latency.of(k * 1_000_000, k * 1_000_000 + way + offset, k * 1_000_000 + way + offset + 50_000)
+        for k, way in enumerate(delays)
+    ]
+    assert found == pytest.approx([50e-6, 50e-6, 200e-6, 50e-6])
+
+
+def test_the_clock_offset_is_estimated_again_when_it_grows() -> None:
+    latency = Latency()
+    for k in range(3 * WINDOW):
+        jump = 3_000_000 if k >= WINDOW else 0
+        last = latency.of(k, k + 100_000 + jump, k + 100_000 + jump)
+    assert last == 0.0
+    latency.forget()
+    assert latency.of(0, 7, 9) == pytest.approx(2e-9)

@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bound of the tracking error: holds in simulated runs, is reached by the worst torque, grows with every error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from itertools import product
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+import fjr_core as fjr
+from docs.pages import ROOT
+from fjr_core.config.scenario import load_scenario
+from fjr_core.law.inverse_dynamics import inverse_dynamics
+from fjr_core.law.registry import LAWS
+from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.motions.reference import Reference
+from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_design.baselines.singular_perturbation import CompositeGains
+from fjr_proofs.error_bound import ErrorBound, bound_errors
+from fjr_proofs.error_bound.deviation_model import FACTORS, DeviationModel
+from fjr_proofs.error_bound.error_bound import TORQUES
+from fjr_proofs.error_bound.reference_cells import cells_of
+from fjr_proofs.error_bound.steady_motion import steady_motion
+
+T = 1e-3
+SWING = fjr.Sine(1.0, 1.0)
+STILL = fjr.Sine(0.0, 1.0)
+TWO_LINK_GAINS = fjr.Gains(
+    16.0, [[32.22, 4.272], [4.272, 4.229]], [[1.697, 0.225], [0.225, 0.2227]], 16.0, [40.0, 25.0], [0.32, 0.16]
+)
+TWO_LINK_SWING = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+EACH_SECOND = fjr.Sine(0.3, 2 * np.pi)  # a period of 1000 samples
+TWO_LINK_EACH_SECOND = fjr.Sine([0.2, 0.3], 2 * np.pi, [0.3, 0.0])
+
+
+def joint(gravity: float = 0.8) -> fjr.TrackingLaw:
+    return fjr.TrackingLaw(fjr.single_link(gravity_torque=gravity), fjr.PAPER_GAINS, compile=True)
+
+
+def two_link() -> fjr.TrackingLaw:
+    return fjr.TrackingLaw(fjr.planar_two_link(), TWO_LINK_GAINS, compile=True)
+
+
+@cache
+def paper(delay: float, **errors: float) -> ErrorBound:
+    return bound_errors(joint(), SWING, T, delay, errors)
+
+
+def on_reference(robot: fjr.Robot, reference: Reference) -> np.ndarray:
+    """Return the state (4n,) of the robot that keeps its links on the reference at time 0."""
+    q, dq, *more = reference.jets(0.0)
+    _, q_m, dq_m, _, _ = (part.full().ravel() for part in inverse_dynamics(robot)(q, dq, *more))
+    return robot.state(q, q_m, dq, dq_m)
+
+
+def largest_errors(
+    law: fjr.TrackingLaw, reference: Reference, delay: float, errors: Mapping[str, float], runs: int, duration: float
+) -> np.ndarray:
+    """Return the largest |q_l - q_ld| (n,) after 1 s in runs drawn within the errors, which start at the corners."""
+    rng, half = np.random.default_rng(0), np.array(list(errors.values()))
+    share = rng.uniform(-1, 1, (runs, len(half)))
+    corners = list(product((-1, 1), repeat=len(half)))
+    share[: len(corners)] = corners
+    factors = dict(zip(errors, (1 + share * half).T, strict=True))
+    payload = factors.pop("payload", None)
+    if payload is not None:
+        factors |= {"link_inertia": payload, "gravity": payload}
+    x0 = on_reference(law.robot, reference)
+    loop = ClosedLoop(law.robot, AsSampledLaw(law), reference, x0, duration, T, settle_after=1.0)
+    outcomes = loop.run(Draws(runs, **factors, delay=delay))
+    assert outcomes.stable.all()
+    return np.asarray(outcomes.peak.max(axis=0))
+
+
+CASES = [
+    (joint, SWING, 0.0, {}),
+    (joint, SWING, T, {"payload": 0.2}),
+    (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
+    (two_link, TWO_LINK_SWING, T, {}),
+    (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
+    (joint, EACH_SECOND, 0.0, {"payload": 0.2}),
+    (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
+    (two_link, TWO_LINK_EACH_SECOND, T, {"payload": 0.1}),
+]
+
+
+@pytest.mark.parametrize(("law", "reference", "delay", "errors"), CASES)
+def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_as_large(
+    law, reference, delay, errors
+) -> None:
+    made = law()
+    bound = bound_errors(made, reference, T, delay, errors)
+    seen = largest_errors(made, reference, delay, errors, 40 if errors else 1, 4.0)
+    assert bound.proven
+    assert np.all(seen <= bound.position)
+    assert np.all(bound.position <= bound.from_start)
+    assert np.all(bound.position <= 2.1 * seen)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("law", "reference", "errors"),
+    [
+        (joint, SWING, {"payload": 0.2}),
+        (joint, SWING, {"payload": 0.2, "stiffness": 0.1, "link_damping": 0.3}),
+        (two_link, TWO_LINK_SWING, {"payload": 0.2}),
+    ],
+)
+def test_ten_thousand_runs_stay_within_the_bound(law, reference, errors) -> None:
+    made = law()
+    bound = bound_errors(made, reference, T, T, errors)
+    seen = largest_errors(made, reference, T, errors, 10_000, 7.5)
+    assert bound.proven
+    assert np.all(seen <= bound.position)
+    assert np.all(bound.position <= 2 * seen)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("errors", [{}, {"payload": 0.01}])
+def test_runs_of_seven_joints_stay_within_the_proven_bound(errors: dict[str, float]) -> None:
+    made = load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
+    law = fjr.TrackingLaw(made.robot, made.gains, compile=True)
+    bound = bound_errors(law, made.reference, T, T, errors, prove=True)
+    seen = largest_errors(law, made.reference, T, errors, 50 if errors else 1, 3.0)
+    assert bound.proven
+    assert np.all(seen <= bound.position)
+    assert largest_storage(law, made.reference, errors.get("payload", 0.0)) <= bound.storage
+    assert np.all(bound.position <= 2 * seen)
+
+
+def largest_storage(law: fjr.TrackingLaw, reference: Reference, payload: float) -> float:
+    """Return the largest V [J] from 2.5 s on of runs with payloads up to one sign and the other, one sample late."""
+    robot, factors = law.robot, 1 + payload * np.array([-1.0, 0.3, 1.0])
+    loop = ClosedLoop(robot, AsSampledLaw(law), reference, on_reference(robot, reference), 5.0, T)
+    _, run = loop.recorded(Draws(len(factors), link_inertia=factors, gravity=factors, delay=T))
+    settled = [(m, t) for states in run.measured for m, t in zip(states[2500::17], run.t[2500::17], strict=True)]
+    return max(law.measured_command(*np.split(m, 2), reference.jets(t))[1] for m, t in settled)
+
+
+@pytest.mark.parametrize(
+    ("law", "reference", "payload"), [(joint, SWING, 0.0), (joint, SWING, 0.2), (two_link, TWO_LINK_SWING, 0.0)]
+)
+def test_V_of_settled_runs_stays_within_its_bound(law, reference, payload) -> None:
+    made = law()
+    bound = bound_errors(made, reference, T, T, {"payload": payload})
+    seen = largest_storage(made, reference, payload)
+    assert bound.proven
+    assert seen <= bound.storage
+    assert bound.storage < 10 * seen or not payload
+
+
+def test_a_law_without_storage_has_no_bound_of_V() -> None:
+    law = LAWS["singular_perturbation"].make(fjr.single_link(), CompositeGains(K_p=100.0, K_v=20.0, K_f=0.1))
+    bound = bound_errors(law, SWING, T, 0.0, {"payload": 0.01})
+    assert bound.found
+    assert np.isnan(bound.storage)
+
+
+def test_the_centre_of_a_tube_is_the_steady_motion_of_the_simulated_late_loop() -> None:
+    law, payload = joint(), 1.2
+    factors = np.where(np.array(FACTORS) == "payload", payload, 1.0)
+    centre = steady_motion(DeviationModel(law), cells_of(SWING, T, verified=True, most=100), factors, T)
+    loop = ClosedLoop(law.robot, AsSampledLaw(law), SWING, on_reference(law.robot, SWING), 4.0, T)
+    _, run = loop.recorded(Draws(1, link_inertia=payload, gravity=payload, delay=T))
+    settled = run.t > 2.0
+    positions = centre.path.reference.jets(run.t[settled])[:, 0]
+    error = np.abs(run.x[0, settled, :1] - positions).max()
+    assert error < 1e-3 * np.abs(positions - SWING.jets(run.t[settled])[:, 0]).max()
+
+
+def linear_step(robot: fjr.Robot, torque: float, z: np.ndarray, u: float) -> np.ndarray:
+    """Return (q_l, q_m, dq_l, dq_m) of a joint without gravity after T under constant effort and link torque."""
+    M, M_m, K, D, D_m = (float(each[0, 0]) for each in (robot.M_l([0.0]), robot.M_m, robot.K, robot.D_l, robot.D_m))
+    A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-K / M, K / M, -D / M, 0], [K / M_m, -K / M_m, 0, -D_m / M_m]])
+    whole = np.zeros((5, 5))
+    whole[:4, :4], whole[2:4, 4] = A, (torque / M, u / M_m)
+    return np.asarray((expm(whole * T) @ np.append(z, 1.0))[:4])
+
+
+def response(law: fjr.TrackingLaw, torques: np.ndarray) -> np.ndarray:
+    """Return q_l at the samples of a joint without gravity at rest, under link torques that change at the samples."""
+    z, positions = np.zeros(4), [0.0]
+    for torque in torques:
+        u, _ = law.measured_command(z[:2], z[2:], np.zeros((5, 1)))
+        z = linear_step(law.robot, torque, z, u[0])
+        positions.append(z[0])
+    return np.array(positions)
+
+
+def test_the_worst_torque_of_a_linear_joint_nearly_reaches_the_bound() -> None:
+    law, samples = joint(gravity=0.0), 1500
+    impulse = np.diff(response(law, np.append(np.ones(1), np.zeros(samples))), prepend=0.0).cumsum()[1:]
+    worst = 0.3 * np.sign(impulse[::-1])
+    seen = response(law, worst[-samples:])[-1]
+    (bound,) = bound_errors(law, STILL, T, 0.0, {"link_torque": 0.3}).position
+    assert seen <= bound <= 1.05 * seen
+
+
+def test_a_constant_torque_leaves_the_error_of_the_closed_form() -> None:
+    """At rest the spring carries the torque, K zeta = -d, and the effort F_q y + F_zeta zeta = K zeta holds it."""
+    law, d = joint(gravity=0.0), 0.2
+    K = float(law.robot.K[0, 0])
+    F_q, F_zeta = (
+        law.measured_command(position, [0.0, 0.0], np.zeros((5, 1)))[0][0] for position in ([1.0, 1.0], [0.0, 1.0])
+    )
+    error = (K - F_zeta) * (-d / K) / F_q
+    assert response(law, np.full(3000, d))[-1] == pytest.approx(error, rel=1e-4)
+    (bound,) = bound_errors(law, STILL, T, 0.0, {"link_torque": d}).position
+    assert abs(error) <= bound <= 1.4 * abs(error)
+
+
+@pytest.mark.parametrize("name", TORQUES)
+def test_twice_the_torque_doubles_the_bound_of_a_linear_joint(name: str) -> None:
+    once, twice = (bound_errors(joint(gravity=0.0), STILL, T, T, {name: d}).position for d in (0.1, 0.2))
+    assert twice == pytest.approx(2 * once, rel=1e-6)
+
+
+def test_a_robot_that_rests_without_errors_stays_on_the_reference() -> None:
+    bound = bound_errors(joint(), STILL, T, T)
+    assert bound.proven
+    assert np.all(bound.position < 1e-12)
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_a_robot_of_another_weight_rests_within_its_bound(factor: float) -> None:
+    """At rest the spring carries the weight, and the effort of the law holds the spring."""
+    law, at = joint(), 0.5
+    K, weight = float(law.robot.K[0, 0]), ca.Function("g", [q := ca.SX.sym("q")], [law.robot.links.grad_P_l(q)])
+    jets = np.zeros((5, 1))
+    jets[0] = at
+
+    def unbalanced(q_l: float) -> float:
+        torque = factor * float(weight(q_l))
+        return float(law.measured_command([q_l, q_l + torque / K], [0.0, 0.0], jets)[0][0]) - torque
+
+    error = abs(brentq(unbalanced, at - 0.1, at + 0.1) - at)
+    bound = bound_errors(law, fjr.Sine(0.0, 1.0, offset=at), T, T, {"gravity": 0.05})
+    assert bound.proven
+    assert error <= bound.position[0] <= 1.1 * error
+
+
+@pytest.mark.parametrize("name", [*FACTORS, *TORQUES])
+def test_every_error_enlarges_the_bound(name: str) -> None:
+    assert paper(T, **{name: 0.05}).position > paper(T).position
+
+
+def test_delay_enlarges_the_bound() -> None:
+    assert paper(0.0).position < paper(T).position
+
+
+def test_errors_too_large_for_a_tube_give_no_bound() -> None:
+    found = paper(T, link_torque=100.0)
+    assert not found.found
+    assert not found.proven
+    assert np.all(np.isinf(found.position))
+
+
+@pytest.mark.parametrize(
+    ("reference", "errors"),
+    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.45, "link_inertia": 0.45})],
+    ids=["millions of parts", "a divisor whose interval contains zero"],
+)
+def test_several_large_errors_are_bounded_or_have_no_bound(reference: Reference, errors: dict[str, float]) -> None:
+    found = bound_errors(joint(), reference, T, 5 * T, errors)
+    assert found.found == np.all(np.isfinite(found.position))
+
+
+def test_an_unstable_loop_has_no_bound() -> None:
+    assert not paper(20 * T).found
+
+
+def test_a_bound_without_a_proof_is_sampled() -> None:
+    sampled = bound_errors(joint(), SWING, T, T, prove=False)
+    assert not sampled.proven
+    assert sampled.position <= paper(T).position <= 1.5 * sampled.position
+
+
+def test_a_bound_on_links_from_a_description_is_proven() -> None:
+    law = joint()
+    arm = replace(law.robot, links=replace(law.robot.links, M_l_vertices=None))
+    assert bound_errors(fjr.TrackingLaw(arm, fjr.PAPER_GAINS), SWING, T, T).proven
+
+
+class Saturated(fjr.TrackingLaw):
+    """The law with a smooth limit of its effort, which has no Taylor model."""
+
+    def measured_expression(self, *arguments: ca.SX) -> tuple[ca.SX, ca.SX]:
+        u, V = super().measured_expression(*arguments)
+        return 20.0 * ca.tanh(u / 20.0), V
+
+
+def test_a_bound_of_a_law_with_other_operations_is_sampled() -> None:
+    found = bound_errors(Saturated(fjr.single_link(gravity_torque=0.8), fjr.PAPER_GAINS), STILL, T, 0.0)
+    assert found.found
+    assert not found.proven
+
+
+@pytest.mark.parametrize(("period", "delay"), [(0.0, 0.0), (np.nan, 0.0), (T, -T)])
+def test_times_that_are_not_positive_are_refused(period: float, delay: float) -> None:
+    with pytest.raises(fjr.FjrError, match="expected"):
+        bound_errors(joint(), SWING, period, delay)
+
+
+@pytest.mark.parametrize(
+    ("errors", "words"),
+    [
+        ({"payloads": 0.1}, "error 'payloads' is unknown; expected some of payload, "),
+        ({"payload": -0.1}, "error 'payload' is -0.1; expected 0 to 0.9"),
+        ({"stiffness": 1.5}, "error 'stiffness' is 1.5; expected 0 to 0.9"),
+        ({"link_torque": np.nan}, "error 'link_torque' is nan; expected 0 to inf"),
+    ],
+)
+def test_errors_out_of_range_are_refused(errors: dict[str, float], words: str) -> None:
+    with pytest.raises(fjr.FjrError, match=words):
+        bound_errors(joint(), SWING, T, 0.0, errors)
+
+
+def test_a_reference_that_ends_is_bounded_from_samples() -> None:
+    bound = bound_errors(joint(), fjr.Spline([0.0, 1.0, 2.0], [[0.0], [0.5], [0.0]]), T, T, {"payload": 0.05})
+    assert bound.found
+    assert not bound.proven
+
+
+@pytest.mark.parametrize("reference", [fjr.Sine(0.5, 0.01), fjr.MultiSine([[0.3], [0.1]], [[1.0], [np.sqrt(2)]])])
+def test_a_reference_that_cannot_be_covered_is_refused(reference: Reference) -> None:
+    with pytest.raises(fjr.FjrError, match="neither a common period nor an end within 60 s"):
+        bound_errors(joint(), reference, T)

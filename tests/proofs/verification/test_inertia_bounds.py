@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bounds of the inertia hold at every configuration, equal the closed forms, and are tight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+import fjr_core as fjr
+from core.oracles.cases import Array
+from core.oracles.chains import random_chain, random_urdf
+from fjr_core.model.configuration_sampling import bounds_of
+from fjr_core.model.domain import Domain
+from fjr_core.model.joint_limits import JointLimits
+from fjr_core.numerics.definiteness import factorisable
+from fjr_proofs.verification.inertia_bounds import is_provable, largest_inertia, least_inertia
+
+
+def robot_of(n: int, seed: int) -> fjr.Robot:
+    """Return a random chain; its prismatic joints have a range of 1 m, the others up to the whole circle."""
+    links, rng = random_chain(n, seed).links, np.random.default_rng((n, seed, 1))
+    half = np.array([0.5 if body.prismatic else rng.uniform(0.2, np.pi) for body in links.bodies])
+    middle, free = rng.uniform(-1, 1, n), np.full(n, np.inf)
+    limits = JointLimits(middle - half, middle + half, free, free)
+    one = np.eye(n)
+    return fjr.Robot(links, one, one, 0 * one, 0 * one, one, limits, tuple(body.prismatic for body in links.bodies))
+
+
+def definite(n: int, seed: int) -> Array:
+    root = np.random.default_rng((n, seed, 2)).normal(size=(n, n))
+    return root @ root.T + 0.1 * np.eye(n)
+
+
+def extremes(robot: fjr.Robot, A: Array, configurations: Array) -> tuple[float, float]:
+    values = [eigh(robot.M_l(q), A, eigvals_only=True)[[0, -1]] for q in configurations]
+    return float(np.min(values)), float(np.max(values))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_configuration_exceeds_the_bounds_and_one_nearly_attains_them(n: int, seed: int) -> None:
+    robot, A = robot_of(n, seed), definite(n, seed)
+    assert robot.limits is not None
+    q = np.random.default_rng(seed).uniform(robot.limits.lower, robot.limits.upper, (500, n))
+    least, largest = least_inertia(robot, A, goal=0.9), largest_inertia(robot, A, goal=0.9)
+    low, high = extremes(robot, A, q)
+    assert least.bound <= low
+    assert high <= largest.bound
+    assert np.isclose(extremes(robot, A, largest.at[None])[1], largest.attained)
+    assert np.isclose(extremes(robot, A, least.at[None])[0], least.attained)
+    assert np.all((robot.limits.lower <= largest.at) & (largest.at <= robot.limits.upper))
+    assert largest.bound <= largest.attained / 0.9
+    assert least.bound >= 0.9 * least.attained - 1e-9 * high
+
+
+def test_single_link_is_its_own_bound() -> None:
+    assert np.isclose(largest_inertia(fjr.single_link(), 1.0).bound, 0.031, rtol=1e-8)
+    assert np.isclose(least_inertia(fjr.single_link(), 1.0).bound, 0.031, rtol=1e-8)
+
+
+def test_planar_two_link_attains_the_bound_at_a_vertex() -> None:
+    robot = fjr.planar_two_link()
+    A = np.array([[0.2, 0.02], [0.02, 0.05]])
+    exact = max(float(eigh(M, A, eigvals_only=True)[-1]) for M in robot.links.M_l_vertices or ())
+    found = largest_inertia(robot, A, goal=1 - 1e-8)
+    assert exact <= found.bound <= exact * (1 + 1e-7)
+
+
+def test_a_smaller_box_and_a_tube_have_smaller_bounds() -> None:
+    robot, A = robot_of(3, 5), definite(3, 5)
+    times = np.linspace(0.0, 1.0, 9)
+    path = np.array([np.sin(2 * times), times, times**2 - times]).T
+    near = np.stack([np.minimum(path[:-1], path[1:]) - 0.02, np.maximum(path[:-1], path[1:]) + 0.02], axis=1)
+    lower, upper = near[:, 0].min(axis=0), near[:, 1].max(axis=0)
+    box, tube = (
+        largest_inertia(robot, A, domain, 0.99) for domain in (Domain(lower, upper), Domain(lower, upper, near))
+    )
+    whole = largest_inertia(robot, A, Domain(lower - 1, upper + 1), 0.99)
+    inside = np.concatenate([np.random.default_rng(0).uniform(*ends, (100, 3)) for ends in near])
+    assert extremes(robot, A, inside)[1] <= tube.bound <= box.bound * (1 + 1e-6)
+    assert box.bound <= whole.bound * (1 + 1e-6)
+    assert tube.bound < 1.02 * tube.attained
+
+
+@pytest.mark.parametrize(
+    "near",
+    [
+        [[[-1.0, 0.9], [1.0, 1.0]], [[np.nan, -0.1], [1.0, 0.1]]],  # left out, this part would make the bound too small
+        [[[-1.0, 0.9], [1.0, 1.0]], [[-1.0, 0.1], [1.0, -0.1]]],
+        [[[-1.0, 0.9], [1.0, 1.0]], [[-1.0, 3.0], [1.0, 3.1]]],
+        [[[-1.0, 3.0], [1.0, np.inf]]],
+        np.zeros((0, 2, 2)),
+        np.zeros((3, 2)),
+    ],
+)
+def test_parts_of_a_domain_that_a_search_would_leave_out_are_refused(near: object) -> None:
+    domain = Domain(np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.asarray(near, dtype=float))
+    with pytest.raises(fjr.StateError, match="near .*; expected"):
+        largest_inertia(fjr.planar_two_link(), np.eye(2), domain, most_boxes=50)
+
+
+def slider(turns: int) -> fjr.Robot:
+    """Return a robot whose last link slides radially; it does not say which joints are prismatic, the bodies do."""
+    slide = fjr.Body(np.eye(3), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 1.0, (0.0, 0.0, 0.0), 0.01 * np.eye(3), True)
+    turn = fjr.Body(np.eye(3), (0.2, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (0.1, 0.0, 0.0), 0.01 * np.eye(3))
+    one = np.eye(turns + 1)
+    return fjr.Robot(fjr.serial_chain([turn] * turns + [slide]), one, one, 0 * one, 0 * one, one)
+
+
+def test_a_motion_over_several_turns_is_covered_in_each() -> None:
+    """The slide is out in the second turn only."""
+    robot, times = slider(2), np.linspace(0.0, 1.0, 41)
+    path = np.column_stack([0 * times, 12 * times, times])
+    near = np.stack([path[:-1] - 0.01, path[1:] + 0.01], axis=1)
+    found = largest_inertia(robot, 1.0, Domain(near[:, 0].min(axis=0), near[:, 1].max(axis=0), near))
+    assert extremes(robot, np.eye(3), path)[1] <= found.bound
+
+
+def test_a_long_slide_is_no_circle() -> None:
+    domain = Domain(np.array([-1.0, -1.0]), np.array([1.0, 20.0]))
+    found = largest_inertia(slider(1), 1.0, domain)
+    assert extremes(slider(1), np.eye(2), np.array([[0.0, 20.0]]))[1] <= found.bound
+
+
+def test_joints_in_another_order_have_the_same_bounds() -> None:
+    """The random URDF names its joints in an order other than that of the chain."""
+    case = random_urdf(3, 1)
+    robot = fjr.robot_from_urdf(case.xml, list(case.joints), 1.0, 1.0, locked=case.locked)
+    A = definite(3, 1)
+    q = np.random.default_rng(0).uniform(*bounds_of(robot), (500, 3))
+    found = largest_inertia(robot, A, goal=0.95)
+    assert extremes(robot, A, q)[1] <= found.bound <= extremes(robot, A, found.at[None])[1] / 0.95 * (1 + 1e-9)
+
+
+def test_too_many_joints_are_refused() -> None:
+    body = fjr.Body(np.eye(3), (0.2, 0.0, 0.1), (0.0, 1.0, 0.0), 1.0, (0.1, 0.0, 0.0), 0.01 * np.eye(3))
+    one = np.eye(9)
+    robot = fjr.Robot(fjr.serial_chain([body] * 9), one, one, 0 * one, 0 * one, one)
+    assert not is_provable(robot)
+    with pytest.raises(fjr.RobotError, match="the robot has 9 joints; expected .* at most 8 revolute joints"):
+        largest_inertia(robot, 1.0)
+
+
+def test_a_matrix_that_is_not_positive_definite_is_not_factorised() -> None:
+    rng = np.random.default_rng(0)
+    roots = rng.normal(size=(4, 4, 3000))
+    N = np.einsum("ijk,ljk->ilk", roots, roots)
+    largest = np.linalg.eigvalsh(np.moveaxis(N, -1, 0))[:, -1]
+    for diagonal in (5.0, 10.0, 20.0):
+        assert np.array_equal(factorisable(N, diagonal), largest < diagonal)
