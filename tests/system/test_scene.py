@@ -137,7 +137,7 @@ def test_a_urdf_without_visuals_is_a_skeleton() -> None:
     [
         ('<mesh filename="package://nowhere/link.stl"/>', "nowhere"),
         ('<mesh filename="/nowhere/link.stl"/>', "does not exist"),
-        ('<mesh filename="{empty}"/>', "cannot be read as a mesh"),
+        ('<mesh filename="{empty}"/>', "has no triangle"),
         ('<box size="1 2"/>', "not valid"),
         ('<box size="1 2 nan"/>', "not valid"),
         ("<torus/>", "not valid"),

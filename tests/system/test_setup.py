@@ -102,9 +102,19 @@ def test_every_direct_requirement_is_pinned_once() -> None:
 
 
 def test_every_runtime_dependency_is_required_by_name() -> None:
-    wanted = (pins.entries(file.read_text()) for file in pins.requirement_files(ROOT, "test", wheels=True))
-    names = {pins.requirement_name(entry) for entries in wanted for entry in entries}
-    assert {"numpy", "scipy", "casadi", "pin", "ros-jazzy-rclpy", "mcap", "rosbags", "matplotlib"} <= names
+    assert {"numpy", "scipy", "casadi", "ros-jazzy-rclpy", "mcap", "rosbags", "matplotlib"} <= required("run")
+
+
+@pytest.mark.parametrize("level", pins.LEVELS)
+def test_only_tests_and_benchmarks_require_pinocchio(level: str) -> None:
+    assert ("pin" in required(level)) == (level in ("test", "bench"))
+    assert "pin" not in required(level, wheels=False)  # its wheels need NumPy 2
+
+
+def required(level: str, wheels: bool = True) -> set[str]:
+    """Return the distributions that a level requires by name."""
+    files = pins.requirement_files(ROOT, level, wheels)
+    return {pins.requirement_name(entry) for file in files for entry in pins.entries(file.read_text())}
 
 
 def test_packages_of_a_sourced_ros_are_kept_and_test_tools_pinned() -> None:
@@ -240,16 +250,6 @@ def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
         env = {"PYTHONPATH": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         python = Path(sys.executable).resolve()  # outside the environment, which has its own
         assert extras.pinocchio(python, env).is_there() == there
-
-
-def test_pinocchio_wheel_uses_the_openmp_library_of_casadi(tmp_path: Path) -> None:
-    site = tmp_path / "lib" / "python3.11" / "site-packages"
-    for folder in (site / "casadi", site / "cmeel.prefix" / "lib"):
-        folder.mkdir(parents=True)
-    assert not extras._lend_openmp(tmp_path / "bin" / "python")
-    (site / "casadi" / "libgomp-1234.so.1.0.0").write_text("")
-    assert extras._lend_openmp(tmp_path / "bin" / "python")
-    assert (site / "cmeel.prefix" / "lib" / "libgomp.so.1").resolve() == site / "casadi" / "libgomp-1234.so.1.0.0"
 
 
 def test_damaged_stamp_is_ignored(tmp_path: Path) -> None:

@@ -64,7 +64,6 @@ def test_fjr_core_requires_what_it_imports(wheels: dict[str, Path]) -> None:
     required = {pins.requirement_name(each) for each in always}
     assert required == {DISTRIBUTIONS.get(name, name) for name in imports} - {"matplotlib", "pyarrow"}
     assert {re.sub(r".*extra == [\"'](\w+)[\"']", r"\1", each) for each in extra} == {
-        "urdf",
         "sweep",
         "plot",
         "compiler",

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from envsetup.console import PREFIX, SetupError, say
-from envsetup.extras import Extra, browser, compiler, cpp_compiler, openmp, pinocchio
+from envsetup.extras import Extra, browser, compiler, cpp_compiler, pinocchio
 from envsetup.machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace
@@ -76,9 +76,10 @@ def set_up(target: str, sourced_ros: bool) -> None:
 
 
 def extras(environment: Environment, target: str) -> list[Extra]:
-    """Return the optional system packages: C compiler, URDF parser, and for tests a C++ compiler and a browser."""
-    urdf = pinocchio if environment.sourced_ros else openmp
-    found = [compiler(environment.env), urdf(environment.python, environment.env)]
+    """Return the optional system packages: C compiler, Pinocchio beside a sourced ROS 2, C++ compiler and browser."""
+    found = [compiler(environment.env)]
+    if environment.sourced_ros and target in ("test", "bench"):
+        found.append(pinocchio(environment.python, environment.env))
     return [*found, cpp_compiler(environment.env), browser(environment.env)] if target == "test" else found
 
 

@@ -14,7 +14,6 @@ from envsetup.debian import apt_install, has_apt
 
 COMPILERS = ("cc", "gcc", "clang")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-NO_URDF = "robots cannot be read from a URDF"
 
 
 @dataclass(frozen=True)
@@ -65,17 +64,11 @@ def cpp_compiler(env: dict[str, str]) -> Extra:
 
 
 def pinocchio(python: Path, env: dict[str, str]) -> Extra:
-    """Return the Pinocchio of a sourced ROS 2."""
-    return Extra("Pinocchio", ("ros-jazzy-pinocchio",), NO_URDF, lambda: _imports_pinocchio(python, env))
-
-
-def openmp(python: Path, env: dict[str, str]) -> Extra:
-    """Return the OpenMP library that Pinocchio's wheel needs; by default that of CasADi's wheel."""
-
-    def is_there() -> bool:
-        return _imports_pinocchio(python, env) or (_lend_openmp(python) and _imports_pinocchio(python, env))
-
-    return Extra("libgomp, which Pinocchio needs,", ("libgomp1",), NO_URDF, is_there)
+    """Return the Pinocchio of a sourced ROS 2, which tests and benchmarks compare with."""
+    fails = "tests and benchmarks that compare with it fail"
+    return Extra(
+        "Pinocchio", ("ros-jazzy-pinocchio",), fails, lambda: _succeeds([str(python), "-c", "import pinocchio"], env)
+    )
 
 
 def browser(env: dict[str, str]) -> Extra:
@@ -85,22 +78,6 @@ def browser(env: dict[str, str]) -> Extra:
         return any(_succeeds([name, "--version"], env) for name in BROWSERS)
 
     return Extra("Chromium", ("chromium",), "tests that look at pages in a browser are skipped", is_there)
-
-
-def _lend_openmp(python: Path) -> bool:
-    """Link CasADi's OpenMP library to the path at which Pinocchio's wheel searches it; return whether both exist."""
-    for own in python.parents[1].glob("lib/python*/site-packages/casadi/libgomp*.so*"):
-        place = own.parents[1] / "cmeel.prefix" / "lib"
-        if place.is_dir():
-            link = place / "libgomp.so.1"
-            link.unlink(missing_ok=True)
-            link.symlink_to(own)
-            return True
-    return False
-
-
-def _imports_pinocchio(python: Path, env: dict[str, str]) -> bool:
-    return _succeeds([str(python), "-c", "import pinocchio"], env)
 
 
 def has_compiler(env: dict[str, str]) -> bool:

@@ -46,8 +46,8 @@ def pins(text: str) -> dict[str, str]:
 
 
 def requirement_files(root: Path, level: str, wheels: bool) -> list[Path]:
-    """Return the requirement files of a level, including ROS 2 if it is installed from wheels."""
-    ros = ("ros-wheels", "ros-wheels-test") if level == "test" else ("ros-wheels",)
+    """Return the requirement files of a level, with ROS 2 and what goes with it if ROS 2 is installed from wheels."""
+    ros = ("ros-wheels", *(f"ros-wheels-{each}" for each in ("bench", "test") if each in LEVELS[level]))
     names = (*LEVELS[level], *ros) if wheels else LEVELS[level]
     return [root / "requirements" / f"{name}.txt" for name in names]
 

@@ -77,7 +77,7 @@ class Environment:
     def _install(self, level: str) -> None:
         constraints = self._constraints()
         files = pins.requirement_files(self.root, level, not self.sourced_ros)
-        extent = "what ROS 2 does not bring" if self.sourced_ros else "with ROS 2, 370 to 430 MB the first time"
+        extent = "what ROS 2 does not bring" if self.sourced_ros else "with ROS 2, 290 to 350 MB the first time"
         with Step("installer (pip, setuptools)") as step:
             self._pip(step, constraints, "pip", "setuptools")
         with Step(f"packages to {level} ({extent})") as step:

@@ -7,7 +7,6 @@ from setuptools import find_packages, setup
 package_name = "fjr_core"
 version = run_path(str(Path(__file__).parent / package_name / "version.py"))["__version__"]
 extras = {
-    "urdf": ["pin>=3"],  # Pinocchio, which reads a URDF
     "sweep": ["pyarrow>=15"],  # reads Parquet: motions
     "plot": ["matplotlib>=3.6"],
 }

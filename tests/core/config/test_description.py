@@ -35,7 +35,6 @@ ROBOTS = {
 
 @pytest.mark.parametrize("given", ROBOTS.values(), ids=ROBOTS)
 def test_generated_description_has_the_same_inertia_and_gravity(given: dict[str, object]) -> None:
-    pytest.importorskip("pinocchio")
     values = values_of(**given)
     closed = builders.robot(values)
     read = fjr.robot_from_urdf(description(values), list(values["joints"]), closed.K, closed.M_m)

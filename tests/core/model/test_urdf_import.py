@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -12,11 +10,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from tools.robot_survey.robots import ROBOTS
 
 import fjr_core as fjr
 from core.oracles.cases import PLANAR, Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, PinocchioLinks, random_urdf
-from fjr_core.model import urdf_reduction
+from fjr_core.model.kinematic_chains import chains
+from fjr_core.model.urdf_import import reduced_bodies
+from fjr_core.model.urdf_parser import MOVING, read_urdf
 
 CASES = [(n, seed) for n in (1, 2, 3, 5, 7) for seed in range(3)]
 all_cases = pytest.mark.parametrize("case", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CASES])
@@ -92,6 +93,46 @@ def test_file_path_and_text_give_the_same_robot(tmp_path: Path) -> None:
         fjr.robot_from_urdf(source, urdf.joints, 100.0, 0.1) for source in (file, str(file), file.read_text(), urdf.xml)
     ]
     assert all(np.array_equal(robot.M_l(q), robots[0].M_l(q)) for robot in robots)
+
+
+# The bodies alone.
+
+KR300 = Path(__file__).parents[3] / "examples/kr300/kr300.urdf"
+URDFS = {
+    **{f"random {n} {seed}": random_urdf(n, seed).xml for n in (1, 2, 3, 5, 7) for seed in range(3)},
+    **{robot.name: robot.urdf for robot in ROBOTS if robot.package in ("airo-models", "rtb-data")},
+    **{path.stem: path for path in (ARM7, KR300)},
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", URDFS)
+def test_bodies_equal_those_of_the_reduced_model_of_pinocchio(name: str, seed: int) -> None:
+    """All joints of the longest chain are named, then some, with the others locked at random."""
+    source, rng = URDFS[name], np.random.default_rng(seed)
+    tree = read_urdf(source)
+    chain = chains(tree)[0].joints
+    joints = [joint for joint in chain if seed == 0 or rng.random() < 0.6] or [chain[-1]]
+    moving = [joint.name for joint in tree.joints.values() if joint.kind in MOVING and joint.name not in joints]
+    locked = dict(zip(moving, rng.uniform(-2, 2, len(moving)), strict=True))
+    model = pin.buildModelFromXML(source.read_text(encoding="utf-8") if isinstance(source, Path) else source)
+    rest = PinocchioLinks(model, [], locked).rest
+    reduced = pin.buildReducedModel(model, [model.getJointId(joint) for joint in locked], rest)
+
+    bodies = reduced_bodies(tree, joints, locked)
+    assert list(bodies) == list(reduced.names)[1:]
+    for body, placement, expected in zip(
+        bodies.values(), list(reduced.jointPlacements)[1:], list(reduced.inertias)[1:], strict=True
+    ):
+        pairs = [
+            (body.rotation, placement.rotation),
+            (body.translation, placement.translation),
+            (body.mass, expected.mass),
+            (body.com, expected.lever if expected.mass else np.zeros(3)),
+            (body.inertia, expected.inertia),
+        ]
+        for found, oracle in pairs:
+            np.testing.assert_allclose(found, oracle, rtol=1e-12, atol=1e-12)
 
 
 # A hand-written planar arm, which the tests below modify.
@@ -388,43 +429,6 @@ def test_binary_file_is_named(tmp_path: Path) -> None:
     file.write_bytes(b"\x00\xff\x7fELF")
     with pytest.raises(fjr.RobotError, match="arm.urdf does not parse as XML"):
         fjr.robot_from_urdf(file, ["a"], 1.0, 1.0)
-
-
-def test_missing_pinocchio_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pinocchio", None)
-    with pytest.raises(fjr.RobotError, match=r"pip install pin \(fjr_core\[urdf\]\), or ros-jazzy-pinocchio"):
-        read(TWO)
-
-
-def test_missing_openmp_error_names_its_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def fails(name: str) -> None:
-        raise ImportError("libgomp.so.1: cannot open shared object file: No such file or directory")
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("fjr_core.model.urdf_reduction.importlib.import_module", fails)
-    with pytest.raises(fjr.RobotError, match="Debian package libgomp1"):
-        fjr.robot_from_urdf(ARM7, ARM7_JOINTS, 1e4, 0.5)
-
-
-def test_a_kept_chain_has_the_same_bits_and_needs_no_import(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def fails(name: str) -> None:
-        raise ImportError(name)
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    urdf = random_urdf(3, 0)
-    made = urdf_reduction.reduced_model(urdf.xml, urdf.locked)
-    monkeypatch.setattr(urdf_reduction.importlib, "import_module", fails)
-    assert urdf_reduction.reduced_model(urdf.xml, urdf.locked) == made
-    (kept,) = tmp_path.rglob("chain-*.json")
-    kept.write_bytes(kept.read_bytes().replace(b"0", b"1"))
-    for text, locked in ((urdf.xml, urdf.locked), (random_urdf(3, 1).xml, {})):
-        with pytest.raises(fjr.RobotError, match="Pinocchio cannot be imported"):
-            urdf_reduction.reduced_model(text, locked)
-
-
-def test_fjr_core_does_not_import_pinocchio() -> None:
-    program = "import sys, fjr_core; sys.exit('pinocchio' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 # The seven-joint arm.

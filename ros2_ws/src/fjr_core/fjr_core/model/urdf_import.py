@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build a flexible-joint robot from a URDF and joint elasticity data; Pinocchio merges fixed and locked bodies."""
+"""Build a flexible-joint robot from a URDF and joint elasticity data; links that do not move apart are one body."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..numerics import checks
+from ..numerics.checks import Array
 from .joint_limits import JointLimits
 from .newton_euler import serial_chain
 from .rigid_arm import ArmDynamics, EndEffector
 from .rigid_body import Body
 from .robot import Robot
-from .urdf_parser import MOVING, UrdfJoint, UrdfTree, read_urdf
-from .urdf_reduction import ReducedModel, reduced_model
+from .urdf_parser import MOVING, LinkInertia, UrdfJoint, UrdfTree, read_urdf
 
 _log = logging.getLogger("fjr_core.model")
 
@@ -37,6 +37,8 @@ class MasslessJointError(RobotError):
         self.joint = joint
 
 
+BASE = ""
+"""Name of the joint in front of all named ones, which carries what never moves."""
 MOST_CONTROLLED = 64
 """Largest number of joints; the size of the law's expressions grows with its square."""
 
@@ -62,15 +64,15 @@ def robot_from_urdf(
     input_gain B_m: scalar, (n,) or (n, n), in the named order and on the link side of the gear. With
     gear_ratio r, scalar or (n,), motor_inertia J is that of the rotor and M_m = r J r.
     locked: positions [rad, m] of joints that are not named, 0 by default; mimicking joints follow their leader.
-    The limits of the URDF become robot.limits. Requires Pinocchio. Raises RobotError. A link with an invalid inertia
-    that the named joints do not move is reported by a warning of the logger "fjr_core.model".
+    The limits of the URDF become robot.limits. Raises RobotError. A link with an invalid inertia that the named
+    joints do not move is reported by a warning of the logger "fjr_core.model".
     """
     tree = read_urdf(path_or_xml)
     named = _named(tree, joints)
     _check_links(tree, joints)
-    model = reduced_model(tree.skeleton, _locked_positions(tree, joints, dict(locked or {})))
-    chain = _chain(model)
-    links = serial_chain([_body(model, i, tree.joints[name]) for i, name in enumerate(chain)], gravity)
+    bodies = reduced_bodies(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
+    chain = list(bodies)
+    links = serial_chain(list(bodies.values()), gravity)
     _check_inertia(links, chain)
     names = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
     values = (stiffness, motor_inertia, link_damping, motor_damping, input_gain)
@@ -152,28 +154,57 @@ def _position(tree: UrdfTree, joint: UrdfJoint, joints: Sequence[str], locked: d
     raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
 
 
-def _chain(model: ReducedModel) -> list[str]:
-    """Return the joints in order from base to tip."""
-    names = model.names
-    for i, parent in enumerate(model.parents):
-        if parent != i:
-            other, base = names[i - 1], names[parent - 1] if parent else "the base"
-            raise RobotError(
-                f"joints '{other}' and '{names[i]}' are on different branches after {base}; expected one serial chain"
-            )
-    return names
+def reduced_bodies(tree: UrdfTree, joints: Sequence[str], locked: Mapping[str, float]) -> dict[str, Body]:
+    """Return the body that each named joint moves, by joint from base to tip; raise RobotError if they branch.
+
+    A body consists of the links between its joint and the next named ones. locked: positions [rad, m] of the other
+    moving joints.
+    """
+    carriers = {joint.child: joint for joint in tree.joints.values()}
+    poses = {name: joint.pose(locked.get(name, 0.0)) for name, joint in tree.joints.items()}
+
+    def carried(link: str) -> tuple[str, Array]:
+        """Return the named joint that carries a link, or BASE, and the pose (4, 4) of the link in its frame."""
+        pose = np.eye(4)
+        while link in carriers:
+            joint = carriers[link]
+            if joint.name in joints:
+                return joint.name, pose
+            pose, link = poses[joint.name] @ pose, joint.parent
+        return BASE, pose
+
+    parts: dict[str, list[LinkInertia]] = {name: [] for name in (BASE, *joints)}
+    for link, inertia in tree.inertias.items():
+        name, pose = carried(link)
+        parts[name].append(inertia.moved(pose))
+    before = {name: carried(tree.joints[name].parent) for name in joints}
+    chain = _chain({name: carrier for name, (carrier, _) in before.items()})
+    return {name: _body(tree.joints[name], before[name][1] @ poses[name], parts[name]) for name in chain}
 
 
-def _body(model: ReducedModel, i: int, joint: UrdfJoint) -> Body:
-    return Body(
-        rotation=np.array(model.rotation[i]),
-        translation=np.array(model.translation[i]),
-        axis=joint.axis,
-        mass=model.mass[i],
-        com=np.array(model.com[i]),
-        inertia=np.array(model.inertia[i]),
-        prismatic=joint.kind == "prismatic",
-    )
+def _chain(before: Mapping[str, str]) -> list[str]:
+    """Return the joints in order from base to tip; before: the joint before each one."""
+    chain = [BASE]
+    while after := [name for name, joint in before.items() if joint == chain[-1]]:
+        if len(after) > 1:
+            both, where = f"'{after[0]}' and '{after[1]}'", chain[-1] or "the base"
+            raise RobotError(f"joints {both} are on different branches after {where}; expected one serial chain")
+        chain += after
+    return chain[1:]
+
+
+def _body(joint: UrdfJoint, pose: Array, parts: Sequence[LinkInertia]) -> Body:
+    """Return a joint at its pose (4, 4) in the frame of the joint before, with the parts as one body.
+
+    m = sum m_i, m c = sum m_i c_i, I = sum I_i + m_i (d_i'd_i E - d_i d_i') with d_i = c_i - c (parallel axes).
+    """
+    mass = sum(part.mass for part in parts)
+    com = sum((part.mass * part.com for part in parts), np.zeros(3)) / (mass or 1.0)
+    inertia = np.zeros((3, 3))
+    for part in parts:
+        d = part.com - com
+        inertia += part.inertia + part.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return Body(pose[:3, :3], pose[:3, 3], joint.axis, mass, com, inertia, joint.kind == "prismatic")
 
 
 def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
@@ -185,7 +216,7 @@ def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
                 raise MasslessJointError(chain[i])
 
 
-def _reflected(J: checks.Array, gear_ratio: ArrayLike) -> checks.Array:
+def _reflected(J: Array, gear_ratio: ArrayLike) -> Array:
     """Return the inertia r J r on the link side of gears with ratio r."""
     ratio = checks.vector("gear_ratio", gear_ratio, len(J), RobotError)
     if not np.all(ratio != 0):

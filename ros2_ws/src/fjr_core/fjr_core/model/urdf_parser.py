@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 from xml.parsers import expat
@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import RobotError
 from ..files.text_file import LARGEST, read_bytes
+from ..numerics.checks import Array
 
 MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")
@@ -31,27 +32,56 @@ LARGEST_NUMBER = 1e30  # sums and squares of larger numbers may overflow
 class UrdfJoint:
     """A URDF joint: axis in the joint frame, limits (lower, upper, velocity, effort), infinite without a limit.
 
-    mimics: (joint, multiplier, offset) of <mimic>, or None.
+    xyz [m], rpy [rad]: pose of the joint frame in that of the parent link. mimics: (joint, multiplier, offset) of
+    <mimic>, or None.
     """
 
     name: str
     kind: str
     parent: str
     child: str
+    xyz: tuple[float, ...]
+    rpy: tuple[float, ...]
     axis: tuple[float, ...]
     limits: tuple[float, ...]
     mimics: tuple[str, float, float] | None
 
+    def pose(self, position: float = 0.0) -> Array:
+        """Return the pose (4, 4) of the child link in the frame of the parent link at a position [rad, m]."""
+        axis, motion = np.array(self.axis), np.eye(4)
+        axis /= np.linalg.norm(axis) or 1.0  # that of a fixed joint may be 0
+        if self.kind == "prismatic":
+            motion[:3, 3] = position * axis
+        else:
+            motion[:3, :3] = _turn(axis, position)
+        origin = np.eye(4)
+        origin[:3, :3], origin[:3, 3] = _rotation(self.rpy), self.xyz
+        return origin @ motion
+
+
+@dataclass(frozen=True, eq=False)
+class LinkInertia:
+    """Mass [kg], centre of mass com (3,) [m] and inertia (3, 3) [kg m^2] about it, in one frame."""
+
+    mass: float
+    com: Array
+    inertia: Array
+
+    def moved(self, pose: Array) -> LinkInertia:
+        """Return the same inertia in the frame in which its own frame has this pose (4, 4)."""
+        R = pose[:3, :3]
+        return LinkInertia(self.mass, R @ self.com + pose[:3, 3], R @ self.inertia @ R.T)
+
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """All joints by name, and `skeleton`, the URDF reduced to kinematics and inertia.
+    """All joints, and the inertias of all links that have one, by name.
 
-    faulty: a sentence for each link whose inertia is invalid; the skeleton has none for it.
+    inertias: in the frame of the link. faulty: a sentence for each link whose inertia is invalid and left out.
     """
 
     joints: dict[str, UrdfJoint]
-    skeleton: str
+    inertias: dict[str, LinkInertia]
     faulty: dict[str, str]
 
     def moved_by(self, names: Iterable[str]) -> set[str]:
@@ -68,8 +98,15 @@ def read_urdf(path_or_xml: str | os.PathLike[str]) -> UrdfTree:
     links = _by_name(root, "link")
     joints = {name: _joint(name, element) for name, element in _by_name(root, "joint").items()}
     _check_tree(list(links), joints)
-    faulty = {name: fault for name, element in links.items() if (fault := _inertia_fault(name, element))}
-    return UrdfTree(joints, _skeleton(root, joints, faulty), faulty)
+    inertias: dict[str, LinkInertia] = {}
+    faulty: dict[str, str] = {}
+    for name, element in links.items():
+        try:
+            if (inertial := element.find("inertial")) is not None:
+                inertias[name] = _inertia(f"link '{name}'", inertial)
+        except RobotError as error:
+            faulty[name] = str(error)
+    return UrdfTree(joints, inertias, faulty)
 
 
 def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
@@ -136,12 +173,13 @@ def _joint(name: str, element: ET.Element) -> UrdfJoint:
     kind, where = element.get("type", ""), f"joint '{name}'"
     if kind not in KINDS:
         raise RobotError(f"{where} has the type {kind!r}; expected one of {', '.join(KINDS)}")
-    _check_origin(where, element)
+    xyz, rpy = _origin(where, element)
     axis = _numbers(where, element, "axis", "xyz", "1 0 0", 3)
     if kind in MOVING and not np.linalg.norm(axis) > 0:
         raise RobotError(f"{where} has the axis 0 0 0; expected a direction")
     parent, child = (_attribute(where, element, tag, "link") for tag in ("parent", "child"))
-    return UrdfJoint(name, kind, parent, child, axis, _limits(where, kind, element), _mimics(where, element))
+    limits, mimics = _limits(where, kind, element), _mimics(where, element)
+    return UrdfJoint(name, kind, parent, child, xyz, rpy, axis, limits, mimics)
 
 
 def _limits(where: str, kind: str, element: ET.Element) -> tuple[float, ...]:
@@ -195,34 +233,40 @@ def _ancestors(link: str, carriers: dict[str, str], joints: dict[str, UrdfJoint]
         yield link
 
 
-def _inertia_fault(name: str, link: ET.Element) -> str:
-    """Return what is wrong with the inertia of a link; empty if nothing is."""
-    try:
-        _check_inertial(f"link '{name}'", link)
-    except RobotError as error:
-        return str(error)
-    return ""
-
-
-def _check_inertial(where: str, link: ET.Element) -> None:
-    inertial = link.find("inertial")
-    if inertial is None:
-        return
-    _check_origin(where, inertial)
+def _inertia(where: str, inertial: ET.Element) -> LinkInertia:
+    xyz, rpy = _origin(where, inertial)
     mass = _number(where, inertial, "mass", "value", "")
     xx, xy, xz, yy, yz, zz = (_number(where, inertial, "inertia", name, "") for name in INERTIA)
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if mass < 0:
         raise RobotError(f"{where} has the mass {mass}; expected 0 or more")
-    if mass == 0 and any((xx, xy, xz, yy, yz, zz)):
+    if mass == 0 and np.any(inertia):
         raise RobotError(f"{where} has the mass 0 and an inertia; expected a mass, or neither")
-    smallest, _, largest = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    smallest, _, largest = np.linalg.eigvalsh(inertia)
     if smallest < -max(1e-12 * abs(largest), SMALLEST_INERTIA):
         raise RobotError(f"{where} has the principal inertia {smallest:.3g}; expected 0 or more")
+    R = _rotation(rpy)
+    return LinkInertia(mass, np.array(xyz), R @ inertia @ R.T)
 
 
-def _check_origin(where: str, element: ET.Element) -> None:
-    for name in ("xyz", "rpy"):
-        _numbers(where, element, "origin", name, "0 0 0", 3)
+def _origin(where: str, element: ET.Element) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return xyz [m] and rpy [rad] of the <origin> in the element."""
+    xyz, rpy = (_numbers(where, element, "origin", name, "0 0 0", 3) for name in ("xyz", "rpy"))
+    return xyz, rpy
+
+
+def _rotation(rpy: tuple[float, ...]) -> Array:
+    """Return R = R_z(yaw) R_y(pitch) R_x(roll)."""
+    x, y, z = np.eye(3)
+    roll, pitch, yaw = rpy
+    return _turn(z, yaw) @ _turn(y, pitch) @ _turn(x, roll)
+
+
+def _turn(axis: Array, angle: float) -> Array:
+    """Return the rotation R = cos(a) E + sin(a) [k]x + (1 - cos(a)) k k' about a unit axis k (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.cos(angle) * np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * np.outer(axis, axis)
 
 
 def _number(where: str, element: ET.Element, tag: str, name: str, default: str) -> float:
@@ -257,23 +301,3 @@ def _attribute(where: str, element: ET.Element, tag: str, name: str) -> str:
     if not value:
         raise RobotError(f'{where} has no <{tag} {name}="...">; expected one')
     return value
-
-
-def _skeleton(root: ET.Element, joints: dict[str, UrdfJoint], faulty: Container[str]) -> str:
-    """Return the URDF with inertias and placements only; continuous joints become revolute, without limits.
-
-    Links are renamed, because Pinocchio keeps links and joints in one list of frames.
-    """
-    robot = ET.Element("robot", name=root.get("name", "robot"))
-    for link in root.findall("link"):
-        inertial = [] if link.get("name") in faulty else link.findall("inertial")
-        ET.SubElement(robot, "link", name=f"link {link.get('name')}").extend(inertial)
-    for element in root.findall("joint"):
-        joint = joints[element.get("name", "")]
-        kind = "revolute" if joint.kind == "continuous" else joint.kind
-        bare = ET.SubElement(robot, "joint", name=joint.name, type=kind)
-        bare.extend(child for child in element if child.tag in ("origin", "axis"))
-        ET.SubElement(bare, "parent", link=f"link {joint.parent}")
-        ET.SubElement(bare, "child", link=f"link {joint.child}")
-        ET.SubElement(bare, "limit", lower="0", upper="0", effort="0", velocity="0")
-    return ET.tostring(robot, encoding="unicode")

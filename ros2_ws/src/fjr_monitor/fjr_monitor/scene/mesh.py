@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangle meshes of a URDF: read by Pinocchio's collision library, reduced to few triangles, packed for arm.js."""
+"""Triangle meshes of a URDF: read by trimesh and pycollada, reduced to few triangles, packed for arm.js."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree.ElementTree import ParseError
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import FjrError
-from fjr_monitor.scene.mesh_parts import in_one_level
 
 LARGEST = 64 * 2**20  # bytes of a file
+MOST_NODES = 10_000  # of a COLLADA scene; nodes that instance each other in two places multiply
 CELLS = (4096, 256, 160, 112, 80, 56, 40, 28, 20, 14, 10, 7, 5)  # along the longest side; the first joins equal points
 STEPS = 65535  # of a packed coordinate
 
@@ -46,27 +46,51 @@ class Mesh:
 
 
 def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
-    """Read an STL, OBJ, DAE or other mesh file that Assimp knows, scaled by (3,); raises MeshError in one sentence."""
+    """Read an STL, OBJ, DAE or other mesh file that trimesh knows, scaled by (3,); raises MeshError in one sentence."""
+    if path.is_file() and path.stat().st_size > LARGEST:
+        raise MeshError(f"{path} has more than {LARGEST // 2**20} MiB")
     try:
-        import coal  # with Pinocchio; a URDF without meshes needs neither
-    except ImportError:
-        raise MeshError("the package coal, which comes with Pinocchio and reads meshes, is not installed") from None
-    try:
-        if path.stat().st_size > LARGEST:
-            raise MeshError(f"{path} has more than {LARGEST // 2**20} MiB")
-        with TemporaryDirectory() as folder:
-            readable = path
-            if (content := in_one_level(path)) is not None:
-                readable = Path(folder, f"mesh{path.suffix}")
-                readable.write_bytes(content)
-            model = coal.MeshLoader(coal.BV_AABB).load(str(readable), np.array(scale))
-        triangles = [[corner[0], corner[1], corner[2]] for corner in map(model.tri_indices, range(model.num_tris))]
-        mesh = Mesh(np.array(model.vertices()), np.array(triangles, dtype=np.int64).reshape(-1, 3))
-    except (OSError, ValueError, RuntimeError, ParseError):
+        corners = (_collada if path.suffix.lower() == ".dae" else _mesh)(path)
+    except ImportError as error:
+        raise MeshError(f"the package {error.name}, which reads meshes, is not installed") from None
+    except Exception:  # the readers raise many types
         raise MeshError(f"{path} cannot be read as a mesh") from None
-    if not (len(mesh.triangles) and np.isfinite(mesh.vertices).all()):
+    if not (len(corners) and np.isfinite(corners).all()):
         raise MeshError(f"{path} has no triangle, or a vertex that is not finite")
-    return mesh
+    return Mesh(corners.reshape(-1, 3) * scale, np.arange(3 * len(corners)).reshape(-1, 3))
+
+
+def _mesh(path: Path) -> NDArray[np.float64]:
+    """Return the corners (m, 3, 3) of all triangles of a file."""
+    import trimesh
+
+    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+    return np.asarray(mesh.vertices, dtype=float)[mesh.faces]
+
+
+def _collada(path: Path) -> NDArray[np.float64]:
+    """Return the corners (m, 3, 3) of all triangles of a COLLADA scene; raise ValueError beyond MOST_NODES.
+
+    pycollada skips what it cannot read, such as textures. trimesh has no limit of nodes.
+    """
+    from collada import Collada, DaeError
+    from collada.polylist import Polylist
+    from collada.scene import GeometryNode
+    from collada.triangleset import TriangleSet
+
+    def placed(node: Any, pose: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+        if next(nodes) > MOST_NODES:
+            raise ValueError(f"more than {MOST_NODES} nodes")
+        for part in node.geometry.primitives if isinstance(node, GeometryNode) else ():
+            triangles = part.triangleset() if isinstance(part, Polylist) else part
+            if isinstance(triangles, TriangleSet):
+                yield (triangles.vertex @ pose[:3, :3].T + pose[:3, 3])[triangles.vertex_index]
+        for child in getattr(node, "children", ()):
+            yield from placed(child, pose @ getattr(node, "matrix", np.eye(4)))
+
+    nodes = count(1)
+    document = Collada(str(path), ignore=[DaeError])
+    return np.concatenate([part for node in document.scene.nodes for part in placed(node, np.eye(4))])
 
 
 def decimated(mesh: Mesh, most: int) -> Mesh:

@@ -29,13 +29,12 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     """
     tree = read_urdf(urdf)
     root = parse_xml(urdf.lstrip("\ufeff").strip())
-    origins = {each.get("name", ""): _origin(each) for each in root.findall("joint")}
-    joints = [_joint(each, *origins[each.name], (locked or {}).get(each.name, 0.0)) for each in tree.joints.values()]
+    joints = [_joint(each, (locked or {}).get(each.name, 0.0)) for each in tree.joints.values()]
     elements = {each.get("name", ""): each for each in root.findall("link")}
     drawn = _Shapes(root)
     links = {name: drawn.of(element) for name, element in elements.items()}
     bare = drawn.incomplete if any(links.values()) or drawn.incomplete else set(elements)
-    tips = {name: None if name in tree.faulty else _tip(elements[name]) for name in bare}
+    tips = {name: (2.0 * tree.inertias[name].com).tolist() if name in tree.inertias else None for name in bare}
     shaped = {} if drawn.meshes else {name: shapes for name, shapes in links.items() if name not in bare}
     bones = {name: shapes[0]["xyz"] if shapes else None for name, shapes in shaped.items()}
     for name, shapes in (skeleton(joints, tips) | skeleton(joints, bones, THIN)).items():
@@ -46,15 +45,15 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     return {"root": base, "joints": joints, "links": links, "meshes": meshes, "notes": drawn.notes}
 
 
-def _joint(joint: UrdfJoint, xyz: list[float], rpy: list[float], position: float) -> dict[str, Any]:
+def _joint(joint: UrdfJoint, position: float) -> dict[str, Any]:
     return {
         "name": joint.name,
         "kind": joint.kind,
         "parent": joint.parent,
         "child": joint.child,
         "axis": list(joint.axis),
-        "xyz": xyz,
-        "rpy": rpy,
+        "xyz": list(joint.xyz),
+        "rpy": list(joint.rpy),
         "position": position,
         "mimics": joint.mimics,
     }
@@ -116,12 +115,6 @@ def _origin(element: Element) -> tuple[list[float], list[float]]:
     if origin is None:
         return [0.0] * 3, [0.0] * 3
     return _numbers(origin, "xyz", 3, "0 0 0", math.inf), _numbers(origin, "rpy", 3, "0 0 0", math.inf)
-
-
-def _tip(link: Element) -> list[float] | None:
-    """Return twice the centre of mass of a link (3,) [m] in its frame; None for a link without mass."""
-    inertial = link.find("inertial")
-    return None if inertial is None else [2.0 * each for each in _origin(inertial)[0]]
 
 
 def _colour(material: Element) -> str | None:
