@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Iterator
@@ -105,6 +106,15 @@ def test_every_message_is_answered_in_place(echo) -> None:
     echo.send(1, [1.0])
     echo.until(lambda: echo.state.rejected)
     assert echo.state.messages == 19
+
+
+def test_a_loop_whose_priority_is_refused_keeps_to_the_last_core(echo) -> None:
+    before = {int(thread) for thread in os.listdir("/proc/self/task")}
+    echo.loop.start(1000)  # no system grants it
+    (started,) = {int(thread) for thread in os.listdir("/proc/self/task")} - before
+    echo.until(lambda: os.sched_getaffinity(started) == {max(os.sched_getaffinity(0))})
+    echo.send(1)
+    assert echo.answered().header.stamp.sec == 1
 
 
 def test_records_come_in_order_and_those_without_a_place_are_counted(echo) -> None:

@@ -102,14 +102,14 @@ def test_memory_has_small_pages_and_threads_that_stepped_back_keep_their_schedul
     assert found["policies"][1] == [os.SCHED_BATCH, 0]
 
 
-def _is_said(found: dict[str, Any]) -> None:
+def _is_said(found: dict[str, Any], where: str = "") -> None:
     """Compare the sentence about ordinary scheduling with the slices of the threads, first the main one."""
     version = tuple(int(part) for part in os.uname().release.split(".")[:2])
     if version >= (6, 12):
         assert found["slices"] == [SLICE] * 2
-        assert found["granted"].startswith("ordinary scheduling with slices of 0.1 ms: cycles may be late")
+        assert found["granted"].startswith(f"ordinary scheduling with slices of 0.1 ms{where}: cycles may be late")
     else:
-        assert found["granted"].startswith("ordinary scheduling (slices of 0.1 ms need Linux 6.12): cycles may be late")
+        assert found["granted"].startswith(f"ordinary scheduling{where} (slices of 0.1 ms need Linux")
 
 
 @linux
@@ -181,10 +181,12 @@ def test_a_partly_missing_set_of_cores_is_reported() -> None:
 
 @linux
 @root
-def test_an_unprivileged_user_gets_two_sentences_and_short_slices() -> None:
+def test_an_unprivileged_user_gets_two_sentences_short_slices_and_one_core_for_the_loop() -> None:
     found = _take_care({"priority": 50, "lock_memory": True}, user=NOBODY, memlock=4 << 20)
     assert found["policies"] == [[os.SCHED_BATCH, 0], [os.SCHED_OTHER, 0]]
-    _is_said(found)
+    cores = sorted(os.sched_getaffinity(0))
+    assert found["cores"] == [cores, cores[-1:]]  # Python, and a thread of the middleware
+    _is_said(found, f" on core {cores[-1]}")
     memory, priority = found["refusals"]
     locked = re.search(r"lock_memory is refused \(the memlock limit is 4096 kB; (\d+) kB of code are locked\)", memory)
     assert locked

@@ -176,11 +176,24 @@ static int one_round(struct fjr_loop* loop) {
   return outcome;
 }
 
-/* Take the priority; else, with ordinary scheduling, a short slice: the system then lets the thread run soon after it
- * wakes up (Linux 6.12; every user may ask for it). */
+/* Confine this thread to the last core it may use, as scheduling.py does with the threads of the middleware, and says
+ * why. */
+static void keep_to_last_core(void) {
+  cpu_set_t cores;
+  int last = CPU_SETSIZE - 1;
+  if (sched_getaffinity(0, sizeof cores, &cores)) return;
+  while (last > 0 && !CPU_ISSET(last, &cores)) --last;
+  CPU_ZERO(&cores);
+  CPU_SET(last, &cores);
+  (void)sched_setaffinity(0, sizeof cores, &cores);
+}
+
+/* Take the priority; if it is refused, keep to one core. With ordinary scheduling ask for a short slice: the system then
+ * lets the thread run soon after it wakes up (Linux 6.12; every user may ask for it). */
 static void schedule(int32_t priority) {
   const struct sched_param wanted = {.sched_priority = priority};
   if (priority && !pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted)) return;
+  if (priority) keep_to_last_core();
   const int policy = sched_getscheduler(0) & ~SCHED_RESET_ON_FORK;
   if (policy != SCHED_OTHER && policy != SCHED_BATCH) return;
   const struct {

@@ -53,19 +53,21 @@ class Scheduling(NamedTuple):
 
 
 def apply_process_settings(settings: ProcessSettings) -> Scheduling:
-    """Apply the settings to this process: its threads have the priority or, without one, short slices."""
+    """Apply the settings to this process: its threads have the priority or, without one, short slices on one core."""
     refuse_huge_pages()
+    cores = use_cores(settings.cores)
     refused = take_priority(settings.priority)
     slices = take_short_slices()
+    where = f" on core {keep_to_last_core()}" if refused else ""
     if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
         priority = os.sched_getparam(0).sched_priority
         granted = f"real-time priority {priority} is granted: other programs do not delay a cycle"
     elif slices:
-        granted = f"ordinary scheduling with slices of {slices * 1e-6:g} ms: {LATE}"
+        granted = f"ordinary scheduling with slices of {slices * 1e-6:g} ms{where}: {LATE}"
     else:
-        granted = f"ordinary scheduling (slices of {SLICE * 1e-6:g} ms need Linux 6.12): {LATE}"
+        granted = f"ordinary scheduling{where} (slices of {SLICE * 1e-6:g} ms need Linux 6.12): {LATE}"
     memory = lock_memory() if settings.lock_memory else ""
-    refusals = [each for each in (use_cores(settings.cores), memory, refused) if each]
+    refusals = [each for each in (cores, memory, refused) if each]
     return Scheduling(granted, refusals)
 
 
@@ -113,6 +115,22 @@ def take_short_slices() -> int:
             if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER:
                 _ask_for_slice(thread, os.SCHED_OTHER)
     return slice_of(0)
+
+
+def keep_to_last_core() -> int:
+    """Confine the other threads with ordinary scheduling to the last core that this process may use; return it.
+
+    Linux divides the share of a session (its autogroup) among the cores by the load on each. A loop that changes its
+    core, or whose middleware runs on another, meets cores on which its session has next to no share, and waits there
+    for up to 0.1 s while other sessions are busy. On one core the session keeps its share. The native loop does the
+    same (loop.c).
+    """
+    core = max(os.sched_getaffinity(0))
+    for thread in set(_threads()) - {threading.get_native_id()}:
+        with suppress(OSError):
+            if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER:
+                os.sched_setaffinity(thread, {core})
+    return core
 
 
 def slice_of(thread: int) -> int:
