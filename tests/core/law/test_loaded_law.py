@@ -13,7 +13,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import LOOP_NAMES, LOOPS, Array, random_state
 from core.oracles.loaded_oracle import LiteralLoadedLaw
-from fjr_core.law.robust.loaded_law import OUTPUTS, loaded_expression
+from fjr_core.robust.law import OUTPUTS, loaded_expression
 
 CLOSE = 1e-9  # relative to the sum of absolute terms or the largest entry; soft joints lose six digits by cancellation
 

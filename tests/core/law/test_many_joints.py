@@ -26,7 +26,7 @@ from core.oracles.properties import (
     storage_terms,
     sym,
 )
-from fjr_core.numerics.casadi_function import NumericFunction
+from fjr_core.numerics.symbolic import NumericFunction
 from fjr_design.stability.prolonged_system import ProlongedSystem
 
 TOLERANCE = 1e-11

@@ -12,9 +12,9 @@ import pytest
 
 import fjr_core as fjr
 import own_code
-from fjr_core.law.python_law import own_law
-from fjr_core.law.registry import law_kind
-from fjr_core.law.robust import Robust, sampled_law
+from fjr_core.extensions.law_registry import law_kind
+from fjr_core.extensions.python_code import own_law
+from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.stability.linearization import slope_at_rest
 

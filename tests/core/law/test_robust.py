@@ -14,12 +14,11 @@ from scipy import signal
 import fjr_core as fjr
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import GainsError, StateError
-from fjr_core.law.robust import Robust, RobustLaw, sampled_law
-from fjr_core.law.robust.integral_action import IntegralAction, gain_values
-from fjr_core.law.robust.options import LONGEST_DELAY
-from fjr_core.law.robust.smith_predictor import EffortBuffer
-from fjr_core.law.sampled_law import AsSampledLaw, SampledLaw
-from fjr_core.numerics.casadi_function import NumericFunction
+from fjr_core.law.interfaces import AsSampledLaw, SampledLaw
+from fjr_core.numerics.symbolic import NumericFunction
+from fjr_core.robust.integral_action import IntegralAction, gain_values
+from fjr_core.robust.law import LONGEST_DELAY, Robust, RobustLaw, sampled_law
+from fjr_core.robust.smith_predictor import EffortBuffer
 from fjr_core.stability.sampled_loop import spectral_radius
 from robust_study.loops import PERIOD, errors, heavier, pushed, rms
 

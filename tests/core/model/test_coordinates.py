@@ -8,7 +8,7 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm
-from fjr_core.model.coordinates import Coordinates, law_view
+from fjr_core.model.robot import Coordinates, law_view
 
 arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 

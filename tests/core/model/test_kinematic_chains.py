@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from fjr_core.model.kinematic_chains import chains
-from fjr_core.model.urdf_parser import read_urdf
+from fjr_core.urdf.chains import chains
+from fjr_core.urdf.tree import read_urdf
 
 Joint = tuple[str, str, str]
 

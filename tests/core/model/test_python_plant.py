@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.law.robust import sampled_law
-from fjr_core.model.python_plant import own_plant
+from fjr_core.extensions.python_code import own_plant
+from fjr_core.robust.law import sampled_law
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.simulation.nonideal_parameters import Nonidealities
 from fjr_core.simulation.nonideal_plant import NonidealPlant

@@ -10,7 +10,7 @@ import pytest
 from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, random_urdf
 from fjr_core.errors import RobotError
-from fjr_core.model.urdf_frames import UrdfFrames
+from fjr_core.urdf.tree import UrdfFrames
 
 MIMIC = """<robot name="hand"><link name="palm"/><link name="a"/><link name="b"/>
 <joint name="one" type="prismatic"><parent link="palm"/><child link="a"/><axis xyz="0 2 0"/>

@@ -8,8 +8,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.errors import TrajectoryError
-from fjr_core.motions.fourier_series import RestingSeries, logarithmic_harmonics
-from fjr_core.motions.sine import common_period
+from fjr_core.motions.sine import RestingSeries, common_period, logarithmic_harmonics
 
 SERIES = RestingSeries(4.0, (1, 2, 3, 5, 8))
 

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.law.effort_demand import effort_demand
-from fjr_core.law.inverse_dynamics import inverse_dynamics
+from fjr_core.motions.inverse_dynamics import effort_demand, inverse_dynamics
 from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
-from fjr_core.motions.smoothing import least_squares_fit
-from fjr_core.motions.waypoints import waypoints
+from fjr_core.motions.sampled_motion import least_squares_fit, waypoints
 
 T = np.arange(10_001) / 1000  # s: 10 s at 1 kHz
 RNG = np.random.default_rng(3)

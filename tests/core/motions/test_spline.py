@@ -12,9 +12,8 @@ from scipy.linalg import solveh_banded
 
 import fjr_core as fjr
 from core.oracles.oracle import stencil
-from fjr_core.motions import minimum_jerk
-from fjr_core.motions.minimum_jerk import MONOTONE, TURNING
-from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial, taylor
+from fjr_core.motions import piecewise_polynomial as minimum_jerk
+from fjr_core.motions.piecewise_polynomial import MONOTONE, TURNING, PiecewisePolynomial, taylor
 from fjr_core.motions.spline import STANDSTILL
 
 RNG = np.random.default_rng(4)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from cffi import FFI
 
-from fjr_core.numerics.c_types import ffi_of
+from fjr_core.numerics.c_library import ffi_of
 from fjr_core.runtime.library import HEADER, declarations, text
 
 STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.files import private_folder
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics import code_cache
+from fjr_core.numerics import code_cache as private_folder
 from fjr_core.numerics import jit as compiling
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")

@@ -19,11 +19,11 @@ import fjr_core as fjr
 from core.oracles.cases import LOOPS, Arm, GainSet, random_point
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core.errors import CompilerError
-from fjr_core.law.safety_settings import Settings
 from fjr_core.numerics import jit as compiling
 from fjr_core.numerics.jit import machine_code
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import step_library
+from fjr_core.runtime.safety_settings import Settings
 from time_limits import HANG
 
 EQUAL = 1e-9

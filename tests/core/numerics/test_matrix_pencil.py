@@ -9,8 +9,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.intervals import Interval
-from fjr_core.numerics.matrix_pencil import least_eigenvalue
+from fjr_core.numerics.intervals import Interval, least_eigenvalue
 
 
 def exact(A: Array, B: Array) -> mpmath.mpf:

@@ -15,33 +15,29 @@ from typing import Any
 
 from . import testing
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
-from .files import other_package
-from .law.python_law import PythonLaw
-from .law.vdpbc.convergence_rate import Rate
-from .law.vdpbc.gains import PAPER_GAINS, Gains
-from .law.vdpbc.law import Evaluation, TrackingLaw
+from .extensions.python_code import PythonLaw, PythonPlant
+from .files import importing
+from .law.gains import PAPER_GAINS, Gains
+from .law.rate import Rate
+from .law.vdpbc import Evaluation, TrackingLaw
 from .model.closed_form_arms import planar_two_link, single_link
-from .model.joint_limits import JointLimits
 from .model.newton_euler import serial_chain
 from .model.port_hamiltonian import Plant
-from .model.python_plant import PythonPlant
-from .model.rigid_body import Body
-from .model.robot import Robot
-from .model.urdf_import import robot_from_urdf
+from .model.rigid_arm import Body
+from .model.robot import JointLimits, Robot
 from .model.virtual_system import VirtualSystem
 from .monitoring.certificate import Certificate
-from .motions.circle import Circle
 from .motions.motion_limits import MotionLimits, check_motion
-from .motions.point_to_point import Hold, PointToPoint, standing
+from .motions.point_to_point import Circle, Hold, PointToPoint, standing, time_shifted, transition
 from .motions.reference import Reference
 from .motions.sampled_motion import SampledMotion
 from .motions.sine import MultiSine, Sine
 from .motions.spline import Spline
-from .motions.transition import time_shifted, transition
 from .runtime.measurement_model import Measurement
 from .runtime.velocity_observer import VelocityObserver
 from .simulation.closed_loop import Trajectory, simulate
 from .stability.sampled_loop import SampledCheck, check, spectral_radius
+from .urdf.robot import robot_from_urdf
 from .version import __version__
 
 __all__ = [
@@ -123,7 +119,7 @@ def __getattr__(name: str) -> Any:
         warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
         name = _RENAMED[name]
     if name in _ELSEWHERE:
-        return getattr(other_package.module(_ELSEWHERE[name]), name)
+        return getattr(importing.module(_ELSEWHERE[name]), name)
     if name in globals():
         return globals()[name]
     raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from ..model.joint_limits import JointLimits
-from ..model.joint_units import REVOLUTE, Units
+from ..model.robot import REVOLUTE, JointLimits, Units
 from ..numerics.checks import Array, floats, freeze
 from ..numerics.one_line import one_line
 from .piecewise_polynomial import PiecewisePolynomial

@@ -12,8 +12,7 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from ..numerics.one_line import joints, span
-from .minimum_jerk import minimum_jerk, without_overshoot
-from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
+from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference, minimum_jerk, without_overshoot
 from .reference import JETS
 
 SHORTEST = 1e-6  # s, smallest interval between points

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.law.sampled_law import SampledLaw
-from fjr_core.law.static_law import StaticLaw
-from fjr_core.model.equilibrium import Equilibria, Indices
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
+from fjr_core.law.linearized import Equilibria, Indices
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import Controller, Sensing, controller

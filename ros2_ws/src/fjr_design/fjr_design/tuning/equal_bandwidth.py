@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from fjr_core.errors import GainsError
-from fjr_core.law.registry import V_DPBC, LawKind, law_kind
-from fjr_core.law.static_law import StaticLaw
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.extensions.law_registry import V_DPBC, LawKind, law_kind
+from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.checks import Array
 
 from .bandwidth import BANDWIDTH_TOLERANCE, PEAK_TOLERANCE, BaselineTarget, alike
