@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import partial
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -145,19 +146,8 @@ def relative_eigenvalues(A: Array, B: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh(L_inverse @ A @ L_inverse.T), dtype=float)
 
 
-@dataclass(frozen=True, eq=False)
-class GainTerms:
-    """Gain matrices (n, n), CasADi constants or symbols; names as in Gains."""
-
-    Lambda_l: ca.SX
-    Pi_l: ca.SX
-    K_ld: ca.SX
-    Lambda_m: ca.SX
-    Pi_m: ca.SX
-    K_md: ca.SX
-    Gamma_l: ca.SX
-    Gamma_m: ca.SX
-    Pi_m_inverse: ca.SX
+class GainTerms(SimpleNamespace):
+    """Gain matrices (n, n) by the names of Gains, and Pi_m_inverse: CasADi constants or symbols."""
 
     def phi_l(self, q_tilde_l: ca.SX) -> ca.SX:
         """phi_l (n,) [rad/s] of eq. (31)."""

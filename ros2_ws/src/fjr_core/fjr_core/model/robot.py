@@ -155,14 +155,14 @@ class Robot:
 
     def state(self, q_l: ArrayLike, q_m: ArrayLike, dq_l: ArrayLike, dq_m: ArrayLike) -> Array:
         """Return the state x (4n,) for positions [rad] and velocities [rad/s] (n,) of links and motors."""
-        q_l, q_m = self._vector("q_l", q_l), self._vector("q_m", q_m)
-        dq_l, dq_m = self._vector("dq_l", dq_l), self._vector("dq_m", dq_m)
-        return self._state(q_l, q_m, dq_l, dq_m)[0]
+        parts = (("q_l", q_l), ("q_m", q_m), ("dq_l", dq_l), ("dq_m", dq_m))
+        values = [self._vector(name, value) for name, value in parts]
+        return self._state(np.hstack(values[:2]), np.hstack(values[2:]))[0]
 
     def velocities(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at the state x (4n,)."""
-        dq_l, dq_m = self._velocities(checks.vector("x", x, 4 * self.n, StateError))
-        return dq_l, dq_m
+        (velocity,) = self._velocities(checks.vector("x", x, 4 * self.n, StateError))
+        return velocity[: self.n], velocity[self.n :]
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
         """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36).
@@ -206,14 +206,11 @@ class Robot:
 
     @cached_property
     def _velocities(self) -> NumericFunction:
-        x = ca.SX.sym("x", 4 * self.n)
-        return numeric("velocities", {"x": x}, dict(zip(("dq_l", "dq_m"), self.velocity_expressions(x), strict=True)))
+        return NumericFunction(Coordinates(self).to_velocities)
 
     @cached_property
     def _state(self) -> NumericFunction:
-        inputs = symbolic.symbols(q_l=self.n, q_m=self.n, dq_l=self.n, dq_m=self.n)
-        q_l, q_m, dq_l, dq_m = inputs.values()
-        return numeric("state", inputs, {"x": ca.vertcat(q_l, q_m, *self.momentum_expressions(q_l, dq_l, dq_m))})
+        return NumericFunction(Coordinates(self).to_momenta)
 
 
 @dataclass(frozen=True, eq=False)

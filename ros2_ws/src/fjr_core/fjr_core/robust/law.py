@@ -28,8 +28,6 @@ GAINS = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integra
 HOLD = 1e-3  # s
 LONGEST_DELAY = 32  # samples of hold
 FASTEST = 1e4  # 1/s, largest gain
-
-
 _gain_field = partial(parameter_field, 0.0, unit="1/s", shape=VECTOR, constraint=f"0 to {FASTEST:g}")
 
 
@@ -118,7 +116,7 @@ def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:
     integral_gain (n, n)) -> OUTPUTS. known: link torque with two derivatives. matched (n,) [N m]: motor torque. The law
     compensates both. integral (n,) [N m]: state of the integral action with the symmetric gain integral_gain
     [N m/rad] (lie_derivative.Load). V [J] without the energy of the integral. dissipation [W]: see
-    vdpbc.integral_action. port_m = s_m = dV/dp_m, port_l = dV/dp_l (n,) [rad/s]. integrates = False omits the last
+    law.vdpbc. port_m = s_m = dV/dp_m, port_l = dV/dp_l (n,) [rad/s]. integrates = False omits the last
     two arguments and port_l, which cost as much as the law.
     """
     n = law.robot.n
@@ -127,12 +125,8 @@ def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:
     arguments = inputs | {"known": load.known, "matched": matched}
     if integrates:
         arguments |= {"integral": load.integral, "integral_gain": load.gain}
-    found = outputs | {"port_m": outputs["s_m"]}
-    names = OUTPUTS if integrates else OUTPUTS[:-1]
+    found, names = outputs | {"port_m": outputs["s_m"]}, OUTPUTS if integrates else OUTPUTS[:-1]
     return dense_function("loaded_command", arguments, {name: found[name] for name in names}, cse=True)
-
-
-Terms = dict[str, ca.MX]
 
 
 def sampled_law(law: StaticLaw, robust: Robust | None = None) -> SampledLaw:
@@ -191,13 +185,6 @@ class RobustLaw:
         return np.zeros(self._memory.size)
 
     @cached_property
-    def step_function(self) -> ca.Function:
-        """SampledLaw.step_function."""
-        s = step_symbols(self)
-        u, V, parts = self._sample(s, self._gains.unpack(s["gains"]), self._memory.unpack(s["memory"]))
-        return dense_function("robust_law", s, {"u": u, "V": V, "next": self._memory.pack(parts)})
-
-    @cached_property
     def ready_step(self) -> ca.Function:
         """step_function, compiled if the law is compiled."""
         law, r = self.law, self.robust
@@ -212,83 +199,57 @@ class RobustLaw:
         other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
         return other
 
-    def _sample(self, s: Terms, gains: Terms, kept: Terms) -> tuple[ca.MX, ca.MX, Terms]:
-        """Return u, V and the parts of the new controller state."""
-        parts = self._buffer.step(kept, s["sent"], s["dt"]) if self._buffers else {}
-        known, disturbance = self._estimated(s, gains, kept, parts)
-        integral = ca.MX.zeros(2 * self.robot.n)
-        if self.robust.integrates:
-            integral = self._integral.step(kept, s["sent"], s["dt"])
-        position, velocity = self._predicted(s, disturbance if self.robust.estimates else integral, parts)
-        if not (self.robust.estimates or self.robust.integrates):
-            return *self.law.measured_expression(position, velocity, s["jets"], gains["law"]), parts
-        return self._commanded((position, velocity, s["jets"]), gains, known, disturbance, integral, parts)
-
-    def _estimated(self, s: Terms, gains: Terms, kept: Terms, parts: Terms) -> tuple[ca.MX, ca.MX]:
-        """Return the feedforward link torque with two derivatives (n, 3) and the estimates (2n,); update `parts`."""
-        n = self.robot.n
-        if not self.robust.estimates:
-            return ca.MX.zeros(n, 3), ca.MX.zeros(2 * n)
-        acted, L = self._buffer.mean(parts, s["dt"]), gains["residual"]
-        parts |= self._observer.step(kept, s["position"], s["velocity"], acted, L, s["dt"])
-        return self._observer.fed_forward(parts, L), parts["r"]
-
-    def _predicted(self, s: Terms, disturbance: ca.MX, parts: Terms) -> tuple[ca.MX, ca.MX]:
-        """Return position and velocity (2n,) at the time the effort acts, under disturbance torques (2n,)."""
-        r, position, velocity = self.robust, s["position"], s["velocity"]
-        if not r.predicts:
-            return position, velocity
-        acting = self._buffer.acting(parts, 0.0, r.delay)
-        newest = ca.vertsplit(parts["efforts"], self.robot.n)[0]
-        predictor = Predictor(self.robot, r.hold, r.delay)
-        return predictor.predict(position, velocity, disturbance, [*acting, (newest, r.hold / 2)])
-
-    def _commanded(
-        self,
-        at: tuple[ca.MX, ca.MX, ca.MX],
-        gains: Terms,
-        known: ca.MX,
-        disturbance: ca.MX,
-        integral: ca.MX,
-        parts: Terms,
-    ) -> tuple[ca.MX, ca.MX, Terms]:
-        """Return u, V and the new controller state of the law that compensates these torques."""
-        n, integrates = self.robot.n, self.robust.integrates
-        loaded = loaded_expression(self.law, integrates)  # type: ignore[arg-type]
-        arguments = (*at, gains["law"], known, disturbance[n:] + integral[n:])
-        if not integrates:
-            u, V, *_ = loaded(*arguments)
-            return u, V, parts
-        u, V, _, port_m, port_l = loaded(*arguments, integral[:n], self._integral.matrix(gains, "K_l"))
-        parts |= self._integral.parts(integral, (port_l, port_m), gains, u)
-        return u, V + self._integral.energy(integral, gains), parts
-
-    @property
-    def _buffers(self) -> bool:
-        return self.robust.estimates or self.robust.predicts
+    @cached_property
+    def step_function(self) -> ca.Function:
+        """SampledLaw.step_function."""
+        s, r, n = step_symbols(self), self.robust, self.robot.n
+        gains, kept = self._gains.unpack(s["gains"]), self._memory.unpack(s["memory"])
+        buffer, observer, action = self._buffer, DisturbanceObserver(self.robot), self._integral
+        parts = buffer.step(kept, s["sent"], s["dt"]) if r.estimates or r.predicts else {}
+        known, estimate, integral = ca.MX.zeros(n, 3), ca.MX.zeros(2 * n), ca.MX.zeros(2 * n)
+        if r.estimates:
+            acted, L = buffer.mean(parts, s["dt"]), gains["residual"]
+            parts |= observer.step(kept, s["position"], s["velocity"], acted, L, s["dt"])
+            known, estimate = observer.fed_forward(parts, L), parts["r"]
+        if r.integrates:
+            integral = action.step(kept, s["sent"], s["dt"])
+        at = s["position"], s["velocity"]
+        if r.predicts:  # the state at the time the effort acts
+            newest = ca.vertsplit(parts["efforts"], n)[0]
+            efforts = [*buffer.acting(parts, 0.0, r.delay), (newest, r.hold / 2)]
+            at = Predictor(self.robot, r.hold, r.delay).predict(*at, estimate if r.estimates else integral, efforts)
+        if not (r.estimates or r.integrates):
+            u, V = self.law.measured_expression(*at, s["jets"], gains["law"])
+        else:  # the law that compensates these torques
+            loaded = loaded_expression(self.law, r.integrates)  # type: ignore[arg-type]
+            arguments = (*at, s["jets"], gains["law"], known, estimate[n:] + integral[n:])
+            if r.integrates:
+                u, V, _, port_m, port_l = loaded(*arguments, integral[:n], action.matrix(gains, "K_l"))
+                parts |= action.parts(integral, (port_l, port_m), gains, u)
+                V += action.energy(integral, gains)
+            else:
+                u, V, *_ = loaded(*arguments)
+        return dense_function("robust_law", s, {"u": u, "V": V, "next": self._memory.pack(parts)})
 
     @cached_property
     def _gains(self) -> PackedVector:
-        n, r = self.robot.n, self.robust
-        residual = {"residual": 2 * n} if r.estimates else {}
-        integral = self._integral.gain_sizes if r.integrates else {}
-        return PackedVector({"law": len(self.law.gain_values), **residual, **integral})
+        r, residual = self.robust, {"residual": 2 * self.robot.n}
+        law = {"law": len(self.law.gain_values)}
+        return PackedVector(
+            law | (residual if r.estimates else {}) | (self._integral.gain_sizes if r.integrates else {})
+        )
 
     @cached_property
     def _memory(self) -> PackedVector:
         r = self.robust
-        sizes = self._buffer.sizes if self._buffers else {}
-        sizes = sizes | (self._observer.sizes if r.estimates else {})
+        sizes = self._buffer.sizes if r.estimates or r.predicts else {}
+        sizes = sizes | (DisturbanceObserver(self.robot).sizes if r.estimates else {})
         return PackedVector(sizes | (self._integral.sizes if r.integrates else {}))
 
-    @cached_property
+    @property
     def _buffer(self) -> EffortBuffer:
         return EffortBuffer(self.robot.n, self.robust.delay, self.robust.hold)
 
-    @cached_property
-    def _observer(self) -> DisturbanceObserver:
-        return DisturbanceObserver(self.robot)
-
-    @cached_property
+    @property
     def _integral(self) -> IntegralAction:
         return IntegralAction(self.robot, self.robust.hold)
