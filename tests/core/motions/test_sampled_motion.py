@@ -134,19 +134,6 @@ def test_each_joint_has_a_tolerance_of_its_own() -> None:
         assert not fjr.SampledMotion(T[::10], q + noise, tolerance).smoothed
 
 
-@pytest.mark.parametrize(
-    ("tolerance", "sentence"),
-    [
-        (-1.0, r"tolerance is -1.0; expected 0 or more"),
-        (float("nan"), r"tolerance is nan; expected 0 or more"),
-        ([1e-3, 1e-3], r"tolerance has 2 entries; expected 1$"),
-    ],
-)
-def test_an_invalid_tolerance_is_rejected(tolerance: float, sentence: str) -> None:
-    with pytest.raises(fjr.TrajectoryError, match=sentence):
-        fjr.SampledMotion([0.0, 1.0], [[0.0], [1.0]], tolerance)
-
-
 def test_pieces_are_few_where_samples_are_smooth() -> None:
     motion = MOTIONS["rounded sine"]
     assert isinstance(motion.pieces, PiecewisePolynomial)

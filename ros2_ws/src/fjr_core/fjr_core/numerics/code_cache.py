@@ -145,16 +145,16 @@ def temporary_folder(reason: str) -> PrivateFolder:
 def is_intact(folder: PrivateFolder, name: str) -> bool:
     """True if the shared object exists with the content that was stored."""
     content, digest = folder.read(name), folder.read(f"{name}.sha256")
-    return content is not None and digest == _sha256(content)
+    return content is not None and digest == _digest(content)
 
 
 def keep(folder: PrivateFolder, name: str, content: bytes) -> None:
     """Store a shared object and its digest. Raises OSError."""
     folder.write(name, content)
-    folder.write(f"{name}.sha256", _sha256(content))
+    folder.write(f"{name}.sha256", _digest(content))
 
 
-def _sha256(content: bytes) -> bytes:
+def _digest(content: bytes) -> bytes:
     return hashlib.sha256(content).hexdigest().encode()
 
 

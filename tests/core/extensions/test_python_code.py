@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A law in Python gives the results of the same law made of expressions; what is no law is refused in one sentence."""
+"""Laws and plants in Python: the results of the same ones made of expressions, and refusals in one sentence."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ import pytest
 import fjr_core as fjr
 import own_code
 from fjr_core.extensions.law_registry import law_kind
-from fjr_core.extensions.python_code import own_law
+from fjr_core.extensions.python_code import own_law, own_plant
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_core.simulation.nonideal_parameters import Nonidealities
+from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_core.stability.linearization import slope_at_rest
 
 JOINT, ARM = fjr.single_link(stiffness=31.0), fjr.planar_two_link()
@@ -180,3 +182,67 @@ def test_the_stop_policy_has_the_damping_of_the_law_or_of_the_springs() -> None:
     law.own.hold_damping = [1.0, 2.0]
     with pytest.raises(fjr.ParameterError, match=r"Pd.hold_damping has shape \(2,\); expected \(2, 2\)"):
         _ = fjr.PythonLaw(law.own, ARM).hold_damping
+
+
+# The plant.
+
+PLANT = own_plant("own_code:Ideal", ARM, {})
+
+
+@pytest.mark.parametrize("period", [None, 1e-3])
+def test_a_run_of_the_plant_is_that_of_the_same_equations(period: float | None) -> None:
+    runs = [fjr.simulate(plant, VDPBC, MOTION, START, REACH, period) for plant in (fjr.Plant(ARM), PLANT)]
+    np.testing.assert_allclose(runs[1].x, runs[0].x, rtol=1e-10, atol=1e-12)
+
+
+def test_options_change_the_motion() -> None:
+    damped = own_plant("own_code:Ideal", ARM, {"damping": 5.0})
+    x, u = ARM.state([0.1, 0.2], [0.1, 0.2], [1.0, -1.0], [0.0, 0.0]), np.zeros(2)
+    change = damped.derivative(x, u) - PLANT.derivative(x, u)
+    np.testing.assert_allclose(change, [0, 0, 0, 0, -5.0, 5.0, 0, 0], atol=1e-12)
+
+
+def test_friction_ripple_and_external_torques_act_as_on_the_same_equations() -> None:
+    errors = Nonidealities(2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3)
+    state = np.append(START + 0.1, [1.0, 2.0])
+    plants = [NonidealPlant(plant) for plant in (fjr.Plant(ARM), PLANT)]
+    steps = [plant.step(state, [3.0, 4.0], [0.5, 0.0], errors.vector, 2.5e-4) for plant in plants]
+    np.testing.assert_allclose(steps[1], steps[0], rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["payload_mass", "cubic"])
+def test_what_is_part_of_the_plant_itself_is_refused(name: str) -> None:
+    with pytest.raises(fjr.ParameterError, match=f"{name} is not 0 for a plant in Python"):
+        NonidealPlant(PLANT).check(Nonidealities(2, **{name: 1.0}))
+
+
+def test_runs_of_a_study_with_the_plant_are_those_of_the_same_equations() -> None:
+    draws = Draws(2, external=[0.0, 1.0], delay=[0.0, 1.2e-3], coulomb_l=[0.0, 0.05])
+    loops = [
+        ClosedLoop(ARM, sampled_law(VDPBC), MOTION, START, REACH, 1e-3, settle_after=0.01, plant=plant)
+        for plant in (None, PLANT)
+    ]
+    compiled, own = (loop.run(draws) for loop in loops)
+    for name in ("rms", "peak", "effort_peak", "power"):
+        np.testing.assert_allclose(getattr(own, name), getattr(compiled, name), rtol=1e-8)
+    with pytest.raises(fjr.ParameterError, match="stiffness of a run is not nominal; expected the nominal value"):
+        loops[1].run(Draws(1, stiffness=1.1))
+
+
+def test_the_stability_check_is_that_of_the_model() -> None:
+    damped = own_plant("own_code:Ideal", ARM, {"damping": 5.0})
+    at = [[0.3, 0.2]]
+    assert fjr.spectral_radius(VDPBC, 1e-3, 0.0, at, damped) == fjr.spectral_radius(VDPBC, 1e-3, 0.0, at)
+
+
+def test_a_failure_of_the_plant_is_one_sentence_with_file_and_line() -> None:
+    plant = own_plant("own_code:PlantFails", ARM, {})
+    with pytest.raises(fjr.UserCodeError, match=r"^PlantFails raises ValueError: too far \(own_code.py, line \d+\)"):
+        fjr.simulate(plant, VDPBC, MOTION, START + 0.8, REACH, 1e-3)
+
+
+def test_an_implicit_integrator_is_refused() -> None:
+    with pytest.raises(
+        fjr.ParameterError, match="integrator is 'implicit_midpoint'; expected 'rk4' for the plant Idea"
+    ):
+        own_plant("own_code:Ideal", ARM, {}, "implicit_midpoint")

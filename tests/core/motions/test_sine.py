@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.errors import TrajectoryError
 from fjr_core.motions.sine import RestingSeries, common_period, logarithmic_harmonics
 
 SERIES = RestingSeries(4.0, (1, 2, 3, 5, 8))
@@ -29,11 +28,6 @@ def test_the_basis_gives_the_jets_of_the_reference(coefficients):
     t = np.linspace(0, 5, 23)
     jets = np.einsum("rks,sn->krn", SERIES.jet_basis(t), coefficients)
     assert np.allclose(jets, SERIES.reference(coefficients).jets(t), rtol=1e-9, atol=1e-9)
-
-
-def test_fewer_than_three_harmonics_cannot_start_at_rest():
-    with pytest.raises(TrajectoryError, match="2 harmonics; expected 3"):
-        RestingSeries(1.0, (1, 2))
 
 
 @pytest.mark.parametrize(("highest", "count"), [(3, 10), (8, 5), (100, 10)])
