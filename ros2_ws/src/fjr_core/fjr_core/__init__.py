@@ -10,7 +10,6 @@ Paper: R. Reyes-Baez, A. van der Schaft, B. Jayawardhana, "Virtual Differential 
 Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstrings are its.
 """
 
-import warnings
 from typing import Any
 
 from . import testing
@@ -100,28 +99,15 @@ _ELSEWHERE = {
     "synthesize": "fjr_design.tuning.gain_synthesis",
 }
 """Public names of other packages, each with its module, which is imported on use."""
-_RENAMED = {
-    "Balance": "Certificate",
-    "Verdict": "Diagnosis",
-    "join": "transition",
-    "judge": "diagnose",
-    "shifted": "time_shifted",
-}
-"""Names before 0.1.0, each with its new one."""
 
 
 def __getattr__(name: str) -> Any:
-    """Return the object of a renamed public name, with a DeprecationWarning, or one of another package.
+    """Return the object of a public name of another package.
 
     Raises MissingPackageError if that package is not installed.
     """
-    if name in _RENAMED:
-        warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
-        name = _RENAMED[name]
     if name in _ELSEWHERE:
         return getattr(importing.module(_ELSEWHERE[name]), name)
-    if name in globals():
-        return globals()[name]
     raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
 
 

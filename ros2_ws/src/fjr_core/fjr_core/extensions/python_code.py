@@ -25,6 +25,9 @@ from ..numerics.symbolic import dense_function
 
 Shapes = Mapping[str, tuple[int, ...]]
 """Names of arguments or results with the shapes of their arrays."""
+INTEGRATOR = "rk4"
+"""The only integrator of a plant in Python: an implicit one needs derivatives."""
+ARGUMENTS = ("position", "velocity", "jets")
 
 
 class PythonFunction(ca.Callback):
@@ -78,8 +81,11 @@ class PythonFunction(ca.Callback):
 
     def eval_buffer(self, arguments: Sequence[Any], results: Sequence[Any]) -> int:
         """Evaluate with memory of CasADi; return 0 for success, also after a failure."""
-        shapes = self._inputs.values()
-        given = [_array(memory, shape) for memory, shape in zip(arguments, shapes, strict=True)]
+        given = []
+        for memory, shape in zip(arguments, self._inputs.values(), strict=True):
+            empty = memory is None or 0 in shape
+            given.append(np.zeros(shape) if empty else np.frombuffer(memory).reshape(shape).copy())
+            given[-1].setflags(write=False)
         for memory, value in zip(results, self._values(given), strict=True):
             if memory is not None:
                 np.frombuffer(memory)[:] = value
@@ -108,20 +114,10 @@ def checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _array(memory: Any, shape: tuple[int, ...]) -> Array:
-    array = np.zeros(shape) if memory is None or 0 in shape else np.frombuffer(memory).reshape(shape).copy()
-    array.setflags(write=False)
-    return array
-
-
 def _dense(shape: tuple[int, ...]) -> ca.Sparsity:
     """Return the CasADi shape of an array: its transpose, since CasADi stores by columns."""
     rows, columns = (*reversed(shape), 1, 1)[:2]
     return ca.Sparsity.dense(rows, columns)
-
-
-INTEGRATOR = "rk4"
-"""The only integrator of a plant in Python: an implicit one needs derivatives."""
 
 
 class OwnPlant(Protocol):
@@ -200,9 +196,6 @@ class PythonPlant(Plant):
 def own_plant(name: str, robot: Robot, options: Mapping[str, Any], integrator: str = INTEGRATOR) -> PythonPlant:
     """Return the plant of the class `module:Class`, built for the robot with these options; raises as PythonPlant."""
     return PythonPlant(importing.build(name, robot, options), robot, integrator)
-
-
-ARGUMENTS = ("position", "velocity", "jets")
 
 
 class OwnLaw(Protocol):

@@ -15,6 +15,7 @@ from typing import Any
 
 LARGEST = 16 * 2**20  # bytes
 _OPEN = os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)  # a named pipe without a writer must not block
+DIGEST = ".sha256"
 
 
 def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST) -> bytes:
@@ -50,9 +51,6 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ValueError(f"holds a {type(found).__name__}; expected an object")
     return found
-
-
-DIGEST = ".sha256"
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from ..numerics.one_line import one_line
 from ..numerics.parameter_field import MATRIX, parameter_field
 
 _gain = partial(parameter_field, shape=MATRIX, constraint="symmetric positive definite", dynamic=True)
+FASTEST_RATE = 0.5  # 1/sample, largest eigenvalue of M_m^-1 (K_md + D_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,13 +203,15 @@ def _off_diagonal(array: Array) -> Array:
     return np.asarray(array - np.diag(np.diag(array)))
 
 
-FASTEST_RATE = 0.5  # 1/sample, largest eigenvalue of M_m^-1 (K_md + D_m)
-
-
 def two_scale_gains(robot: Robot, q_0: Array, omega: float, zeta: float, sample_period: float = 1e-3) -> Gains:
-    """Return gains for omega [rad/s] of the links at q_0 (n,) [rad] and zeta of the motors.
+    """Return gains for omega [rad/s] of the links at q_0 (n,) [rad] and zeta of the motors, as the baselines have.
 
-    The motor damping is bounded by the sample rate; sample_period [s].
+        links   Lambda_l = omega    Pi_l = omega^2 M_l(q_0)    K_ld = omega M_l(q_0)
+        motors  Lambda_m = omega    Pi_m = K                   K_md + D_m = zeta times the critical damping of (M_m, K)
+
+    The motor errors oscillate at the elastic modes of (M_m, Pi_m), which are much faster than omega on a stiff arm.
+    K_md = omega M_m would leave these modes almost undamped, and measurement noise would excite them. Their damping is
+    therefore set by zeta, and bounded by the sample rate; sample_period [s].
     """
     M_l, damping = robot.M_l(q_0), zeta * critical_damping(robot.M_m, robot.K)
     fastest = float(relative_eigenvalues(damping, robot.M_m)[-1]) * sample_period

@@ -23,6 +23,8 @@ from .gains import ArraySymbols
 from .lie_derivative import Flow
 
 Law = TypeVar("Law", bound="StaticLaw")
+ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
+"""Arguments of SampledLaw.step_function, in order."""
 
 
 class StaticLaw(ABC):
@@ -164,10 +166,6 @@ class SampledLaw(Protocol):
         sent [N m]: effort sent at the last sample, after saturation, zero at the first sample. dt [s]: time since
         the last sample, 0 at the first.
         """
-
-
-ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
-"""Arguments of SampledLaw.step_function, in order."""
 
 
 def step_symbols(law: SampledLaw) -> dict[str, ca.MX]:

@@ -20,6 +20,9 @@ GOAL = 0.998
 """Proven number relative to the one that is attained, at which the search of a proof ends."""
 MOST_BOXES = 4000
 """Boxes after which the search of a proof ends."""
+PARTS = 32
+ROUNDING = 1e-9
+"""Length [rad, m] by which boxes are larger, as bounds of the motion are exact up to rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +40,6 @@ class Domain:
 def joint_range(robot: Robot) -> Domain:
     """Return the box of the joint limits; joints without limits have +-pi."""
     return Domain(*bounds_of(robot))
-
-
-PARTS = 32
-ROUNDING = 1e-9
-"""Length [rad, m] by which boxes are larger, as bounds of the motion are exact up to rounding."""
 
 
 def tube(reference: Reference, radius: ArrayLike, parts: int = PARTS) -> Domain:

@@ -24,6 +24,11 @@ from ..numerics.checks import Array
 from ..numerics.symbolic import directional
 from .sampled_motion import SampledMotion
 
+SUBDIVISIONS = 4, 4096
+"""Instants per piece of the motion, and instants in all, at least."""
+EVENLY, LARGEST = 1024, 64
+"""Instants at which efforts are evaluated: spread evenly, and those of the largest derivatives of each joint."""
+
 
 @dataclass(frozen=True)
 class MotorMotion:
@@ -58,12 +63,6 @@ def inverse_dynamics(robot: Robot) -> ca.Function:
     theta, dtheta, ddtheta = q + K_inverse @ tau, dq + K_inverse @ dtau, ddq + K_inverse @ ddtau
     torque = robot.M_m @ ddtheta + robot.D_m @ dtheta + tau
     return ca.Function("motor_motion", motion, [tau, theta, dtheta, ddtheta, torque])
-
-
-SUBDIVISIONS = 4, 4096
-"""Instants per piece of the motion, and instants in all, at least."""
-EVENLY, LARGEST = 1024, 64
-"""Instants at which efforts are evaluated: spread evenly, and those of the largest derivatives of each joint."""
 
 
 class EffortDemand(NamedTuple):

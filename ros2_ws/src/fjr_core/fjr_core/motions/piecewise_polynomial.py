@@ -32,6 +32,13 @@ _HIGHER = np.rint(np.linalg.inv(_BINOMIALS[:, JETS:]))
 BEZIER = comb(_POWERS[:, None], _POWERS) / comb(DEGREE, _POWERS)
 _HALVED = BEZIER * 0.5**_POWERS
 _SLOPES = factorial(_POWERS[:, None]) / factorial(np.maximum(_POWERS[:, None] - _ORDERS, 0))
+JERK = 3
+NEWTON_STEPS = 2
+"""The second step corrects rounding errors of the first: the condition number is at most 1e8 for segment lengths that
+differ by a factor of a million."""
+TURNING, MONOTONE = 1 / 4, 1 / 100
+"""Admissible overshoot beyond the range of the two adjacent points, relative to the range of the nearest four points:
+at a turning point, and for monotone points."""
 
 
 def coefficients(near: Array, far: Array) -> Array:
@@ -197,15 +204,6 @@ class PolynomialReference:
     def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
         """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
         return self.pieces.hull(t0, t1)
-
-
-JERK = 3
-NEWTON_STEPS = 2
-"""The second step corrects rounding errors of the first: the condition number is at most 1e8 for segment lengths that
-differ by a factor of a million."""
-TURNING, MONOTONE = 1 / 4, 1 / 100
-"""Admissible overshoot beyond the range of the two adjacent points, relative to the range of the nearest four points:
-at a turning point, and for monotone points."""
 
 
 def _jerk_root() -> Array:

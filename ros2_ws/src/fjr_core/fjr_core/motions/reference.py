@@ -18,6 +18,8 @@ Indices = NDArray[np.intp]
 
 ROWS = 3  # position, velocity, acceleration
 _REFINEMENTS, _NEWTON_STEPS = 2, 8
+REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
+JETS = REFERENCE_DERIVATIVES + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +112,6 @@ def _roots(
         t = t - np.divide(f, df, out=np.full_like(f, np.inf), where=df != 0)
         t = np.where((left <= t) & (t <= right), t, (left + right) / 2)
     return t
-
-
-REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
-JETS = REFERENCE_DERIVATIVES + 1
 
 
 class Reference(Protocol):

@@ -9,7 +9,6 @@ the samples must stay within a tolerance.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -30,6 +29,8 @@ REST_COST = 2.0
 """Largest ratio of the scores with and without rest at an end for which the samples are taken to rest there."""
 GROWTH, PATIENCE = 1.5, 2
 """Ratio of successive numbers of pieces; the search ends this many numbers after the best one."""
+MOST_WAYPOINTS = 20_000
+CHECKED = 8  # instants per interval at which the spline is compared with the motion
 
 
 class Fit(NamedTuple):
@@ -55,31 +56,21 @@ def least_squares_fit(times: Array, positions: Array, tolerance: float | Array) 
     tolerance: largest deviation [rad, m], one number or (n,).
     At an end where the samples rest, to the resolution of the fit, all derivatives of the fit are exactly zero.
     """
-    best = None
-    for fit, score in _candidates(times, positions):
-        accepted = bool(np.all(fit.deviation <= tolerance))
-        if accepted and (best is None or score < best[1]):
-            best = fit, score, fit.pieces
-        elif best is not None and fit.pieces > best[2] * GROWTH**PATIENCE:
+    best, pieces = None, 1
+    while pieces <= len(times) // FEWEST_SAMPLES - DEGREE:
+        found = _fitted(times, positions, pieces, (False, False))
+        if found is not None and np.all(found[0].deviation <= tolerance) and (best is None or found[1] < best[1]):
+            best = found
+        elif found is not None and best is not None and pieces > best[0].pieces * GROWTH**PATIENCE:
             break
+        pieces = max(pieces + 1, int(pieces * GROWTH))
     if best is None:
         return None
-    wishes = ((True, True), (True, False), (False, True))
-    for rests in wishes:
-        found = _fitted(times, positions, best[2], rests)
+    for rests in ((True, True), (True, False), (False, True)):
+        found = _fitted(times, positions, best[0].pieces, rests)
         if found is not None and np.all(found[0].deviation <= tolerance) and found[1] <= REST_COST * best[1]:
             return found[0]
     return best[0]
-
-
-def _candidates(times: Array, positions: Array) -> Iterator[tuple[Fit, float]]:
-    """Yield fits with an increasing number of pieces, and their scores."""
-    pieces, most = 1, len(times) // FEWEST_SAMPLES - DEGREE
-    while pieces <= most:
-        found = _fitted(times, positions, pieces, (False, False))
-        if found is not None:
-            yield found
-        pieces = max(pieces + 1, int(pieces * GROWTH))
 
 
 def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool]) -> tuple[Fit, float] | None:
@@ -87,7 +78,7 @@ def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool
 
     The score is the sum over the joints of RSS / (1 - p / k)^2 for p parameters and k samples.
     """
-    from scipy.interpolate import BSpline  # loaded on use: see law/vdpbc/gains.py
+    from scipy.interpolate import BSpline  # loaded on use: SciPy takes a third of a node's start-up
     from scipy.linalg import solveh_banded
 
     breaks = times[np.rint(np.linspace(0, len(times) - 1, pieces + 1)).astype(int)]
@@ -217,10 +208,6 @@ def _brought_to_rest(times: Array, jets: Array) -> tuple[Array, Array]:
     free[1, 0] = True  # the position at rest, which minimises the jerk
     ends = minimum_jerk(np.array([0.0, duration]), np.stack([last, np.zeros_like(last)]), free)
     return np.append(times, times[-1] + duration), np.concatenate([jets, ends[1:]])
-
-
-MOST_WAYPOINTS = 20_000
-CHECKED = 8  # instants per interval at which the spline is compared with the motion
 
 
 class Waypoints(NamedTuple):

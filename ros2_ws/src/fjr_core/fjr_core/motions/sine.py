@@ -21,6 +21,8 @@ POINTS_PER_CYCLE = 8
 _ROUNDING = 1e-9  # relative to the highest frequency
 
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets
+FEWEST = 3
+"""Harmonics with which sines and cosines can start at rest and still move."""
 
 
 class Sines(Reference):
@@ -218,15 +220,18 @@ def _first(side: Array, w: Array, phase: Array, t0: float) -> Array:
     return t0 + np.divide(angle, w, out=np.full_like(w, np.inf), where=w > 0)
 
 
-FEWEST = 3
-"""Harmonics with which sines and cosines can start at rest and still move."""
-
-
 @dataclass(frozen=True, eq=False)
 class RestingSeries:
-    """Series of each joint with these m harmonics of a period [s].
+    """Finite Fourier series of each joint, with these m harmonics of a period [s], that rest at both ends of a period.
 
-    Free coefficients are (2 m - 3,), the last of them the offset.
+        q_ld(t) = offset + sum_h a_h sin(w_h t) + b_h cos(w_h t),    w_h = 2 pi h / period
+
+    A motion that joins rest with class C^4 has dq = ddq = d3q = d4q = 0 at t = 0, which is four linear equations:
+
+        sum a_h w_h = sum a_h w_h^3 = 0,    sum b_h w_h^2 = sum b_h w_h^4 = 0
+
+    The free coefficients (2 m - 3,) span their null space; the last is the offset. (J. Swevers et al., Optimal robot
+    excitation and identification, IEEE Transactions on Robotics and Automation 13(5), 1997, with rest at both ends.)
     Raises TrajectoryError for fewer than three harmonics.
     """
 

@@ -27,6 +27,7 @@ MODE = 0o700
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _FILE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 _opened: dict[tuple[int, int], int] = {}
+_log = logging.getLogger("fjr_core.numerics.jit")
 
 
 class NotPrivateError(Exception):
@@ -93,7 +94,10 @@ def open_private(path: Path) -> PrivateFolder:
     status = os.fstat(descriptor)
     if not _is_ours(status):
         os.close(descriptor)
-        raise NotPrivateError(_reason(path, status))
+        found = f"belongs to user {status.st_uid}; expected a folder of user {os.geteuid()}"
+        if status.st_uid == os.geteuid():
+            found = f"has the mode {stat.S_IMODE(status.st_mode):03o}; expected that only its owner can write there"
+        raise NotPrivateError(f"{path} {found}")
     known = _opened.setdefault((status.st_dev, status.st_ino), descriptor)
     if known != descriptor:
         os.close(descriptor)
@@ -102,15 +106,6 @@ def open_private(path: Path) -> PrivateFolder:
 
 def _is_ours(status: os.stat_result) -> bool:
     return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-
-
-def _reason(path: Path, status: os.stat_result) -> str:
-    if status.st_uid != os.geteuid():
-        return f"{path} belongs to user {status.st_uid}; expected a folder of user {os.geteuid()}"
-    return f"{path} has the mode {stat.S_IMODE(status.st_mode):03o}; expected that only its owner can write there"
-
-
-_log = logging.getLogger("fjr_core.numerics.jit")
 
 
 def cache_folder() -> Path:

@@ -30,6 +30,10 @@ UP = 1 + 2.0**-48
 """Factor that covers 15 roundings in the computation of a radius."""
 LIBRARY = 8 * U
 """Bound of the error of sin and cos: 4 units in the last place of a number up to 1."""
+CHUNK = 2048
+"""Matrices that are factorised together; they fit into the cache."""
+SHARE, GROWTH = 1e-13, 100.0
+"""First distance of the bound from the eigenvalue that was found, relative to the matrix, and its growth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +117,6 @@ def sine(angle: Interval) -> Interval:
     return Interval(np.sin(angle.mid), UP * (angle.rad + LIBRARY))
 
 
-CHUNK = 2048
-"""Matrices that are factorised together; they fit into the cache."""
-
-
 def trace_factor(n: int) -> float:
     """Return an upper bound of c for matrices (n, n), with underflow covered for traces above 1e-200."""
     return (n + 2) * U * (1 + 2.0**-40)
@@ -146,10 +146,6 @@ def _factorisable(entries: Array, diagonal: float) -> NDArray[np.bool_]:
             for j in range(i + 1, n):
                 G[j, j:] -= G[i, j] * G[i, j:]
     return found
-
-
-SHARE, GROWTH = 1e-13, 100.0
-"""First distance of the bound from the eigenvalue that was found, relative to the matrix, and its growth."""
 
 
 def least_eigenvalue(A: Interval, B: Interval) -> float:

@@ -30,6 +30,12 @@ from .code_cache import PrivateFolder, code_folder, is_intact, keep, temporary_f
 NAMES = ("cc", "gcc", "clang")
 REMEDY = "expected one: apt-get install gcc libc6-dev, or pip install ziglang"
 LONGEST_BUILD = 300.0  # s
+SAME_BITS = ("-ffp-contract=off",)
+"""Options without which results depend on the processor: no fused multiply-adds but those that the code names."""
+OPTIONS = ("-O3", "-march=native", *SAME_BITS, "-fno-math-errno", "-fno-tree-slp-vectorize", "-fPIC", "-shared")
+_log = logging.getLogger("fjr_core.numerics.jit")
+SOURCES = (".py", ".c", ".h")
+PACKAGE = Path(__file__).parents[1]
 
 
 class CompileError(Exception):
@@ -43,9 +49,10 @@ def c_compiler() -> tuple[str, ...]:
         found = shutil.which(command[0])
         if found:
             return (found, *command[1:])
-    zig = None if wanted else _zig()
-    if zig:
-        return (zig, "cc")
+    spec = None if wanted else find_spec("ziglang")  # its `cc` is clang with the headers of libc
+    zig = Path(spec.origin).with_name("zig") if spec and spec.origin else None
+    if zig and os.access(zig, os.X_OK):
+        return (str(zig), "cc")
     raise CompileError(f"no C compiler ({wanted[0] if wanted else ', '.join(NAMES)}) is on the path; {REMEDY}")
 
 
@@ -82,26 +89,12 @@ def processor() -> str:
     return "\n".join([platform.machine(), *sorted(properties)])
 
 
-def _zig() -> str | None:
-    """Return the program in the distribution `ziglang`, whose `cc` is clang with the headers of libc."""
-    spec = find_spec("ziglang")
-    program = Path(spec.origin).with_name("zig") if spec and spec.origin else None
-    return str(program) if program and os.access(program, os.X_OK) else None
-
-
 def _environment(program: str) -> dict[str, str]:
     """Return the environment of the compiler; zig keeps what it builds from libc in the folder of compiled code."""
     if Path(program).name != "zig":
         return dict(os.environ)
     folder = str(code_folder().path / "zig")
     return {"ZIG_GLOBAL_CACHE_DIR": folder, "ZIG_LOCAL_CACHE_DIR": folder, **os.environ}
-
-
-SAME_BITS = ("-ffp-contract=off",)
-"""Options without which results depend on the processor: no fused multiply-adds but those that the code names."""
-OPTIONS = ("-O3", "-march=native", *SAME_BITS, "-fno-math-errno", "-fno-tree-slp-vectorize", "-fPIC", "-shared")
-
-_log = logging.getLogger("fjr_core.numerics.jit")
 
 
 def compiled(function: ca.Function) -> ca.Function:
@@ -235,18 +228,19 @@ def _warn_once(reason: str) -> None:
     _log.warning("%s; running in CasADi's virtual machine, equal up to rounding and some 20 times slower", reason)
 
 
-SOURCES = (".py", ".c", ".h")
-PACKAGE = Path(__file__).parents[1]
-
-
 def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[[], ca.Function]) -> ca.Function:
-    """Return compiled(build()), or its cached machine code for the same model and pattern.
+    """Return compiled(build()), or its cached machine code for the same model and pattern, without deriving it again.
+
+    Deriving the certificate of a seven-joint arm and generating its C code takes a third of a second; hashing its
+    inputs takes milliseconds.
 
     model: fingerprint of the robot (Robot.fingerprint). pattern: all other inputs of the function. The key also
     contains the source of this package.
     """
     try:
-        note, folder = _note(name, model, pattern), code_folder()
+        parts = [name, pattern, ca.__version__, source_digest(), *machine(), model.hex()]
+        note = f"{name}-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:32]}.note"
+        folder = code_folder()
         found = (folder.read(note) or b"").decode("ascii", "replace")
         if found.startswith(f"{name}-") and "/" not in found and is_intact(folder, found):
             return external(name, folder.within(found))
@@ -278,9 +272,3 @@ def source_digest(folder: Path = PACKAGE) -> str:
             content = stream.read()
         digest.update(f"{path.removeprefix(str(folder))} {len(content)}\n".encode() + content)
     return digest.hexdigest()
-
-
-def _note(name: str, model: bytes, pattern: str) -> str:
-    """Return the name of the file that stores the name of the shared object."""
-    parts = [name, pattern, ca.__version__, source_digest(), *machine(), model.hex()]
-    return f"{name}-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:32]}.note"

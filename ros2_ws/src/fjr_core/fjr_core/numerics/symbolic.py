@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 from ..errors import StateError
 from .checks import Array
 
+BROADCAST = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
+TIMES = ("t", "dt")  # numbers
+
 
 def symbols(kind: type = ca.SX, **rows: int) -> dict[str, ca.SX]:
     """Return column symbols of the given numbers of rows by name."""
@@ -40,10 +43,6 @@ def sparse(matrix: ca.SX | ArrayLike) -> ca.SX:
 def directional(e: ca.SX, z: ca.SX, dz: ca.SX) -> ca.SX:
     """Return the derivative of e(z) in the direction dz, in one sweep over the whole of e."""
     return ca.jtimes(e, z, dz)
-
-
-BROADCAST = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
-TIMES = ("t", "dt")  # numbers
 
 
 class NumericFunction(threading.local):
@@ -125,20 +124,15 @@ def numeric(name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.S
 def columnwise(function: ca.Function, *arguments: Array) -> list[Array]:
     """Return the outputs (size, k) of a function at k columns of its arguments (size, k), in column-major order."""
     k = arguments[0].shape[1]
-    given = [_side_by_side(each, function.size_in(i), k) for i, each in enumerate(arguments)]
-    results = function.map(k)(*given)
-    results = results if isinstance(results, tuple) else (results,)
-    return [_columns(each.full(), function.size_out(i), k) for i, each in enumerate(results)]
-
-
-def _side_by_side(columns: Array, size: tuple[int, int], k: int) -> Array:
-    """Return columns (rows * columns, k) as matrices (rows, k columns) side by side."""
-    return columns.T.reshape(k, size[1], size[0]).transpose(2, 0, 1).reshape(size[0], -1)
-
-
-def _columns(side_by_side: Array, size: tuple[int, int], k: int) -> Array:
-    """Return matrices (rows, k columns) side by side as columns (rows * columns, k)."""
-    return side_by_side.reshape(size[0], k, size[1]).transpose(2, 0, 1).reshape(size[0] * size[1], k)
+    given = []
+    for i, columns in enumerate(arguments):  # as matrices (rows, k columns) side by side
+        rows, width = function.size_in(i)
+        given.append(columns.T.reshape(k, width, rows).transpose(2, 0, 1).reshape(rows, -1))
+    results, found = function.map(k)(*given), []
+    for i, matrices in enumerate(results if isinstance(results, tuple) else (results,)):
+        rows, width = function.size_out(i)
+        found.append(matrices.full().reshape(rows, k, width).transpose(2, 0, 1).reshape(rows * width, k))
+    return found
 
 
 class PackedVector:

@@ -29,6 +29,7 @@ HOLD = 1e-3  # s
 LONGEST_DELAY = 32  # samples of hold
 FASTEST = 1e4  # 1/s, largest gain
 _gain_field = partial(parameter_field, 0.0, unit="1/s", shape=VECTOR, constraint=f"0 to {FASTEST:g}")
+OUTPUTS = ("u", "V", "dissipation", "port_m", "port_l")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +105,6 @@ def _checked_gain(name: str, value: ArrayLike, n: int) -> Array:
         raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 to {FASTEST:g}")
     array.setflags(write=False)
     return array
-
-
-OUTPUTS = ("u", "V", "dissipation", "port_m", "port_l")
 
 
 def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:

@@ -87,16 +87,11 @@ class Predictor:
         s = self._symbols()
         x, inputs, dt = s.values()
         count = ca.fmin(ca.fmax(ca.ceil(dt / self._hold - HOLD_TOLERANCE), 1), self._holds)
-        part = ca.Function.if_else("part", self._step, self._identity)
+        part = ca.Function.if_else("part", self._step, dense_function("identity", s, {"after": x}))
         after = self._step(x, inputs, dt / count)
         for k in range(1, self._holds):
             after = part(k < count, after, inputs, dt / count)
         return dense_function("held", s, {"after": after})
-
-    @cached_property
-    def _identity(self) -> ca.Function:
-        s = self._symbols()
-        return dense_function("identity", s, {"after": s["x"]})
 
     @cached_property
     def _step(self) -> ca.Function:

@@ -38,12 +38,9 @@ def chains(tree: UrdfTree) -> list[Chain]:
         arm = _arm(tree, path)
         if arm:
             found.setdefault(arm, Chain(arm, tree.joints[arm[-1]].child))
-    longest = [chain for joints, chain in found.items() if not any(_begins(other, joints) for other in found)]
+    beginnings = {arm[:k] for arm in found for k in range(len(arm))}
+    longest = [chain for joints, chain in found.items() if joints not in beginnings]
     return sorted(longest, key=lambda chain: -len(chain.joints))
-
-
-def _begins(other: tuple[str, ...], joints: tuple[str, ...]) -> bool:
-    return len(other) > len(joints) and other[: len(joints)] == joints
 
 
 def _paths(tree: UrdfTree) -> Iterator[list[str]]:

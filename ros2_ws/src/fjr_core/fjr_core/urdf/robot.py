@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 
@@ -22,6 +22,10 @@ from ..numerics.checks import Array
 from .tree import MOVING, LinkInertia, UrdfJoint, UrdfTree, read_urdf
 
 _log = logging.getLogger("fjr_core.model")
+BASE = ""
+"""Name of the joint in front of all named ones, which carries what never moves."""
+MOST_CONTROLLED = 64
+"""Largest number of joints; the size of the law's expressions grows with its square."""
 
 
 class MasslessJointError(RobotError):
@@ -33,12 +37,6 @@ class MasslessJointError(RobotError):
             "expected links with mass and inertia beyond it"
         )
         self.joint = joint
-
-
-BASE = ""
-"""Name of the joint in front of all named ones, which carries what never moves."""
-MOST_CONTROLLED = 64
-"""Largest number of joints; the size of the law's expressions grows with its square."""
 
 
 def robot_from_urdf(
@@ -103,11 +101,8 @@ def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
         if link in moved:
             raise RobotError(fault)
     if tree.faulty:
-        _warn(f"{'; '.join(tree.faulty.values())}; ignored, since no chosen joint moves {_it(tree.faulty)}")
-
-
-def _it(links: Sized) -> str:
-    return "it" if len(links) == 1 else "them"
+        which = "it" if len(tree.faulty) == 1 else "them"
+        _warn(f"{'; '.join(tree.faulty.values())}; ignored, since no chosen joint moves {which}")
 
 
 @cache

@@ -29,6 +29,8 @@ MOTOR_FREQUENCY = 90.0  # rad/s, omega_m: the motor on its spring, the link at r
 ACCELERATION = 10.0  # rad/s^2, m/s^2
 CONFIGURATIONS = 128
 DIGITS = 2
+THINNEST = 1e-3  # m; least radius of gyration of real links about their joint; those of public URDFs have 13 mm or more
+CHECKED_CONFIGURATIONS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +62,6 @@ def effort_sizes(robot: Robot, where: Array, inertia: Array) -> Array:
 def _rounded(values: Array) -> Array:
     """Return the values with two digits: a guess has no more."""
     return np.array([float(f"{value:.{DIGITS}g}") for value in values])
-
-
-THINNEST = 1e-3  # m; least radius of gyration of real links about their joint; those of public URDFs have 13 mm or more
-CHECKED_CONFIGURATIONS = 64
 
 
 def least_free_inertia(M_l: ArrayLike) -> Array:
