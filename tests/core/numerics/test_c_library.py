@@ -18,7 +18,7 @@ STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
 STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")
 READ = """
 import sys
-from fjr_core.numerics.c_types import ffi_of
+from fjr_core.numerics.c_library import ffi_of
 assert ffi_of("struct point { double x, y; };").sizeof("struct point") == 16
 print("pycparser" in sys.modules)
 """

@@ -87,7 +87,7 @@ def rotation_to(axis: Array) -> Array:
 
 
 class RigidArm(Protocol):
-    """Terms of the link side in eq. (36) as expressions: ArmDynamics, or ArmDynamics with a payload (robot.payload)."""
+    """Terms of the link side in eq. (36) as expressions: ArmDynamics, or ArmDynamics with a payload (PayloadArm)."""
 
     def M_l(self, q_l: ca.SX) -> ca.SX:
         """Inertia M_l (n, n) [kg m^2]."""

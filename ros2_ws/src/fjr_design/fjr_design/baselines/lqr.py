@@ -39,7 +39,7 @@ class LqrGains:
 
     def arrays(self, robot: Robot) -> dict[str, Array]:
         """Return F (n, 4n) and P (4n, 4n); raise GainsError, also if the Riccati equation has no solution."""
-        from scipy.linalg import solve_continuous_are  # loaded on use: see law/vdpbc/gains.py
+        from scipy.linalg import solve_continuous_are  # loaded on use: see law/gains.py
 
         n = robot.n
         Q = checks.positive_semidefinite("Q", checks.matrix("Q", self.Q, 4 * n, GainsError), GainsError)

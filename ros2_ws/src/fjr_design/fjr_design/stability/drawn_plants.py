@@ -216,6 +216,6 @@ def draws_needed(share: float, confidence: float = CONFIDENCE) -> int:
 
 def largest_share(lost: int, of: int, confidence: float = CONFIDENCE) -> float:
     """Return the upper bound of the share that is lost, with this confidence (C. Clopper, E. Pearson, 1934)."""
-    from scipy.special import betaincinv  # loaded on use: see law/vdpbc/gains.py
+    from scipy.special import betaincinv  # loaded on use: see law/gains.py
 
     return 1.0 if lost >= of else float(betaincinv(lost + 1, of - lost, confidence))

@@ -183,6 +183,6 @@ def _between(family: _Family, low: _Candidate, high: _Candidate) -> _Candidate:
 
 def _root(f: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
     """Return a root of f between low and high to a relative tolerance."""
-    from scipy.optimize import brentq  # loaded on use: see law/vdpbc/gains.py
+    from scipy.optimize import brentq  # loaded on use: see law/gains.py
 
     return float(np.exp(brentq(lambda log: f(float(np.exp(log))), np.log(low), np.log(high), xtol=tolerance)))

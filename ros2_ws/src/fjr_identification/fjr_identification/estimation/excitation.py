@@ -165,7 +165,7 @@ class ExcitationDesign:
 
         emphasis: scalar or (n,), on the stiffness of each joint.
         """
-        from scipy.optimize import minimize  # loaded on use: see law/vdpbc/gains.py
+        from scipy.optimize import minimize  # loaded on use: see law/gains.py
 
         scale, emphasised = self._scale(), np.broadcast_to(np.asarray(emphasis, float), self.robot.n)
 
