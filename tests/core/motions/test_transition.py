@@ -8,8 +8,8 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.oracle import stencil
-from fjr_core.motions.point_to_point import Transition
 from fjr_core.motions.reference import Reference
+from fjr_core.motions.transition import Transition
 
 RUNNING = fjr.Sine((0.5, 0.3), (1.0, 2.0), (0.1, -0.2), (0.3, 0.7))
 T0, DURATION = 1.3, 0.8

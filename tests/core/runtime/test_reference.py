@@ -16,8 +16,8 @@ from hypothesis import strategies as some
 import fjr_core as fjr
 from core.runtime.c_reference import Library, library
 from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
-from fjr_core.motions.point_to_point import TimeShifted, Transition
 from fjr_core.motions.reference import JETS, Reference
+from fjr_core.motions.transition import TimeShifted, Transition
 from fjr_core.runtime.reference_struct import ReferenceStruct
 from fjr_core.runtime.reference_table import reference_table
 from fjr_design.exports.reference_code import reference_code

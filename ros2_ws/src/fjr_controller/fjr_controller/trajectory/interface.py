@@ -11,7 +11,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core import FjrError, Reference
 from fjr_core.motions.motion_limits import MotionLimits, check_motion
-from fjr_core.motions.point_to_point import transition
+from fjr_core.motions.transition import transition
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader

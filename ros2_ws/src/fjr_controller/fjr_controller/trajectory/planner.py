@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core import FjrError, Reference, Spline, TrajectoryError
 from fjr_core.motions.motion_limits import MotionLimits, check_motion
-from fjr_core.motions.point_to_point import time_shifted, transition
+from fjr_core.motions.transition import time_shifted, transition
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.messages.joint_states import MessageError, deserialised, nanoseconds
 from fjr_msgs_py.messages.trajectories import SECOND, TrajectoryReader
