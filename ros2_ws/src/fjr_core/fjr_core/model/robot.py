@@ -21,63 +21,6 @@ from ..numerics.symbolic import NumericFunction, dense_function, numeric, symbol
 from .rigid_arm import ArmDynamics, RigidArm
 
 
-class Units(NamedTuple):
-    """Units of the quantities of one joint."""
-
-    position: str
-    velocity: str
-    acceleration: str
-    effort: str
-
-
-REVOLUTE = Units("rad", "rad/s", "rad/s^2", "N m")
-PRISMATIC = Units("m", "m/s", "m/s^2", "N")
-
-
-def joined(units: Iterable[str]) -> str:
-    """Return the distinct units of several joints, separated by commas, as in "rad, m"."""
-    return ", ".join(dict.fromkeys(units))
-
-
-@dataclass(frozen=True, eq=False)
-class JointLimits:
-    """Limits of n joints, each (n,): positions lower, upper [rad], velocity [rad/s] and effort [N m], both > 0.
-
-    Prismatic joints use m and N. An infinite value means no limit. Raises RobotError.
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
-    effort: Array
-
-    __repr__ = one_line
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            array = _limit(field.name, getattr(self, field.name))
-            if array.shape != np.shape(self.lower):
-                raise RobotError(f"{field.name} has shape {array.shape}; expected that of lower, {self.lower.shape}")
-            freeze(self, field.name, array)
-        if not np.all(self.lower <= self.upper):
-            raise RobotError(f"lower is {self.lower.tolist()}, upper {self.upper.tolist()}; expected lower <= upper")
-        for name in ("velocity", "effort"):
-            if not np.all(getattr(self, name) > 0):
-                raise RobotError(f"{name} limit is {getattr(self, name).tolist()}; expected positive numbers")
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.lower)
-
-
-def _limit(name: str, value: object) -> Array:
-    array = floats(f"{name} limit", value, RobotError)
-    if array.ndim != 1 or np.any(np.isnan(array)):
-        raise RobotError(f"{name} limit is {array.tolist()}; expected one number per joint, infinite for no limit")
-    return array
-
-
 @dataclass(frozen=True, eq=False)
 class Robot:
     """A flexible-joint robot of n joints, eq. (36).
@@ -259,3 +202,56 @@ def law_view(plant: Robot, law: Robot) -> ca.Function | None:
     x, positions = ca.SX.sym("x", 4 * plant.n), 2 * plant.n
     seen = Coordinates(law).to_momenta(x[:positions], Coordinates(plant).to_velocities(x))
     return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits of n joints, each (n,): positions lower, upper [rad], velocity [rad/s] and effort [N m], both > 0.
+
+    Prismatic joints use m and N. An infinite value means no limit. Raises RobotError.
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    effort: Array
+
+    __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            name, array = field.name, floats(f"{field.name} limit", getattr(self, field.name), RobotError)
+            if array.ndim != 1 or np.any(np.isnan(array)):
+                expected = "one number per joint, infinite for no limit"
+                raise RobotError(f"{name} limit is {array.tolist()}; expected {expected}")
+            if array.shape != np.shape(self.lower):
+                raise RobotError(f"{name} has shape {array.shape}; expected that of lower, {self.lower.shape}")
+            freeze(self, name, array)
+        if not np.all(self.lower <= self.upper):
+            raise RobotError(f"lower is {self.lower.tolist()}, upper {self.upper.tolist()}; expected lower <= upper")
+        for name in ("velocity", "effort"):
+            if not np.all(getattr(self, name) > 0):
+                raise RobotError(f"{name} limit is {getattr(self, name).tolist()}; expected positive numbers")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+
+class Units(NamedTuple):
+    """Units of the quantities of one joint."""
+
+    position: str
+    velocity: str
+    acceleration: str
+    effort: str
+
+
+REVOLUTE = Units("rad", "rad/s", "rad/s^2", "N m")
+PRISMATIC = Units("m", "m/s", "m/s^2", "N")
+
+
+def joined(units: Iterable[str]) -> str:
+    """Return the distinct units of several joints, separated by commas, as in "rad, m"."""
+    return ", ".join(dict.fromkeys(units))
