@@ -24,41 +24,13 @@ from .lie_derivative import Flow, flow
 from .rate import Rate, rate
 
 
-@dataclass(frozen=True)
-class LinkStage:
-    """Link errors and the desired joint torque u_l, as expressions (n,)."""
-
-    q_tilde_l: ca.SX
-    s_l: ca.SX
-    sigma_l: ca.SX
-    u_l: ca.SX
-
-
-def link_stage(flow: Flow, gains: GainTerms) -> LinkStage:
-    """Return the link stage, eqs. (30)-(33); M_l, C_l and D_l at the measured state, P_l at the virtual q_lv.
-
-    With v_lr = M_l^-1 p_lr, the first two terms of eq. (33) are
-    dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
-    The load torque (Flow.load) is subtracted.
-    """
-    q_lv, dq_lv = flow.virtual.q_l, flow.virtual.dq_l
-    q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
-
-    q_tilde_l = q_lv - q_ld  # (30)
-    v_lr = dq_ld - gains.phi_l(q_tilde_l)  # (31)
-    s_l = dq_lv - v_lr  # (30)
-    sigma_l = flow.M_l @ s_l
-
-    (dv_lr,) = flow.d(v_lr)
-    u_lff = flow.inertial_torque(v_lr, dv_lr) + flow.robot.links.grad_P_l(q_lv) + flow.robot.D_l @ v_lr  # (33)
-    u_lfb = -gains.Pi_l @ q_tilde_l - gains.K_ld @ s_l
-    return LinkStage(q_tilde_l, s_l, sigma_l, u_l=u_lff + u_lfb - flow.external)
-
-
 def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.SX]:
     """Return expressions of the fields of Evaluation, s_m and port_l: link stage, motor stage, storage.
 
-    The motor stage has the spring at the virtual state, v_mr = M_m^-1 p_mr and the external input omega (n,) [N m].
+    M_l, C_l and D_l are at the measured state, P_l and the spring at the virtual one. With v_lr = M_l^-1 p_lr and
+    v_mr = M_m^-1 p_mr, the first two terms of eq. (33) are
+    dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
+    omega (n,) [N m]: external input. The load torque on the links (Flow.load) is subtracted from u_l.
 
     Integral action against a disturbance torque d on the links (Flow.load, at x_v = x only) has the storage
     V + integral' gain^-1 integral / 2. The uncompensated torque d - w - integral, with w the known part, enters dV/dt
@@ -69,20 +41,29 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     rate known so far; u_mi adds the part that was unknown at the stage of q_md. Without integral action the rates are
     None, u_mi is zero and port_l is not complete.
     """
-    robot, load, link = flow.robot, flow.integrated, link_stage(flow, gains)
-    M_m, D_m, K, K_inverse = robot.M_m, robot.D_m, robot.K, np.linalg.inv(robot.K)
-    q_lv, q_mv, dq_mv = flow.virtual.q_l, flow.virtual.q_m, flow.virtual.dq_m
+    robot, load = flow.robot, flow.integrated
+    D_l, M_m, D_m, K, K_inverse = robot.D_l, robot.M_m, robot.D_m, robot.K, np.linalg.inv(robot.K)
+    q_lv, q_mv, dq_lv, dq_mv = flow.virtual.q_l, flow.virtual.q_m, flow.virtual.dq_l, flow.virtual.dq_m
+    q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
 
-    q_md = q_lv + K_inverse @ link.u_l
+    q_tilde_l = q_lv - q_ld  # (30)
+    v_lr = dq_ld - gains.phi_l(q_tilde_l)  # (31)
+    s_l = dq_lv - v_lr  # (30)
+    sigma_l = flow.M_l @ s_l
+    (dv_lr,) = flow.d(v_lr)
+    u_lff = flow.inertial_torque(v_lr, dv_lr) + robot.links.grad_P_l(q_lv) + D_l @ v_lr  # (33)
+    u_lfb = -gains.Pi_l @ q_tilde_l - gains.K_ld @ s_l
+    u_l = u_lff + u_lfb - flow.external
+
+    q_md = q_lv + K_inverse @ u_l
     q_tilde_m = q_mv - q_md  # (39)
-    port = link.s_l if load is None else link.s_l - flow.momentum_vjp(q_md, gains.Pi_m @ q_tilde_m)
-    (dq_md,) = flow.d(q_md, integral=None if load is None else load.gain @ port)
-    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m_inverse, K, flow.M_l, link.s_l)  # (40)
+    port_l = s_l if load is None else s_l - flow.momentum_vjp(q_md, gains.Pi_m @ q_tilde_m)
+    (dq_md,) = flow.d(q_md, integral=None if load is None else load.gain @ port_l)
+    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m_inverse, K, flow.M_l, s_l)  # (40)
     s_m = dq_mv - v_mr  # (39)
     sigma_m = M_m @ s_m
-
-    port = port if load is None else port - flow.momentum_vjp(v_mr, sigma_m)
-    (dv_mr,) = flow.d(v_mr, integral=None if load is None else load.gain @ port)
+    port_l = port_l if load is None else port_l - flow.momentum_vjp(v_mr, sigma_m)
+    (dv_mr,) = flow.d(v_mr, integral=None if load is None else load.gain @ port_l)
     u_mff = M_m @ dv_mr + K @ (q_mv - q_lv) + D_m @ v_mr  # (42)
     u_mfb = -gains.Pi_m @ q_tilde_m - gains.K_md @ s_m + omega
     u_mi = ca.SX(robot.n, 1)
@@ -90,23 +71,22 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
         u_mi = M_m @ flow.momentum_jvp(v_mr, load.gain @ (K_inverse @ gains.Pi_m @ q_tilde_m))
     u = np.linalg.inv(robot.B_m) @ (u_mff + u_mfb + u_mi)
 
-    q_tilde_l, s_l, sigma_l = link.q_tilde_l, link.s_l, link.sigma_l
     V_l = ca.dot(q_tilde_l, gains.Pi_l @ q_tilde_l) + ca.dot(s_l, sigma_l)
     V_m = ca.dot(q_tilde_m, gains.Pi_m @ q_tilde_m) + ca.dot(s_m, sigma_m)
     V = (V_l + V_m) / 2  # (43), integrated
-    d_l = ca.dot(q_tilde_l, gains.Pi_l @ gains.phi_l(q_tilde_l)) + ca.dot(s_l, (robot.D_l + gains.K_ld) @ s_l)
+    d_l = ca.dot(q_tilde_l, gains.Pi_l @ gains.phi_l(q_tilde_l)) + ca.dot(s_l, (D_l + gains.K_ld) @ s_l)
     d_m = ca.dot(q_tilde_m, gains.Pi_m @ gains.phi_m(q_tilde_m))
-    dissipation = d_l + d_m + ca.dot(s_m, (D_m + gains.K_md) @ s_m)
+    dissipation = d_l + d_m + ca.dot(s_m, (D_m + gains.K_md) @ s_m)  # -dV/dt for omega = 0
     return {
         "u": u,
-        "u_l": link.u_l,
+        "u_l": u_l,
         "q_md": q_md,
         "q_tilde_l": q_tilde_l,
         "sigma_l": sigma_l,
         "q_tilde_m": q_tilde_m,
         "sigma_m": sigma_m,
         "s_m": s_m,
-        "port_l": port,
+        "port_l": port_l,
         "V": V,
         "dissipation": dissipation,
         "dV": -dissipation + ca.dot(s_m, omega),
@@ -143,7 +123,7 @@ class Evaluation:
 class TrackingLaw(StaticLaw):
     """The v-dPBC tracking law of a robot, as pure functions of (x_v, x, jets, omega).
 
-    Its equations are in link_stage and law_expressions.
+    Its equations are in law_expressions.
     The controller applies u(x, x, t); analysis uses x_v != x. x_v and x are states (4n,) with momenta,
     jets (5, n) holds q_ld .. d4q_ld, omega (n,) [N m] is the external input of eq. (42).
     compile: compile to machine code if a C compiler is available (numerics.jit); results agree to rounding.
