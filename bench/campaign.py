@@ -16,7 +16,7 @@ from bench.campaign_peers import NAMES, Peer, mujoco_peer, scipy_peer
 from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
-from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 
 RUNS, DURATION, PERIOD, INNER_STEPS = 10_000, 5.0, 1e-3, 4

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from bench.mujoco_arm import MujocoArm
 from fjr_core import TrackingLaw, single_link
-from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from fjr_core.model.newton_euler import serial_chain
-from fjr_core.model.rigid_body import Body
+from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.coordinates import packed

@@ -15,9 +15,9 @@ from bench.figures import Figure
 from bench.measure import Call, in_turns, microseconds, ratio
 from bench.mujoco_arm import MujocoArm
 from fjr_core import PAPER_GAINS, TrackingLaw, single_link
-from fjr_core.numerics.casadi_function import bind
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
+from fjr_core.numerics.symbolic import bind
 
 STEP = 2.5e-4  # s
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Public names: what dir() shows, how objects describe themselves, and names that were renamed."""
+"""Public names: what dir() shows, and how objects describe themselves."""
 
 from __future__ import annotations
 
@@ -137,12 +137,6 @@ def test_something_else_than_a_law_is_refused_by_kind(use: Callable[[object], ob
 def test_something_else_than_a_reference_is_refused_by_kind(use: Callable[[object], object], reference: object) -> None:
     with pytest.raises(fjr.TrajectoryError, match=r"^reference is (a|the) .*; expected a reference"):
         use(reference)
-
-
-@pytest.mark.parametrize(("old", "new"), fjr._RENAMED.items())
-def test_renamed_name_is_an_alias_with_a_warning(old: str, new: str) -> None:
-    with pytest.warns(DeprecationWarning, match=f"fjr_core.{old} is now fjr_core.{new}"):
-        assert getattr(fjr, old) is getattr(fjr, new)
 
 
 def test_unknown_name_raises_attribute_error() -> None:

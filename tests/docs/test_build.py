@@ -35,5 +35,5 @@ def test_public_names_and_nodes_are_in_the_reference(html: Path) -> None:
     pages = "".join(path.read_text("utf-8") for path in (html / "api").glob("*.html"))
     homes = [(getattr(getattr(fjr_core, name), "__module__", ""), name) for name in fjr_core.__all__]
     wanted = [f"{home}.{name}" for home, name in homes if home.startswith("fjr_core")]
-    for name in (*wanted, "fjr_core.law.vdpbc.gains.PAPER_GAINS", "fjr_msgs_py.names.LATEST", *PUBLIC_NODES):
+    for name in (*wanted, "fjr_core.law.gains.PAPER_GAINS", "fjr_msgs_py.names.LATEST", *PUBLIC_NODES):
         assert f'id="{name}"' in pages, name

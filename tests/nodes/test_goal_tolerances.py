@@ -10,7 +10,7 @@ import pytest
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from fjr_controller.trajectory.goal_tolerances import Code, Goal, Tolerances, tolerances
-from fjr_core.model.joint_units import REVOLUTE
+from fjr_core.model.robot import REVOLUTE
 from fjr_msgs_py.messages.follow_joint_trajectory import FollowMessages, Progress
 
 SECOND = 10**9

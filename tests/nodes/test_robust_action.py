@@ -10,7 +10,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.law.robust import RobustLaw
+from fjr_core.robust.law import RobustLaw
 from nodes.harness import Ros, nanoseconds, read_certificate
 from nodes.test_certificate import Hearer
 

@@ -17,8 +17,8 @@ import pytest
 import yaml
 
 from fjr_core.errors import CompareError, FjrError
-from fjr_core.law.registry import LAWS, V_DPBC
-from fjr_core.numerics import jit_cache
+from fjr_core.extensions.law_registry import LAWS, V_DPBC
+from fjr_core.numerics import jit as jit_cache
 from fjr_design.studies.comparison import job as comparison_job
 from fjr_design.studies.comparison import markdown as comparison_markdown
 from fjr_design.studies.comparison import pool as comparison_pool

@@ -13,7 +13,7 @@ import pytest
 
 import fjr_core
 from fjr_core.config.scenario import load_scenario
-from fjr_core.law.robust import Robust, sampled_law
+from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.sampled_loop import check
 from fjr_design.cli.preflight import StartError, refuse_start_outside

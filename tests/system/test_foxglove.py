@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from websockets.sync.client import ClientConnection, connect
 
-from fjr_core.model.urdf_frames import UrdfFrames
+from fjr_core.urdf.tree import UrdfFrames
 from fjr_monitor.watch.foxglove_server import FoxgloveError, FoxgloveServer, frame_transforms
 from system.executables import TIME_LIMIT, Executable, fjr_here, lockstep_loop, wait_for
 from time_limits import Limit

@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fjr_core.files.atomic_file import is_sealed, write_text
+from fjr_core.files.text_file import is_sealed, write_text
 from fjr_design.experiments.monte_carlo.sweep import Sweep
 from fjr_design.studies.comparison import pool as comparison_pool
 from fjr_design.studies.comparison import suite

@@ -14,7 +14,7 @@ from fjr_core.config.reference import motion_limits
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import ParameterError, TrajectoryError
-from fjr_core.model.joint_units import PRISMATIC, REVOLUTE
+from fjr_core.model.robot import PRISMATIC, REVOLUTE
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.motions.point_to_point import Hold
 from fjr_design.cli.check import check_rows

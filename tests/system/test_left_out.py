@@ -65,7 +65,7 @@ def test_what_needs_a_package_names_it(arguments: tuple[str, ...], status: int, 
 def test_the_core_runs_alone_and_names_the_package_of_a_name(tmp_path: Path) -> None:
     code = """
 import fjr_core as fjr
-from fjr_core.law.registry import LAWS
+from fjr_core.extensions.law_registry import LAWS
 robot = fjr.single_link(stiffness=31.0)
 law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
 fjr.simulate(fjr.Plant(robot), law, fjr.Sine(1.0, 1.0), robot.state(0.5, 0.5, 0, 0), 0.1)

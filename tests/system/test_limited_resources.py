@@ -15,7 +15,7 @@ import pytest
 
 from envsetup.quoting import quote_paths
 from fjr_bringup.runner.node_process import executable
-from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import write_text
 from fjr_monitor.recording.reader import read_bag
 from fjr_monitor.report.write import write_with_fallback
 from fjr_msgs_py.console.exit_codes import Exit

@@ -11,7 +11,7 @@ from tools.robot_survey.robots import ROBOTS
 
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError
-from fjr_core.model.free_inertia import joints_without_inertia
+from fjr_core.urdf.typical_joints import joints_without_inertia
 from fjr_design.scaffold.arm import arm_of
 from fjr_design.scaffold.joint_data import published
 from fjr_msgs_py.scenarios import library

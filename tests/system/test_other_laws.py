@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_core.law.registry import LAWS
+from fjr_core.extensions.law_registry import LAWS
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system

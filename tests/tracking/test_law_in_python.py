@@ -12,7 +12,7 @@ import fjr_core as fjr
 import own_code
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.law.robust import Robust
+from fjr_core.robust.law import Robust
 from tracking.tracked import LAW, MS, SINE, Loop, sample, settings
 
 JOINT = LAW.robot

@@ -11,7 +11,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.law.robust import Robust, RobustLaw
+from fjr_core.robust.law import Robust, RobustLaw
 from tracking.tracked import LAW, MS, PERIOD, SINE, Loop, last_effort, sample, settings, two_link_law
 
 ROBUST = Robust(residual_gain=60.0, motor_residual_gain=20.0, integral_gain=4.0, delay=1e-3)

@@ -15,8 +15,8 @@ from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config import builders
 from fjr_core.config import parameter as parameters
 from fjr_core.config.safety import safety, safety_parameters
-from fjr_core.law.safety_settings import Settings
 from fjr_core.motions.point_to_point import Hold
+from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import LAW, MS, TWO, TWO_SINES, Passed, paper_law, sample, settings, two_link_law
 
 INF = float("inf")

@@ -12,8 +12,8 @@ import pytest
 import fjr_core as fjr
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
+from fjr_core.extensions.python_code import PythonFunction
 from fjr_core.motions.point_to_point import Hold
-from fjr_core.numerics.python_function import PythonFunction
 from tracking.tracked import (
     LAW,
     LIMITED,

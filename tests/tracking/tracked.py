@@ -11,8 +11,8 @@ import numpy as np
 
 import fjr_core as fjr
 from fjr_controller.tracking.tracker import Command, Tracker
-from fjr_core.law.safety_settings import Settings
 from fjr_core.runtime.library import constant
+from fjr_core.runtime.safety_settings import Settings
 
 PERIOD = 1_000_000  # ns
 TWO_LINK_GAINS = fjr.Gains(

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 import fjr_core as fjr
 from fjr_core.config.scenario import load_scenario
-from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_design.experiments.baseline_target import baseline_target
 from fjr_design.experiments.comparison import Trial, directions, motion_demand

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 import fjr_core as fjr
-from fjr_core.law.robust import Robust, sampled_law
 from fjr_core.numerics.checks import Array
+from fjr_core.robust.law import Robust, sampled_law
 
 PERIOD = 1e-3  # s
 

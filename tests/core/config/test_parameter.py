@@ -13,9 +13,9 @@ import pytest
 import fjr_core as fjr
 from fjr_core.config import builders
 from fjr_core.config.parameter import MATRIX, POINT, ROWS, VECTOR, complete, read, table
-from fjr_core.law.robust.options import Robust
-from fjr_core.law.safety_settings import Settings
 from fjr_core.numerics.parameter_field import declared, parameter_field
+from fjr_core.robust.law import Robust
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.nonideal_parameters import ChannelErrors, Nonidealities, SensorErrors
 
 MODELS: dict[str, dict[str, Any]] = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equations as printed fail the tests that the corrected ones pass (docs/errata.md).
+"""The equations as printed fail the tests that the corrected ones pass (docs/notation.md).
 
 Eq. (49) is tested in stability/test_contraction.py, next to the corrected one.
 """
@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-import fjr_core.law.vdpbc.motor_stage as motor
 from core.oracles.cases import FULL, Arm, GainSet, Point, full, linear, planar, random_point, single
 from core.oracles.oracle import LiteralLaw, inverse
 from core.oracles.properties import TOLERANCE, Loop, error_dynamics, storage_rate, structure_as_printed
+from fjr_core.law import vdpbc
 
 FAILS = 1e-4
 """Residual that a printed equation exceeds; that of the corrected one is below 1e-10."""
@@ -31,7 +31,7 @@ def printed_coupling_velocity(Pi_m_inverse: ca.DM, K: np.ndarray, M_l: ca.SX, s_
 def coupling(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Build the laws of the test with the coupling of (40) corrected or as printed."""
     if request.param == "printed":
-        monkeypatch.setattr(motor, "coupling_velocity", printed_coupling_velocity)
+        monkeypatch.setattr(vdpbc, "coupling_velocity", printed_coupling_velocity)
     return request.param
 
 

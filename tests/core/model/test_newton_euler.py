@@ -39,36 +39,23 @@ def columns(product: Any, n: int) -> Array:
 
 
 @all_chains
-def test_inertia_agrees_with_pinocchio(chain: tuple[int, int]) -> None:
+def test_the_recursions_agree_with_pinocchio(chain: tuple[int, int]) -> None:
+    """Inertia, Coriolis product, inertial torque, gravity, potential, kinetic gradient and workless forces."""
     c = random_chain(*chain)
-    (q,) = numbers(c, 1)
-    M = c.links.M_l(q).full()
-    assert relative(M, c.pinocchio.M(q)) < 1e-10
-    assert np.array_equal(M, M.T)
-
-
-@all_chains
-def test_coriolis_product_agrees_with_pinocchio(chain: tuple[int, int]) -> None:
-    c = random_chain(*chain)
-    q, v, w = numbers(c, 3)
-    assert relative(c.links.C(q, v, w), c.pinocchio.C(q, v) @ w) < 1e-10
-
-
-@all_chains
-def test_inertial_torque_agrees_with_pinocchio(chain: tuple[int, int]) -> None:
-    c = random_chain(*chain)
-    q, v, w, a = numbers(c, 4)
-    expected = c.pinocchio.M(q) @ a + c.pinocchio.C(q, v) @ w
-    assert relative(c.links.inertial_torque(q, v, w, a), expected) < 1e-10
-
-
-@all_chains
-def test_gravity_and_potential_agree_with_pinocchio(chain: tuple[int, int]) -> None:
-    c = random_chain(*chain)
-    q, other = numbers(c, 2)
-    assert relative(c.links.grad_P_l(q), c.pinocchio.grad_P(q)) < 1e-10
-    here, there = c.pinocchio.P(q), c.pinocchio.P(other)
-    assert relative(c.links.P_l(q) - c.links.P_l(other), np.array([[here - there]]), abs(here)) < 1e-10
+    links, oracle, (q, other, v, w, a) = c.links, c.pinocchio, numbers(c, 5)
+    M, C = oracle.M(q), oracle.C(q, v)
+    found = links.M_l(q).full()
+    assert np.array_equal(found, found.T)
+    assert relative(found, M) < 1e-10
+    assert relative(links.C(q, v, w), C @ w) < 1e-10
+    assert relative(links.inertial_torque(q, v, w, a), M @ a + C @ w) < 1e-10
+    assert relative(links.grad_P_l(q), oracle.grad_P(q)) < 1e-10
+    here, there = oracle.P(q), oracle.P(other)
+    assert relative(links.P_l(q) - links.P_l(other), np.array([[here - there]]), abs(here)) < 1e-10
+    assert relative(links.grad_T(q, v), C.T @ v) < 1e-10
+    symbols = [ca.SX.sym(name, c.n) for name in ("q", "v", "w")]
+    workless = ca.Function("E", symbols, [links.E(*symbols)])
+    assert relative(columns(lambda e: workless(q, v, e), c.n), -C.T) < 1e-10
 
 
 @all_chains
@@ -81,30 +68,12 @@ def test_forward_dynamics_agrees_with_the_articulated_body_algorithm(chain: tupl
 
 
 @all_chains
-def test_kinetic_gradient_is_the_transposed_coriolis_product(chain: tuple[int, int]) -> None:
+def test_inertia_rate_minus_twice_coriolis_is_skew_and_workless_forces_sum_to_minus_it(chain: tuple[int, int]) -> None:
     c = random_chain(*chain)
     q, v = numbers(c, 2)
-    assert relative(c.links.grad_T(q, v), c.pinocchio.C(q, v).T @ v) < 1e-10
-
-
-@all_chains
-def test_inertia_rate_minus_twice_coriolis_is_skew(chain: tuple[int, int]) -> None:
-    c = random_chain(*chain)
-    q, v = numbers(c, 2)
-    dM = columns(lambda e: c.links.dM(q, v, e), c.n)
-    S = dM - 2 * columns(lambda e: c.links.C(q, v, e), c.n)
+    dM, C = (columns(lambda e, f=f: f(q, v, e), c.n) for f in (c.links.dM, c.links.C))
+    S, E = dM - 2 * C, C - dM
     assert relative(S + S.T, 0 * S, float(np.max(np.abs(dM)))) < 1e-12
-
-
-@all_chains
-def test_workless_forces_are_minus_the_transposed_coriolis_matrix(chain: tuple[int, int]) -> None:
-    c = random_chain(*chain)
-    q, v = numbers(c, 2)
-    symbols = [ca.SX.sym(name, c.n) for name in ("q", "v", "w")]
-    workless = ca.Function("E", symbols, [c.links.E(*symbols)])
-    E = columns(lambda e: workless(q, v, e), c.n)
-    dM = columns(lambda e: c.links.dM(q, v, e), c.n)
-    assert relative(E, -c.pinocchio.C(q, v).T) < 1e-10
     assert relative(E + E.T, -dM) < 1e-12
 
 

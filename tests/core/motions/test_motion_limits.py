@@ -29,7 +29,6 @@ REFERENCES: dict[str, Reference] = {
     "shifted": fjr.time_shifted(SPLINE, 0.7),
 }
 references = pytest.mark.parametrize("reference", REFERENCES.values(), ids=REFERENCES)
-WIDE = fjr.MotionLimits((-10.0, -10.0), (10.0, 10.0))
 
 
 @references
@@ -188,23 +187,3 @@ def test_limits_of_the_robot_and_of_acceleration_apply() -> None:
     for name, expected in (("lower", [-1, -2]), ("upper", [1, 2]), ("velocity", [3, 4]), ("acceleration", [7, 7])):
         np.testing.assert_array_equal(getattr(limits, name), expected)
     fjr.check_motion(fjr.Sine((1e6, 1e6), 1.0), fjr.MotionLimits.of(None, 2))
-
-
-BAD: dict[str, tuple[tuple[Any, ...], tuple[str, ...]]] = {
-    "order": (((1.0,), (-1.0,)), ("lower", "[1.0]", "upper", "[-1.0]", "lower <= upper")),
-    "length": (((-1.0, -1.0), (1.0, 1.0, 1.0)), ("lower", "[-1.0, -1.0]", "3")),
-    "nan": (((-1.0,), (np.nan,)), ("upper", "nan", "infinite for none")),
-    "negative": (((-1.0,), (1.0,), (-2.0,)), ("velocity", "-2.0", "no negative")),
-    "words": (((-1.0,), (1.0,), 1.0, "fast"), ("acceleration", "fast", "numbers")),
-}
-
-
-@pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD)
-def test_invalid_limits_are_refused(arguments: tuple[Any, ...], words: tuple[str, ...]) -> None:
-    with pytest.raises(fjr.TrajectoryError) as caught:
-        fjr.MotionLimits(*arguments)
-    assert all(word in str(caught.value) for word in words), caught.value
-
-
-def test_limits_of_other_joints_are_refused() -> None:
-    assert "limits are of 2 joints; expected those of the reference, 1" in sentence(fjr.Hold((0.0,)), WIDE)

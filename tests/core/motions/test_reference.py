@@ -144,30 +144,3 @@ def test_circle_is_exact_from_rest_to_its_frequency() -> None:
     np.testing.assert_allclose(circle.jets(9.0), circle.jets(9.0 + np.pi), atol=1e-12)
     (x, y), (dx, dy) = circle.jets(5.0)[:2, :2] - [[0.4, -0.2], [0.0, 0.0]]
     assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency is clockwise
-
-
-BAD = {
-    "multi-vector": (lambda: fjr.MultiSine([1.0], 1.0), ("amplitude", "(1,)", "(m, n)")),
-    "multi-shape": (lambda: fjr.MultiSine([[1.0, 2.0]], [[1.0]]), ("frequency", "(1, 1)", "(1, 2)")),
-    "multi-nan": (lambda: fjr.MultiSine([[1.0, 2.0]], 1.0, np.nan), ("phase", "nan", "finite")),
-    "multi-offset": (lambda: fjr.MultiSine([[1.0, 2.0]], 1.0, 0.0, (1, 2, 3)), ("offset", "(3,)", "(2,)")),
-    "points": (lambda: fjr.PointToPoint((0, 0), (1, 1, 1), 1.0), ("q1", "(3,)", "(2,)")),
-    "points-nan": (lambda: fjr.PointToPoint((0, np.inf), (1, 1), 1.0), ("q0", "inf", "finite")),
-    "points-scalar": (lambda: fjr.PointToPoint(0.0, 1.0, 1.0), ("q0", "()", "(n,)")),
-    "duration": (lambda: fjr.PointToPoint((0,), (1,), 0.0), ("duration", "0.0 s", "positive")),
-    "dwell": (lambda: fjr.PointToPoint((0,), (1,), 1.0, -1.0), ("dwell", "-1.0 s", "0 or more")),
-    "circle-one": (lambda: fjr.Circle((0.0,), 0.5, 1.0), ("centre", "1 entry", "2 or more")),
-    "circle-radius": (lambda: fjr.Circle((0.0, 0.0), np.nan, 1.0), ("radius", "nan", "finite")),
-    "circle-ramp": (lambda: fjr.Circle((0.0, 0.0), 0.5, 1.0, ramp=0.0), ("ramp", "0.0 s", "positive")),
-    "hold": (lambda: fjr.Hold([[1.0]]), ("q", "(1, 1)", "(n,)")),
-    "hold-word": (lambda: fjr.Hold("here"), ("q", "here", "numbers")),
-    "standing": (lambda: fjr.standing((1.0, 2.0), (1.0, 2.0, 3.0)), ("dq", "(3,)", "(2,)")),
-}
-
-
-@pytest.mark.parametrize(("make", "words"), BAD.values(), ids=BAD)
-def test_invalid_references_are_refused_in_one_sentence(make: object, words: tuple[str, ...]) -> None:
-    with pytest.raises(fjr.TrajectoryError) as caught:
-        make()  # type: ignore[operator]
-    assert all(word in str(caught.value) for word in words), caught.value
-    assert "\n" not in str(caught.value)

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.law.effort_demand import effort_demand
-from fjr_core.law.inverse_dynamics import inverse_dynamics
+from fjr_core.motions.inverse_dynamics import effort_demand, inverse_dynamics
 from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
-from fjr_core.motions.smoothing import least_squares_fit
-from fjr_core.motions.waypoints import waypoints
+from fjr_core.motions.sampled_motion import least_squares_fit, waypoints
 
 T = np.arange(10_001) / 1000  # s: 10 s at 1 kHz
 RNG = np.random.default_rng(3)
@@ -134,19 +132,6 @@ def test_each_joint_has_a_tolerance_of_its_own() -> None:
     assert np.all(np.abs(motion.jets(T[::10])[:, 0] - q).max(axis=0) < [0.01, 1e-4])
     for tolerance in ([0.05, 1e-5], [0.05, 0.0], 5e-4):
         assert not fjr.SampledMotion(T[::10], q + noise, tolerance).smoothed
-
-
-@pytest.mark.parametrize(
-    ("tolerance", "sentence"),
-    [
-        (-1.0, r"tolerance is -1.0; expected 0 or more"),
-        (float("nan"), r"tolerance is nan; expected 0 or more"),
-        ([1e-3, 1e-3], r"tolerance has 2 entries; expected 1$"),
-    ],
-)
-def test_an_invalid_tolerance_is_rejected(tolerance: float, sentence: str) -> None:
-    with pytest.raises(fjr.TrajectoryError, match=sentence):
-        fjr.SampledMotion([0.0, 1.0], [[0.0], [1.0]], tolerance)
 
 
 def test_pieces_are_few_where_samples_are_smooth() -> None:

@@ -12,9 +12,8 @@ from scipy.linalg import solveh_banded
 
 import fjr_core as fjr
 from core.oracles.oracle import stencil
-from fjr_core.motions import minimum_jerk
-from fjr_core.motions.minimum_jerk import MONOTONE, TURNING
-from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial, taylor
+from fjr_core.motions import piecewise_polynomial as polynomials
+from fjr_core.motions.piecewise_polynomial import MONOTONE, TURNING, PiecewisePolynomial, taylor
 from fjr_core.motions.spline import STANDSTILL
 
 RNG = np.random.default_rng(4)
@@ -121,18 +120,18 @@ def test_long_splines_agree_with_the_banded_solver_of_scipy(known: int, spread: 
     jets[:, :known], free[1:-1, known:] = rng.normal(size=(k, known, 2)), True
     h = np.diff(times)
     units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))
-    roots = minimum_jerk._roots_of_jerk(h, units)
-    diagonal, lower = minimum_jerk._normal_blocks(roots, free)
+    roots = polynomials._roots_of_jerk(h, units)
+    diagonal, lower = polynomials._normal_blocks(roots, free)
     band = np.zeros((10, 5 * k))
     for row, column in np.ndindex(5, 5):
         if row >= column:
             band[row - column, column::5] = diagonal[:, row, column]
         band[5 + row - column, column : 5 * (k - 1) : 5] = lower[:, row, column]
     expected = taylor(jets, units)
-    for _ in range(minimum_jerk.NEWTON_STEPS):
-        gradient = np.where(free[:, :, None], minimum_jerk._half_gradient(roots, expected), 0.0).reshape(-1, 2)
+    for _ in range(polynomials.NEWTON_STEPS):
+        gradient = np.where(free[:, :, None], polynomials._half_gradient(roots, expected), 0.0).reshape(-1, 2)
         expected -= solveh_banded(band, gradient, lower=True).reshape(expected.shape)
-    found = taylor(minimum_jerk.minimum_jerk(times, jets, free), units)
+    found = taylor(polynomials.minimum_jerk(times, jets, free), units)
     assert np.all(np.abs(found - expected) <= 1e-9 * np.abs(expected).max(axis=1, keepdims=True))
 
 
@@ -192,7 +191,7 @@ def test_positions_alone_give_the_quintic_spline_inside() -> None:
     jets, free = np.zeros((61, 5, 1)), np.zeros((61, 5), dtype=bool)
     jets[:, 0, 0], free[1:-1, 1:] = q, True
     quintic = make_interp_spline(times, q, 5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
-    chosen = minimum_jerk.minimum_jerk(times, jets, free)[28:33, :, 0]
+    chosen = polynomials.minimum_jerk(times, jets, free)[28:33, :, 0]
     np.testing.assert_allclose(chosen, np.array([quintic(times, order) for order in range(5)]).T[28:33], atol=1e-8)
 
 
@@ -212,7 +211,7 @@ def test_free_derivatives_minimise_the_squared_jerk(known: int, ratio: float) ->
     jets, free = np.zeros((6, 5, 2)), np.zeros((6, 5), dtype=bool)
     jets[:, :known] = RNG.normal(size=(6, known, 2))
     free[1:-1, known:] = True
-    chosen = minimum_jerk.minimum_jerk(times, jets, free)
+    chosen = polynomials.minimum_jerk(times, jets, free)
     np.testing.assert_array_equal(chosen[~free], jets[~free])
     least = squared_jerk(times, chosen)
     for knot, order in np.argwhere(free):
@@ -268,9 +267,9 @@ def test_smooth_data_are_unchanged_by_the_overshoot_limit() -> None:
     times = np.linspace(0.0, 2.0, 41)
     jets, free = np.zeros((41, 5, 1)), np.zeros((41, 5), dtype=bool)
     jets[:, 0, 0], free[1:-1, 1:] = bump(times), True
-    chosen = minimum_jerk.minimum_jerk(times, jets, free)
+    chosen = polynomials.minimum_jerk(times, jets, free)
     inside = slice(3, -3)  # near the ends the bump is flat to rounding and may change
-    np.testing.assert_array_equal(minimum_jerk.without_overshoot(times, chosen, free)[inside], chosen[inside])
+    np.testing.assert_array_equal(polynomials.without_overshoot(times, chosen, free)[inside], chosen[inside])
 
 
 def test_joints_are_interpolated_independently() -> None:
@@ -290,41 +289,3 @@ def test_configurations_span_the_first_to_the_last_point() -> None:
     q = fjr.Spline(TIMES, POSITIONS, start=START).configurations(11)
     assert q.shape == (11, N)
     np.testing.assert_allclose(q[[0, -1]], [START[0], POSITIONS[-1]])
-
-
-NAN = np.where(np.arange(K * N).reshape(K, N) == 2 * N + 1, np.nan, POSITIONS)
-BACK = np.array([0.3, 1.0, 1.0, 2.5, 2.9, 4.0, 5.0])
-BAD: dict[str, tuple[tuple[Any, ...], dict[str, Any], tuple[str, ...]]] = {
-    "times stall": ((BACK, POSITIONS), {}, ("times", "1.0 s at point 1", "1.0 s at point 2", "increase")),
-    "times short": ((TIMES[1:], POSITIONS), {}, ("times", "(6,)", "(7,)")),
-    "times nan": ((np.full(K, np.nan), POSITIONS), {}, ("times", "nan", "finite")),
-    "times at start": ((TIMES - 0.3, POSITIONS), {"start": START}, ("times", "0.0 s", "more than 0", "start")),
-    "too close": ((1e-80 * np.arange(K), POSITIONS), {}, ("times", "1e-80 s at point 1", "at least 1e-06 s")),
-    "too large": ((TIMES, 1e307 * POSITIONS), {}, ("positions", "not finite", "smaller")),
-    "one point": ((TIMES[:1], POSITIONS[:1]), {}, ("times", "1 point", "at least 2")),
-    "no points": ((TIMES[:0], POSITIONS[:0]), {}, ("positions", "(0, 3)", "(k, n)")),
-    "flat": ((TIMES, POSITIONS[:, 0]), {}, ("positions", "(7,)", "(k, n)")),
-    "nan": ((TIMES, NAN), {}, ("positions", "nan", "point 2", "joint 1", "finite")),
-    "words": ((TIMES, "there"), {}, ("positions", "there", "numbers")),
-    "ragged": ((TIMES, [[1.0, 2.0], [1.0]]), {}, ("positions", "numbers")),
-    "velocities": ((TIMES, POSITIONS, VELOCITIES[1:]), {}, ("velocities", "(6, 3)", "(7, 3)")),
-    "accelerations": (
-        (TIMES, POSITIONS),
-        {"accelerations": ACCELERATIONS[:, :2]},
-        ("accelerations", "(7, 2)", "(7, 3)"),
-    ),
-    "velocities nan": ((TIMES, POSITIONS, NAN), {}, ("velocities", "nan", "point 2", "joint 1")),
-    "moving end": ((TIMES, POSITIONS, VELOCITIES + 1.0), {}, ("velocities", "1.0", "zeros at the last point")),
-    "start": ((TIMES, POSITIONS), {"start": START[:4]}, ("start", "(4, 3)", "(5, 3)")),
-    "start nan": ((TIMES, POSITIONS), {"start": START * np.inf}, ("start", "inf", "finite")),
-}
-
-
-@pytest.mark.parametrize(("arguments", "options", "words"), BAD.values(), ids=BAD)
-def test_invalid_references_are_refused_in_one_sentence(
-    arguments: tuple[Any, ...], options: dict[str, Any], words: tuple[str, ...]
-) -> None:
-    with pytest.raises(fjr.TrajectoryError) as caught:
-        fjr.Spline(*arguments, **options)
-    assert all(word in str(caught.value) for word in words), caught.value
-    assert "\n" not in str(caught.value)

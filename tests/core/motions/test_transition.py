@@ -127,27 +127,3 @@ def test_configurations_are_those_of_the_transition_and_of_the_target(target: Re
 def test_constant_jets_have_zero_higher_derivatives() -> None:
     np.testing.assert_array_equal(fjr.standing((1.0, 2.0), (3.0, 4.0)), [[1, 2], [3, 4], [0, 0], [0, 0], [0, 0]])
     np.testing.assert_array_equal(fjr.standing((1.0, 2.0))[1:], np.zeros((4, 2)))
-
-
-BAD = {
-    "duration": ((RUNNING.jets(0.0), 0.0, RUNNING, 0.0), ("duration", "0.0 s", "positive")),
-    "backwards": ((RUNNING.jets(0.0), 0.0, RUNNING, -1.0), ("duration", "-1.0 s", "positive")),
-    "endless": ((RUNNING.jets(0.0), 0.0, RUNNING, np.inf), ("duration", "inf", "finite")),
-    "no time": ((RUNNING.jets(0.0), 1e9, RUNNING, 1e-9), ("duration", "1e-09", "longer")),
-    "never": ((RUNNING.jets(0.0), np.nan, RUNNING, 1.0), ("t0", "nan", "finite")),
-    "shape": ((np.zeros((5, 3)), 0.0, RUNNING, 1.0), ("jets0", "(5, 3)", "(5, 2)")),
-    "nan": ((np.full((5, 2), np.nan), 0.0, RUNNING, 1.0), ("jets0", "nan", "finite")),
-}
-
-
-@pytest.mark.parametrize(("arguments", "words"), BAD.values(), ids=BAD)
-def test_invalid_transitions_are_refused_in_one_sentence(arguments: tuple, words: tuple[str, ...]) -> None:
-    with pytest.raises(fjr.TrajectoryError) as caught:
-        fjr.transition(*arguments)
-    assert all(word in str(caught.value) for word in words), caught.value
-    assert "\n" not in str(caught.value)
-
-
-def test_a_shift_that_is_not_finite_is_refused() -> None:
-    with pytest.raises(fjr.TrajectoryError, match=r"t0 is nan; expected finite"):
-        fjr.time_shifted(RUNNING, np.nan)

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.files import private_folder
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics import code_cache
 from fjr_core.numerics import jit as compiling
@@ -151,7 +150,7 @@ def test_nothing_is_loaded_from_a_folder_that_is_not_private(
 
 
 def test_links_and_files_of_other_users_are_not_read(cache: Path, tmp_path: Path) -> None:
-    folder = private_folder.open_private(cache)
+    folder = code_cache.open_private(cache)
     folder.write("mine", b"content")
     assert folder.read("mine") == b"content"
     (cache / "link").symlink_to(cache / "mine")
@@ -178,7 +177,7 @@ def test_cache_folder_is_private_to_the_user(cache: Path) -> None:
 
 def test_folder_replaced_after_the_check_is_not_read(cache: Path, tmp_path: Path) -> None:
     """The replacement happens between check and use, by a user who can write the parent folder."""
-    folder = private_folder.open_private(cache)
+    folder = code_cache.open_private(cache)
     folder.write("name", b"right")
     cache.rename(tmp_path / "moved")
     cache.mkdir()

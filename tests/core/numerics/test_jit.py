@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled code agrees with CasADi's virtual machine, is cached by content and safe for concurrent processes."""
+"""Compiled code gives CasADi's numbers, is cached by content or inputs, and is safe for concurrent processes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ import fjr_core as fjr
 from core.oracles.cases import LOOPS, Arm, GainSet, random_point
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core.errors import CompilerError
-from fjr_core.law.safety_settings import Settings
+from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.numerics import jit as compiling
 from fjr_core.numerics.jit import machine_code
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import step_library
+from fjr_core.runtime.safety_settings import Settings
 from time_limits import HANG
 
 EQUAL = 1e-9
@@ -216,3 +217,86 @@ def test_an_invalid_library_is_rebuilt(cache: Path, function: ca.Function) -> No
     (library,) = libraries(cache)
     library.write_bytes(b"x" * library.stat().st_size)
     assert compiling.compiled(function).class_name() == "External"
+
+
+# Code that is found by its inputs.
+
+POINT = ([0.3, -0.2, 0.4, 0.1], [1.0, 0.5, -0.3, 0.2], np.arange(10.0).reshape(5, 2) / 10)
+
+
+@pytest.fixture
+def derivations(cache: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return the list of functions derived since the cache was empty."""
+    seen: list[str] = []
+    derive = Certificate._derived
+    monkeypatch.setattr(Certificate, "_derived", lambda self: seen.append("certificate") or derive(self))
+    return seen
+
+
+def balance(gains: fjr.Gains = fjr.PAPER_GAINS, **robot: float) -> Certificate:
+    return Certificate(fjr.TrackingLaw(fjr.planar_two_link(**robot), gains, compile=True))
+
+
+def at_point(certificate: Certificate, u: list[float] | None = None) -> CertificateSeries:
+    """Return the certificate at POINT, one instant."""
+    return certificate.along(*(np.array(each)[None] for each in POINT), None if u is None else [u])
+
+
+@with_a_compiler
+def test_a_cached_function_is_not_derived_again(derivations: list[str]) -> None:
+    first = at_point(balance())
+    second = at_point(balance())
+    assert len(derivations) == 1
+    assert (first.V, first.dV, first.H) == (second.V, second.dV, second.H)
+
+
+@with_a_compiler
+def test_a_cached_law_is_not_derived_again_and_takes_other_gains(
+    derivations: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    derive, robot, other = (
+        fjr.TrackingLaw.measured_expressions,
+        fjr.planar_two_link(),
+        fjr.Gains(11, 21, 0.7, 16, 61, 0.4),
+    )
+    monkeypatch.setattr(
+        fjr.TrackingLaw, "measured_expressions", lambda law, *given: derivations.append("law") or derive(law, *given)
+    )
+    first, second = (fjr.TrackingLaw(robot, fjr.PAPER_GAINS, compile=True) for _ in range(2))
+    assert first.measured_command(*POINT)[0].tolist() == second.measured_command(*POINT)[0].tolist()
+    changed = second.with_gains(other).measured_command(*POINT)
+    assert derivations == ["law"]
+    u, V = fjr.TrackingLaw(robot, other).measured_command(*POINT)
+    assert (changed[0], changed[1]) == (pytest.approx(u, rel=1e-12), pytest.approx(V, rel=1e-12))
+
+
+@with_a_compiler
+def test_gain_values_are_arguments_and_their_pattern_is_fixed(derivations: list[str]) -> None:
+    at_point(balance())
+    at_point(balance(fjr.Gains(11.0, 21.0, 0.7, 16.0, 61.0, 0.4)))
+    assert len(derivations) == 1
+    full = [[20.0, 1.0], [1.0, 12.0]]
+    at_point(balance(fjr.Gains(10.0, full, 0.6, 15.0, 60.0, 0.3)))
+    assert len(derivations) == 2
+
+
+@with_a_compiler
+@pytest.mark.parametrize(
+    "change",
+    [{"stiffness": 30.0}, {"gravity": 9.7}, {"link_mass": (1.3, 0.8)}, {"motor_damping": 0.05}, {"input_gain": 1.1}],
+    ids=lambda change: next(iter(change)),
+)
+def test_another_robot_is_derived(derivations: list[str], change: dict) -> None:
+    one = at_point(balance(), [1.0, 2.0])
+    other = at_point(balance(**change), [1.0, 2.0])
+    assert len(derivations) == 2
+    assert one.u_law.tolist() != other.u_law.tolist() or one.supplied != other.supplied
+
+
+@with_a_compiler
+def test_truncated_machine_code_is_recompiled(cache: Path, derivations: list[str]) -> None:
+    wanted = at_point(balance()).V
+    for library in cache.glob("certificate-*.so"):
+        library.write_bytes(library.read_bytes()[:100])
+    assert wanted == at_point(balance()).V
+    assert len(derivations) == 2

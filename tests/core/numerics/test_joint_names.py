@@ -16,7 +16,7 @@ from design.exports.c_program import loop
 from fjr_core.config.parameter import complete
 from fjr_core.config.robot import robot, robot_parameters
 from fjr_core.errors import FjrError
-from fjr_core.law.safety_settings import Settings
+from fjr_core.runtime.safety_settings import Settings
 from two_link_urdf import two_link_urdf
 
 ENTRIES: dict[str, Callable[[list[str]], object]] = {

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 import fjr_core as fjr
-from core.oracles.cases import Arm, Array, GainSet, gain_set, square
+from core.oracles.cases import PLANAR, Arm, Array, GainSet, Point, gain_set, square
 from fjr_core.model.rigid_arm import ArmDynamics
 
 ROBOTS = Path(__file__).parents[3] / "ros2_ws/src/fjr_bringup/robots"
@@ -218,3 +218,45 @@ def scaled_gains(arm: Arm, beta: float = 10.0, cubic: bool = False) -> GainSet:
         Gamma_l=4.0 if cubic else 0.0,
         Gamma_m=2.0 if cubic else 0.0,
     )
+
+
+@cache
+def two_joints() -> Arm:
+    """Return a two-link arm with skew axes, gravity and full elastic matrices."""
+    m, c, inertia = PLANAR["link_mass"], PLANAR["link_com"], PLANAR["link_inertia"]
+    links = "".join(
+        f'<link name="link{i}"><inertial><origin xyz="0.02 0.01 {-c[i]}"/><mass value="{m[i]}"/>'
+        f'<inertia ixx="0.01" ixy="0" ixz="0" iyy="{inertia[i]}" iyz="0" izz="0.006"/></inertial></link>'
+        for i in (0, 1)
+    )
+    joints = "".join(
+        f'<joint name="joint{i}" type="revolute"><parent link="{parent}"/><child link="link{i}"/>'
+        f'<origin xyz="0 0 {z}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>'
+        for i, parent, z, axis in ((0, "base", 0, "0 1 0"), (1, "link0", -0.3, "0.6 0.8 0"))
+    )
+    return urdf_arm(
+        "two",
+        f'<robot name="two"><link name="base"/>{links}{joints}</robot>',
+        ("joint1", "joint0"),
+        stiffness=np.array([[30.0, 4.0], [4.0, 20.0]]),
+        motor_inertia=np.array([[0.02, 0.003], [0.003, 0.01]]),
+        link_damping=np.array([[0.2, 0.05], [0.05, 0.1]]),
+        motor_damping=np.array([[0.02, -0.004], [-0.004, 0.01]]),
+        input_gain=np.array([[1.2, 0.1], [-0.2, 0.8]]),
+    )
+
+
+def chain_state(arm: Arm, rng: np.random.Generator) -> Array:
+    """Return a state with positions and velocities of order one and spring torques up to 10 N m."""
+    q_l, dq_l, dq_m = rng.uniform(-1.5, 1.5, (3, arm.n))
+    q_m = q_l + np.linalg.solve(arm.K, rng.uniform(-10, 10, arm.n))
+    return np.concatenate([q_l, q_m, arm.links.M(q_l) @ dq_l, arm.M_m @ dq_m])
+
+
+def chain_point(arm: Arm, seed: int, same: bool = False, pushed: bool = True) -> Point:
+    """Return a random point as cases.random_point does, with states of chain_state."""
+    rng = np.random.default_rng(seed)
+    x, x_v = chain_state(arm, rng), chain_state(arm, rng)
+    jets = rng.uniform(-1, 1, (6, arm.n))
+    omega, u = rng.uniform(-5, 5, (2, arm.n))
+    return Point(x.copy() if same else x_v, x, jets[:5], jets[1:], omega if pushed else 0 * omega, u)

@@ -14,8 +14,8 @@ import numpy as np
 import fjr_core as fjr
 from core.oracles.cases import Arm, Array
 from core.oracles.oracle import stencil
-from fjr_core.law.registry import LAWS
-from fjr_core.law.static_law import StaticLaw
+from fjr_core.extensions.law_registry import LAWS
+from fjr_core.law.interfaces import StaticLaw
 
 Function = Callable[[Array, Array], Any]
 """A function of a state x (4n,) and jets (5, n)."""

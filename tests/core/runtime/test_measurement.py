@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.law.safety_settings import Settings
 from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import two_link_law
 
 LAW = two_link_law()

@@ -17,13 +17,13 @@ import fjr_core as fjr
 from core.oracles.cases import LOOPS
 from core.oracles.chains import arm7, scaled_gains
 from design.exports.c_program import C99, built, program_output
-from fjr_core.law.robust import Robust
-from fjr_core.law.safety_settings import Settings
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.numerics.jit import OPTIONS, SAME_BITS
+from fjr_core.robust.law import Robust
 from fjr_core.runtime import velocity_observer
 from fjr_core.runtime.control_step import NEVER, ControlStep
 from fjr_core.runtime.library import HEADER, c_text, constant, text
+from fjr_core.runtime.safety_settings import Settings
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-O2", "-c")

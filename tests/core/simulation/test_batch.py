@@ -15,8 +15,8 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, linear
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
-from fjr_core.law.sampled_law import AsSampledLaw
-from fjr_core.numerics import jit_cache
+from fjr_core.law.interfaces import AsSampledLaw
+from fjr_core.numerics import jit as jit_cache
 from fjr_core.runtime.library import c_text
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, counter_rng, outcomes, program

@@ -14,12 +14,12 @@ import fjr_core as fjr
 from core.simulation.test_batch import normals
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import load_scenario
-from fjr_core.law.robust import Robust, sampled_law
-from fjr_core.law.safety_settings import Settings
-from fjr_core.numerics.casadi_function import NumericFunction
+from fjr_core.numerics.symbolic import NumericFunction
+from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.event_kinds import KINDS
 from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded, uncertain_robot
 from fjr_core.simulation.batch.uncertain_robot import UncertainPlant
 from fjr_design.experiments.scenario_loop import scenario_loop

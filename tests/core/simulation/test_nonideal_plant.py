@@ -17,7 +17,7 @@ from core.oracles.chains import ARM7, ARM7_JOINTS, STIFF, PinocchioLinks, random
 from core.oracles.oracle import stencil
 from core.oracles.properties import TOLERANCE, residual
 from fjr_core.model.rigid_arm import closed_form
-from fjr_core.numerics.casadi_function import NumericFunction
+from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.simulation.nonideal_parameters import NAMES, SWITCHES, Nonidealities, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 

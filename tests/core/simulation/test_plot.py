@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.model.joint_units import PRISMATIC, REVOLUTE
+from fjr_core.model.robot import PRISMATIC, REVOLUTE
 from fjr_core.simulation.plot import PlotError
 
 mpl.use("Agg")

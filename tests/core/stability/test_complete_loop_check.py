@@ -14,11 +14,11 @@ import pytest
 import fjr_core as fjr
 from core.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
-from fjr_core.law.registry import LAWS, law_kind
-from fjr_core.law.robust import Robust, sampled_law
-from fjr_core.law.sampled_law import AsSampledLaw, SampledLaw
-from fjr_core.model.equilibrium import equilibria_at
-from fjr_core.numerics.casadi_function import NumericFunction
+from fjr_core.extensions.law_registry import LAWS, law_kind
+from fjr_core.law.interfaces import AsSampledLaw, SampledLaw
+from fjr_core.law.linearized import equilibria_at
+from fjr_core.numerics.symbolic import NumericFunction
+from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.observer_stability import error_radii
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.integral_bound import refuse_fast_integral

@@ -14,9 +14,8 @@ from scipy.stats import qmc
 
 import fjr_core as fjr
 from core.oracles.chains import arm7
-from fjr_core.law.vdpbc.linearized import feedback
+from fjr_core.law.linearized import equilibria_at, feedback, plant_matrices
 from fjr_core.model.configuration_sampling import loop_configurations, sample_configurations
-from fjr_core.model.equilibrium import equilibria_at, plant_matrices
 from fjr_core.stability.linearization import in_error_coordinates, linearize
 from fjr_core.stability.sampled_loop import check, spectral_radius
 

@@ -7,7 +7,7 @@ import pytest
 
 import fjr_core as fjr
 import own_code
-from fjr_core.law.registry import LAWS
+from fjr_core.extensions.law_registry import LAWS
 
 JOINT, ARM = fjr.single_link(stiffness=31.0), fjr.planar_two_link()
 DECAYS = "V decays at least as exp(-2 rate t), rate "

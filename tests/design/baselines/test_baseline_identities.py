@@ -16,8 +16,8 @@ from core.oracles.chains import arm7
 from core.oracles.oracle import jacobian, stencil
 from core.oracles.plain_loop import PlainLoop, constant_jets, standard_law
 from core.oracles.properties import residual
-from fjr_core.law.registry import LAWS
-from fjr_core.law.vdpbc.gains import relative_eigenvalues
+from fjr_core.extensions.law_registry import LAWS
+from fjr_core.law.gains import relative_eigenvalues
 from fjr_design.baselines import feedback_linearisation, lqr, torque_feedback
 from fjr_design.baselines import set_point_storage as tomei
 from fjr_design.baselines.backstepping import BacksteppingGains

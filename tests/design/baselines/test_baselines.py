@@ -11,8 +11,8 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, random_point
 from core.oracles.plain_loop import OTHERS, PlainLoop, constant_jets, standard_law
-from fjr_core.law.registry import LAWS, law_kind
-from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.extensions.law_registry import LAWS, law_kind
+from fjr_core.law.interfaces import AsSampledLaw
 from fjr_design.baselines.backstepping import BacksteppingGains
 from fjr_design.baselines.feedback_linearisation import LinearErrorGains
 from fjr_design.baselines.lqr import LqrGains

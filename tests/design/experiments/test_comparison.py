@@ -11,7 +11,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.errors import CompareError
-from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.stability.sampled_loop import check
 from fjr_design.experiments.comparison import PERTURBATIONS, Direction, Trial, directions, motion_demand, search

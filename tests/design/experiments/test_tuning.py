@@ -17,8 +17,8 @@ import fjr_core as fjr
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import GainsError, ParameterError, StateError
-from fjr_core.law.registry import LAWS
-from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.extensions.law_registry import LAWS
+from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_design.experiments.comparison.tuned_law import tuned_law
 from fjr_design.experiments.monte_carlo import distributions

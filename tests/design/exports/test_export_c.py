@@ -26,7 +26,7 @@ from design.exports.c_program import (
     replayed,
 )
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.law.robust import Robust
+from fjr_core.robust.law import Robust
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_design.exports import Loop, export, loop_of, prefix_of
 from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, quoted

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.law.robust import Robust, sampled_law
-from fjr_core.model.equilibrium import equilibria_at
+from fjr_core.law.linearized import equilibria_at
+from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import as_sampled, on_plant
 from fjr_design.stability.drawn_plants import (

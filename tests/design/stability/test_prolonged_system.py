@@ -13,7 +13,7 @@ from core.oracles.cases import LOOP_NAMES, LOOPS, Arm, GainSet, Point, cubic, li
 from core.oracles.oracle import inverse, jacobian, stencil
 from core.oracles.properties import TOLERANCE, closed_form, coordinate_steps, loop_of, metric, residual
 from fjr_core.errors import StateError
-from fjr_core.numerics.casadi_function import NumericFunction
+from fjr_core.numerics.symbolic import NumericFunction
 from fjr_design.stability.contraction import Contraction, Measured, contraction, scattered
 from fjr_design.stability.prolonged_system import ProlongedSystem
 

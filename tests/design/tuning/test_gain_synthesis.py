@@ -12,7 +12,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.chains import arm7
 from core.stability.test_sampled_loop import chain3, loop_converges
-from fjr_core.model.domain import Domain
+from fjr_core.motions.domain import Domain
 from fjr_core.stability.linearization import closed_form
 from fjr_core.stability.sampled_loop import check, spectral_radius
 from fjr_design.tuning.gain_synthesis import synthesize

@@ -8,7 +8,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.errors import TrajectoryError
-from fjr_core.law.safety_settings import Settings
+from fjr_core.runtime.safety_settings import Settings
 from fjr_identification.estimation import excitation
 from fjr_identification.estimation.excitation import ExcitationDesign, design
 from fjr_identification.estimation.information import (

@@ -12,7 +12,7 @@ import fjr_core as fjr
 from core.oracles.cases import PlanarTwoLink
 from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine
 from fjr_core.model.newton_euler import serial_chain
-from fjr_core.model.rigid_body import Body
+from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.coordinates import Coordinates, packed

@@ -9,9 +9,9 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.model.newton_euler import serial_chain
-from fjr_core.model.rigid_body import Body
+from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
-from fjr_core.model.urdf_inertia import with_inertias
+from fjr_core.urdf.writing import with_inertias
 from fjr_identification.estimation.coordinates import packed
 from fjr_identification.estimation.elastic_arm import ElasticArm, free_entries
 from fjr_identification.estimation.estimation_problem import Estimation

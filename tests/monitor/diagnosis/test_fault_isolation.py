@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.model.payload import PayloadArm
+from fjr_core.model.rigid_arm import PayloadArm
 from fjr_core.monitoring.axes import Axes
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose

@@ -17,9 +17,9 @@ from scipy.optimize import brentq
 import fjr_core as fjr
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
-from fjr_core.law.inverse_dynamics import inverse_dynamics
-from fjr_core.law.registry import LAWS
-from fjr_core.law.sampled_law import AsSampledLaw
+from fjr_core.extensions.law_registry import LAWS
+from fjr_core.law.interfaces import AsSampledLaw
+from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_design.baselines.singular_perturbation import CompositeGains

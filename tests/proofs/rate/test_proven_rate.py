@@ -9,10 +9,9 @@ from scipy.optimize import differential_evolution
 
 import fjr_core as fjr
 from core.oracles.chains import arm7, random_chain, scaled_gains
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.model.domain import Domain
-from fjr_core.model.joint_limits import JointLimits
-from fjr_core.motions.tube import tube
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.robot import JointLimits
+from fjr_core.motions.domain import Domain, tube
 
 CHAINS = [(1 + k % 7, k) for k in range(20)]
 

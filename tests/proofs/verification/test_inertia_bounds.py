@@ -11,9 +11,9 @@ import fjr_core as fjr
 from core.oracles.cases import Array
 from core.oracles.chains import random_chain, random_urdf
 from fjr_core.model.configuration_sampling import bounds_of
-from fjr_core.model.domain import Domain
-from fjr_core.model.joint_limits import JointLimits
-from fjr_core.numerics.definiteness import factorisable
+from fjr_core.model.robot import JointLimits
+from fjr_core.motions.domain import Domain
+from fjr_core.numerics.intervals import factorisable
 from fjr_proofs.verification.inertia_bounds import is_provable, largest_inertia, least_inertia
 
 

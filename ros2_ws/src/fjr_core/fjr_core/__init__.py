@@ -10,29 +10,24 @@ Paper: R. Reyes-Baez, A. van der Schaft, B. Jayawardhana, "Virtual Differential 
 Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstrings are its.
 """
 
-import warnings
 from typing import Any
 
 from . import testing
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
-from .files import other_package
-from .law.python_law import PythonLaw
-from .law.vdpbc.convergence_rate import Rate
-from .law.vdpbc.gains import PAPER_GAINS, Gains
-from .law.vdpbc.law import Evaluation, TrackingLaw
+from .extensions.python_code import PythonLaw, PythonPlant
+from .files import importing
+from .law.gains import PAPER_GAINS, Gains
+from .law.rate import Rate
+from .law.vdpbc import Evaluation, TrackingLaw
 from .model.closed_form_arms import planar_two_link, single_link
-from .model.joint_limits import JointLimits
 from .model.newton_euler import serial_chain
 from .model.port_hamiltonian import Plant
-from .model.python_plant import PythonPlant
-from .model.rigid_body import Body
-from .model.robot import Robot
-from .model.urdf_import import robot_from_urdf
+from .model.rigid_arm import Body
+from .model.robot import JointLimits, Robot
 from .model.virtual_system import VirtualSystem
 from .monitoring.certificate import Certificate
-from .motions.circle import Circle
 from .motions.motion_limits import MotionLimits, check_motion
-from .motions.point_to_point import Hold, PointToPoint, standing
+from .motions.point_to_point import Circle, Hold, PointToPoint, standing
 from .motions.reference import Reference
 from .motions.sampled_motion import SampledMotion
 from .motions.sine import MultiSine, Sine
@@ -42,6 +37,7 @@ from .runtime.measurement_model import Measurement
 from .runtime.velocity_observer import VelocityObserver
 from .simulation.closed_loop import Trajectory, simulate
 from .stability.sampled_loop import SampledCheck, check, spectral_radius
+from .urdf.robot import robot_from_urdf
 from .version import __version__
 
 __all__ = [
@@ -104,28 +100,15 @@ _ELSEWHERE = {
     "synthesize": "fjr_design.tuning.gain_synthesis",
 }
 """Public names of other packages, each with its module, which is imported on use."""
-_RENAMED = {
-    "Balance": "Certificate",
-    "Verdict": "Diagnosis",
-    "join": "transition",
-    "judge": "diagnose",
-    "shifted": "time_shifted",
-}
-"""Names before 0.1.0, each with its new one."""
 
 
 def __getattr__(name: str) -> Any:
-    """Return the object of a renamed public name, with a DeprecationWarning, or one of another package.
+    """Return the object of a public name of another package.
 
     Raises MissingPackageError if that package is not installed.
     """
-    if name in _RENAMED:
-        warnings.warn(f"fjr_core.{name} is now fjr_core.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
-        name = _RENAMED[name]
     if name in _ELSEWHERE:
-        return getattr(other_package.module(_ELSEWHERE[name]), name)
-    if name in globals():
-        return globals()[name]
+        return getattr(importing.module(_ELSEWHERE[name]), name)
     raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
 
 

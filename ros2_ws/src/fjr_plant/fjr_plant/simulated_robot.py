@@ -10,9 +10,9 @@ import numpy as np
 
 from fjr_core import FjrError, ParameterError, Plant, StateError
 from fjr_core.config import nonidealities
-from fjr_core.numerics.casadi_function import not_converged
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
+from fjr_core.numerics.symbolic import not_converged
 from fjr_core.runtime.c_function import CFunction, WorkSpace
 from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from fjr_core import TrackingLaw
-from fjr_core.law.robust import Robust
 from fjr_core.monitoring.axes import Axes
 from fjr_core.numerics.checks import Array
+from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import StepLibrary
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, unknown
 from fjr_monitor.diagnosis.latency import Latency

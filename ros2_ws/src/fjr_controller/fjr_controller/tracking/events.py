@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any
 
-from fjr_core.law.safety_settings import Settings
 from fjr_core.runtime.control_step import NEVER, ControlStep
 from fjr_core.runtime.event_kinds import KINDS, STARTS_REFUSED, STOPS
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.runtime.wiring_fault import WiringFault
 
 INFO, WARN, ERROR = "info", "warn", "error"

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fjr_core import Measurement, Reference, VelocityObserver
-from fjr_core.law.robust import Robust
-from fjr_core.law.safety_settings import Settings
-from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.interfaces import StaticLaw
 from fjr_core.numerics.checks import Array
+from fjr_core.robust.law import Robust
 from fjr_core.runtime.control_step import NEVER, ControlStep
+from fjr_core.runtime.safety_settings import Settings
 
 from .events import STATES, Event, Journal, State
 

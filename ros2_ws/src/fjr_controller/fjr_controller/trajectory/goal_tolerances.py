@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.parameter import vector
-from fjr_core.model.joint_units import Units
+from fjr_core.model.robot import Units
 from fjr_core.numerics.checks import Array
 
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import FjrError, GainsError, ParameterError
-from ..files import other_package
-from ..files.python_class import is_named
-from ..law.python_law import own_law
-from ..law.registry import V_DPBC, LawKind, law_kind
-from ..law.robust import Robust, sampled_law
-from ..law.static_law import StaticLaw
-from ..law.vdpbc.law import TrackingLaw
+from ..extensions.law_registry import V_DPBC, LawKind, law_kind
+from ..extensions.python_code import own_law
+from ..files import importing as other_package
+from ..files.importing import is_named
+from ..law.interfaces import StaticLaw
+from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
+from ..robust.law import Robust, sampled_law
 from ..stability.integral_bound import refuse_fast_integral
 from . import law
 from .controller import controller_parameters

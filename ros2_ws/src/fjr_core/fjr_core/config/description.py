@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from ..model.urdf_export import Rod, hanging_rod, urdf_of_rods
-from ..model.urdf_parser import parse_xml
+from ..urdf.tree import parse_xml
+from ..urdf.writing import Rod, hanging_rod, urdf_of_rods
 from . import robot_file
 from .parameter import Values, names, vector
 from .robot import MODEL

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..law.vdpbc.gains import PAPER_GAINS, Gains
+from ..law.gains import PAPER_GAINS, Gains
 from ..numerics.parameter_field import declared
 from .parameter import Values, named, read
 

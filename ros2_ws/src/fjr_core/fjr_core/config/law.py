@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from ..law.registry import LAWS, V_DPBC
-from ..law.robust.options import Robust
+from ..extensions.law_registry import LAWS, V_DPBC
 from ..numerics.parameter_field import declared
+from ..robust.law import Robust
 from .parameter import LIST, VECTOR, Parameter, Values, named, read
 
 START_ERROR = 0.1  # rad; initial error of all joints, at rest, if no start is given

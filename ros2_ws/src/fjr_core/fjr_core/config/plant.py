@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from ..errors import FjrError, ParameterError
+from ..extensions.python_code import own_plant
 from ..model.port_hamiltonian import Plant
-from ..model.python_plant import own_plant
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS

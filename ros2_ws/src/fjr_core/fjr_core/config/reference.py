@@ -8,13 +8,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..errors import ParameterError
-from ..law.safety_settings import Settings
 from ..model.robot import Robot
-from ..motions.circle import Circle
 from ..motions.motion_limits import MotionLimits
-from ..motions.point_to_point import Hold, PointToPoint
+from ..motions.point_to_point import Circle, Hold, PointToPoint
 from ..motions.reference import Reference
 from ..motions.sine import MultiSine, Sine
+from ..runtime.safety_settings import Settings
 from . import reference_file
 from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, names, read
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError, TrajectoryError
 from ..files.motion_table import is_text, motion_text, read_motion
-from ..law.effort_demand import EffortDemand, effort_demand
 from ..model.robot import Robot
+from ..motions.inverse_dynamics import EffortDemand, effort_demand
 from ..motions.sampled_motion import SampledMotion
 from ..numerics.checks import Array
 from .parameter import Values, names, vector

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 from ..model import closed_form_arms
 from ..model.robot import Robot
-from ..model.urdf_import import robot_from_urdf
 from ..numerics.checks import joint_names
+from ..urdf.robot import robot_from_urdf
 from .guesses import guess_parameters
 from .parameter import LIST, MATRIX, POINT, VECTOR, Parameter, Values, named, names, read
 

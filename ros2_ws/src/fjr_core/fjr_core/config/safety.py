@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ..errors import ParameterError
-from ..law.safety_settings import Settings
 from ..model.robot import Robot
 from ..numerics.parameter_field import declared
+from ..runtime.safety_settings import Settings
 from .parameter import Parameter, Values, names, read, table
 
 FROM_ROBOT = Parameter(

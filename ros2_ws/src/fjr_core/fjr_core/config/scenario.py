@@ -13,23 +13,22 @@ from typing import Any
 import numpy as np
 
 from ..errors import ParameterError
-from ..files.python_class import is_named
-from ..law.registry import V_DPBC
-from ..law.robust import RobustLaw, sampled_law
-from ..law.sampled_law import SampledLaw
-from ..law.static_law import StaticLaw
-from ..law.vdpbc.gains import Gains
-from ..law.vdpbc.law import TrackingLaw
-from ..model.free_inertia import joints_without_inertia
+from ..extensions.law_registry import V_DPBC
+from ..files.importing import is_named
+from ..law.gains import Gains
+from ..law.interfaces import SampledLaw, StaticLaw
+from ..law.vdpbc import TrackingLaw
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..monitoring.certificate import Certificate
 from ..monitoring.one_step_prediction import Prediction
 from ..motions.reference import Reference
 from ..numerics.checks import Array
+from ..robust.law import RobustLaw, sampled_law
 from ..runtime.measurement_model import OBSERVER, TORQUE
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
+from ..urdf.typical_joints import joints_without_inertia
 from . import builders, guesses, parameter, reference_file, robot_file, ros_yaml
 from . import law as law_parameters
 from . import plant as plant_parameters

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import ParameterError
-from ..files import python_class
-from ..law.static_law import StaticLaw
+from ..files import importing as python_class
+from ..law.interfaces import StaticLaw
 from .parameter import LIST, SCALAR, Parameter, Value, Values
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import casadi as ca
 
@@ -178,33 +179,26 @@ class Flow:
         return self._rates_with(ca.SX.zeros(self.robot.n))
 
     def _rates_with(self, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return all symbols z and their rates dz; integral (n,) [N m/s]: rate of the integral of the load."""
-        first = self._rates_up_to_accelerations(integral)
-        jerks = [self._jerk(motion, first) for motion in self._motions]
-        z, dz = first
-        return ca.vertcat(z, *(motion.ddq_l for motion in self._motions)), ca.vertcat(dz, *jerks)
+        """Return all symbols z and their rates dz; integral (n,) [N m/s]: rate of the integral of the load.
 
-    def _rates_up_to_accelerations(self, integral: ca.SX) -> tuple[ca.SX, ca.SX]:
+        Jerks follow from d/dt(force - M_l ddq_l) with ddq_l constant: d3q_l = M_l^-1 of it.
+        """
         unknown = ca.SX.sym("unknown", self.robot.n)  # ddq_m, d5q_ld and d3w
         z = ca.vertcat(*(motion.inputs for motion in self._motions), ca.vec(self.jets))
         rates = (ca.vertcat(m.dq_l, m.dq_m, m.ddq_l, unknown) for m in self._motions)
         dz = ca.vertcat(*rates, ca.vec(self.jets[:, 1:]), unknown)
-        if self.load is None:
-            return z, dz
-        z, dz = ca.vertcat(z, ca.vec(self.load.known)), ca.vertcat(dz, ca.vec(self.load.known[:, 1:]), unknown)
-        return (ca.vertcat(z, self.load.integral), ca.vertcat(dz, integral)) if self.load.integrates else (z, dz)
-
-    def _jerk(self, motion: Motion, rates: tuple[ca.SX, ca.SX]) -> ca.SX:
-        """d3q_l = M_l^-1 d/dt(force - M_l ddq_l), with ddq_l constant."""
-        (residual,) = self._along(rates, self._residual(motion, motion.ddq_l))
-        return symbolic.solve(self.M_l, residual)
+        if self.load is not None:
+            known = self.load.known
+            z, dz = ca.vertcat(z, ca.vec(known)), ca.vertcat(dz, ca.vec(known[:, 1:]), unknown)
+            if self.load.integrates:
+                z, dz = ca.vertcat(z, self.load.integral), ca.vertcat(dz, integral)
+        residuals = (self._along((z, dz), self._residual(motion, motion.ddq_l))[0] for motion in self._motions)
+        jerks = [symbolic.solve(self.M_l, residual) for residual in residuals]
+        return ca.vertcat(z, *(motion.ddq_l for motion in self._motions)), ca.vertcat(dz, *jerks)
 
     def _along(self, rates: tuple[ca.SX, ca.SX], *expressions: ca.SX) -> list[ca.SX]:
         stacked = symbolic.directional(ca.vertcat(*expressions), *rates)
-        ends = [0]
-        for e in expressions:
-            ends.append(ends[-1] + e.numel())
-        return ca.vertsplit(stacked, ends)
+        return ca.vertsplit(stacked, [0, *accumulate(e.numel() for e in expressions)])
 
 
 def flow(robot: Robot, diagonal: bool = False, load: Load | None = None) -> Flow:

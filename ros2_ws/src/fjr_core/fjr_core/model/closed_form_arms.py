@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..numerics import checks
-from .rigid_arm import ArmDynamics, EndEffector, closed_form
-from .rigid_body import Body
+from .rigid_arm import ArmDynamics, Body, EndEffector, closed_form
 from .robot import Robot
 
 STANDARD_GRAVITY = 9.81  # m/s^2, acts on the payload of a model without gravity parameter

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import count, islice
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,7 +24,8 @@ def sample_configurations(robot: Robot, k: int) -> Array:
     smaller one.
     """
     lower, upper = bounds_of(robot)
-    halton = np.column_stack([_van_der_corput(k - 1, base) for base in _primes(robot.n)])
+    primes = islice((p for p in count(2) if all(p % divisor for divisor in range(2, p))), robot.n)
+    halton = np.column_stack([_van_der_corput(k - 1, base) for base in primes])
     return np.vstack([np.clip(0.0, lower, upper), lower + (upper - lower) * halton])
 
 
@@ -69,13 +72,3 @@ def _van_der_corput(k: int, base: int) -> Array:
         values += weight * (remainder % base)
         remainder = remainder // base
     return values
-
-
-def _primes(n: int) -> list[int]:
-    primes: list[int] = []
-    candidate = 2
-    while len(primes) < n:
-        if all(candidate % prime for prime in primes):
-            primes.append(candidate)
-        candidate += 1
-    return primes

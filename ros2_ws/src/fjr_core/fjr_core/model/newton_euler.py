@@ -10,7 +10,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -20,8 +20,7 @@ from ..errors import RobotError
 from ..numerics import checks
 from ..numerics.checks import Array
 from ..numerics.symbolic import sparse
-from .rigid_arm import ArmDynamics, EndEffector
-from .rigid_body import Body, rotation_to, z_aligned
+from .rigid_arm import ArmDynamics, Body, EndEffector, rotation_to, z_aligned
 
 
 def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> ArmDynamics:
@@ -38,36 +37,26 @@ def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81))
 @lru_cache(maxsize=8)  # plant and controller have the same links, and so have variants of a scenario
 def _derived(content: bytes) -> ArmDynamics:
     """Return the links; content: pickled bodies, rotation from the last body to its aligned frame, gravity (3,)."""
-    chain, turn, gravity = pickle.loads(content)
-    g, n = ca.DM(gravity), len(chain)
+    bodies, turn, gravity = pickle.loads(content)
+    n = len(bodies)
     q, v, w, a = (ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a"))
-    frames = [frame_of(body, q[i]) for i, body in enumerate(chain)]
-    masses = [mass_of(body) for body in chain]
-    composites = composite_masses(masses, frames)
+    chain = ChainAt(bodies, [mass_of(body) for body in bodies], gravity, q)
+    r = ca.SX.sym("r", 3)  # in the frame of the last body, before its axis was aligned
+    point = sparse(turn.T) @ r
+    for frame in reversed(chain.frames):
+        point = frame.r + frame.R @ point
     return ArmDynamics(
         n=n,
-        M_l=ca.Function("M_l", [q], [joint_inertia(chain, frames, composites)]),
-        P_l=ca.Function("P_l", [q], [potential_energy(frames, composites, g)]),
-        grad_P_l=ca.Function("grad_P_l", [q], [gravity_torque(chain, frames, composites, g)]),
-        C=ca.Function("C", [q, v, w], [inertial_torque(chain, masses, frames, v, w, ca.SX.zeros(n))]),
-        inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [inertial_torque(chain, masses, frames, v, w, a)]),
-        grad_T=ca.Function("grad_T", [q, v], [kinetic_gradient(chain, masses, frames, v)]),
-        end_effector=EndEffector(_point(q, frames, turn), gravity),
-        bodies=tuple(chain),
+        M_l=ca.Function("M_l", [q], [chain.inertia()]),
+        P_l=ca.Function("P_l", [q], [chain.potential_energy()]),
+        grad_P_l=ca.Function("grad_P_l", [q], [chain.gravity_torque()]),
+        C=ca.Function("C", [q, v, w], [chain.inertial_torque(v, w, ca.SX.zeros(n))]),
+        inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [chain.inertial_torque(v, w, a)]),
+        grad_T=ca.Function("grad_T", [q, v], [chain.kinetic_gradient(v)]),
+        end_effector=EndEffector(ca.Function("position", [q, r], [point]), gravity),
+        bodies=tuple(bodies),
         order=tuple(range(n)),
     )
-
-
-def _point(q: ca.SX, frames: list[Frame], turn: Array) -> ca.Function:
-    """Return (q_l, r) -> position (3,) [m] in the base frame of the point r of the last body.
-
-    turn (3, 3): rotation from the frame of the last body to frames[-1].
-    """
-    r = ca.SX.sym("r", 3)
-    point = sparse(turn.T) @ r
-    for frame in reversed(frames):
-        point = frame.r + frame.R @ point
-    return ca.Function("position", [q, r], [point])
 
 
 @dataclass(frozen=True)
@@ -101,6 +90,22 @@ class Mass:
         return Mass(self.m + other.m, self.h + other.h, self.J + other.J)
 
 
+def pseudo_inertia(body: Body) -> Array:
+    """Return the pseudo-inertia (4, 4) of a body: second moments, first moment and mass about its frame's origin."""
+    com, inertia = np.asarray(body.com), np.asarray(body.inertia)
+    P = np.empty((4, 4))
+    P[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia + body.mass * np.outer(com, com)
+    P[:3, 3] = P[3, :3] = body.mass * com
+    P[3, 3] = body.mass
+    return P
+
+
+def mass_of(body: Body) -> Mass:
+    """Return the moments of a body about the origin of its frame."""
+    P = pseudo_inertia(body)
+    return Mass(body.mass, ca.SX(P[:3, 3]), ca.SX((P[:3, :3] + P[:3, :3].T) / 2))
+
+
 def frame_of(body: Body, q: ca.SX) -> Frame:
     """Return the pose of the frame of a body, whose joint axis is z, at the position q of the joint."""
     rotation, translation = np.asarray(body.rotation), ca.SX(np.asarray(body.translation))
@@ -111,114 +116,117 @@ def frame_of(body: Body, q: ca.SX) -> Frame:
     return Frame(sparse(rotation) @ turn, translation)
 
 
-def mass_of(body: Body) -> Mass:
-    """Return the moments of a body about the origin of its frame."""
-    com, inertia = np.asarray(body.com), np.asarray(body.inertia)
-    J = np.trace(inertia) / 2 * np.eye(3) - inertia + body.mass * np.outer(com, com)
-    return Mass(body.mass, ca.SX(body.mass * com), ca.SX((J + J.T) / 2))
+@dataclass(frozen=True)
+class ChainAt:
+    """A serial chain at joint positions q (n,): its bodies with the moments of each, gravity (3,) in the base frame."""
+
+    bodies: Sequence[Body]
+    masses: Sequence[Mass]
+    gravity: Array
+    q: ca.SX
+
+    @cached_property
+    def frames(self) -> list[Frame]:
+        """Frame of each body in that of the body before."""
+        return [frame_of(body, self.q[i]) for i, body in enumerate(self.bodies)]
+
+    @cached_property
+    def composites(self) -> list[Mass]:
+        """Composite bodies: body i with all outer bodies, in the frame of body i."""
+        composites = list(self.masses)
+        for i in reversed(range(1, len(composites))):
+            composites[i - 1] += composites[i].in_parent(self.frames[i])
+        return composites
+
+    def inertia(self) -> ca.SX:
+        """Return M_l by columns: the wrench for unit acceleration of composite i, projected onto each joint."""
+        chain, frames = self.bodies, self.frames
+        M = ca.SX.zeros(len(chain), len(chain))
+        for i, (body, composite) in enumerate(zip(chain, self.composites, strict=True)):
+            h, J = composite.h, composite.J
+            if body.prismatic:
+                force, moment = ca.vertcat(0, 0, composite.m), ca.vertcat(h[1], -h[0], 0)
+            else:
+                force, moment = ca.vertcat(-h[1], h[0], 0), ca.vertcat(-J[0, 2], -J[1, 2], J[0, 0] + J[1, 1])
+            for j in reversed(range(i + 1)):
+                M[i, j] = M[j, i] = (force if chain[j].prismatic else moment)[2]
+                force, moment = _in_parent(frames[j], force, moment)
+        return M
+
+    def potential_energy(self) -> ca.SX:
+        """Return P_l = -g' h of the whole arm, zero at the base origin."""
+        return -ca.dot(ca.DM(self.gravity), self.composites[0].in_parent(self.frames[0]).h)
+
+    def gravity_torque(self) -> ca.SX:
+        """Return grad P_l: minus the moment of the composite weight about joint i, or minus the weight along it."""
+        torques, gravity = [], ca.SX(ca.DM(self.gravity))
+        for body, frame, composite in zip(self.bodies, self.frames, self.composites, strict=True):
+            gravity = frame.R.T @ gravity
+            pull = composite.m * gravity if body.prismatic else ca.cross(composite.h, gravity)
+            torques.append(-pull[2])
+        return ca.vertcat(*torques)
+
+    def inertial_torque(self, v: ca.SX, w: ca.SX, dw: ca.SX) -> ca.SX:
+        """Return M_l dw + C(q, v) w with the Christoffel symbols, in one recursion.
+
+        C(q, v) w is the polar form of c(q, v) = C(q, v) v: every product of two velocities is the mean of both orders.
+        A point r of a body has the acceleration a + U r.
+        """
+        omega_v = omega_w = a = alpha = ca.SX.zeros(3)
+        U = ca.SX.zeros(3, 3)
+        wrenches = []
+        for i, (body, mass, frame) in enumerate(zip(self.bodies, self.masses, self.frames, strict=True)):
+            a = frame.R.T @ (a + U @ frame.r)
+            omega_v, omega_w, alpha = (frame.R.T @ vector for vector in (omega_v, omega_w, alpha))
+            cross = (_cross_z(omega_v) * w[i] + _cross_z(omega_w) * v[i]) / 2
+            if body.prismatic:
+                a += 2 * cross + _along_z(dw[i])
+            else:
+                alpha += cross + _along_z(dw[i])
+                omega_v, omega_w = omega_v + _along_z(v[i]), omega_w + _along_z(w[i])
+            products = (omega_v @ omega_w.T + omega_w @ omega_v.T) / 2
+            U = ca.skew(alpha) + (products - ca.trace(products) * ca.SX.eye(3))
+            UJ = U @ mass.J  # sum m r x U r is the axial vector of U J, as J = sum m r r'
+            moment = ca.vertcat(UJ[2, 1] - UJ[1, 2], UJ[0, 2] - UJ[2, 0], UJ[1, 0] - UJ[0, 1])
+            wrenches.append((mass.m * a + U @ mass.h, moment + ca.cross(mass.h, a)))
+        torques = []
+        force = moment = ca.SX.zeros(3)
+        for i in reversed(range(len(wrenches))):
+            force, moment = force + wrenches[i][0], moment + wrenches[i][1]
+            torques.append((force if self.bodies[i].prismatic else moment)[2])
+            force, moment = _in_parent(self.frames[i], force, moment)
+        return ca.vertcat(*reversed(torques))
+
+    def kinetic_gradient(self, v: ca.SX) -> ca.SX:
+        """Return d/dq (v' M_l v / 2), v constant: composite momenta times the derivative of their velocities by q_i."""
+        omega = velocity = ca.SX.zeros(3)
+        motions, momenta = [], []
+        for i, (body, mass, frame) in enumerate(zip(self.bodies, self.masses, self.frames, strict=True)):
+            velocity = frame.R.T @ (velocity + ca.cross(omega, frame.r))
+            omega = frame.R.T @ omega
+            if body.prismatic:
+                velocity += _along_z(v[i])
+            else:
+                omega += _along_z(v[i])
+            motions.append((velocity, omega))
+            momenta.append((mass.m * velocity + ca.cross(omega, mass.h), mass.I @ omega + ca.cross(mass.h, velocity)))
+        gradient = []
+        linear = angular = ca.SX.zeros(3)
+        for i in reversed(range(len(momenta))):
+            linear, angular = linear + momenta[i][0], angular + momenta[i][1]
+            velocity, omega = motions[i]
+            if self.bodies[i].prismatic:
+                gradient.append(ca.dot(linear, _cross_z(omega)))
+            else:
+                gradient.append(ca.dot(angular, _cross_z(omega)) + ca.dot(linear, _cross_z(velocity)))
+            linear, angular = _in_parent(self.frames[i], linear, angular)
+        return ca.vertcat(*reversed(gradient))
 
 
-def composite_masses(masses: Sequence[Mass], frames: Sequence[Frame]) -> list[Mass]:
-    """Return the composite bodies: body i with all outer bodies, in the frame of body i."""
-    composites = list(masses)
-    for i in reversed(range(1, len(composites))):
-        composites[i - 1] += composites[i].in_parent(frames[i])
-    return composites
-
-
-def joint_inertia(chain: Sequence[Body], frames: Sequence[Frame], composites: Sequence[Mass]) -> ca.SX:
-    """Return M_l by columns: the wrench for unit acceleration of composite i, projected onto each joint."""
-    M = ca.SX.zeros(len(chain), len(chain))
-    for i, (body, composite) in enumerate(zip(chain, composites, strict=True)):
-        h, J = composite.h, composite.J
-        if body.prismatic:
-            force, moment = ca.vertcat(0, 0, composite.m), ca.vertcat(h[1], -h[0], 0)
-        else:
-            force, moment = ca.vertcat(-h[1], h[0], 0), ca.vertcat(-J[0, 2], -J[1, 2], J[0, 0] + J[1, 1])
-        for j in reversed(range(i + 1)):
-            M[i, j] = M[j, i] = (force if chain[j].prismatic else moment)[2]
-            force = frames[j].R @ force
-            moment = frames[j].R @ moment + ca.cross(frames[j].r, force)
-    return M
-
-
-def gravity_torque(chain: Sequence[Body], frames: Sequence[Frame], composites: Sequence[Mass], g: ca.DM) -> ca.SX:
-    """Return grad P_l: minus the moment of the composite weight about joint i, or minus the weight along it."""
-    torques, gravity = [], ca.SX(g)
-    for body, frame, composite in zip(chain, frames, composites, strict=True):
-        gravity = frame.R.T @ gravity
-        pull = composite.m * gravity if body.prismatic else ca.cross(composite.h, gravity)
-        torques.append(-pull[2])
-    return ca.vertcat(*torques)
-
-
-def potential_energy(frames: Sequence[Frame], composites: Sequence[Mass], g: ca.DM) -> ca.SX:
-    """Return P_l = -g' h of the whole arm, zero at the base origin."""
-    return -ca.dot(g, composites[0].in_parent(frames[0]).h)
-
-
-def inertial_torque(
-    chain: Sequence[Body], masses: Sequence[Mass], frames: Sequence[Frame], v: ca.SX, w: ca.SX, dw: ca.SX
-) -> ca.SX:
-    """Return M_l dw + C(q, v) w with the Christoffel symbols, in one recursion.
-
-    C(q, v) w is the polar form of c(q, v) = C(q, v) v: every product of two velocities is the mean of both orders.
-    A point r of a body has the acceleration a + U r.
-    """
-    omega_v = omega_w = a = alpha = ca.SX.zeros(3)
-    U = ca.SX.zeros(3, 3)
-    wrenches = []
-    for i, (body, mass, frame) in enumerate(zip(chain, masses, frames, strict=True)):
-        a = frame.R.T @ (a + U @ frame.r)
-        omega_v, omega_w, alpha = (frame.R.T @ vector for vector in (omega_v, omega_w, alpha))
-        cross = (_cross_z(omega_v) * w[i] + _cross_z(omega_w) * v[i]) / 2
-        if body.prismatic:
-            a += 2 * cross + _along_z(dw[i])
-        else:
-            alpha += cross + _along_z(dw[i])
-            omega_v, omega_w = omega_v + _along_z(v[i]), omega_w + _along_z(w[i])
-        U = ca.skew(alpha) + _centripetal(omega_v, omega_w)
-        wrenches.append((mass.m * a + U @ mass.h, _moment(U @ mass.J) + ca.cross(mass.h, a)))
-    return _joint_torques(chain, frames, wrenches)
-
-
-def _joint_torques(chain: Sequence[Body], frames: Sequence[Frame], wrenches: list[tuple[ca.SX, ca.SX]]) -> ca.SX:
-    """Project the wrenches (force, moment) on the bodies onto the joints that carry them."""
-    torques = []
-    force = moment = ca.SX.zeros(3)
-    for body, frame, (own_force, own_moment) in zip(reversed(chain), reversed(frames), reversed(wrenches), strict=True):
-        force, moment = force + own_force, moment + own_moment
-        torques.append((force if body.prismatic else moment)[2])
-        force = frame.R @ force
-        moment = frame.R @ moment + ca.cross(frame.r, force)
-    return ca.vertcat(*reversed(torques))
-
-
-def kinetic_gradient(chain: Sequence[Body], masses: Sequence[Mass], frames: Sequence[Frame], v: ca.SX) -> ca.SX:
-    """Return d/dq (v' M_l v / 2), v constant: composite momenta times the derivative of their velocities by q_i."""
-    omega = velocity = ca.SX.zeros(3)
-    motions, momenta = [], []
-    for i, (body, mass, frame) in enumerate(zip(chain, masses, frames, strict=True)):
-        velocity = frame.R.T @ (velocity + ca.cross(omega, frame.r))
-        omega = frame.R.T @ omega
-        if body.prismatic:
-            velocity += _along_z(v[i])
-        else:
-            omega += _along_z(v[i])
-        motions.append((velocity, omega))
-        momenta.append((mass.m * velocity + ca.cross(omega, mass.h), mass.I @ omega + ca.cross(mass.h, velocity)))
-    gradient = []
-    linear = angular = ca.SX.zeros(3)
-    for i in reversed(range(len(chain))):
-        linear, angular = linear + momenta[i][0], angular + momenta[i][1]
-        velocity, omega = motions[i]
-        if chain[i].prismatic:
-            gradient.append(ca.dot(linear, _cross_z(omega)))
-        else:
-            gradient.append(ca.dot(angular, _cross_z(omega)) + ca.dot(linear, _cross_z(velocity)))
-        linear = frames[i].R @ linear
-        angular = frames[i].R @ angular + ca.cross(frames[i].r, linear)
-    return ca.vertcat(*reversed(gradient))
+def _in_parent(frame: Frame, force: ca.SX, moment: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return a force and its moment, or a momentum and its moment, about the parent origin in the parent frame."""
+    force = frame.R @ force
+    return force, frame.R @ moment + ca.cross(frame.r, force)
 
 
 def _along_z(value: ca.SX) -> ca.SX:
@@ -230,12 +238,40 @@ def _cross_z(vector: ca.SX) -> ca.SX:
     return ca.vertcat(vector[1], -vector[0], 0)
 
 
-def _centripetal(omega_v: ca.SX, omega_w: ca.SX) -> ca.SX:
-    """Return (skew(omega_v) skew(omega_w) + skew(omega_w) skew(omega_v)) / 2."""
-    product = (omega_v @ omega_w.T + omega_w @ omega_v.T) / 2
-    return product - ca.trace(product) * ca.SX.eye(3)
+@dataclass(frozen=True)
+class InertialArm:
+    """A rigid arm whose masses and inertias are expressions, so that they can be identified.
 
+    The joint axes of the bodies are z. The pseudo-inertia (4, 4) of each, an expression, is the integral of
+    (r, 1)(r, 1)' dm about the origin of the body's frame; the masses, centres of mass and inertias of the bodies
+    themselves do not count. gravity (3,) [m/s^2] in the base frame.
+    """
 
-def _moment(UJ: ca.SX) -> ca.SX:
-    """Return sum m r x U r from U J with J = sum m r r'."""
-    return ca.vertcat(UJ[2, 1] - UJ[1, 2], UJ[0, 2] - UJ[2, 0], UJ[1, 0] - UJ[0, 1])
+    bodies: Sequence[Body]
+    pseudo_inertias: Sequence[ca.SX]
+    gravity: Array
+
+    def M_l(self, q_l: ca.SX) -> ca.SX:
+        """Inertia M_l (n, n) [kg m^2]."""
+        return self._at(q_l).inertia()
+
+    def P_l(self, q_l: ca.SX) -> ca.SX:
+        """Potential energy P_l [J]."""
+        return self._at(q_l).potential_energy()
+
+    def grad_P_l(self, q_l: ca.SX) -> ca.SX:
+        """Gravity torque grad P_l (n,) [N m]."""
+        return self._at(q_l).gravity_torque()
+
+    def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
+        """d/dq_l (v' M_l v / 2) (n,) [N m], v constant."""
+        return self._at(q_l).kinetic_gradient(v)
+
+    def inertial_torque(self, q_l: ca.SX, v: ca.SX, w: ca.SX, a: ca.SX) -> ca.SX:
+        """M_l a + C(q_l, v) w (n,) [N m]."""
+        return self._at(q_l).inertial_torque(v, w, a)
+
+    def _at(self, q_l: ca.SX) -> ChainAt:
+        return ChainAt(
+            self.bodies, [Mass(P[3, 3], P[:3, 3], P[:3, :3]) for P in self.pseudo_inertias], self.gravity, q_l
+        )

@@ -10,9 +10,9 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from ..numerics import integrators, symbolic
-from ..numerics.casadi_function import NumericFunction, dense_function, numeric
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
+from ..numerics.symbolic import NumericFunction, dense_function, numeric
 from .rigid_arm import RigidArm
 from .robot import Robot
 

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flexible-joint robot: rigid arm, motors, and springs between them; checked on construction, immutable."""
+"""A flexible-joint robot: rigid arm, motors, and springs between them, with its limits, units and coordinates."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,11 +15,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError, StateError
 from ..numerics import checks, symbolic
-from ..numerics.casadi_function import NumericFunction, numeric
-from ..numerics.checks import Array
-from ..numerics.one_line import brief, joints
-from .joint_limits import JointLimits
-from .joint_units import PRISMATIC, REVOLUTE, Units
+from ..numerics.checks import Array, floats, freeze
+from ..numerics.one_line import brief, joints, one_line
+from ..numerics.symbolic import NumericFunction, dense_function, numeric, symbols
 from .rigid_arm import ArmDynamics, RigidArm
 
 
@@ -98,14 +98,14 @@ class Robot:
 
     def state(self, q_l: ArrayLike, q_m: ArrayLike, dq_l: ArrayLike, dq_m: ArrayLike) -> Array:
         """Return the state x (4n,) for positions [rad] and velocities [rad/s] (n,) of links and motors."""
-        q_l, q_m = self._vector("q_l", q_l), self._vector("q_m", q_m)
-        dq_l, dq_m = self._vector("dq_l", dq_l), self._vector("dq_m", dq_m)
-        return self._state(q_l, q_m, dq_l, dq_m)[0]
+        parts = (("q_l", q_l), ("q_m", q_m), ("dq_l", dq_l), ("dq_m", dq_m))
+        values = [self._vector(name, value) for name, value in parts]
+        return self._state(np.hstack(values[:2]), np.hstack(values[2:]))[0]
 
     def velocities(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at the state x (4n,)."""
-        dq_l, dq_m = self._velocities(checks.vector("x", x, 4 * self.n, StateError))
-        return dq_l, dq_m
+        (velocity,) = self._velocities(checks.vector("x", x, 4 * self.n, StateError))
+        return velocity[: self.n], velocity[self.n :]
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
         """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36).
@@ -149,11 +149,109 @@ class Robot:
 
     @cached_property
     def _velocities(self) -> NumericFunction:
-        x = ca.SX.sym("x", 4 * self.n)
-        return numeric("velocities", {"x": x}, dict(zip(("dq_l", "dq_m"), self.velocity_expressions(x), strict=True)))
+        return NumericFunction(Coordinates(self).to_velocities)
 
     @cached_property
     def _state(self) -> NumericFunction:
-        inputs = symbolic.symbols(q_l=self.n, q_m=self.n, dq_l=self.n, dq_m=self.n)
-        q_l, q_m, dq_l, dq_m = inputs.values()
-        return numeric("state", inputs, {"x": ca.vertcat(q_l, q_m, *self.momentum_expressions(q_l, dq_l, dq_m))})
+        return NumericFunction(Coordinates(self).to_momenta)
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """CasADi functions between (position, velocity), (2n,) each, and the state x (4n,) with momenta.
+
+    position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s], x = (q_l, q_m, p_l, p_m).
+    Equations: p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
+    """
+
+    robot: Robot
+
+    @cached_property
+    def to_momenta(self) -> ca.Function:
+        """Map (position, velocity) to the state x."""
+        n = self.robot.n
+        s = symbols(position=2 * n, velocity=2 * n)
+        position, velocity = s.values()
+        momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:])
+        return dense_function("to_momenta", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
+
+    @cached_property
+    def to_velocities(self) -> ca.Function:
+        """Map the state x to the velocity."""
+        x = ca.SX.sym("x", 4 * self.robot.n)
+        velocity = ca.vertcat(*self.robot.velocity_expressions(x))
+        return dense_function("to_velocities", {"x": x}, {"velocity": velocity}, cse=True)
+
+    @cached_property
+    def to_measured(self) -> ca.Function:
+        """Map the state x to (position, velocity)."""
+        x = ca.SX.sym("x", 4 * self.robot.n)
+        outputs = {"position": x[: 2 * self.robot.n], "velocity": self.to_velocities(x)}
+        return dense_function("to_measured", {"x": x}, outputs, cse=True)
+
+
+def law_view(plant: Robot, law: Robot) -> ca.Function | None:
+    """Return the CasADi function from the plant's x to the law's x with equal velocities.
+
+    Momenta are computed with the inertia of the law's robot. Return None if both robots have the same inertia: M_m and
+    the expression of M_l; equal functions that are written differently count as different.
+    """
+    M_l = [robot.links.M_l for robot in (plant, law)]
+    if plant is law or (np.array_equal(plant.M_m, law.M_m) and M_l[0].serialize() == M_l[1].serialize()):
+        return None
+    x, positions = ca.SX.sym("x", 4 * plant.n), 2 * plant.n
+    seen = Coordinates(law).to_momenta(x[:positions], Coordinates(plant).to_velocities(x))
+    return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits of n joints, each (n,): positions lower, upper [rad], velocity [rad/s] and effort [N m], both > 0.
+
+    Prismatic joints use m and N. An infinite value means no limit. Raises RobotError.
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    effort: Array
+
+    __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            name, array = field.name, floats(f"{field.name} limit", getattr(self, field.name), RobotError)
+            if array.ndim != 1 or np.any(np.isnan(array)):
+                expected = "one number per joint, infinite for no limit"
+                raise RobotError(f"{name} limit is {array.tolist()}; expected {expected}")
+            if array.shape != np.shape(self.lower):
+                raise RobotError(f"{name} has shape {array.shape}; expected that of lower, {self.lower.shape}")
+            freeze(self, name, array)
+        if not np.all(self.lower <= self.upper):
+            raise RobotError(f"lower is {self.lower.tolist()}, upper {self.upper.tolist()}; expected lower <= upper")
+        for name in ("velocity", "effort"):
+            if not np.all(getattr(self, name) > 0):
+                raise RobotError(f"{name} limit is {getattr(self, name).tolist()}; expected positive numbers")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+
+class Units(NamedTuple):
+    """Units of the quantities of one joint."""
+
+    position: str
+    velocity: str
+    acceleration: str
+    effort: str
+
+
+REVOLUTE = Units("rad", "rad/s", "rad/s^2", "N m")
+PRISMATIC = Units("m", "m/s", "m/s^2", "N")
+
+
+def joined(units: Iterable[str]) -> str:
+    """Return the distinct units of several joints, separated by commas, as in "rad, m"."""
+    return ", ".join(dict.fromkeys(units))

@@ -9,8 +9,8 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from ..numerics import symbolic
-from ..numerics.casadi_function import NumericFunction, numeric
 from ..numerics.checks import Array
+from ..numerics.symbolic import NumericFunction, numeric
 from .robot import Robot
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import StateError
-from ..law.vdpbc.law import TrackingLaw
+from ..law.vdpbc import TrackingLaw
 from ..numerics.checks import Array, vector
 from .thresholds import TOLERANCE
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
-from ..law.vdpbc.law import TrackingLaw
+from ..law.vdpbc import TrackingLaw
 from ..motions.reference import JETS
-from ..numerics.casadi_function import dense_function
 from ..numerics.checks import Array
 from ..numerics.one_line import one_line
+from ..numerics.symbolic import dense_function
 
 OUTPUTS = ("V", "H", "dissipation", "dissipated", "u_law", "drive", "slope")
 

@@ -8,13 +8,12 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from ..law.vdpbc.law import TrackingLaw
-from ..model.coordinates import Coordinates
+from ..law.vdpbc import TrackingLaw
 from ..model.port_hamiltonian import Plant
-from ..numerics.casadi_function import dense_function
+from ..model.robot import Coordinates
 from ..numerics.checks import Array
 from ..numerics.integrators import rk4_expression
-from ..numerics.symbolic import symbols
+from ..numerics.symbolic import dense_function, symbols
 
 STEPS = 4  # integrator steps per call
 LONGEST = 1e-3  # s, longest horizon of a call; longer intervals take several calls

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from ..model.joint_limits import JointLimits
-from ..model.joint_units import REVOLUTE, Units
+from ..model.robot import REVOLUTE, JointLimits, Units
 from ..numerics.checks import Array, floats, freeze
 from ..numerics.one_line import one_line
 from .piecewise_polynomial import PiecewisePolynomial
@@ -145,13 +144,8 @@ def _message(values: Array, limits: MotionLimits, row: int, joint: int, when: st
     limit = limits.maximum[row, joint] if value > limits.maximum[row, joint] else limits.minimum[row, joint]
     if row:
         value, limit = abs(value), abs(limit)
-    return f"{_digits(value, limit)} {unit}{when}; its limit is {limit:.6g} {unit}"
-
-
-def _digits(value: float, limit: float) -> str:
-    """Format the value with enough digits to distinguish it from the limit."""
-    short = f"{value:.6g}"
-    return f"{value:.12g}" if short == f"{limit:.6g}" else short
+    digits = 12 if f"{value:.6g}" == f"{limit:.6g}" else 6  # enough to distinguish the value from the limit
+    return f"{value:.{digits}g} {unit}{when}; its limit is {limit:.6g} {unit}"
 
 
 def _name(joints: Sequence[str], joint: int) -> str:

@@ -1,17 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of reference trajectories of class C^4: value and four exact derivatives at every time."""
+"""Reference trajectories of class C^4: value and four exact derivatives at every time, and bounds of the motion."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from math import inf
 from typing import Protocol
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, kind_of
-from .bounds import MotionBounds
 
+Indices = NDArray[np.intp]
+
+ROWS = 3  # position, velocity, acceleration
+_REFINEMENTS, _NEWTON_STEPS = 2, 8
 REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
 JETS = REFERENCE_DERIVATIVES + 1
 
@@ -45,3 +51,95 @@ def check_reference(reference: object) -> None:
             f"reference is {kind_of(reference)}; expected a reference, e.g. fjr.Sine(1.0, 1.0) or "
             "fjr.Spline(times, positions): the law needs four exact derivatives"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBounds:
+    """Bounds lower, upper (3, n) of q_ld [rad], dq_ld [rad/s] and ddq_ld [rad/s^2] over a time interval.
+
+    lower_at, upper_at (3, n) [s]: times of the extrema; nan if the bound is conservative.
+    """
+
+    lower: Array
+    upper: Array
+    lower_at: Array
+    upper_at: Array
+
+    def union(self, other: MotionBounds) -> MotionBounds:
+        """Return the bounds of both motions together."""
+        less, more = other.lower < self.lower, other.upper > self.upper
+        return MotionBounds(
+            np.where(less, other.lower, self.lower),
+            np.where(more, other.upper, self.upper),
+            np.where(less, other.lower_at, self.lower_at),
+            np.where(more, other.upper_at, self.upper_at),
+        )
+
+    def delayed(self, t0: float) -> MotionBounds:
+        """Return the bounds with all times shifted by t0 [s]."""
+        return MotionBounds(self.lower, self.upper, self.lower_at + t0, self.upper_at + t0)
+
+
+def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBounds:
+    """Return the bounds of jets(t) on an increasing grid (k,) [s] and at the zeros of derivatives between its points.
+
+    The grid is refined at the zeros of higher derivatives, so that double zeros between grid points are found.
+    """
+    for _ in range(_REFINEMENTS):
+        grid = _refined(grid, jets(grid))
+    samples = jets(grid)
+    bounds = [_row(jets, grid, samples, row) for row in range(ROWS)]
+    return MotionBounds(*(np.array(values) for values in zip(*bounds, strict=True)))
+
+
+def _refined(grid: Array, samples: Array) -> Array:
+    """Return the grid (k,) with the approximate zeros of the derivatives 2 .. 4 added."""
+    rows = samples[:, 2:]
+    interval, row, joint = np.nonzero(rows[:-1] * rows[1:] < 0)
+    return np.union1d(grid, _secant(grid, interval, rows[interval, row, joint], rows[interval + 1, row, joint]))
+
+
+def _secant(grid: Array, interval: Indices, first: Array, last: Array) -> Array:
+    """Return the zeros of straight lines from first to last (opposite signs) in the intervals of the grid."""
+    left, right = grid[interval], grid[interval + 1]
+    return left + (right - left) * (first / (first - last))
+
+
+def _row(jets: Callable[[Array], Array], grid: Array, samples: Array, row: int) -> tuple[Array, Array, Array, Array]:
+    """Return lower, upper, lower_at, upper_at (n,) of one row."""
+    value, slope = samples[:, row], samples[:, row + 1]
+    interval, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & _may_exceed(grid, value, slope))
+    n = samples.shape[2]
+    t, values = np.tile(grid[:, None], (2, n)), np.vstack([value, value])
+    if len(interval):
+        roots = _roots(jets, grid, slope, row, interval, joint)
+        t[interval, joint] = roots
+        values[interval, joint] = jets(roots)[np.arange(len(roots)), row, joint]
+    low, high, each = values.argmin(axis=0), values.argmax(axis=0), np.arange(n)
+    return values[low, each], values[high, each], t[low, each], t[high, each]
+
+
+def _may_exceed(grid: Array, value: Array, slope: Array) -> NDArray[np.bool_]:
+    """Return the intervals (k - 1, n) in which a value may exceed the extrema at the grid points.
+
+    The slope is at most that at the ends of the interval.
+    """
+    reach = np.maximum(np.abs(slope[:-1]), np.abs(slope[1:])) * np.diff(grid)[:, None]
+    high, low = np.maximum(value[:-1], value[1:]) + reach, np.minimum(value[:-1], value[1:]) - reach
+    return np.asarray((high > value.max(axis=0)) | (low < value.min(axis=0)))
+
+
+def _roots(
+    jets: Callable[[Array], Array], grid: Array, slope: Array, row: int, interval: Indices, joint: Indices
+) -> Array:
+    """Return the zeros of row + 1 in the intervals by Newton's method, safeguarded by bisection."""
+    left, right = grid[interval], grid[interval + 1]
+    first = slope[interval, joint]
+    t = _secant(grid, interval, first, slope[interval + 1, joint])
+    for _ in range(_NEWTON_STEPS):
+        f, df = jets(t)[np.arange(len(t)), row + 1 : row + 3, joint].T
+        before = f * first > 0
+        left, right = np.where(before, t, left), np.where(before, right, t)
+        t = t - np.divide(f, df, out=np.full_like(f, np.inf), where=df != 0)
+        t = np.where((left <= t) & (t <= right), t, (left + right) / 2)
+    return t

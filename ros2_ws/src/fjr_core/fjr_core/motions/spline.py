@@ -12,8 +12,7 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from ..numerics.one_line import joints, span
-from .minimum_jerk import minimum_jerk, without_overshoot
-from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
+from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference, minimum_jerk, without_overshoot
 from .reference import JETS
 
 SHORTEST = 1e-6  # s, smallest interval between points
@@ -59,17 +58,14 @@ class Spline(PolynomialReference):
             if getattr(self, name) is not None:
                 freeze(self, name, _points(name, getattr(self, name), positions.shape))
         if self.start is not None:
-            freeze(self, "start", _start(self.start, positions.shape[1]))
+            start, shape = checks.finite("start", self.start, TrajectoryError), (JETS, positions.shape[1])
+            if start.shape != shape:
+                raise TrajectoryError(f"start has shape {start.shape}; expected {shape}, value and four derivatives")
+            freeze(self, "start", start)
         _check_times(times, self.start is not None)
-        self._check_end()
-        object.__setattr__(self, "pieces", self._interpolated())
-
-    def _check_end(self) -> None:
-        if self.velocities is None or self.moving_end:
-            return
-        last = np.asarray(self.velocities)[-1]
-        if np.any(last):
+        if self.velocities is not None and not self.moving_end and np.any(last := np.asarray(self.velocities)[-1]):
             raise TrajectoryError(f"velocities ends with {last.tolist()}; expected zeros at the last point")
+        object.__setattr__(self, "pieces", self._interpolated())
 
     def _interpolated(self) -> PiecewisePolynomial:
         """Return the piecewise polynomial through the points with the free derivatives chosen."""
@@ -120,13 +116,6 @@ def _points(name: str, value: ArrayLike, shape: tuple[int, ...] | None = None) -
         raise TrajectoryError(
             f"{name} holds {array[point, joint]} at point {point}, joint {joint}; expected finite numbers"
         )
-    return array
-
-
-def _start(value: ArrayLike, n: int) -> Array:
-    array = checks.finite("start", value, TrajectoryError)
-    if array.shape != (JETS, n):
-        raise TrajectoryError(f"start has shape {array.shape}; expected ({JETS}, {n}), value and four derivatives")
     return array
 
 

@@ -12,9 +12,8 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, number, positive
 from ..numerics.one_line import one_line, span
-from .bounds import MotionBounds
 from .piecewise_polynomial import PiecewisePolynomial
-from .reference import JETS, Reference, check_reference
+from .reference import JETS, MotionBounds, Reference, check_reference
 
 
 @dataclass(frozen=True, eq=False)

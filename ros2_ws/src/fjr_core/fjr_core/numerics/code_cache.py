@@ -9,17 +9,103 @@ and the loading.
 from __future__ import annotations
 
 import atexit
+import fcntl
 import hashlib
 import logging
 import os
+import secrets
 import shutil
+import stat
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from ..files.private_folder import NotPrivateError, PrivateFolder, open_private
-
+MODE = 0o700
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_FILE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+_opened: dict[tuple[int, int], int] = {}
 _log = logging.getLogger("fjr_core.numerics.jit")
+
+
+class NotPrivateError(Exception):
+    """A folder that is a link, belongs to another user or can be written by others."""
+
+
+@dataclass(frozen=True)
+class PrivateFolder:
+    """An open folder, created by `open_private`. path: its name in messages."""
+
+    path: Path
+    descriptor: int
+
+    def read(self, name: str) -> bytes | None:
+        """Return the content of a file that belongs to this user; None if there is no such file."""
+        try:
+            descriptor = os.open(name, os.O_RDONLY | _FILE, dir_fd=self.descriptor)
+        except (OSError, ValueError):
+            return None
+        with open(descriptor, "rb") as stream:
+            status = os.fstat(descriptor)
+            return stream.read() if _is_ours(status) and stat.S_ISREG(status.st_mode) else None
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file atomically. Raises OSError."""
+        scratch = f".{name}.{secrets.token_hex(8)}"
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
+        try:
+            with open(os.open(scratch, flags, 0o600, dir_fd=self.descriptor), "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(scratch, name, src_dir_fd=self.descriptor, dst_dir_fd=self.descriptor)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(scratch, dir_fd=self.descriptor)
+            raise
+
+    @contextmanager
+    def locked(self, name: str) -> Iterator[None]:
+        """Hold a lock among the processes of this user. Raises OSError."""
+        flags = os.O_RDWR | os.O_CREAT | _FILE
+        with open(os.open(name, flags, 0o600, dir_fd=self.descriptor), "r+b") as held:
+            fcntl.flock(held, fcntl.LOCK_EX)
+            yield
+
+    def within(self, name: str) -> str:
+        """Return a path for the dynamic linker, through the open descriptor if the system supports it."""
+        through = f"/proc/self/fd/{self.descriptor}"
+        return f"{through if os.path.isdir(through) else self.path}/{name}"
+
+
+def open_private(path: Path) -> PrivateFolder:
+    """Open a folder, created if missing; raises NotPrivateError, OSError.
+
+    One descriptor per folder stays open, because the dynamic linker treats files of equal path as the same file.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        path.mkdir(mode=MODE)
+    if path.is_symlink():
+        raise NotPrivateError(f"{path} is a symbolic link; expected a folder")
+    descriptor = os.open(path, _FOLDER)
+    status = os.fstat(descriptor)
+    if not _is_ours(status):
+        os.close(descriptor)
+        found = f"belongs to user {status.st_uid}; expected a folder of user {os.geteuid()}"
+        if status.st_uid == os.geteuid():
+            found = f"has the mode {stat.S_IMODE(status.st_mode):03o}; expected that only its owner can write there"
+        raise NotPrivateError(f"{path} {found}")
+    known = _opened.setdefault((status.st_dev, status.st_ino), descriptor)
+    if known != descriptor:
+        os.close(descriptor)
+    return PrivateFolder(path, known)
+
+
+def _is_ours(status: os.stat_result) -> bool:
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def cache_folder() -> Path:

@@ -27,6 +27,7 @@ _NUMBER = re.compile(r"-?[\d.]+(?:e[+-]\d+)?")
 _PRODUCT, _SUM, _DIFFERENCE, _QUOTIENT = (f"({{}}{operator}{{}})" for operator in "*+-/")
 _FACTORS = re.compile(r"\(([^()*]+)\*({})\)")
 _REWRITTEN = {"casadi_sq({})": _PRODUCT, "(2.*{})": _SUM}  # of one operand, twice
+_ARRAYS = "const casadi_real** restrict arg, casadi_real** restrict res, casadi_real* restrict b"
 
 
 class _Operation(NamedTuple):
@@ -169,6 +170,3 @@ def _in_parts(name: str, parameters: str, operations: Sequence[_Operation], part
     calls = [f"  {name}_part{i}(arg, res, b);" for i in range(len(parts))]
     lines += [f"static int {name}({parameters}) {{", f"  casadi_real b[{max(1, size)}];", *calls, "  return 0;", "}"]
     return "\n".join([*lines, ""])
-
-
-_ARRAYS = "const casadi_real** restrict arg, casadi_real** restrict res, casadi_real* restrict b"

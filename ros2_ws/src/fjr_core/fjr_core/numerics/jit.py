@@ -1,29 +1,100 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compile CasADi functions just in time: generate C, build a shared object, cache it by content."""
+"""Compile CasADi functions just in time: generate C, build a shared object, cache it by content or by its inputs.
+
+The compiler is $CC, else one on the path, else the one in the distribution `ziglang` of PyPI.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
 import logging
+import os
+import platform
+import shlex
+import shutil
+import subprocess
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
 
 from ..errors import CompilerError
-from ..files.private_folder import PrivateFolder
 from . import fused_code
-from .c_compiler import CompileError, c_compiler, processor, run_compiler, version
-from .code_cache import code_folder, is_intact, keep, temporary_folder
+from .code_cache import PrivateFolder, code_folder, is_intact, keep, temporary_folder
 
+NAMES = ("cc", "gcc", "clang")
+REMEDY = "expected one: apt-get install gcc libc6-dev, or pip install ziglang"
+LONGEST_BUILD = 300.0  # s
 SAME_BITS = ("-ffp-contract=off",)
 """Options without which results depend on the processor: no fused multiply-adds but those that the code names."""
 OPTIONS = ("-O3", "-march=native", *SAME_BITS, "-fno-math-errno", "-fno-tree-slp-vectorize", "-fPIC", "-shared")
-
 _log = logging.getLogger("fjr_core.numerics.jit")
+SOURCES = (".py", ".c", ".h")
+PACKAGE = Path(__file__).parents[1]
+
+
+class CompileError(Exception):
+    """Reason why a function cannot be compiled; handled inside numerics."""
+
+
+def c_compiler() -> tuple[str, ...]:
+    """Return the command of the compiler; raise CompileError if there is none."""
+    wanted = shlex.split(os.environ.get("CC", ""))
+    for command in [wanted] if wanted else [[name] for name in NAMES]:
+        found = shutil.which(command[0])
+        if found:
+            return (found, *command[1:])
+    spec = None if wanted else find_spec("ziglang")  # its `cc` is clang with the headers of libc
+    zig = Path(spec.origin).with_name("zig") if spec and spec.origin else None
+    if zig and os.access(zig, os.X_OK):
+        return (str(zig), "cc")
+    raise CompileError(f"no C compiler ({wanted[0] if wanted else ', '.join(NAMES)}) is on the path; {REMEDY}")
+
+
+def run_compiler(command: Sequence[str]) -> None:
+    """Run the compiler; raise CompileError with its first error."""
+    try:
+        result = subprocess.run(
+            command, capture_output=True, text=True, timeout=LONGEST_BUILD, check=False, env=_environment(command[0])
+        )
+    except OSError as error:
+        raise CompileError(f"{command[0]} cannot be started: {error.strerror}") from None
+    except subprocess.TimeoutExpired:
+        raise CompileError(f"{command[0]} did not finish within {LONGEST_BUILD:g} s") from None
+    if result.returncode:
+        lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
+        raise CompileError(f"{command[0]} failed: {lines[0]}")
+
+
+@cache
+def version(compiler: tuple[str, ...]) -> str:
+    """Return what the compiler prints about its version."""
+    command, env = [*compiler, "--version"], _environment(compiler[0])
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=env).stdout
+
+
+@cache
+def processor() -> str:
+    """Return the processor properties that -march=native depends on; machines may share a cache."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    properties = {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
+    return "\n".join([platform.machine(), *sorted(properties)])
+
+
+def _environment(program: str) -> dict[str, str]:
+    """Return the environment of the compiler; zig keeps what it builds from libc in the folder of compiled code."""
+    if Path(program).name != "zig":
+        return dict(os.environ)
+    folder = str(code_folder().path / "zig")
+    return {"ZIG_GLOBAL_CACHE_DIR": folder, "ZIG_LOCAL_CACHE_DIR": folder, **os.environ}
 
 
 def compiled(function: ca.Function) -> ca.Function:
@@ -155,3 +226,49 @@ def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
 @cache
 def _warn_once(reason: str) -> None:
     _log.warning("%s; running in CasADi's virtual machine, equal up to rounding and some 20 times slower", reason)
+
+
+def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[[], ca.Function]) -> ca.Function:
+    """Return compiled(build()), or its cached machine code for the same model and pattern, without deriving it again.
+
+    Deriving the certificate of a seven-joint arm and generating its C code takes a third of a second; hashing its
+    inputs takes milliseconds.
+
+    model: fingerprint of the robot (Robot.fingerprint). pattern: all other inputs of the function. The key also
+    contains the source of this package.
+    """
+    try:
+        parts = [name, pattern, ca.__version__, source_digest(), *machine(), model.hex()]
+        note = f"{name}-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:32]}.note"
+        folder = code_folder()
+        found = (folder.read(note) or b"").decode("ascii", "replace")
+        if found.startswith(f"{name}-") and "/" not in found and is_intact(folder, found):
+            return external(name, folder.within(found))
+    except (CompileError, OSError, RuntimeError):
+        return compiled(build())
+    function, library = compile_named(build())
+    if library is not None:
+        with suppress(OSError):
+            code_folder().write(note, library.encode())
+    return function
+
+
+def program_digest(*folders: Path) -> str:
+    """Return a cache key for results: hash of the source of this package and of folders, and the CasADi version."""
+    sources = " ".join(map(source_digest, (PACKAGE, *folders)))
+    return hashlib.sha256(f"{sources} {ca.__version__}".encode()).hexdigest()
+
+
+@cache
+def source_digest(folder: Path = PACKAGE) -> str:
+    """Return a hash of all Python and C files in a folder with their names; by default this package.
+
+    Without pathlib: each start of a node waits for it.
+    """
+    digest = hashlib.sha256()
+    files = (os.path.join(base, name) for base, _, names in os.walk(folder) for name in names)
+    for path in sorted(path for path in files if path.endswith(SOURCES)):
+        with open(path, "rb") as stream:
+            content = stream.read()
+        digest.update(f"{path.removeprefix(str(folder))} {len(content)}\n".encode() + content)
+    return digest.hexdigest()

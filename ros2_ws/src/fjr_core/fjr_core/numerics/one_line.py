@@ -52,8 +52,14 @@ def one_line(owner: Any) -> str:
 
     Assign it in the body of the class: `__repr__ = one_line`.
     """
-    shown = [(each.name, each.default, getattr(owner, each.name)) for each in fields(owner) if each.repr]
-    texts = [f"{name}={brief(value)}" for name, default, value in shown if not _is_default(value, default)]
+    texts = []
+    for each in fields(owner):
+        text = brief(getattr(owner, each.name))
+        is_off = (
+            text in ("None", "0", "inf", "()") and not isinstance(each.default, str) and text == brief(each.default)
+        )
+        if each.repr and not is_off:
+            texts.append(f"{each.name}={text}")
     return f"{type(owner).__name__}({', '.join(texts)})"
 
 
@@ -66,12 +72,6 @@ def span(t: Any) -> str:
     """Return the range of instants (k,) [s] as text."""
     t = np.asarray(t)
     return f"{t[0]:.4g} to {t[-1]:.4g} s" if t.size else "no instants"
-
-
-def _is_default(value: Any, default: Any) -> bool:
-    return (
-        not isinstance(default, str) and brief(value) in ("None", "0", "inf", "()") and brief(value) == brief(default)
-    )
 
 
 def _brief_array(array: Any) -> str:

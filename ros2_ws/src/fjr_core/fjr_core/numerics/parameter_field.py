@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from ..errors import ParameterError
-from ..files.python_class import is_named
+from ..files.importing import is_named
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..numerics import jit
-from ..numerics.casadi_function import bind
+from ..numerics.symbolic import bind
 
 
 class CFunction:

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..law.vdpbc.law import TrackingLaw
+from ..law.vdpbc import TrackingLaw
 from ..numerics.checks import Array
 from .c_function import CFunction, WorkSpace
 

@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 
 from ..errors import GainsError, StateError, UserCodeError
-from ..law.robust import Robust, RobustLaw, sampled_law
-from ..law.safety_settings import Settings
-from ..law.sampled_law import raise_failure
-from ..law.static_law import StaticLaw
+from ..law.interfaces import StaticLaw, raise_failure
 from ..motions.reference import JETS, Reference
-from ..numerics.casadi_function import NumericFunction
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
+from ..numerics.symbolic import NumericFunction
+from ..robust.law import Robust, RobustLaw, sampled_law
 from .library import step_library
 from .measurement_model import Measurement
 from .reference_struct import ReferenceStruct
+from .safety_settings import Settings
 from .settings_struct import Model, law_function, model_functions, settings_struct
 from .velocity_observer import VelocityObserver
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..numerics import jit
-from ..numerics.c_types import ffi_of
+from ..numerics.c_library import ffi_of
 
 HEADER = "step.h"
 SOURCES = (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
+from ..law.linearized import equilibria_at
 from ..model.configuration_sampling import checked_configurations
-from ..model.equilibrium import equilibria_at
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from .velocity_observer import CONFIGURATIONS, LONGEST_CALL, LONGEST_GAP, VelocityObserver, corrections

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import FjrError, TrajectoryError, UserCodeError
-from ..files.python_class import described
+from ..extensions.python_code import checked
+from ..files.importing import described
 from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
-from ..numerics.python_function import checked
 from .reference_table import ReferenceTable, reference_table
 
 _NUMBERS = ("shift", "end", "period", "radius", "until")

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..motions.circle import Circle
 from ..motions.piecewise_polynomial import PiecewisePolynomial, PolynomialReference
-from ..motions.point_to_point import Hold, PointToPoint
+from ..motions.point_to_point import Circle, Hold, PointToPoint
 from ..motions.reference import Reference, check_reference
 from ..motions.sine import Sines
 from ..motions.transition import TimeShifted, Transition

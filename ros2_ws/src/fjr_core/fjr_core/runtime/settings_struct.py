@@ -9,17 +9,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..law.robust.law import RobustLaw
-from ..law.safety_settings import GRAVITY_HOLD, Settings
-from ..law.sampled_law import SampledLaw
-from ..law.static_law import StaticLaw
+from ..law.interfaces import SampledLaw, StaticLaw
 from ..model.robot import Robot
-from ..numerics.casadi_function import dense_function
 from ..numerics.jit import compiled, machine_code
-from ..numerics.symbolic import symbols
+from ..numerics.symbolic import dense_function, symbols
+from ..robust.law import RobustLaw
 from .c_function import CFunction, WorkSpace
 from .library import StepLibrary
 from .measurement_model import Measurement
+from .safety_settings import GRAVITY_HOLD, Settings
 from .velocity_observer import VelocityObserver
 
 LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")

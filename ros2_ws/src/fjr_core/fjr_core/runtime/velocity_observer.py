@@ -35,16 +35,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
+from ..law.linearized import equilibria_at, plant_matrices
 from ..model.configuration_sampling import checked_configurations
-from ..model.coordinates import Coordinates
-from ..model.equilibrium import equilibria_at, plant_matrices
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot
-from ..numerics.casadi_function import bind
+from ..model.robot import Coordinates, Robot
 from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled
 from ..numerics.one_line import brief
-from ..numerics.symbolic import symbols
+from ..numerics.symbolic import bind, symbols
 
 LONGEST_CALL = 1.5e-3  # s; longer intervals are predicted in several calls
 LONGEST_GAP = 0.1  # s; after a longer gap the observer restarts

@@ -13,18 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
-from ..law.sampled_law import SampledLaw, check_law, raise_failure
-from ..law.static_law import StaticLaw
-from ..model.coordinates import Coordinates, law_view
-from ..model.joint_units import Units
+from ..law.interfaces import SampledLaw, StaticLaw, check_law, raise_failure
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot
+from ..model.robot import Coordinates, Robot, Units, law_view
 from ..motions.reference import JETS, Reference, check_reference
 from ..numerics import checks
-from ..numerics.casadi_function import NumericFunction, bind, dense_function, not_converged
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..numerics.one_line import brief, joints, span
+from ..numerics.symbolic import NumericFunction, bind, dense_function, not_converged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,16 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..model.coordinates import Coordinates
-from ..model.payload import PayloadArm
 from ..model.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
-from ..model.rigid_arm import ArmDynamics, RigidArm
-from ..numerics.casadi_function import NumericFunction, dense_function, numeric
+from ..model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
+from ..model.robot import Coordinates
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
-from ..numerics.packed_vector import PackedVector
-from ..numerics.symbolic import blocks, sparse, symbols
+from ..numerics.symbolic import NumericFunction, PackedVector, blocks, dense_function, numeric, sparse, symbols
 from .nonideal_parameters import NAMES, SIZES, Nonidealities
 
 SHORTEST_LAG = 1e-12  # s

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FjrError
-from ..model.joint_units import joined
+from ..model.robot import joined
 from ..numerics.checks import Array
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import GainsError
-from ..law.robust import Robust, sampled_law
-from ..law.static_law import StaticLaw
+from ..law.interfaces import StaticLaw
 from ..model.configuration_sampling import sample_configurations
 from ..numerics.checks import Array
+from ..robust.law import Robust, sampled_law
 from .sampled_loop import spectral_radius
 
 NAMES = ("integral_gain", "motor_integral_gain")

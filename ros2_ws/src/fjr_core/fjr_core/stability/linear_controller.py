@@ -18,10 +18,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from ..law.sampled_law import ARGUMENTS, AsSampledLaw, SampledLaw, raise_failure
-from ..law.vdpbc.law import TrackingLaw
-from ..law.vdpbc.linearized import feedback
-from ..model.equilibrium import Equilibria, Indices, plant_matrices
+from ..law.interfaces import ARGUMENTS, AsSampledLaw, SampledLaw, raise_failure
+from ..law.linearized import Equilibria, Indices, feedback, plant_matrices
+from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..motions.reference import JETS
 from ..numerics.checks import Array

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
-from ..law.sampled_law import AsSampledLaw, SampledLaw, check_law
-from ..law.static_law import StaticLaw
-from ..law.vdpbc.gains import CheckedGains
-from ..law.vdpbc.law import TrackingLaw
-from ..law.vdpbc.linearized import error_matrices, feedback, metric_roots
+from ..law.gains import CheckedGains
+from ..law.interfaces import AsSampledLaw, SampledLaw, StaticLaw, check_law
+from ..law.linearized import Equilibria, equilibria_at, error_matrices, feedback, metric_roots, plant_matrices
+from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import checked_configurations
-from ..model.equilibrium import Equilibria, equilibria_at, plant_matrices
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..motions.reference import JETS

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..model.equilibrium import Indices
+from ..law.linearized import Indices
 from ..numerics.checks import Array
 from .linear_controller import At, Controller, static
 

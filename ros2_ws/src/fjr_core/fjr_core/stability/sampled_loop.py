@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
-from ..law.sampled_law import SampledLaw
-from ..law.static_law import StaticLaw
-from ..law.vdpbc.law import TrackingLaw
-from ..model.equilibrium import Indices
+from ..law.interfaces import SampledLaw, StaticLaw
+from ..law.linearized import Indices
+from ..law.vdpbc import TrackingLaw
 from ..model.port_hamiltonian import Plant
 from ..numerics.checks import Array, positive
 from ..numerics.one_line import one_line

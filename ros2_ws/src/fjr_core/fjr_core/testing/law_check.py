@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import FjrError, ParameterError
-from ..law.python_law import PythonLaw
-from ..law.static_law import StaticLaw
-from ..law.vdpbc.law import TrackingLaw
+from ..extensions.python_code import PythonLaw
+from ..law.interfaces import StaticLaw
+from ..law.vdpbc import TrackingLaw
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..motions.reference import JETS

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import FjrError, ParameterError
+from ..extensions.python_code import PythonPlant
 from ..model.port_hamiltonian import Plant
-from ..model.python_plant import PythonPlant
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from .findings import RELATIVE, Findings, random_states, rounded, slope

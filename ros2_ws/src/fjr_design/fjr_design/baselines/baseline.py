@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import GainsError
+from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.lie_derivative import Flow, flow
-from fjr_core.law.static_law import StaticLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array

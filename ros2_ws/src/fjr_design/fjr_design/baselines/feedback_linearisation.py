@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import GainsError
-from fjr_core.law.inverse_dynamics import motor_motion
 from fjr_core.law.lie_derivative import Flow
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 
@@ -48,7 +48,7 @@ class LinearErrorGains:
         slowest = float(np.linalg.eigvals(A).real.max())
         if not slowest < 0:
             raise GainsError(f"A_0 .. A_3 give an error that grows as exp({slowest:.4g} t); expected one that decays")
-        from scipy.linalg import solve_continuous_lyapunov  # loaded on use: see law/vdpbc/gains.py
+        from scipy.linalg import solve_continuous_lyapunov  # loaded on use: see law/gains.py
 
         P = solve_continuous_lyapunov(A.T, -weight(arrays["A_0"]))
         return {**arrays, "P": (P + P.T) / 2}

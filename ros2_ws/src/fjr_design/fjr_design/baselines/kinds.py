@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from fjr_core.law.registry import LawKind
+from fjr_core.extensions.law_registry import LawKind
 
 from . import backstepping, feedback_linearisation, lqr, pd_gravity, singular_perturbation, torque_feedback
 

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import GainsError
-from fjr_core.law.inverse_dynamics import motor_motion
 from fjr_core.law.lie_derivative import Flow
-from fjr_core.model.equilibrium import Equilibria, equilibria_at, plant_matrices
+from fjr_core.law.linearized import Equilibria, equilibria_at, plant_matrices
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 
@@ -39,7 +39,7 @@ class LqrGains:
 
     def arrays(self, robot: Robot) -> dict[str, Array]:
         """Return F (n, 4n) and P (4n, 4n); raise GainsError, also if the Riccati equation has no solution."""
-        from scipy.linalg import solve_continuous_are  # loaded on use: see law/vdpbc/gains.py
+        from scipy.linalg import solve_continuous_are  # loaded on use: see law/gains.py
 
         n = robot.n
         Q = checks.positive_semidefinite("Q", checks.matrix("Q", self.Q, 4 * n, GainsError), GainsError)

@@ -24,9 +24,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.law.inverse_dynamics import motor_motion
 from fjr_core.law.lie_derivative import Flow
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.numerics.checks import Array
 
 from .baseline import Baseline, damping, effort, metric

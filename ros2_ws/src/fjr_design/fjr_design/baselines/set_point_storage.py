@@ -10,8 +10,8 @@ import numpy as np
 
 from fjr_core.errors import GainsError
 from fjr_core.law.lie_derivative import Flow
+from fjr_core.law.linearized import equilibria_at
 from fjr_core.model.configuration_sampling import checked_configurations
-from fjr_core.model.equilibrium import equilibria_at
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import GainsError
-from fjr_core.law.inverse_dynamics import motor_motion
+from fjr_core.law.gains import critical_damping
 from fjr_core.law.lie_derivative import Flow
-from fjr_core.law.vdpbc.gains import critical_damping
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 

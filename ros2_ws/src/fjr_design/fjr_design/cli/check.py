@@ -18,12 +18,12 @@ from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.config.user_options import options
 from fjr_core.errors import ParameterError
-from fjr_core.files import other_package
-from fjr_core.files.python_class import is_named
-from fjr_core.law.registry import law_kind
-from fjr_core.law.robust import Robust
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.model.joint_units import joined
+from fjr_core.extensions.law_registry import law_kind
+from fjr_core.files import importing as other_package
+from fjr_core.files.importing import is_named
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.robot import joined
+from fjr_core.robust.law import Robust
 from fjr_core.stability.sampled_loop import SampledCheck
 from fjr_design.cli.preflight import (
     StartError,

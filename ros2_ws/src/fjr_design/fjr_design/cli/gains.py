@@ -10,15 +10,14 @@ from fjr_core.config import builders
 from fjr_core.config.builders import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError, ParameterError
-from fjr_core.files import other_package
-from fjr_core.files.atomic_file import write_text
-from fjr_core.files.text_file import read_text
-from fjr_core.law.robust import sampled_law
-from fjr_core.law.vdpbc.convergence_rate import Rate
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.model.domain import Domain, joint_range
+from fjr_core.files import importing as other_package
+from fjr_core.files.text_file import read_text, write_text
+from fjr_core.law.rate import Rate
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.motions.domain import Domain, joint_range
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
+from fjr_core.robust.law import sampled_law
 from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_design.cli.posterior_gains import Posterior
 from fjr_design.tuning.gain_synthesis import synthesize

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fjr_core.errors import FjrError
-from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import write_text
 from fjr_design.scaffold.arm import Arm, arm_of, described
 from fjr_design.scaffold.files import file_names, robot_text, scenario_text, summary
 from fjr_design.scaffold.proposal import proposal_of

@@ -12,11 +12,11 @@ from typing import Any
 from fjr_core.config.builders import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError
-from fjr_core.law.robust import sampled_law
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.linearized import equilibria_at
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import checked_configurations
-from fjr_core.model.equilibrium import equilibria_at
 from fjr_core.numerics.checks import Array
+from fjr_core.robust.law import sampled_law
 from fjr_design.posterior.drawn_plants import MATRICES, check_joints, drawn_plants, kept_at_prior
 from fjr_design.posterior.identification_file import read_identification
 from fjr_design.posterior.result import Identification

@@ -8,10 +8,10 @@ import numpy as np
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError
-from fjr_core.law.safety_settings import Settings
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.model.joint_units import joined
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.robot import joined
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.stability.sampled_loop import HIGHEST_RATE, SampledCheck, check
 from fjr_design.stability.integration_steps import fastest_mode, least_steps
 from fjr_design.stability.spring_lag import late_spring

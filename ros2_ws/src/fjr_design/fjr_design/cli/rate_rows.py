@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.files import other_package
-from fjr_core.law.vdpbc.convergence_rate import Rate
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.files import importing as other_package
+from fjr_core.law.rate import Rate
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.one_line import at_least
 from fjr_design.cli.preflight import as_list, position_unit
 

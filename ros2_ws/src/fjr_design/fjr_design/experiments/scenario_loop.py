@@ -10,7 +10,7 @@ from fjr_core.config.parameter import number
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import ParameterError
-from fjr_core.law.sampled_law import SampledLaw
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.simulation.batch import ClosedLoop
 
 INTEGRATOR = "rk4"

@@ -12,8 +12,8 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.numerics import integrators
-from fjr_core.numerics.casadi_function import dense_function
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.symbolic import dense_function
 
 from .step_code import Controller, controller_of
 

@@ -21,17 +21,16 @@ from fjr_core.config.measurement import measurement, observer
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError
-from fjr_core.law.robust import Robust, sampled_law
-from fjr_core.law.safety_settings import Settings
-from fjr_core.law.sampled_law import ARGUMENTS, SampledLaw
-from fjr_core.law.static_law import StaticLaw
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.interfaces import ARGUMENTS, SampledLaw, StaticLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import OUTPUTS
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import joint_names
+from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import HEADER, SOURCES, text
 from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.runtime.settings_struct import model_functions
 from fjr_core.runtime.velocity_observer import VelocityObserver
 

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from fjr_core.errors import RobotError
-from fjr_core.model.free_inertia import joints_without_inertia
-from fjr_core.model.kinematic_chains import Chain, chains
 from fjr_core.model.robot import Robot
-from fjr_core.model.typical_joints import typical_joints
-from fjr_core.model.urdf_import import MasslessJointError, robot_from_urdf
-from fjr_core.model.urdf_parser import MOVING, UrdfTree, read_urdf
+from fjr_core.urdf.chains import Chain, chains
+from fjr_core.urdf.robot import MasslessJointError, robot_from_urdf
+from fjr_core.urdf.tree import MOVING, UrdfTree, read_urdf
+from fjr_core.urdf.typical_joints import joints_without_inertia, typical_joints
 from fjr_design.scaffold.joint_data import published
 
 

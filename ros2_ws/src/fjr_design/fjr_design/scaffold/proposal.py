@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.law.vdpbc.gains import Gains
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.gains import Gains
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.motions.sine import Sine
 from fjr_core.numerics.checks import Array

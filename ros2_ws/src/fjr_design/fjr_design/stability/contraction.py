@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import StateError
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.numerics import checks

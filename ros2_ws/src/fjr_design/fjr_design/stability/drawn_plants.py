@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.law.sampled_law import SampledLaw
-from fjr_core.law.static_law import StaticLaw
-from fjr_core.model.equilibrium import Equilibria, Indices
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
+from fjr_core.law.linearized import Equilibria, Indices
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
@@ -217,6 +216,6 @@ def draws_needed(share: float, confidence: float = CONFIDENCE) -> int:
 
 def largest_share(lost: int, of: int, confidence: float = CONFIDENCE) -> float:
     """Return the upper bound of the share that is lost, with this confidence (C. Clopper, E. Pearson, 1934)."""
-    from scipy.special import betaincinv  # loaded on use: see law/vdpbc/gains.py
+    from scipy.special import betaincinv  # loaded on use: see law/gains.py
 
     return 1.0 if lost >= of else float(betaincinv(lost + 1, of - lost, confidence))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core.model.equilibrium import equilibria_at, plant_matrices
+from fjr_core.law.linearized import equilibria_at, plant_matrices
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 

@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.law.sampled_law import SampledLaw
-from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
+from fjr_core.law.linearized import Equilibria, equilibria_at
 from fjr_core.model.configuration_sampling import checked_configurations
-from fjr_core.model.equilibrium import Equilibria, equilibria_at
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import as_sampled, on_plant

@@ -19,14 +19,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.law.vdpbc.symbolic_gains import terms
+from fjr_core.law.gains import terms
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.virtual_system import derivative_expression
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics import symbolic
-from fjr_core.numerics.casadi_function import NumericFunction, dense_function
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
+from fjr_core.numerics.symbolic import NumericFunction, dense_function
 
 
 class ProlongedSystem:

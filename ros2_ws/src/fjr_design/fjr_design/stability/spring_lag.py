@@ -15,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.model.free_inertia import least_free_inertia
 from fjr_core.model.robot import Robot
+from fjr_core.urdf.typical_joints import least_free_inertia
 
 
 def lag_limit(sample_period: float, delay: float) -> float:

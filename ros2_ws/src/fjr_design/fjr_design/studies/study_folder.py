@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_core.errors import FjrError
-from fjr_core.files.atomic_file import write_text
-from fjr_core.files.text_file import read_json
+from fjr_core.files.text_file import read_json, write_text
 
 
 class StoreError(FjrError):

@@ -15,11 +15,11 @@ from functools import cached_property
 import numpy as np
 
 from fjr_core.config.law import START_ERROR
-from fjr_core.law.inverse_dynamics import inverse_dynamics
-from fjr_core.law.static_law import StaticLaw
-from fjr_core.law.vdpbc.gains import Gains
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.gains import Gains
+from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import rest_position, slope_at_rest

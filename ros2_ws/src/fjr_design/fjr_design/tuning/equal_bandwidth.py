@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from fjr_core.errors import GainsError
-from fjr_core.law.registry import V_DPBC, LawKind, law_kind
-from fjr_core.law.static_law import StaticLaw
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.extensions.law_registry import V_DPBC, LawKind, law_kind
+from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.checks import Array
 
 from .bandwidth import BANDWIDTH_TOLERANCE, PEAK_TOLERANCE, BaselineTarget, alike
@@ -183,6 +183,6 @@ def _between(family: _Family, low: _Candidate, high: _Candidate) -> _Candidate:
 
 def _root(f: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
     """Return a root of f between low and high to a relative tolerance."""
-    from scipy.optimize import brentq  # loaded on use: see law/vdpbc/gains.py
+    from scipy.optimize import brentq  # loaded on use: see law/gains.py
 
     return float(np.exp(brentq(lambda log: f(float(np.exp(log))), np.log(low), np.log(high), xtol=tolerance)))

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from fjr_core.errors import GainsError
-from fjr_core.law.vdpbc.gains import Gains
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.gains import Gains
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.sampled_loop import SampledCheck, check

@@ -21,14 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import GainsError
-from fjr_core.files import other_package
-from fjr_core.law.vdpbc.gains import Gains, relative_eigenvalues
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.law.vdpbc.linearized import feedback
+from fjr_core.files import importing as other_package
+from fjr_core.law.gains import Gains, relative_eigenvalues
+from fjr_core.law.linearized import Equilibria, Indices, equilibria_at, feedback, plant_matrices
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
-from fjr_core.model.domain import Domain
-from fjr_core.model.equilibrium import Equilibria, Indices, equilibria_at, plant_matrices
 from fjr_core.model.robot import Robot
+from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.stability.linearization import in_error_coordinates
 from fjr_core.stability.one_sample_map import SampledLoop

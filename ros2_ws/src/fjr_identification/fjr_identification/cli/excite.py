@@ -13,7 +13,7 @@ from fjr_core.config.nonidealities import sensor_errors
 from fjr_core.config.parameter import vector
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import rest_position
 from fjr_design.scaffold.first_scenario import first_values

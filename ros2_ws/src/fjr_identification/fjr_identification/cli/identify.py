@@ -9,7 +9,7 @@ from pathlib import Path
 from click import UsageError
 
 from fjr_core.errors import ParameterError
-from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import write_text
 from fjr_identification.cli.command import Request, identify_robot
 from fjr_identification.estimation.finding import KINDS
 from fjr_identification.estimation.parameters import Options

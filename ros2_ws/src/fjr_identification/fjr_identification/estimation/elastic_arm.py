@@ -17,13 +17,10 @@ from typing import Any
 
 import casadi as ca
 
-from fjr_core.model.inertial_arm import InertialArm
-from fjr_core.model.payload import PayloadArm
-from fjr_core.model.rigid_arm import ArmDynamics, RigidArm
+from fjr_core.model.newton_euler import InertialArm
+from fjr_core.model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.casadi_function import dense_function
-from fjr_core.numerics.packed_vector import PackedVector
-from fjr_core.numerics.symbolic import directional, solve, sparse, symbols
+from fjr_core.numerics.symbolic import PackedVector, dense_function, directional, solve, sparse, symbols
 from fjr_core.simulation.nonideal_plant import friction
 
 from .parameters import KINDS, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, TIMING, size

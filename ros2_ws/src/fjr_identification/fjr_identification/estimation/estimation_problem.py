@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.model.free_inertia import least_free_inertia
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
+from fjr_core.urdf.typical_joints import least_free_inertia
 
 from .coordinates import Coordinates, packed
 from .elastic_arm import ElasticArm, free_entries

@@ -19,11 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import TrajectoryError
-from fjr_core.law.inverse_dynamics import inverse_dynamics
 from fjr_core.model.robot import Robot
-from fjr_core.motions.fourier_series import FEWEST, RestingSeries, logarithmic_harmonics
+from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import JETS, Reference
-from fjr_core.motions.sine import MultiSine
+from fjr_core.motions.sine import FEWEST, MultiSine, RestingSeries, logarithmic_harmonics
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
 
@@ -166,7 +165,7 @@ class ExcitationDesign:
 
         emphasis: scalar or (n,), on the stiffness of each joint.
         """
-        from scipy.optimize import minimize  # loaded on use: see law/vdpbc/gains.py
+        from scipy.optimize import minimize  # loaded on use: see law/gains.py
 
         scale, emphasised = self._scale(), np.broadcast_to(np.asarray(emphasis, float), self.robot.n)
 

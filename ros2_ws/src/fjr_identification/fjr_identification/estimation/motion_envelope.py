@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import TrajectoryError
-from fjr_core.law.inverse_dynamics import inverse_dynamics
-from fjr_core.law.safety_settings import Settings
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.safety_settings import Settings
 
 INSTANTS = 2000  # of a reference that stands for missing limits
 ACCELERATION = 0.99  # of the limit, which the reference has to keep, not the robot

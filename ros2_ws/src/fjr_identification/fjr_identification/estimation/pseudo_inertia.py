@@ -16,9 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fjr_core.model.inertial_arm import InertialArm, pseudo_inertia
-from fjr_core.model.rigid_arm import ArmDynamics
-from fjr_core.model.rigid_body import Body
+from fjr_core.model.newton_euler import InertialArm, pseudo_inertia
+from fjr_core.model.rigid_arm import ArmDynamics, Body
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import Identification
 

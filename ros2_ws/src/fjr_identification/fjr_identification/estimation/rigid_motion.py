@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from fjr_core.law.inverse_dynamics import spring_torque
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.numerics.checks import Array
 
 from .motion_record import MotionRecord

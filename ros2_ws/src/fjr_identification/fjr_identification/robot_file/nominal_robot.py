@@ -17,9 +17,9 @@ from fjr_core.config.scenario import CONTROLLER
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.robot import Robot
-from fjr_core.model.urdf_inertia import with_inertias
-from fjr_core.model.urdf_parser import parse_xml
 from fjr_core.numerics.checks import Array
+from fjr_core.urdf.tree import parse_xml
+from fjr_core.urdf.writing import with_inertias
 from fjr_design.posterior.drawn_plants import MATRICES
 from fjr_design.posterior.result import UNKNOWN, Identification
 from fjr_design.scaffold.files import path_from

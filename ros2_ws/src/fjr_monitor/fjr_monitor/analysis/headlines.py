@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from fjr_core.model.joint_units import joined
+from fjr_core.model.robot import joined
 from fjr_monitor.analysis.metrics import Report
 from fjr_msgs_py.console.formatting import number, percent
 

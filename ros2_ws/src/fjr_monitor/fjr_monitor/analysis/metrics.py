@@ -18,10 +18,10 @@ import numpy as np
 from fjr_core.config import builders
 from fjr_core.config.diagnosis import axes
 from fjr_core.config.scenario import Scenario
-from fjr_core.files import other_package
-from fjr_core.files.atomic_file import write_text
-from fjr_core.law.vdpbc.convergence_rate import NO_RATE, Rate
-from fjr_core.model.domain import Domain
+from fjr_core.files import importing as other_package
+from fjr_core.files.text_file import write_text
+from fjr_core.law.rate import NO_RATE, Rate
+from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
 from fjr_monitor.analysis.controller_stop import ControllerStop
 from fjr_monitor.analysis.run_data import Recording, RunData

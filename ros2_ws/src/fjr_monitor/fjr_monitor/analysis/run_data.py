@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_monitor.analysis.commands import AFTERWARDS, ANSWERS, EFFORTS, commands_of
 from fjr_monitor.analysis.controller_stop import ControllerStop, StopWatch

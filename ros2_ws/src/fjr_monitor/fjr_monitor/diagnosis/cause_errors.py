@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.law.vdpbc.linearized import feedback
-from fjr_core.model.equilibrium import equilibria_at, plant_matrices
+from fjr_core.law.linearized import equilibria_at, feedback, plant_matrices
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.thresholds import BLOCK, GAP
 from fjr_core.numerics.checks import Array

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring import thresholds
 from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.one_step_prediction import Prediction
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.motions.reference import JETS
-from fjr_core.numerics.c_types import record_type
+from fjr_core.numerics.c_library import record_type
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.certificate_struct import CertificateStruct
 from fjr_core.runtime.control_step import NEVER

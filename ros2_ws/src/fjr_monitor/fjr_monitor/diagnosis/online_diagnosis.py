@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 import numpy.ma  # np.median would load it while the robot moves
 
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.thresholds import BLOCK, OLDEST
 from fjr_core.numerics.checks import Array

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
-from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import write_text
 from fjr_monitor.recording import message_types
 
 METADATA_VERSION = 9

@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from fjr_core.errors import FjrError
-from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import write_text
 from fjr_monitor.plotting.figure import Plot, Pool, colour
 from fjr_monitor.report.arm_replay import ArmReplay
 from fjr_msgs_py.console.formatting import number, percent

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fjr_core.model.joint_units import joined
+from fjr_core.model.robot import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_monitor.analysis import headlines

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.model.joint_units import joined
+from fjr_core.model.robot import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_monitor.analysis import headlines

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from fjr_core.config.robot_file import resolve
 from fjr_core.errors import FjrError
-from fjr_core.model.urdf_parser import UrdfJoint, parse_xml, read_urdf
+from fjr_core.urdf.tree import UrdfJoint, parse_xml, read_urdf
 from fjr_monitor.scene.mesh import Mesh, MeshError, decimated, read_mesh
 from fjr_monitor.scene.skeleton import THIN, skeleton
 

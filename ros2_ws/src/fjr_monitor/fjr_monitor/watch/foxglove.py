@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from fjr_core.errors import RobotError
-from fjr_core.model.urdf_frames import UrdfFrames
+from fjr_core.urdf.tree import UrdfFrames
 from fjr_monitor.watch.app import Options
 from fjr_monitor.watch.foxglove_server import PORT, FoxgloveServer
 from fjr_monitor.watch.node import drained

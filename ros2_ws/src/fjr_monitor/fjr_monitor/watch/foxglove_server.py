@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from fjr_core.errors import FjrError
-from fjr_core.model.urdf_frames import Frame
+from fjr_core.urdf.tree import LinkPose
 from fjr_monitor.recording.message_types import definition
 
 PORT = 8765  # Foxglove's default
@@ -64,7 +64,7 @@ class FoxgloveServer:
         """Send a serialised message; time [ns]: when it was published."""
         self._channels[topic].log(data, log_time=time)
 
-    def send_frames(self, frames: Sequence[Frame], time: int) -> None:
+    def send_frames(self, frames: Sequence[LinkPose], time: int) -> None:
         """Send the poses of the links at a time [ns]."""
         self._frames.log(frame_transforms(frames, time), log_time=time)
 
@@ -81,7 +81,7 @@ def _listener(sdk: ModuleType, on_subscription: Callable[[str], None]) -> Any:
     return Listener()
 
 
-def frame_transforms(frames: Sequence[Frame], time: int) -> Any:
+def frame_transforms(frames: Sequence[LinkPose], time: int) -> Any:
     """Return frames as Foxglove's message FrameTransforms."""
     messages = _sdk().messages
     stamp = messages.Timestamp(sec=time // 10**9, nsec=time % 10**9)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_core.errors import CompilerError
-from fjr_core.numerics.c_types import ffi_of
+from fjr_core.numerics.c_library import ffi_of
 from fjr_core.numerics.jit import shared_object
 from fjr_core.runtime.library import declarations
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.numerics.c_types import record_type
+from fjr_core.numerics.c_library import record_type
 
 from .program import Program
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fjr_core.numerics.c_types import ffi_of
+from fjr_core.numerics.c_library import ffi_of
 from fjr_core.numerics.jit import shared_object
 from fjr_core.runtime.library import declarations
 from fjr_msgs_py.native.program import COMMON, NativeError, Program, common_headers, common_sources

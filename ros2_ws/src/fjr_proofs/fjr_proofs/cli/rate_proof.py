@@ -19,14 +19,13 @@ import numpy as np
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, RobotError
-from fjr_core.files.atomic_file import write_text
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.files.text_file import write_text
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import bounds_of, sample_configurations
-from fjr_core.model.domain import GOAL, Domain
-from fjr_core.motions.tube import tube
+from fjr_core.motions.domain import GOAL, Domain, tube
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.code_cache import code_folder
-from fjr_core.numerics.jit_cache import program_digest
+from fjr_core.numerics.jit import program_digest
 from fjr_core.numerics.one_line import at_least
 from fjr_msgs_py.console.progress import heartbeat
 from fjr_proofs.rate.proof_of_rate import proof_of_rate

@@ -8,9 +8,9 @@ from typing import Any
 
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError
-from fjr_core.law.robust import Robust
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.one_line import at_least, at_most
+from fjr_core.robust.law import Robust
 from fjr_msgs_py.console.progress import progress_bar
 from fjr_proofs.sampled_contraction.proof import SampledContraction, sampled_contraction
 

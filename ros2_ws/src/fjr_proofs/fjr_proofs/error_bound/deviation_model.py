@@ -18,8 +18,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from fjr_core.law.inverse_dynamics import MotorMotion
-from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.interfaces import StaticLaw
+from fjr_core.motions.inverse_dynamics import MotorMotion
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.symbolic import directional, sparse
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_core.errors import ParameterError
-from fjr_core.law.static_law import StaticLaw
+from fjr_core.law.interfaces import StaticLaw
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import one_line

@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import StateError
-from fjr_core.numerics.casadi_function import columnwise
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.symbolic import columnwise
 from fjr_core.stability.one_sample_map import split
 
 from ..verification.taylor_models import Shape, TaylorModels, taylor_function

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fjr_core.errors import ParameterError
-from fjr_core.model.equilibrium import Indices
+from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.motions.sine import Sines, common_period
 from fjr_core.numerics.checks import Array

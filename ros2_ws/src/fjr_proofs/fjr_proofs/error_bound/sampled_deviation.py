@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from fjr_core.model.equilibrium import Indices
-from fjr_core.numerics.casadi_function import columnwise
+from fjr_core.law.linearized import Indices
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.symbolic import columnwise
 from fjr_core.stability.linear_controller import static
 from fjr_core.stability.one_sample_map import held_maps, map_of_held, split
 

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from fjr_core.errors import StateError
-from fjr_core.law.static_law import StaticLaw
-from fjr_core.model.equilibrium import Indices
+from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 

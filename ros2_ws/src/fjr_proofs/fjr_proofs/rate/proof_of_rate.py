@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fjr_core.law.vdpbc.convergence_rate import Rate, rate_with
-from fjr_core.law.vdpbc.gains import CheckedGains
-from fjr_core.model.domain import GOAL, MOST_BOXES, Domain, joint_range
+from fjr_core.law.gains import CheckedGains
+from fjr_core.law.rate import Rate, rate_with
 from fjr_core.model.robot import Robot
+from fjr_core.motions.domain import GOAL, MOST_BOXES, Domain, joint_range
 from fjr_core.numerics.checks import Array
 
 from ..verification.branch_and_bound import Watch, unwatched

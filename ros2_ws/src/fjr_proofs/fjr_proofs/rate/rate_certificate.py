@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.law.vdpbc.gains import CheckedGains, Gains
+from fjr_core.law.gains import CheckedGains, Gains
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 

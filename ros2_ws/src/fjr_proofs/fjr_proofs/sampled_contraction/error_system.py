@@ -21,8 +21,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.law.vdpbc.symbolic_gains import terms
+from fjr_core.law.gains import terms
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.intervals import Interval
 from fjr_core.numerics.symbolic import solve

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.model.equilibrium import Indices
+from fjr_core.law.linearized import Indices
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import Interval
 

@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from fjr_core.errors import StateError, TrajectoryError
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.model.equilibrium import Indices
+from fjr_core.law.linearized import Indices
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.sine import Sines
 from fjr_core.numerics.checks import Array, positive

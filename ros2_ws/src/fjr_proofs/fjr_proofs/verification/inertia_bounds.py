@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import RobotError, StateError
-from fjr_core.model.domain import GOAL, MOST_BOXES, Domain, joint_range
 from fjr_core.model.robot import Robot
+from fjr_core.motions.domain import GOAL, MOST_BOXES, Domain, joint_range
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import Interval

@@ -15,7 +15,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from fjr_core.model.rigid_body import Body, z_aligned
+from fjr_core.model.rigid_arm import Body, z_aligned
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import Interval, product, stack
 

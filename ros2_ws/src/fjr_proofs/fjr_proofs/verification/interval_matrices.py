@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.definiteness import factorisable, trace_factor
-from fjr_core.numerics.intervals import UP, Interval, U
+from fjr_core.numerics.intervals import UP, Interval, U, factorisable, trace_factor
 
 ABOVE = 1 + 1e-12
 TERMS = 14

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.definiteness import factorisable, trace_factor
-from fjr_core.numerics.intervals import UP, U
+from fjr_core.numerics.intervals import UP, U, factorisable, trace_factor
 
 from .control_matrices import ControlMatrices, NormalisedInertia, along
 from .inertia_polynomial import pairs

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import StateError
-from ...law.safety_settings import Settings
-from ...law.sampled_law import SampledLaw
+from ...law.interfaces import SampledLaw
 from ...model.port_hamiltonian import Plant
 from ...model.robot import Robot
 from ...motions.reference import Reference
 from ...numerics import checks
 from ...numerics.checks import Array
 from ...runtime.measurement_model import Measurement
+from ...runtime.safety_settings import Settings
 from ...runtime.velocity_observer import VelocityObserver
 from ..closed_loop import check_joints
 from . import uncertain_robot

@@ -15,19 +15,19 @@ import casadi as ca
 import numpy as np
 
 from ...errors import StateError
-from ...files.python_class import source_digest
-from ...law.safety_settings import Settings
-from ...law.sampled_law import SampledLaw, in_python, raise_failure
+from ...files.importing import source_digest
+from ...law.interfaces import SampledLaw, in_python, raise_failure
 from ...model.port_hamiltonian import Plant
 from ...model.robot import Robot
 from ...motions.reference import Reference
 from ...numerics import jit
-from ...numerics.c_types import ffi_of
-from ...numerics.jit_cache import program_digest
+from ...numerics.c_library import ffi_of
+from ...numerics.jit import program_digest
 from ...runtime.c_function import CFunction
 from ...runtime.library import HEADER, StepLibrary, c_text, declarations, text
 from ...runtime.measurement_model import Measurement
 from ...runtime.reference_struct import ReferenceStruct
+from ...runtime.safety_settings import Settings
 from ...runtime.settings_struct import Model, model_functions, settings_struct
 from ...runtime.velocity_observer import VelocityObserver
 from .uncertain_robot import UncertainPlant

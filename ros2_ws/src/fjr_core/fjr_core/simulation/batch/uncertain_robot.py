@@ -16,15 +16,12 @@ import casadi as ca
 import numpy as np
 
 from ...errors import ParameterError
-from ...model.coordinates import Coordinates
-from ...model.payload import PayloadArm
 from ...model.port_hamiltonian import Plant, derivative_expression, gradient_expression
-from ...model.rigid_arm import ArmDynamics, RigidArm
-from ...model.robot import Robot
+from ...model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
+from ...model.robot import Coordinates, Robot
 from ...numerics import integrators, symbolic
-from ...numerics.casadi_function import dense_function
 from ...numerics.checks import Array
-from ...numerics.packed_vector import PackedVector
+from ...numerics.symbolic import PackedVector, dense_function
 from ..nonideal_plant import friction
 
 ROOTS = ("stiffness", "link_inertia", "motor_inertia", "link_damping", "motor_damping")

@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import CompareError
-from fjr_core.law.inverse_dynamics import spring_torque
 from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate

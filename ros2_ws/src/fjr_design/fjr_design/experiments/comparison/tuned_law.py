@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.files.python_class import is_named
-from fjr_core.law.python_law import own_law
-from fjr_core.law.robust import Robust, sampled_law
-from fjr_core.law.sampled_law import SampledLaw
-from fjr_core.law.static_law import StaticLaw
+from fjr_core.extensions.python_code import own_law
+from fjr_core.files.importing import is_named
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
 from fjr_core.numerics.checks import Array
+from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.sampled_loop import spectral_radius
 
 from ...tuning.equal_bandwidth import BaselineTarget, tune

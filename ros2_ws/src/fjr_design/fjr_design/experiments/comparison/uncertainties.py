@@ -13,7 +13,7 @@ import numpy as np
 from fjr_core.config.parameter import number
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import ParameterError
-from fjr_core.law.sampled_law import SampledLaw
+from fjr_core.law.interfaces import SampledLaw
 
 from ..monte_carlo import distributions
 from ..monte_carlo.distributions import FIXED, Distribution

@@ -66,7 +66,7 @@ class Distribution:
             return np.asarray((value - low) / (high - low))
         if self.kind == LOG_UNIFORM:
             return np.asarray(np.log(value / low) / np.log(high / low))
-        from scipy.special import ndtr  # loaded on use: see law/vdpbc/gains.py
+        from scipy.special import ndtr  # loaded on use: see law/gains.py
 
         outside = ndtr(-WIDEST)
         normal = np.log(value / low) / high if self.kind == LOG_NORMAL else (value - low) / high
@@ -90,7 +90,7 @@ class Distribution:
 
 def standard_normal(share: Array) -> Array:
     """Return standard normal numbers at a share in [0, 1), truncated at WIDEST."""
-    from scipy.special import ndtr, ndtri  # loaded on use: see law/vdpbc/gains.py
+    from scipy.special import ndtr, ndtri  # loaded on use: see law/gains.py
 
     outside = ndtr(-WIDEST)
     return np.asarray(ndtri(outside + (1 - 2 * outside) * share))

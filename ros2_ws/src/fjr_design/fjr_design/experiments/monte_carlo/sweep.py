@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import ParameterError
-from fjr_core.law.safety_settings import Settings
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.batch import counter_rng
 from fjr_core.simulation.batch.closed_loop import ClosedLoop
 from fjr_core.simulation.batch.draws import LEVELS, PER_RUN, SMOOTHING, Draws, width

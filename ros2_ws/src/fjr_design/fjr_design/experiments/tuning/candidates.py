@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.errors import FjrError, ParameterError
-from fjr_core.law.sampled_law import SampledLaw
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.sampled_loop import spectral_radius
 

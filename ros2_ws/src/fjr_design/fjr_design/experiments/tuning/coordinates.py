@@ -17,11 +17,11 @@ from fjr_core.config.law import ROBUST
 from fjr_core.config.measurement import OBSERVER_BANDWIDTH, observer
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
-from fjr_core.files.python_class import is_named
-from fjr_core.law.registry import V_DPBC, law_kind
-from fjr_core.law.robust import sampled_law
-from fjr_core.law.robust.options import GAINS as ROBUST_GAINS
-from fjr_core.law.sampled_law import SampledLaw
+from fjr_core.extensions.law_registry import V_DPBC, law_kind
+from fjr_core.files.importing import is_named
+from fjr_core.law.interfaces import SampledLaw
+from fjr_core.robust.law import GAINS as ROBUST_GAINS
+from fjr_core.robust.law import sampled_law
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from ...tuning.equal_bandwidth import tune

@@ -13,8 +13,8 @@ import yaml
 
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
-from fjr_core.law.sampled_law import AsSampledLaw
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.interfaces import AsSampledLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.numerics.checks import MOTOR, Array

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.law.safety_settings import Settings
 from fjr_core.numerics.parameter_field import Parameter, declared
 from fjr_core.runtime.event_kinds import ERRORS, KINDS, WARNINGS
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.runtime.wiring_fault import SENTENCES
 
 from ..c_code import number, quoted

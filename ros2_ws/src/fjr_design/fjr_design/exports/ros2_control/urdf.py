@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
-from fjr_core.model.urdf_parser import parse_xml
 from fjr_core.numerics.checks import MOTOR
+from fjr_core.urdf.tree import parse_xml
 
 TAG = "ros2_control"
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError
-from fjr_core.files.python_class import is_named, load, source_digest
-from fjr_core.numerics.jit_cache import program_digest
+from fjr_core.files.importing import is_named, load, source_digest
+from fjr_core.numerics.jit import program_digest
 from fjr_design.experiments.comparison import MotionDemand, Trial, directions, motion_demand
 from fjr_design.experiments.comparison.tuned_law import TunedLaw, tuned_law
 from fjr_design.experiments.comparison.uncertainties import Uncertainties, law_for

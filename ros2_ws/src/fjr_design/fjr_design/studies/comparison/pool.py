@@ -15,8 +15,7 @@ from typing import Any
 
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError
-from fjr_core.files.atomic_file import is_sealed, write_text
-from fjr_core.files.text_file import read_json
+from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_design.studies.comparison.job import Job, Result, work
 from fjr_msgs_py.console.formatting import plural
 from fjr_msgs_py.console.interrupt import Interrupted

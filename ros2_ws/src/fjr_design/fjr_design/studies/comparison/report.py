@@ -8,7 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from fjr_core.files.python_class import is_named
+from fjr_core.files.importing import is_named
 from fjr_design.studies.comparison.report_figures import comparison_plots, looks, place_of
 from fjr_design.studies.comparison.results import Row, Value, extent, rows
 from fjr_monitor.report import html

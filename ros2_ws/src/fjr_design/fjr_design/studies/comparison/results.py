@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from fjr_core.law.registry import law_kind
+from fjr_core.extensions.law_registry import law_kind
 from fjr_design.experiments.comparison.perturbations import PERTURBATIONS, Direction, directions
 from fjr_design.studies.comparison.job import Job, Result
 from fjr_design.studies.comparison.suite import NOMINAL, Suite

@@ -11,10 +11,10 @@ from typing import Any
 
 from fjr_core.config import ros_yaml
 from fjr_core.errors import CompareError, FjrError, ParameterError
-from fjr_core.files.python_class import is_named
-from fjr_core.files.python_class import load as load_class
-from fjr_core.law.registry import LAWS, V_DPBC
-from fjr_core.law.robust import Robust
+from fjr_core.extensions.law_registry import LAWS, V_DPBC
+from fjr_core.files.importing import is_named
+from fjr_core.files.importing import load as load_class
+from fjr_core.robust.law import Robust
 from fjr_design.experiments.comparison.perturbations import directions, known
 from fjr_design.experiments.comparison.trial import TRACKS
 from fjr_design.experiments.comparison.uncertainties import uncertainties

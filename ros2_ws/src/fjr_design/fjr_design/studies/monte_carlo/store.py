@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from fjr_core.files.atomic_file import is_sealed, whole_file
+from fjr_core.files.text_file import is_sealed, whole_file
 from fjr_design.experiments.monte_carlo.sweep import Columns, Sweep
 from fjr_design.studies.study_folder import StoreError, check_description, locked
 

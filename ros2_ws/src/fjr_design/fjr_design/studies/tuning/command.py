@@ -15,7 +15,7 @@ import numpy as np
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.law import TYPE
-from fjr_core.files.atomic_file import write_text
+from fjr_core.files.text_file import write_text
 from fjr_design.experiments.tuning.candidates import (
     OF_SCENARIO,
     SELECTION,

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.law.vdpbc.law import TrackingLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.one_step_prediction import Prediction
 from fjr_core.monitoring.thresholds import BLOCK

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interfaces of laws: static laws u(x, x, t), and sampled laws with a controller state."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol, TypeVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import StateError
+from ..model.robot import Robot
+from ..motions.reference import JETS
+from ..numerics.checks import Array, kind_of
+from ..numerics.jit import compiled
+from ..numerics.one_line import joints, one_line
+from ..numerics.symbolic import NumericFunction, dense_function
+from .gains import ArraySymbols
+from .lie_derivative import Flow
+
+Law = TypeVar("Law", bound="StaticLaw")
+ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
+"""Arguments of SampledLaw.step_function, in order."""
+
+
+class StaticLaw(ABC):
+    """A static law u(x, x, t) of a robot as a pure function, with a storage V (nan if it has none).
+
+    Subclasses define `measured_expressions` and `hold_damping`. Gains are arguments of the function, so that
+    with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
+    gains: named as in the paper; `arrays(robot)` returns the arrays of the law's equations by name, and raises
+    GainsError if the paper's conditions are violated.
+    in_python: True for a law that is evaluated in Python and cannot be compiled.
+    """
+
+    in_python = False
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({joints(self.robot.n)}, {one_line(self.gains)})"
+
+    def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
+        self.robot = robot
+        self.gains = gains
+        self.arrays: dict[str, Array] = gains.arrays(robot)
+        self.compiles = compile
+
+    def with_gains(self: Law, gains: Any) -> Law:
+        """Return the law with other gains; nothing is built or compiled.
+
+        Raises GainsError as the constructor does, and for a full matrix where the gain of this law is diagonal.
+        """
+        other = type(self)(self.robot, gains, self.compiles)
+        other.symbols = self.symbols
+        other.measured_function = self.measured_function
+        if "measured_expression" in vars(self):  # else the compiled function came from the cache
+            other.measured_expression = self.measured_expression
+        other.gain_values = self.symbols.values(other.arrays)
+        return other
+
+    def raise_failure(self) -> None:
+        """Raise the error of an evaluation since the last call; only a law in Python fails."""
+        return
+
+    @abstractmethod
+    def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """Return the arguments of measured_function, and expressions of u (n,), V and further outputs."""
+
+    @property
+    @abstractmethod
+    def hold_damping(self) -> Array:
+        """Motor damping (n, n) [N m s/rad] of the stop policy that holds the weight only."""
+
+    @cached_property
+    def symbols(self) -> ArraySymbols:
+        """Symbols of the gains, of which law and certificate are functions."""
+        return ArraySymbols(self.arrays)
+
+    @cached_property
+    def gain_values(self) -> Array:
+        """The argument `gains` (g,) of measured_function."""
+        return self.symbols.values(self.arrays)
+
+    def at_measured(self, f: Flow, outputs: dict[str, ca.SX]) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """Return the arguments of measured_function, and outputs in the symbols of f as expressions of them."""
+        n = self.robot.n
+        position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
+        values = f.at_velocities(ca.vertcat(position, velocity), *outputs.values())
+        inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": self.symbols.vector}
+        return inputs, dict(zip(outputs, values, strict=True))
+
+    def measured_command(self, position: ArrayLike, velocity: ArrayLike, jets: ArrayLike) -> tuple[Array, float]:
+        """Return u(x, x, t) (n,) [N m] and V [J] for a measured position and velocity.
+
+        position (q_l, q_m) [rad] and velocity (dq_l, dq_m) [rad/s], (2n,) each; jets (5, n): q_ld .. d4q_ld.
+        V is nan if the law has no storage. Raises StateError for wrong shapes.
+        """
+        u, V = self._measured_command(position, velocity, jets, self.gain_values)
+        return u, float(V[0])
+
+    def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
+        """Return the effort u(x, x, t) (n,) [N m] at a state x (4n,) with momenta; jets (5, n)."""
+        return self._command(x, jets)[0]
+
+    @cached_property
+    def command_function(self) -> ca.Function:
+        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
+        n = self.robot.n
+        x, jets = ca.SX.sym("x", 4 * n), ca.SX.sym("jets", n, JETS)
+        velocity = ca.vertcat(*self.robot.velocity_expressions(x))
+        u, V = self.measured_expression(x[: 2 * n], velocity, jets, ca.DM(self.gain_values))
+        return self.ready(dense_function("command", {"x": x, "jets": jets}, {"u": u, "V": V}, cse=True))
+
+    @cached_property
+    def measured_function(self) -> ca.Function:
+        """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; compiled if requested."""
+        return self.ready(self.measured_expression)
+
+    @cached_property
+    def measured_expression(self) -> ca.Function:
+        """measured_function, not compiled, so that it can be part of another function."""
+        inputs, outputs = self.measured_expressions()
+        return dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
+
+    def ready(self, function: ca.Function) -> ca.Function:
+        """Return the function, compiled if this law is compiled."""
+        return compiled(function) if self.compiles else function
+
+    @cached_property
+    def _measured_command(self) -> NumericFunction:
+        return NumericFunction(self.measured_function)
+
+    @cached_property
+    def _command(self) -> NumericFunction:
+        return NumericFunction(self.command_function)
+
+
+class SampledLaw(Protocol):
+    """A law evaluated once per sample with its effort held; the reference is evaluated `lead` [s] after the stamp."""
+
+    @property
+    def robot(self) -> Robot:
+        """The robot model of the law."""
+
+    @property
+    def lead(self) -> float:
+        """Time [s] from the sample's stamp to the evaluation of the reference, 0 or more."""
+
+    @property
+    def gain_values(self) -> Array:
+        """The argument `gains` (g,) of step_function."""
+
+    @property
+    def memory(self) -> Array:
+        """Initial controller state (m,), the argument `memory` of the first step; (0,) for a static law."""
+
+    @property
+    def step_function(self) -> ca.Function:
+        """The CasADi function of one sample; not compiled, so that it can be part of another function.
+
+        (position (2n,), velocity (2n,), jets (n, 5), gains (g,), memory (m,), sent (n,), dt) -> u (n,), V, next (m,).
+        position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]. memory, next: controller state before and after.
+        sent [N m]: effort sent at the last sample, after saturation, zero at the first sample. dt [s]: time since
+        the last sample, 0 at the first.
+        """
+
+
+def step_symbols(law: SampledLaw) -> dict[str, ca.MX]:
+    """Return symbols for ARGUMENTS."""
+    n = law.robot.n
+    sizes = ((2 * n,), (2 * n,), (n, JETS), (len(law.gain_values),), (len(law.memory),), (n,), ())
+    return {name: ca.MX.sym(name, *size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
+
+
+@dataclass(frozen=True, eq=False)
+class AsSampledLaw:
+    """Adapt a static law to the interface SampledLaw."""
+
+    law: StaticLaw
+    lead: float = 0.0
+
+    __repr__ = one_line
+
+    @property
+    def robot(self) -> Robot:
+        """The robot model of the law."""
+        return self.law.robot
+
+    @property
+    def gain_values(self) -> Array:
+        """The argument `gains` (g,) of step_function."""
+        return self.law.gain_values
+
+    @property
+    def memory(self) -> Array:
+        """Empty controller state (0,)."""
+        return np.zeros(0)
+
+    @cached_property
+    def step_function(self) -> ca.Function:
+        """SampledLaw.step_function; it does not depend on memory, sent and dt."""
+        s = step_symbols(self)
+        u, V = self.law.measured_expression(s["position"], s["velocity"], s["jets"], s["gains"])
+        return dense_function("sampled_law", s, {"u": u, "V": V, "next": s["memory"]})
+
+
+def check_law(law: object) -> None:
+    """Raise StateError unless `law` is a StaticLaw or has the members of a SampledLaw; a function has not."""
+    if isinstance(law, StaticLaw) or all(hasattr(law, name) for name in ("robot", "step_function", "gain_values")):
+        return
+    raise StateError(
+        f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), "
+        "fjr.PythonLaw(own, robot), or an object with the members of fjr_core.law.interfaces.SampledLaw"
+    )
+
+
+def raise_failure(law: StaticLaw | SampledLaw) -> None:
+    """Raise the error of an evaluation since the last call; only a law in Python fails (StaticLaw.raise_failure)."""
+    static = getattr(law, "law", law)
+    if isinstance(static, StaticLaw):
+        static.raise_failure()
+
+
+def in_python(law: StaticLaw | SampledLaw) -> bool:
+    """Return whether the law is evaluated in Python, so that nothing that contains it can be compiled."""
+    return bool(getattr(getattr(law, "law", law), "in_python", False))

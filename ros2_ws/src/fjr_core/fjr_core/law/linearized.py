@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linearise the plant and v-dPBC about the equilibria of a robot in closed form, for a stack of k configurations.
+
+Equilibrium: x = (q_l, q_l + K^-1 grad P_l, 0, 0); the springs carry the weight. With q_ld = q_l all errors are zero
+there, and E_l, C and d/dt M_l are of second order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..model.robot import Robot
+from ..numerics.checks import Array
+from .gains import CheckedGains
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibria:
+    """Equilibria at link positions q_l (k, n) [rad], with the inertia M_l and the Hessian N_l of P_l, (k, n, n)."""
+
+    robot: Robot
+    q_l: Array
+    M_l: Array
+    N_l: Array
+
+    @cached_property
+    def weights(self) -> Array:
+        """Gravity torques grad P_l (k, n) [N m]."""
+        return np.asarray(self.robot.links.grad_P_l.map(len(self.q_l))(self.q_l.T).full().T)
+
+    @property
+    def u(self) -> Array:
+        """Equilibrium efforts (k, n) [N m]."""
+        return np.asarray(self.weights @ np.linalg.inv(self.robot.B_m).T)
+
+    @property
+    def x(self) -> Array:
+        """Equilibrium states (k, 4n)."""
+        q_m = self.q_l + self.weights @ np.linalg.inv(self.robot.K).T
+        return np.hstack([self.q_l, q_m, np.zeros_like(q_m), np.zeros_like(q_m)])
+
+    def at(self, indices: Indices) -> Equilibria:
+        """Return the equilibria with these indices."""
+        return Equilibria(self.robot, self.q_l[indices], self.M_l[indices], self.N_l[indices])
+
+    def blocks(self, *rows: Sequence[ArrayLike]) -> Array:
+        """Return a stack (k, rows n, columns n) of block matrices; blocks are (n, n), (k, n, n) or 0."""
+        k, n, _ = self.M_l.shape
+        whole = np.empty((k, n * len(rows), n * len(rows[0])))
+        for i, row in enumerate(rows):
+            for j, block in enumerate(row):
+                whole[:, n * i : n * (i + 1), n * j : n * (j + 1)] = block
+        return whole
+
+    def block_diagonal(self, *parts: ArrayLike) -> Array:
+        """Return a stack (k, 4n, 4n) of block-diagonal matrices; parts as in `blocks`."""
+        return self.blocks(*([part if i == j else 0 for j in range(len(parts))] for i, part in enumerate(parts)))
+
+
+def equilibria_at(robot: Robot, configurations: Array) -> Equilibria:
+    """Return the equilibria of a robot at configurations (k, n) [rad]."""
+    q_l = ca.SX.sym("q_l", robot.n)
+    hessian = ca.jacobian(robot.links.grad_P_l(q_l), q_l)
+    both = ca.Function("M_l_and_N_l", [q_l], [ca.densify(robot.links.M_l(q_l)), ca.densify(hessian)])
+    M_l, N_l = both.map(len(configurations))(configurations.T)  # one call: each costs more than these functions
+    return Equilibria(robot, configurations, _stacked(M_l), _stacked(N_l))
+
+
+def _stacked(side_by_side: ca.DM) -> Array:
+    """Return matrices that stand side by side, (n, k n), as a stack (k, n, n)."""
+    n = side_by_side.shape[0]
+    return np.ascontiguousarray(side_by_side.full().reshape(n, -1, n).swapaxes(0, 1))
+
+
+def plant_matrices(points: Equilibria) -> tuple[Array, Array]:
+    """Return A (k, 4n, 4n) and B (k, 4n, n) of dx = A x + B u, eq. (36) linearised about the equilibria."""
+    r, W_l, W_m = points.robot, np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m)
+    A = points.blocks(
+        [0, 0, W_l, 0],
+        [0, 0, 0, W_m],
+        [-points.N_l - r.K, r.K, -r.D_l @ W_l, 0],
+        [r.K, -r.K, 0, -r.D_m @ W_m],
+    )
+    return A, points.blocks([0], [0], [0], [r.B_m])
+
+
+def error_matrices(points: Equilibria, gains: CheckedGains) -> Array:
+    """Return Theta (k, 4n, 4n): e = Theta x about the equilibria, e = (q_tilde_l, q_tilde_m, sigma_l, sigma_m)."""
+    r, g, M_l, one = points.robot, gains, points.M_l, np.eye(points.robot.n)
+    A, _ = plant_matrices(points)
+    q_l, q_m = points.blocks([one, 0, 0, 0]), points.blocks([0, one, 0, 0])
+    p_l, p_m = points.blocks([0, 0, one, 0]), points.blocks([0, 0, 0, one])
+    v_lr = -g.Lambda_l @ q_l  # (31), q_tilde_l = q_l
+    sigma_l = p_l - M_l @ v_lr  # (30)
+    s_l = np.linalg.solve(M_l, sigma_l)
+    u_l = M_l @ v_lr @ A + points.N_l @ q_l + r.D_l @ v_lr - g.Pi_l @ q_l - g.K_ld @ s_l  # (33)
+    q_md = q_l + np.linalg.inv(r.K) @ u_l
+    q_tilde_m = q_m - q_md  # (39)
+    v_mr = q_md @ A - g.Lambda_m @ q_tilde_m - np.linalg.inv(g.Pi_m) @ r.K.T @ s_l  # (40)
+    sigma_m = p_m - r.M_m @ v_mr  # (39)
+    return np.concatenate([q_l, q_tilde_m, sigma_l, sigma_m], axis=1)
+
+
+def error_dynamics(points: Equilibria, gains: CheckedGains) -> Array:
+    """Return A_e (k, 4n, 4n) of the continuous-time error dynamics de = A_e e, with E_l = 0."""
+    r, g = points.robot, gains
+    W_l, W_m = np.linalg.inv(points.M_l), np.linalg.inv(r.M_m)
+    return points.blocks(
+        [-g.Lambda_l, 0, W_l, 0],
+        [0, -g.Lambda_m, -np.linalg.inv(g.Pi_m) @ r.K.T @ W_l, W_m],
+        [-g.Pi_l, r.K, -(r.D_l + g.K_ld) @ W_l, 0],
+        [0, -g.Pi_m, 0, -(r.D_m + g.K_md) @ W_m],
+    )
+
+
+def feedback(points: Equilibria, gains: CheckedGains) -> Array:
+    """Return F (k, n, 4n) of the linearised law u = F x, which turns the plant into the error dynamics."""
+    A, _ = plant_matrices(points)
+    Theta = error_matrices(points, gains)
+    closed = np.linalg.solve(Theta, error_dynamics(points, gains) @ Theta)
+    return np.linalg.inv(points.robot.B_m) @ (closed - A)[:, 3 * points.robot.n :]
+
+
+def metric_roots(points: Equilibria, gains: CheckedGains) -> Array:
+    """Return S (k, 4n, 4n) with S' S = P = diag(Pi_l, Pi_m, M_l^-1, M_m^-1): V = |S e|^2 / 2, eq. (43)."""
+    root_l, root_m = np.linalg.cholesky(gains.Pi_l).T, np.linalg.cholesky(gains.Pi_m).T
+    L_l, L_m = np.linalg.cholesky(points.M_l), np.linalg.cholesky(points.robot.M_m)
+    return points.block_diagonal(root_l, root_m, np.linalg.inv(L_l), np.linalg.inv(L_m))

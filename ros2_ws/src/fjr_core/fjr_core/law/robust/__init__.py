@@ -1,7 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Robust extensions of the paper: disturbance feedforward, integral action, Smith predictor for the loop delay."""
-
-from .law import RobustLaw, sampled_law
-from .options import Robust
-
-__all__ = ["Robust", "RobustLaw", "sampled_law"]

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robust extensions of a law: estimate disturbances, predict the state, integrate, compute the effort."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import GainsError
+from ..law.interfaces import AsSampledLaw, SampledLaw, StaticLaw, step_symbols
+from ..law.lie_derivative import Load, flow
+from ..law.vdpbc import TrackingLaw
+from ..model.robot import Robot
+from ..numerics import checks
+from ..numerics.checks import Array
+from ..numerics.one_line import one_line
+from ..numerics.parameter_field import VECTOR, parameter_field
+from ..numerics.symbolic import PackedVector, dense_function
+from .disturbance_observer import DisturbanceObserver
+from .integral_action import IntegralAction, gain_values
+from .smith_predictor import EffortBuffer, Predictor
+
+GAINS = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
+HOLD = 1e-3  # s
+LONGEST_DELAY = 32  # samples of hold
+FASTEST = 1e4  # 1/s, largest gain
+_gain_field = partial(parameter_field, 0.0, unit="1/s", shape=VECTOR, constraint=f"0 to {FASTEST:g}")
+OUTPUTS = ("u", "V", "dissipation", "port_m", "port_l")
+
+
+@dataclass(frozen=True, eq=False)
+class Robust:
+    """Options of the robust action (docs/robust.md); each gain is a scalar or (n,), 0 (off) to FASTEST.
+
+    residual_gain [1/s]: bandwidth L of the estimate of the link disturbance, which is fed forward.
+    motor_residual_gain [1/s]: bandwidth of the estimate of the motor disturbance. integral_gain [1/s]: rate at which
+    the integral compensates a link torque. motor_integral_gain [1/s]: rate for a motor torque.
+    delay [s]: loop delay over which the state is predicted; 0 disables the prediction. hold [s]: hold period of the
+    effort, equal to the sample period; half of it is added to the prediction.
+    """
+
+    residual_gain: ArrayLike = _gain_field("Bandwidth of the link disturbance observer (feedforward); 0: off")
+    motor_residual_gain: ArrayLike = _gain_field("Bandwidth of the motor disturbance observer (feedforward); 0: off")
+    integral_gain: ArrayLike = _gain_field("Rate of the integral action on the links; 0: off")
+    motor_integral_gain: ArrayLike = _gain_field("Rate of the integral action on the motors; 0: off")
+    delay: float = parameter_field(
+        0.0,
+        "Loop delay over which the Smith predictor predicts the state; 0: no prediction",
+        "s",
+        minimum=0.0,
+        maximum=0.1,
+    )
+    hold: float = parameter_field(
+        HOLD, "Sample period; half of it is added to robust.delay", "s", minimum=1e-5, maximum=1.0
+    )
+
+    def checked(self, n: int) -> Robust:
+        """Return the options with gains (n,). Raises GainsError for a wrong range or shape, or a non-finite value."""
+        gains = {name: _checked_gain(name, getattr(self, name), n) for name in GAINS}
+        for name, value in (("delay", self.delay), ("hold", self.hold)):
+            if not (np.isfinite(value) and value >= 0):
+                raise GainsError(f"{name} is {value} s; expected a finite number of 0 or more")
+        if self.delay and not self.delay <= LONGEST_DELAY * self.hold:
+            raise GainsError(
+                f"delay is {self.delay} s with a hold of {self.hold} s; expected at most {LONGEST_DELAY} holds"
+            )
+        checked = replace(self, **gains)  # type: ignore[arg-type]
+        if checked.integrates and not self.hold:
+            raise GainsError(f"hold is {self.hold} s with an integral; expected more than 0")
+        return checked
+
+    @property
+    def estimates(self) -> bool:
+        """True if disturbance torques are estimated."""
+        return bool(np.any(self.residual_gain) or np.any(self.motor_residual_gain))
+
+    @property
+    def integrates(self) -> bool:
+        """True with integral action."""
+        return bool(np.any(self.integral_gain) or np.any(self.motor_integral_gain))
+
+    @property
+    def predicts(self) -> bool:
+        """True if the state is predicted."""
+        return self.delay > 0
+
+    @property
+    def off(self) -> bool:
+        """True without any robust action."""
+        return not (self.estimates or self.integrates or self.predicts)
+
+    @property
+    def lead(self) -> float:
+        """Prediction horizon [s]: the delay plus half of the hold period."""
+        return self.delay + self.hold / 2 if self.predicts else 0.0
+
+
+def _checked_gain(name: str, value: ArrayLike, n: int) -> Array:
+    array = checks.vector(name, value, n, GainsError)
+    if not np.all((array >= 0) & (array <= FASTEST)):
+        raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 to {FASTEST:g}")
+    array.setflags(write=False)
+    return array
+
+
+def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:
+    """Return the CasADi function of the law u(x, x, t) with a load, not compiled.
+
+    (position (2n,), velocity (2n,), jets (n, 5), gains (g,), known (n, 3), matched (n,), integral (n,),
+    integral_gain (n, n)) -> OUTPUTS. known: link torque with two derivatives. matched (n,) [N m]: motor torque. The law
+    compensates both. integral (n,) [N m]: state of the integral action with the symmetric gain integral_gain
+    [N m/rad] (lie_derivative.Load). V [J] without the energy of the integral. dissipation [W]: see
+    law.vdpbc. port_m = s_m = dV/dp_m, port_l = dV/dp_l (n,) [rad/s]. integrates = False omits the last
+    two arguments and port_l, which cost as much as the law.
+    """
+    n = law.robot.n
+    load, matched = Load.named(n, integrates), ca.SX.sym("matched", n)
+    inputs, outputs = law.measured_expressions(flow(law.robot, diagonal=True, load=load), -matched)
+    arguments = inputs | {"known": load.known, "matched": matched}
+    if integrates:
+        arguments |= {"integral": load.integral, "integral_gain": load.gain}
+    found, names = outputs | {"port_m": outputs["s_m"]}, OUTPUTS if integrates else OUTPUTS[:-1]
+    return dense_function("loaded_command", arguments, {name: found[name] for name in names}, cse=True)
+
+
+def sampled_law(law: StaticLaw, robust: Robust | None = None) -> SampledLaw:
+    """Return the sampled law with the robust action requested, if any. Raises GainsError."""
+    robust = (robust or Robust()).checked(law.robot.n)
+    return AsSampledLaw(law) if robust.off else RobustLaw(law, robust)
+
+
+@dataclass(frozen=True, eq=False)
+class RobustLaw:
+    """A law with robust action, as a SampledLaw (docs/robust.md).
+
+    Each sample estimates the disturbance torques, predicts the state at the time the effort acts, and evaluates there
+    the law that compensates the estimates and the integral. V is the storage at this state plus the energy of the
+    integral. Estimates and integral action require a TrackingLaw.
+    Raises GainsError for inconsistent options.
+    """
+
+    law: StaticLaw
+    robust: Robust
+
+    __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "robust", self.robust.checked(self.robot.n))
+        if (self.robust.estimates or self.robust.integrates) and not isinstance(self.law, TrackingLaw):
+            raise GainsError(
+                f"robust action by estimates or an integral is enabled for a {type(self.law).__name__}; "
+                "expected it for the law v_dpbc only"
+            )
+
+    @property
+    def robot(self) -> Robot:
+        """The robot model of the law."""
+        return self.law.robot
+
+    @property
+    def lead(self) -> float:
+        """Time [s] from the sample to the evaluation of the reference: the prediction horizon."""
+        return self.robust.lead
+
+    @property
+    def gain_values(self) -> Array:
+        """Gains of the law, then residual gains (2n,) and integral gains (integral_action.gain_values) if enabled."""
+        r, values = self.robust, [self.law.gain_values]
+        if r.estimates:
+            values += [np.asarray(r.residual_gain), np.asarray(r.motor_residual_gain)]
+        if r.integrates and isinstance(self.law, TrackingLaw):
+            rates = np.asarray(r.integral_gain), np.asarray(r.motor_integral_gain)
+            values.append(gain_values(self.robot, self.law.gains, rates))
+        return np.concatenate(values)
+
+    @property
+    def memory(self) -> Array:
+        """Initial controller state: zeros."""
+        return np.zeros(self._memory.size)
+
+    @cached_property
+    def ready_step(self) -> ca.Function:
+        """step_function, compiled if the law is compiled."""
+        law, r = self.law, self.robust
+        if not isinstance(law, TrackingLaw):
+            return law.ready(self.step_function)
+        which = f"{r.estimates:d}{r.integrates:d}_{r.delay!r}_{r.hold!r}".replace(".", "p").replace("-", "m")
+        return law.derived(f"robust_law_{which}", lambda: self.step_function)
+
+    def with_law(self, law: StaticLaw) -> RobustLaw:
+        """Return this robust law for a law made by `self.law.with_gains`; nothing is built again."""
+        other = RobustLaw(law, self.robust)
+        other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
+        return other
+
+    @cached_property
+    def step_function(self) -> ca.Function:
+        """SampledLaw.step_function."""
+        s, r, n = step_symbols(self), self.robust, self.robot.n
+        gains, kept = self._gains.unpack(s["gains"]), self._memory.unpack(s["memory"])
+        buffer, observer, action = self._buffer, DisturbanceObserver(self.robot), self._integral
+        parts = buffer.step(kept, s["sent"], s["dt"]) if r.estimates or r.predicts else {}
+        known, estimate, integral = ca.MX.zeros(n, 3), ca.MX.zeros(2 * n), ca.MX.zeros(2 * n)
+        if r.estimates:
+            acted, L = buffer.mean(parts, s["dt"]), gains["residual"]
+            parts |= observer.step(kept, s["position"], s["velocity"], acted, L, s["dt"])
+            known, estimate = observer.fed_forward(parts, L), parts["r"]
+        if r.integrates:
+            integral = action.step(kept, s["sent"], s["dt"])
+        at = s["position"], s["velocity"]
+        if r.predicts:  # the state at the time the effort acts
+            newest = ca.vertsplit(parts["efforts"], n)[0]
+            efforts = [*buffer.acting(parts, 0.0, r.delay), (newest, r.hold / 2)]
+            at = Predictor(self.robot, r.hold, r.delay).predict(*at, estimate if r.estimates else integral, efforts)
+        if not (r.estimates or r.integrates):
+            u, V = self.law.measured_expression(*at, s["jets"], gains["law"])
+        else:  # the law that compensates these torques
+            loaded = loaded_expression(self.law, r.integrates)  # type: ignore[arg-type]
+            arguments = (*at, s["jets"], gains["law"], known, estimate[n:] + integral[n:])
+            if r.integrates:
+                u, V, _, port_m, port_l = loaded(*arguments, integral[:n], action.matrix(gains, "K_l"))
+                parts |= action.parts(integral, (port_l, port_m), gains, u)
+                V += action.energy(integral, gains)
+            else:
+                u, V, *_ = loaded(*arguments)
+        return dense_function("robust_law", s, {"u": u, "V": V, "next": self._memory.pack(parts)})
+
+    @cached_property
+    def _gains(self) -> PackedVector:
+        r, residual = self.robust, {"residual": 2 * self.robot.n}
+        law = {"law": len(self.law.gain_values)}
+        return PackedVector(
+            law | (residual if r.estimates else {}) | (self._integral.gain_sizes if r.integrates else {})
+        )
+
+    @cached_property
+    def _memory(self) -> PackedVector:
+        r = self.robust
+        sizes = self._buffer.sizes if r.estimates or r.predicts else {}
+        sizes = sizes | (DisturbanceObserver(self.robot).sizes if r.estimates else {})
+        return PackedVector(sizes | (self._integral.sizes if r.integrates else {}))
+
+    @property
+    def _buffer(self) -> EffortBuffer:
+        return EffortBuffer(self.robot.n, self.robust.delay, self.robust.hold)
+
+    @property
+    def _integral(self) -> IntegralAction:
+        return IntegralAction(self.robot, self.robust.hold)

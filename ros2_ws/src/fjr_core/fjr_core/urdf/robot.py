@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build a flexible-joint robot from a URDF and joint elasticity data; links that do not move apart are one body."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from functools import cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import RobotError
+from ..model.newton_euler import serial_chain
+from ..model.rigid_arm import ArmDynamics, Body, EndEffector
+from ..model.robot import JointLimits, Robot
+from ..numerics import checks
+from ..numerics.checks import Array
+from .tree import MOVING, LinkInertia, UrdfJoint, UrdfTree, read_urdf
+
+_log = logging.getLogger("fjr_core.model")
+BASE = ""
+"""Name of the joint in front of all named ones, which carries what never moves."""
+MOST_CONTROLLED = 64
+"""Largest number of joints; the size of the law's expressions grows with its square."""
+
+
+class MasslessJointError(RobotError):
+    """A joint that can move without moving mass; joint: its name."""
+
+    def __init__(self, joint: str) -> None:
+        super().__init__(
+            f"joint '{joint}' can move without moving mass (M_l is singular); "
+            "expected links with mass and inertia beyond it"
+        )
+        self.joint = joint
+
+
+def robot_from_urdf(
+    path_or_xml: str | os.PathLike[str],
+    joints: Sequence[str],
+    stiffness: ArrayLike,
+    motor_inertia: ArrayLike,
+    link_damping: ArrayLike = 0.0,
+    motor_damping: ArrayLike = 0.0,
+    gravity: ArrayLike = (0.0, 0.0, -9.81),
+    *,
+    gear_ratio: ArrayLike | None = None,
+    locked: Mapping[str, float] | None = None,
+    input_gain: ArrayLike = 1.0,
+) -> Robot:
+    """Return the robot of the n named joints, in this order; every other joint of the URDF is locked.
+
+    path_or_xml: file, or XML text that starts with '<'. joints: names of revolute, continuous or prismatic joints
+    that form one serial chain, in any order. gravity (3,) [m/s^2] in the frame of the root link.
+    stiffness K [N m/rad], motor_inertia M_m [kg m^2], link_damping D_l, motor_damping D_m [N m s/rad] and
+    input_gain B_m: scalar, (n,) or (n, n), in the named order and on the link side of the gear. With
+    gear_ratio r, scalar or (n,), motor_inertia J is that of the rotor and M_m = r J r.
+    locked: positions [rad, m] of joints that are not named, 0 by default; mimicking joints follow their leader.
+    The limits of the URDF become robot.limits. Raises RobotError. A link with an invalid inertia that the named
+    joints do not move is reported by a warning of the logger "fjr_core.model".
+    """
+    tree = read_urdf(path_or_xml)
+    named = _named(tree, joints)
+    _check_links(tree, joints)
+    bodies = reduced_bodies(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
+    chain = list(bodies)
+    links = serial_chain(list(bodies.values()), gravity)
+    _check_inertia(links, chain)
+    names = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
+    values = (stiffness, motor_inertia, link_damping, motor_damping, input_gain)
+    matrices = zip(names, values, strict=True)
+    K, M_m, D_l, D_m, B_m = (checks.matrix(name, value, len(chain), RobotError) for name, value in matrices)
+    if gear_ratio is not None:
+        M_m = _reflected(M_m, gear_ratio)
+    limits = JointLimits(*np.array([joint.limits for joint in named]).T)
+    prismatic = tuple(joint.kind == "prismatic" for joint in named)
+    return Robot(_in_order(links, [chain.index(name) for name in joints]), M_m, K, D_l, D_m, B_m, limits, prismatic)
+
+
+def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
+    checks.joint_names("joints", joints, RobotError)
+    if len(joints) > MOST_CONTROLLED:
+        raise RobotError(f"joints has {len(joints)} names; expected at most {MOST_CONTROLLED}")
+    for name in joints:
+        joint = _joint(tree, name)
+        if joint.mimics:
+            raise RobotError(f"joint '{name}' mimics '{joint.mimics[0]}'; expected joints that move by themselves")
+        if joint.kind not in MOVING:
+            raise RobotError(f"joint '{name}' is {joint.kind}; expected a {', '.join(MOVING)} joint")
+    return [tree.joints[name] for name in joints]
+
+
+def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
+    """Raise RobotError for an invalid inertia of a link that the joints move; warn of others, once in a process."""
+    moved = tree.moved_by(joints)
+    for link, fault in tree.faulty.items():
+        if link in moved:
+            raise RobotError(fault)
+    if tree.faulty:
+        which = "it" if len(tree.faulty) == 1 else "them"
+        _warn(f"{'; '.join(tree.faulty.values())}; ignored, since no chosen joint moves {which}")
+
+
+@cache
+def _warn(sentence: str) -> None:
+    _log.warning(sentence)
+
+
+def _joint(tree: UrdfTree, name: str) -> UrdfJoint:
+    if name not in tree.joints:
+        close = get_close_matches(str(name), tree.joints, n=1)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        moving = [joint.name for joint in tree.joints.values() if joint.kind in MOVING]
+        raise RobotError(f"the URDF has no joint '{name}'; {hint}expected some of {', '.join(moving)}")
+    return tree.joints[name]
+
+
+def _locked_positions(tree: UrdfTree, joints: Sequence[str], locked: dict[str, float]) -> dict[str, float]:
+    """Return the positions of all moving joints that are not named."""
+    for name, position in locked.items():
+        joint = _joint(tree, name)
+        if name in joints:
+            raise RobotError(f"joint '{name}' is named and locked; expected one of the two")
+        if joint.mimics or joint.kind not in MOVING:
+            what = f"mimics '{joint.mimics[0]}'" if joint.mimics else f"is {joint.kind}"
+            raise RobotError(f"locked joint '{name}' {what}; expected a joint that moves by itself")
+        checks.vector(f"position of locked joint '{name}'", [position], 1, RobotError)
+    moving = [joint for joint in tree.joints.values() if joint.kind in MOVING and joint.name not in joints]
+    return {joint.name: _position(tree, joint, joints, locked) for joint in moving}
+
+
+def _position(tree: UrdfTree, joint: UrdfJoint, joints: Sequence[str], locked: dict[str, float]) -> float:
+    """Return the locked position of a joint: the given one, that of the mimicked joint, or 0."""
+    scale, offset = 1.0, 0.0
+    for _ in tree.joints:
+        if joint.mimics is None:
+            return scale * locked.get(joint.name, 0.0) + offset
+        leader, multiplier, shift = joint.mimics
+        scale, offset = scale * multiplier, scale * shift + offset
+        if leader in joints:
+            raise RobotError(f"joint '{joint.name}' mimics the named joint '{leader}'; expected it to be independent")
+        joint = _joint(tree, leader)
+    raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
+
+
+def reduced_bodies(tree: UrdfTree, joints: Sequence[str], locked: Mapping[str, float]) -> dict[str, Body]:
+    """Return the body that each named joint moves, by joint from base to tip; raise RobotError if they branch.
+
+    A body consists of the links between its joint and the next named ones. locked: positions [rad, m] of the other
+    moving joints.
+    """
+    carriers = {joint.child: joint for joint in tree.joints.values()}
+    poses = {name: joint.pose(locked.get(name, 0.0)) for name, joint in tree.joints.items()}
+
+    def carried(link: str) -> tuple[str, Array]:
+        """Return the named joint that carries a link, or BASE, and the pose (4, 4) of the link in its frame."""
+        pose = np.eye(4)
+        while link in carriers:
+            joint = carriers[link]
+            if joint.name in joints:
+                return joint.name, pose
+            pose, link = poses[joint.name] @ pose, joint.parent
+        return BASE, pose
+
+    parts: dict[str, list[LinkInertia]] = {name: [] for name in (BASE, *joints)}
+    for link, inertia in tree.inertias.items():
+        name, pose = carried(link)
+        parts[name].append(inertia.moved(pose))
+    before = {name: carried(tree.joints[name].parent) for name in joints}
+    chain = _chain({name: carrier for name, (carrier, _) in before.items()})
+    return {name: _body(tree.joints[name], before[name][1] @ poses[name], parts[name]) for name in chain}
+
+
+def _chain(before: Mapping[str, str]) -> list[str]:
+    """Return the joints in order from base to tip; before: the joint before each one."""
+    chain = [BASE]
+    while after := [name for name, joint in before.items() if joint == chain[-1]]:
+        if len(after) > 1:
+            both, where = f"'{after[0]}' and '{after[1]}'", chain[-1] or "the base"
+            raise RobotError(f"joints {both} are on different branches after {where}; expected one serial chain")
+        chain += after
+    return chain[1:]
+
+
+def _body(joint: UrdfJoint, pose: Array, parts: Sequence[LinkInertia]) -> Body:
+    """Return a joint at its pose (4, 4) in the frame of the joint before, with the parts as one body.
+
+    m = sum m_i, m c = sum m_i c_i, I = sum I_i + m_i (d_i'd_i E - d_i d_i') with d_i = c_i - c (parallel axes).
+    """
+    mass = sum(part.mass for part in parts)
+    com = sum((part.mass * part.com for part in parts), np.zeros(3)) / (mass or 1.0)
+    inertia = np.zeros((3, 3))
+    for part in parts:
+        d = part.com - com
+        inertia += part.inertia + part.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return Body(pose[:3, :3], pose[:3, 3], joint.axis, mass, com, inertia, joint.kind == "prismatic")
+
+
+def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
+    """Raise MasslessJointError with the outermost joint if the inertia is singular in one of a few configurations."""
+    for q_l in (np.zeros(links.n), np.linspace(0.3, 1.4, links.n), np.linspace(-1.2, 0.7, links.n)):
+        M_l = links.M_l(q_l).full()
+        for i in reversed(range(links.n)):
+            if not np.linalg.eigvalsh(M_l[i:, i:])[0] > 1e-14 * np.max(M_l[i:, i:]):
+                raise MasslessJointError(chain[i])
+
+
+def _reflected(J: Array, gear_ratio: ArrayLike) -> Array:
+    """Return the inertia r J r on the link side of gears with ratio r."""
+    ratio = checks.vector("gear_ratio", gear_ratio, len(J), RobotError)
+    if not np.all(ratio != 0):
+        raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
+    return np.diag(ratio) @ J @ np.diag(ratio)
+
+
+def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:
+    """Return the links with joint k equal to joint order[k] of the chain."""
+    if order == list(range(links.n)):
+        return links
+    named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w", "a")]
+    q, v, w, a = (vector[[order.index(i) for i in range(links.n)]] for vector in named)
+    assert links.end_effector is not None  # every serial chain has one
+    r = ca.SX.sym("r", 3)
+    return ArmDynamics(
+        n=links.n,
+        M_l=ca.Function("M_l", named[:1], [links.M_l(q)[order, order]]),
+        P_l=ca.Function("P_l", named[:1], [links.P_l(q)]),
+        grad_P_l=ca.Function("grad_P_l", named[:1], [links.grad_P_l(q)[order]]),
+        C=ca.Function("C", named[:3], [links.C(q, v, w)[order]]),
+        inertial_torque=ca.Function("inertial_torque", named, [links.inertial_torque(q, v, w, a)[order]]),
+        grad_T=ca.Function("grad_T", named[:2], [links.grad_T(q, v)[order]]),
+        end_effector=EndEffector(
+            ca.Function("position", [named[0], r], [links.end_effector.position(q, r)]), links.end_effector.gravity
+        ),
+        bodies=links.bodies,
+        order=tuple(order),
+    )

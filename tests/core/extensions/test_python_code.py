@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws and plants in Python: the results of the same ones made of expressions, and refusals in one sentence."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+import own_code
+from fjr_core.extensions.law_registry import law_kind
+from fjr_core.extensions.python_code import own_law, own_plant
+from fjr_core.robust.law import Robust, sampled_law
+from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_core.simulation.nonideal_parameters import Nonidealities
+from fjr_core.simulation.nonideal_plant import NonidealPlant
+from fjr_core.stability.linearization import slope_at_rest
+
+JOINT, ARM = fjr.single_link(stiffness=31.0), fjr.planar_two_link()
+VDPBC = fjr.TrackingLaw(ARM, fjr.PAPER_GAINS)
+OWN = fjr.PythonLaw(own_code.Wrapped(ARM), ARM)
+MOTION = fjr.Sine([0.3, 0.2], [1.0, 2.0])
+START = ARM.state([0.1, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, 0.0])
+REACH = 0.05  # s
+
+
+@pytest.mark.parametrize("period", [None, 1e-3])
+def test_a_run_is_that_of_the_same_law_made_of_expressions(period: float | None) -> None:
+    runs = [fjr.simulate(fjr.Plant(ARM), law, MOTION, START, REACH, period) for law in (VDPBC, OWN)]
+    for name in ("x", "u", "V"):
+        np.testing.assert_allclose(getattr(runs[1], name), getattr(runs[0], name), rtol=1e-9, atol=1e-12)
+
+
+def test_with_a_prediction_over_the_delay_a_run_is_that_of_the_same_law() -> None:
+    robust = Robust(delay=1.3e-3, hold=1e-3)
+    laws = [sampled_law(law, robust) for law in (VDPBC, OWN)]
+    runs = [fjr.simulate(fjr.Plant(ARM), law, MOTION, START, REACH, 1e-3, delay=1.3e-3) for law in laws]
+    np.testing.assert_allclose(runs[1].u, runs[0].u, rtol=1e-9, atol=1e-12)
+
+
+def test_slopes_and_spectral_radius_are_those_of_the_same_law() -> None:
+    q_l = np.array([0.3, -0.4])
+    for own, exact in zip(slope_at_rest(OWN, q_l), slope_at_rest(VDPBC, q_l), strict=True):
+        np.testing.assert_allclose(own, exact, rtol=1e-5, atol=1e-5 * np.abs(exact).max())
+    radii = [fjr.spectral_radius(law, 1e-3, 5e-4, [q_l]) for law in (OWN, VDPBC)]
+    np.testing.assert_allclose(radii[0], radii[1], rtol=1e-6)
+
+
+def test_runs_of_a_study_are_those_of_the_compiled_law() -> None:
+    draws = Draws(3, stiffness=[1.0, 0.8, 1.2], delay=[0.0, 5e-4, 1.2e-3], coulomb_l=[0.0, 0.0, 0.05])
+    loops = [ClosedLoop(ARM, sampled_law(law), MOTION, START, REACH, 1e-3, settle_after=0.01) for law in (VDPBC, OWN)]
+    compiled, own = (loop.run(draws) for loop in loops)
+    assert loops[1].in_python
+    for name in ("rms", "peak", "effort_peak", "power"):
+        np.testing.assert_allclose(getattr(own, name), getattr(compiled, name), rtol=1e-8)
+
+
+def test_results_of_another_version_of_the_module_have_another_fingerprint(tmp_path, monkeypatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    fingerprints = []
+    for gain in (1.0, 2.0):
+        (tmp_path / f"versions_{gain:.0f}.py").write_text(
+            "class Law:\n    def __init__(self, robot): pass\n"
+            f"    def effort(self, q, v, jets): return -{gain} * q[1:]\n"
+        )
+        law = sampled_law(own_law(f"versions_{gain:.0f}:Law", JOINT, {}))
+        loop = ClosedLoop(JOINT, law, fjr.Sine(0.1, 1.0), JOINT.state(0, 0, 0, 0), REACH, 1e-3, settle_after=0.01)
+        fingerprints.append(loop.fingerprint)
+    assert len(set(fingerprints)) == 2
+
+
+@pytest.mark.parametrize("period", [None, 1e-3])
+def test_a_failure_in_a_run_is_one_sentence_with_file_and_line(period: float | None) -> None:
+    law = fjr.PythonLaw(own_code.Fails(JOINT), JOINT)
+    with pytest.raises(fjr.UserCodeError, match=r"^Fails raises ZeroDivisionError: too far \(own_code.py, line \d+\)"):
+        fjr.simulate(fjr.Plant(JOINT), law, fjr.Sine(1.0, 1.0), JOINT.state(0.8, 0.8, 0, 0), REACH, period)
+    law.raise_failure()  # reported once
+
+
+def test_a_failure_in_a_study_or_a_stability_check_is_one_sentence() -> None:
+    law = sampled_law(fjr.PythonLaw(own_code.Fails(JOINT), JOINT))
+    loop = ClosedLoop(JOINT, law, fjr.Sine(1.0, 1.0), JOINT.state(0.8, 0.8, 0, 0), REACH, 1e-3, settle_after=0.01)
+    with pytest.raises(fjr.UserCodeError, match="too far"):
+        loop.run(Draws(1))
+    with pytest.raises(fjr.UserCodeError, match="too far"):
+        fjr.spectral_radius(law, 1e-3, 0.0, [[0.9]])
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Let SIGINT raise KeyboardInterrupt, whatever an earlier test of this process has set."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_ctrl_c_ends_a_study_in_python_soon() -> None:
+    class Interrupts:
+        calls = 0
+
+        def effort(self, position, velocity, jets):
+            self.calls += 1
+            if self.calls == 10:
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+            return 0 * position[:1]
+
+    own, runs, duration = Interrupts(), 100, 10.0
+    law = sampled_law(fjr.PythonLaw(own, JOINT))
+    loop = ClosedLoop(JOINT, law, fjr.Sine(0.1, 1.0), JOINT.state(0, 0, 0, 0), duration, 1e-3)
+    with pytest.raises(KeyboardInterrupt):
+        loop.run(Draws(runs))
+    assert own.calls < 0.1 * runs * duration / 1e-3
+
+
+REFUSED = {
+    "WrongShape": "u of WrongShape has shape (2,); expected (1,)",
+    "Text": "u of Text is 'much'; expected numbers of shape (1,)",
+    "NotFinite": "u of NotFinite is [inf] at rest at 0; expected finite numbers",
+    "Changes": "Changes raises ValueError: output array is read-only (own_code.py, line",
+    "WrongArguments": "WrongArguments.effort takes (x: ",
+    "NoMethod": "NoMethod has no method effort; expected effort(position, velocity, jets)",
+    "NoRobot": "NoRobot takes () ",
+    "Refuses": "Refuses(...) raises KeyError: 'K_p' (own_code.py, line",
+    "Missing": "module own_code has no class Missing; expected one",
+    "Array": "module own_code has no class Array; expected one",
+}
+
+
+@pytest.mark.parametrize(("name", "sentence"), REFUSED.items(), ids=REFUSED)
+def test_what_is_no_law_is_refused_in_one_sentence(name: str, sentence: str) -> None:
+    with pytest.raises(fjr.FjrError) as found:
+        own_law(f"own_code:{name}", JOINT, {})
+    assert str(found.value).startswith(sentence)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("source", "sentence"),
+    [
+        ("def f(:\n", "module {name} raises SyntaxError: invalid syntax"),
+        ("import not_there_at_all\n", "module {name} cannot be imported: No module named 'not_there_at_all'"),
+        ("1 / 0\n", "module {name} raises ZeroDivisionError: division by zero ({name}.py, line 1)"),
+        (None, "module {name} of '{name}:Law' is not found; expected it on the Python path (PYTHONPATH) or in "),
+    ],
+    ids=["syntax", "missing import", "exception", "no file"],
+)
+def test_a_module_that_cannot_be_imported_is_refused_in_one_sentence(
+    source: str | None, sentence: str, tmp_path, monkeypatch, request: pytest.FixtureRequest
+) -> None:
+    name = "module_" + request.node.callspec.id.replace(" ", "_")
+    monkeypatch.chdir(tmp_path)
+    if source is not None:
+        (tmp_path / f"{name}.py").write_text(source)
+    with pytest.raises(fjr.ParameterError) as found:
+        own_law(f"{name}:Law", JOINT, {})
+    assert str(found.value).startswith(sentence.format(name=name))
+
+
+def test_a_class_made_of_expressions_is_used_as_it_is() -> None:
+    law = own_law("own_code:Symbolic", ARM, {"K_p": 50.0}, compile=True)
+    assert isinstance(law, own_code.Symbolic)
+    assert law.compiles
+    assert not law.in_python
+
+
+def test_the_registry_describes_a_law_of_the_user() -> None:
+    kind = law_kind("own_code:Wrapped")
+    assert (kind.name, kind.title, kind.storage) == ("own_code:Wrapped", "Wrapped", "given by the law")
+    assert isinstance(kind.make(ARM, {"claimed": 0.5}), fjr.PythonLaw)
+    with pytest.raises(fjr.GainsError, match="Wrapped has no tuning rule"):
+        kind.standard(ARM, np.zeros(2), 20.0, 1.0)
+
+
+def test_the_stop_policy_has_the_damping_of_the_law_or_of_the_springs() -> None:
+    law = fjr.PythonLaw(own_code.Pd(ARM), ARM)
+    np.testing.assert_allclose(law.hold_damping, np.sqrt(ARM.K * ARM.M_m))
+    law.own.hold_damping = [1.0, 2.0]
+    with pytest.raises(fjr.ParameterError, match=r"Pd.hold_damping has shape \(2,\); expected \(2, 2\)"):
+        _ = fjr.PythonLaw(law.own, ARM).hold_damping
+
+
+# The plant.
+
+PLANT = own_plant("own_code:Ideal", ARM, {})
+
+
+@pytest.mark.parametrize("period", [None, 1e-3])
+def test_a_run_of_the_plant_is_that_of_the_same_equations(period: float | None) -> None:
+    runs = [fjr.simulate(plant, VDPBC, MOTION, START, REACH, period) for plant in (fjr.Plant(ARM), PLANT)]
+    np.testing.assert_allclose(runs[1].x, runs[0].x, rtol=1e-10, atol=1e-12)
+
+
+def test_options_change_the_motion() -> None:
+    damped = own_plant("own_code:Ideal", ARM, {"damping": 5.0})
+    x, u = ARM.state([0.1, 0.2], [0.1, 0.2], [1.0, -1.0], [0.0, 0.0]), np.zeros(2)
+    change = damped.derivative(x, u) - PLANT.derivative(x, u)
+    np.testing.assert_allclose(change, [0, 0, 0, 0, -5.0, 5.0, 0, 0], atol=1e-12)
+
+
+def test_friction_ripple_and_external_torques_act_as_on_the_same_equations() -> None:
+    errors = Nonidealities(2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3)
+    state = np.append(START + 0.1, [1.0, 2.0])
+    plants = [NonidealPlant(plant) for plant in (fjr.Plant(ARM), PLANT)]
+    steps = [plant.step(state, [3.0, 4.0], [0.5, 0.0], errors.vector, 2.5e-4) for plant in plants]
+    np.testing.assert_allclose(steps[1], steps[0], rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["payload_mass", "cubic"])
+def test_what_is_part_of_the_plant_itself_is_refused(name: str) -> None:
+    with pytest.raises(fjr.ParameterError, match=f"{name} is not 0 for a plant in Python"):
+        NonidealPlant(PLANT).check(Nonidealities(2, **{name: 1.0}))
+
+
+def test_runs_of_a_study_with_the_plant_are_those_of_the_same_equations() -> None:
+    draws = Draws(2, external=[0.0, 1.0], delay=[0.0, 1.2e-3], coulomb_l=[0.0, 0.05])
+    loops = [
+        ClosedLoop(ARM, sampled_law(VDPBC), MOTION, START, REACH, 1e-3, settle_after=0.01, plant=plant)
+        for plant in (None, PLANT)
+    ]
+    compiled, own = (loop.run(draws) for loop in loops)
+    for name in ("rms", "peak", "effort_peak", "power"):
+        np.testing.assert_allclose(getattr(own, name), getattr(compiled, name), rtol=1e-8)
+    with pytest.raises(fjr.ParameterError, match="stiffness of a run is not nominal; expected the nominal value"):
+        loops[1].run(Draws(1, stiffness=1.1))
+
+
+def test_the_stability_check_is_that_of_the_model() -> None:
+    damped = own_plant("own_code:Ideal", ARM, {"damping": 5.0})
+    at = [[0.3, 0.2]]
+    assert fjr.spectral_radius(VDPBC, 1e-3, 0.0, at, damped) == fjr.spectral_radius(VDPBC, 1e-3, 0.0, at)
+
+
+def test_a_failure_of_the_plant_is_one_sentence_with_file_and_line() -> None:
+    plant = own_plant("own_code:PlantFails", ARM, {})
+    with pytest.raises(fjr.UserCodeError, match=r"^PlantFails raises ValueError: too far \(own_code.py, line \d+\)"):
+        fjr.simulate(plant, VDPBC, MOTION, START + 0.8, REACH, 1e-3)
+
+
+def test_an_implicit_integrator_is_refused() -> None:
+    with pytest.raises(
+        fjr.ParameterError, match="integrator is 'implicit_midpoint'; expected 'rk4' for the plant Idea"
+    ):
+        own_plant("own_code:Ideal", ARM, {}, "implicit_midpoint")

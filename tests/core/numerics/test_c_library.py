@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""C declarations are parsed once; what is kept is verified before it is executed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cffi import FFI
+
+from fjr_core.numerics.c_library import ffi_of
+from fjr_core.runtime.library import HEADER, declarations, text
+
+STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
+STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")
+READ = """
+import sys
+from fjr_core.numerics.c_library import ffi_of
+assert ffi_of("struct point { double x, y; };").sizeof("struct point") == 16
+print("pycparser" in sys.modules)
+"""
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "fjr"
+
+
+def layout(ffi: FFI) -> dict[str, object]:
+    """Return offset and type of each field, and the enumerations."""
+    fields = {
+        f"{name}.{field}": (found.offset, found.type.cname)
+        for name in STRUCTS
+        for field, found in ffi.typeof(f"struct fjr_{name}").fields
+    }
+    return {**fields, "kinds": ffi.typeof("enum fjr_kind").elements}
+
+
+def test_kept_types_are_those_that_cffi_parses() -> None:
+    parsed = FFI()
+    parsed.cdef(STEP)
+    for _ in range(2):  # written, then kept
+        assert layout(ffi_of(STEP)) == layout(parsed)
+
+
+def test_second_process_does_not_parse() -> None:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", READ]
+    said = [subprocess.check_output(command, env=environment, text=True).strip() for _ in range(2)]
+    assert said == ["True", "False"]
+
+
+def test_changed_code_is_not_executed(cache: Path) -> None:
+    ffi_of(STEP)
+    (kept,) = cache.glob("c_types-*.py")
+    kept.write_text("raise AssertionError")
+    assert ffi_of(STEP).sizeof("struct fjr_sample") == 8 * (1 + 4 * 3)
+
+
+def test_folder_that_is_not_writable_only_costs_time(cache: Path) -> None:
+    cache.write_text("a file in place of the folder")
+    assert ffi_of(STEP).sizeof("struct fjr_sample") == 8 * (1 + 4 * 3)

@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Disturbance observer, integral action and Smith predictor, and their effect on the tracking error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy import signal
+
+import fjr_core as fjr
+from fjr_core.config.scenario import load_scenario
+from fjr_core.errors import GainsError, StateError
+from fjr_core.law.interfaces import AsSampledLaw, SampledLaw
+from fjr_core.numerics.symbolic import NumericFunction
+from fjr_core.robust.integral_action import IntegralAction, gain_values
+from fjr_core.robust.law import LONGEST_DELAY, Robust, RobustLaw, sampled_law
+from fjr_core.robust.smith_predictor import EffortBuffer
+from fjr_core.stability.sampled_loop import spectral_radius
+from robust_study.loops import PERIOD, errors, heavier, pushed, rms
+
+JOINT = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
+TWO_LINK = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")
+PLANAR = fjr.TrackingLaw(TWO_LINK.robot, TWO_LINK.gains)
+LAWS = {"joint": JOINT, "two_link": PLANAR}
+SINE = fjr.Sine(1.0, 1.0)
+ESTIMATE = Robust(residual_gain=60.0, motor_residual_gain=30.0)
+INTEGRATE = Robust(integral_gain=5.0, motor_integral_gain=5.0)
+BOTH = replace(ESTIMATE, integral_gain=5.0, motor_integral_gain=5.0)
+
+
+def radius(law: SampledLaw, robot: fjr.Robot, q_ld: np.ndarray, seconds: float) -> tuple[float, float]:
+    """Simulate the sampled loop that holds q_ld (n,) for `seconds`.
+
+    Return the largest |q_l - q_ld| [rad] at the end, and the spectral radius of the one-sample map of plant and
+    controller state there.
+    """
+    n, plant = robot.n, fjr.Plant(robot)
+    x, memory, sent = ca.MX.sym("x", 4 * n), ca.MX.sym("memory", len(law.memory)), ca.MX.sym("sent", n)
+    velocity = ca.vertcat(robot.links.M_l(x[:n]), ca.DM(robot.M_m))  # momentum = M dq, solved below
+    dq_l, dq_m = ca.solve(velocity[:n, :], x[2 * n : 3 * n]), ca.solve(velocity[n:, :], x[3 * n :])
+    jets = np.vstack([q_ld, np.zeros((4, n))])
+    u, _, after = law.step_function(x[: 2 * n], ca.vertcat(dq_l, dq_m), jets.T, law.gain_values, memory, sent, PERIOD)
+    moved = x
+    for _ in range(4):
+        moved = plant.step_function(moved, u, PERIOD / 4)
+    z = ca.vertcat(x, memory, sent)
+    step = ca.Function("step", [z], [ca.vertcat(moved, after, u)])
+    x0 = robot.state(q_ld, q_ld + np.linalg.solve(robot.K, robot.grad_P_l(q_ld)), np.zeros(n), np.zeros(n))
+    at = ca.vertcat(x0, law.memory, np.zeros(n))
+    at = step.mapaccum(round(seconds / PERIOD))(at)[:, -1]
+    slope = ca.Function("slope", [z], [ca.jacobian(step(z), z)])(at).full()
+    error = float(np.max(np.abs(at.full().ravel()[:n] - q_ld)))
+    return error, float(np.max(np.abs(np.linalg.eigvals(slope))))
+
+
+# --- reduction of the tracking error
+
+
+@pytest.mark.parametrize("robust", [ESTIMATE, INTEGRATE, BOTH], ids=["residual", "integral", "both"])
+@pytest.mark.parametrize("reference", [fjr.Hold([0.5]), SINE], ids=["hold", "sine"])
+def test_constant_load_leaves_no_steady_state_error(robust: Robust, reference: fjr.Reference) -> None:
+    robot = pushed(JOINT.robot, 0.3)
+    plain, better = (rms(errors(JOINT, r, reference, robot, 4.0)[-1000:]) for r in (None, robust))
+    assert plain > 0.01
+    assert plain > 20 * better
+    assert plain > 1000 * better, "docs/robust.md states a factor of 1000"
+
+
+@pytest.mark.parametrize(("gravity", "rate"), [(1.0, 60.0), (1.2, 60.0)])
+def test_residual_reduces_the_effect_of_an_inertia_error_threefold(gravity: float, rate: float) -> None:
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
+    law = fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
+    robot = heavier(scenario.robot, 1.2, gravity)
+    slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=scenario.reference.jets(0.5)[0])
+    plain, better = (rms(errors(law, r, slow, robot, 6.0)[2000:]) for r in (None, Robust(residual_gain=rate)))
+    assert plain > 3 * better
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("samples", [0.5, 1.0, 2.0])
+def test_prediction_reduces_the_error_of_a_delay_tenfold(name: str, samples: float) -> None:
+    law, delay = LAWS[name], samples * PERIOD
+    reference = SINE if name == "joint" else TWO_LINK.reference
+    plain, better = (rms(errors(law, r, reference, law.robot, 3.0, delay)[1000:]) for r in (None, Robust(delay=delay)))
+    assert plain > 10 * better
+
+
+def test_prediction_includes_half_of_the_hold() -> None:
+    """Without it, a third of the error caused by one sample of delay remains."""
+    best, without = (
+        rms(errors(JOINT, Robust(delay=PERIOD, hold=hold), SINE, JOINT.robot, 3.0, PERIOD)[1000:])
+        for hold in (PERIOD, (1 + 1e-6) * PERIOD / LONGEST_DELAY)
+    )
+    assert without > 3 * best
+
+
+# --- linear analysis: equilibrium and its stability
+
+
+@pytest.mark.parametrize("robust", [ESTIMATE, INTEGRATE, BOTH], ids=["residual", "integral", "both"])
+@pytest.mark.parametrize("name", LAWS)
+def test_equilibrium_under_load_is_on_the_reference_and_stable(name: str, robust: Robust) -> None:
+    law = LAWS[name]
+    q_ld = np.linspace(0.5, -0.4, law.robot.n)
+    error, largest = radius(sampled_law(law, robust), pushed(law.robot, 0.3), q_ld, 15.0)
+    assert error < 1e-9
+    assert largest < 1
+
+
+@pytest.mark.parametrize("stiffness", [310.0, 31.0, 3.1])
+def test_integral_converges_at_its_rate_on_stiff_and_soft_joints(stiffness: float) -> None:
+    """The slowest mode of the sampled loop decays at the rate, to second order; a soft joint amplifies the port."""
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), fjr.PAPER_GAINS)
+    for side in ("integral_gain", "motor_integral_gain"):
+        slowest = spectral_radius(sampled_law(law, Robust(**{side: 0.1})), PERIOD, configurations=[[0.5]])[0]
+        assert -np.log(slowest) / PERIOD == pytest.approx(0.1, rel=0.02)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_integral_gains_are_symmetric_and_positive_definite(name: str) -> None:
+    law, n = LAWS[name], LAWS[name].robot.n
+    values = gain_values(law.robot, law.gains, (np.full(n, 3.0), np.zeros(n)))
+    K_l, K_m, K_l_inverse, _ = (K.reshape(n, n) for K in np.split(values, 4))
+    np.testing.assert_allclose(K_l, K_l.T, rtol=1e-12)
+    assert np.linalg.eigvalsh(K_l).min() > 0
+    np.testing.assert_allclose(K_l @ K_l_inverse, np.eye(n), atol=1e-12)
+    assert not K_m.any()
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 5.0])
+def test_integral_is_stable_on_the_softest_joint_of_the_paper(rate: float) -> None:
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
+    integrating, robot, reference = sampled_law(law, Robust(integral_gain=rate)), law.robot, fjr.Hold([0.5])
+    assert spectral_radius(integrating, PERIOD, configurations=[[0.5]])[0] < 1
+    plain, better = (
+        rms(errors(law, r, reference, pushed(robot, 0.05), 4.0)[-500:]) for r in (None, integrating.robust)
+    )
+    assert plain > (1.5 if rate < 1 else 10) * better
+
+
+# --- the residual
+
+
+def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: float) -> tuple[Any, Any]:
+    """Return residuals r (k, 2n) and feedforward torques w (k, n) [N m] under constant torques on links and motors."""
+    n, robot = law.robot.n, pushed(law.robot, 0.3)
+    step = RobustLaw(law, Robust(residual_gain=gain, motor_residual_gain=gain))
+    plant, parts = fjr.Plant(robot), step._memory
+    x = robot.state(np.full(n, 0.4), np.full(n, 0.4), np.zeros(n), np.zeros(n))
+    memory, sent, r, w = step.memory, np.zeros(n), [], []
+    for k in range(round(seconds / period)):
+        velocity, jets = np.concatenate(robot.velocities(x)), np.zeros((5, n))
+        u, _, memory = step.step_function(
+            x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, period if k else 0.0
+        )
+        sent = u.full().ravel()
+        kept = ca.Function("kept", [s := ca.MX.sym("s", parts.size)], [parts.unpack(s)[name] for name in ("r", "w")])
+        now = kept(memory)
+        r.append(now[0].full().ravel())
+        w.append(now[1].full().ravel())
+        for _ in range(10):
+            x = plant.step(x, sent + np.linalg.solve(law.robot.B_m, np.full(n, 0.2)), period / 10)
+    return np.array(r), np.array(w)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_residual_is_the_torque_through_its_filter(name: str) -> None:
+    """r = L / (s + L) d and w = (L / (s + L))^3 d for any motion, up to the error of the quadrature."""
+    gain, n = 40.0, LAWS[name].robot.n
+    off = []
+    for period in (2e-3, 1e-3):
+        r, w = residual_run(LAWS[name], gain, period, 0.3)
+        t = period * np.arange(len(r))
+        _, first = signal.step(([gain], [1, gain]), T=t)
+        _, third = signal.step(([gain**3], np.poly([-gain] * 3)), T=t)
+        wanted = np.hstack([np.outer(lag, np.full(n, d)) for lag, d in ((first, 0.3), (first, 0.2), (third, 0.3))])
+        off.append(np.max(np.abs(np.hstack([r, w]) - wanted)))
+    assert off[1] < 0.02
+    assert off[0] > 3 * off[1], "the error must be of second order in the period"
+
+
+def test_residual_at_equilibrium_is_the_torque() -> None:
+    r, w = residual_run(JOINT, 40.0, 1e-3, 1.5)
+    np.testing.assert_allclose(r[-1], [0.3, 0.2], atol=1e-9)
+    np.testing.assert_allclose(w[-1], 0.3, atol=1e-9)
+
+
+# --- the prediction
+
+
+def test_effort_buffer_returns_the_acting_efforts() -> None:
+    """With irregular samples, each effort acts from its stamp + delay until that of the next one; none is lost."""
+    rng, delay, hold = np.random.default_rng(4), 2.3e-3, 1e-3
+    waiting, kept = EffortBuffer(1, delay, hold), {"efforts": ca.DM.zeros(4), "ages": ca.DM.zeros(4)}
+    stamps = np.cumsum(rng.uniform(0.8e-3, 1.2e-3, 12))
+    efforts = np.concatenate([[0.0], rng.uniform(-1, 1, 11)])  # no effort was sent before the first sample
+    for k, dt in enumerate(np.diff(stamps, prepend=stamps[0])):
+        kept = waiting.step(kept, ca.DM(efforts[k]), ca.DM(dt))
+    now = stamps[-1]
+    grid = now + (np.arange(2300) + 0.5) * 1e-6
+    asked = np.searchsorted(stamps + delay, grid, side="right")  # efforts[k] answers stamps[k - 1]
+    pairs = [(float(u), float(length)) for u, length in waiting.acting(kept, 0.0, delay)]
+    assert sum(length for _, length in pairs) == pytest.approx(delay)
+    assert sum(u * length for u, length in pairs) == pytest.approx(efforts[asked].sum() * 1e-6, abs=2e-6)
+    before = now - 1e-3 + (np.arange(1000) + 0.5) * 1e-6
+    mean = efforts[np.searchsorted(stamps + delay, before, side="right")].mean()
+    assert float(waiting.mean(kept, ca.DM(1e-3))) == pytest.approx(mean, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_predicted_state_is_the_state_after_the_delay(name: str) -> None:
+    """The effort is the law at the state after the delay and half a hold under the last effort."""
+    law, n, rng = LAWS[name], LAWS[name].robot.n, np.random.default_rng(3)
+    step, plant = RobustLaw(law, Robust(delay=PERIOD, hold=PERIOD)), fjr.Plant(law.robot)
+    x = law.robot.state(*rng.uniform(-0.3, 0.3, (4, n)))
+    memory, sent, jets = step.memory, np.zeros(n), rng.uniform(-1, 1, (5, n))
+    for k in range(4):
+        velocity = np.concatenate(law.robot.velocities(x))
+        u, V, memory = step.step_function(
+            x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, PERIOD if k else 0.0
+        )
+        then = x
+        for seconds in (PERIOD, PERIOD / 2):
+            for _ in range(40):
+                then = plant.step(then, sent, seconds / 40)
+        wanted_u, wanted_V = (each.full().ravel() for each in law.command_function(then, jets.T))
+        np.testing.assert_allclose(u.full().ravel(), wanted_u, rtol=1e-6)
+        np.testing.assert_allclose(float(V), wanted_V, rtol=1e-6)
+        for _ in range(40):
+            x = plant.step(x, sent, PERIOD / 40)
+        sent = rng.uniform(-1, 1, n)
+
+
+def test_prediction_over_many_holds_is_integrated_in_substeps() -> None:
+    """A single step would be unstable on the stiff arm, at the first sample under a long delay and after a gap."""
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
+    law, n, plant = fjr.TrackingLaw(scenario.robot, scenario.gains), scenario.robot.n, fjr.Plant(scenario.robot)
+    step, x = RobustLaw(law, Robust(delay=0.03)), scenario.x0
+    velocity, jets = np.concatenate(law.robot.velocities(x)), scenario.reference.jets(0.03)
+    weight = law.command(x, scenario.reference.jets(0.0))
+    memory, first = step.memory, (weight, [(weight, 0.0305)], 0.0)
+    gap = (0.9 * weight, [(weight, 0.01), (0.9 * weight, 0.0205)], 0.02)
+    for sent, acting, dt in (first, gap):
+        u, _, memory = step.step_function(x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, dt)
+        then = x
+        for effort, seconds in acting:
+            for _ in range(round(seconds / 1e-4)):
+                then = plant.step(then, effort, 1e-4)
+        np.testing.assert_allclose(u.full().ravel(), law.command(then, jets), rtol=1e-3, atol=1e-3)
+
+
+# --- limits
+
+
+def test_integral_does_not_wind_up() -> None:
+    """After 2 s in saturation under an excessive load, the overshoot is that of the law without integral action."""
+    limit, n = 1.0, 1
+    overshoot = []
+    for robust in (Robust(residual_gain=1e-9), replace(INTEGRATE, integral_gain=10.0, motor_integral_gain=0.0)):
+        step = sampled_law(JOINT, robust)
+        jets, position, velocity = np.zeros((5, n)), np.zeros(2 * n), np.zeros(2 * n)
+        jets[0] = 0.2
+        evaluate, gains, memory, sent = NumericFunction(step.step_function), step.gain_values, step.memory, np.zeros(n)
+        heavy, light = (fjr.Plant(pushed(JOINT.robot, torque)) for torque in (-2.0, 0.0))
+        x, e = JOINT.robot.state(0.2, 0.2, 0.0, 0.0), []
+        for k in range(6000):
+            position[...], velocity[...] = x[: 2 * n], np.concatenate(JOINT.robot.velocities(x))
+            dt = PERIOD if k else 0.0
+            u, _, memory = evaluate(position, velocity, jets, gains, memory, sent, dt)
+            sent = np.clip(u, -limit, limit)
+            for _ in range(4):
+                x = (heavy if k < 2000 else light).step(x, sent, PERIOD / 4)
+            e.append(x[0] - 0.2)
+        assert np.isfinite(memory).all()
+        assert abs(e[-1]) < 1e-4
+        overshoot.append(max(e[2000:]))
+    assert overshoot[1] < overshoot[0] + 0.05
+
+
+@pytest.mark.parametrize(("dt", "counts"), [(PERIOD, PERIOD), (2 * PERIOD, 2 * PERIOD), (0.1, 2 * PERIOD)])
+def test_integration_over_a_gap_is_limited_to_two_holds(dt: float, counts: float) -> None:
+    integral = IntegralAction(JOINT.robot, PERIOD)
+    kept = {"integral": ca.DM([1.0, 2.0]), "rate": ca.DM([30.0, -40.0]), "requested": ca.DM(0.5)}
+    after = integral.step(kept, ca.DM(0.5), ca.DM(dt)).full().ravel()
+    np.testing.assert_allclose(after, [1.0 + 30.0 * counts, 2.0 - 40.0 * counts], rtol=1e-12)
+
+
+# --- options, wiring, malformed input
+
+
+def test_no_options_give_the_nominal_law() -> None:
+    assert isinstance(sampled_law(JOINT), AsSampledLaw)
+    assert isinstance(sampled_law(JOINT, Robust(hold=0.002)), AsSampledLaw)
+    x0 = JOINT.robot.state(0.5, 0.5, 0.0, 0.0)
+    plant = fjr.Plant(JOINT.robot)
+    one, other = (fjr.simulate(plant, law, SINE, x0, 0.2, PERIOD) for law in (JOINT, sampled_law(JOINT)))
+    np.testing.assert_allclose(other.u, one.u, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(other.V, one.V, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"residual_gain": 30.0},
+        {"motor_residual_gain": 30.0},
+        {"integral_gain": 5.0},
+        {"motor_integral_gain": 5.0},
+        {"delay": 1e-3},
+        {"delay": 1e-3, "hold": 2e-3},
+        {"delay": 1e-3, "residual_gain": 30.0, "motor_residual_gain": 20.0, "integral_gain": 3.0},
+    ],
+)
+@pytest.mark.parametrize("compiles", [False, True])
+def test_each_option_changes_the_effort_and_compilation_does_not(values: dict[str, Any], compiles: bool) -> None:
+    law = fjr.TrackingLaw(PLANAR.robot, TWO_LINK.gains, compile=compiles)
+    robot, x0 = pushed(law.robot, 0.1), TWO_LINK.x0
+    run = fjr.simulate(fjr.Plant(robot), sampled_law(law, Robust(**values)), TWO_LINK.reference, x0, 0.2, PERIOD)
+    plain = fjr.simulate(fjr.Plant(robot), PLANAR, TWO_LINK.reference, x0, 0.2, PERIOD)
+    assert np.max(np.abs(run.u - plain.u)) > 1e-5
+    slow = fjr.simulate(fjr.Plant(robot), sampled_law(PLANAR, Robust(**values)), TWO_LINK.reference, x0, 0.2, PERIOD)
+    np.testing.assert_allclose(run.u, slow.u, rtol=1e-7, atol=1e-9)
+
+
+def test_other_gains_reuse_the_function() -> None:
+    step = RobustLaw(JOINT, BOTH)
+    gains = replace(fjr.PAPER_GAINS, Pi_l=25.0)
+    other = step.with_law(JOINT.with_gains(gains))
+    assert other.step_function is step.step_function
+    fresh = RobustLaw(fjr.TrackingLaw(JOINT.robot, gains), BOTH)
+    np.testing.assert_array_equal(other.gain_values, fresh.gain_values)
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"residual_gain": -1.0}, "residual_gain is [-1.0] 1/s; expected 0 to 10000"),
+        ({"residual_gain": 1.1e4}, "residual_gain is [11000.0] 1/s; expected 0 to 10000"),
+        ({"motor_integral_gain": 1e200}, "motor_integral_gain is [1e+200] 1/s; expected 0 to 10000"),
+        ({"integral_gain": 1.0, "hold": 0.0}, "hold is 0.0 s with an integral; expected more than 0"),
+        ({"integral_gain": [1.0, 2.0]}, "integral_gain has shape (2,); expected a scalar or (1,)"),
+        ({"motor_integral_gain": np.nan}, "motor_integral_gain is nan; expected finite numbers"),
+        ({"delay": -1e-3}, "delay is -0.001 s; expected a finite number of 0 or more"),
+        ({"delay": 1.0}, "delay is 1.0 s with a hold of 0.001 s; expected at most 32 holds"),
+        ({"delay": 1e-3, "hold": np.inf}, "hold is inf s; expected a finite number of 0 or more"),
+    ],
+)
+def test_inconsistent_options_are_refused(values: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(GainsError) as error:
+        RobustLaw(JOINT, Robust(**values))
+    assert str(error.value) == sentence
+
+
+class Other:
+    """A measured law without load torques."""
+
+    robot = JOINT.robot
+    gain_values = JOINT.gain_values
+    measured_expression = JOINT.measured_expression
+
+
+def test_every_law_supports_prediction_but_only_v_dpbc_compensates_torques() -> None:
+    one, other = (RobustLaw(law, Robust(delay=1e-3)).step_function for law in (Other(), JOINT))  # type: ignore[arg-type]
+    values = [np.full(2, 0.1), np.full(2, 0.1), np.ones((1, 5)), JOINT.gain_values, np.full(4, 0.1), 0.2, 1e-3]
+    np.testing.assert_array_equal(one(*values)[0].full(), other(*values)[0].full())
+    with pytest.raises(GainsError, match="enabled for a Other; expected it for the law v_dpbc only"):
+        RobustLaw(Other(), Robust(residual_gain=1.0))  # type: ignore[arg-type]
+
+
+def test_law_with_a_controller_state_requires_a_sample_period() -> None:
+    with pytest.raises(StateError, match="law is a RobustLaw without a sample_period"):
+        fjr.simulate(fjr.Plant(JOINT.robot), RobustLaw(JOINT, BOTH), SINE, np.zeros(4), 1.0)

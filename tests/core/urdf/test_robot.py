@@ -1,0 +1,474 @@
+# SPDX-License-Identifier: Apache-2.0
+"""robot_from_urdf agrees with Pinocchio's model of the same text; limits, elastic data and refused input."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from tools.robot_survey.robots import ROBOTS
+
+import fjr_core as fjr
+from core.oracles.cases import PLANAR, Array
+from core.oracles.chains import ARM7, ARM7_JOINTS, PinocchioLinks, random_urdf
+from fjr_core.urdf.chains import chains
+from fjr_core.urdf.robot import reduced_bodies
+from fjr_core.urdf.tree import MOVING, read_urdf
+
+CASES = [(n, seed) for n in (1, 2, 3, 5, 7) for seed in range(3)]
+all_cases = pytest.mark.parametrize("case", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CASES])
+
+
+def relative(left: Array, right: Array) -> float:
+    return float(np.max(np.abs(left - right)) / max(np.max(np.abs(right)), 1e-3))
+
+
+def robot_of(case: tuple[int, int]) -> tuple[fjr.Robot, PinocchioLinks]:
+    urdf = random_urdf(*case)
+    robot = fjr.robot_from_urdf(urdf.xml, urdf.joints, 100.0, 0.1, gravity=urdf.gravity, locked=urdf.locked)
+    return robot, urdf.pinocchio
+
+
+def agreement(robot: fjr.Robot, oracle: PinocchioLinks, seed: int) -> float:
+    """Return the largest relative difference of M, C w, M a + C w, gravity and potential differences."""
+    q, other, v, w, a = np.random.default_rng(seed).uniform(-2, 2, (5, robot.n))
+    drop = np.array([robot.P_l(q) - robot.P_l(other)]), np.array([oracle.P(q) - oracle.P(other)])
+    return max(
+        relative(robot.M_l(q), oracle.M(q)),
+        relative(robot.coriolis(q, v, w), oracle.C(q, v) @ w),
+        relative(robot.links.inertial_torque(q, v, w, a).full().ravel(), oracle.M(q) @ a + oracle.C(q, v) @ w),
+        relative(robot.grad_P_l(q), oracle.grad_P(q)),
+        relative(*drop),
+    )
+
+
+@all_cases
+def test_named_joints_in_any_order_with_others_locked_agree_with_pinocchio(case: tuple[int, int]) -> None:
+    assert agreement(*robot_of(case), seed=case[1]) < 1e-10
+
+
+@all_cases
+def test_forward_dynamics_of_the_named_joints_obeys_the_inverse_dynamics_of_all(case: tuple[int, int]) -> None:
+    robot, oracle = robot_of(case)
+    q, dq, tau = np.random.default_rng(case).uniform(-2, 2, (3, robot.n))
+    ddq = np.linalg.solve(robot.M_l(q), tau - robot.coriolis(q, dq, dq) - robot.grad_P_l(q))
+    torques = pin.rnea(oracle.model, oracle.data, oracle.q(q), oracle.v(dq), oracle.v(ddq))
+    assert relative(torques[oracle.rows], tau) < 1e-10
+
+
+def test_kinetic_gradient_has_the_named_order() -> None:
+    robot, oracle = robot_of((5, 1))
+    q, v = np.random.default_rng(3).uniform(-2, 2, (2, 5))
+    assert relative(robot.links.grad_T(q, v).full().ravel(), oracle.C(q, v).T @ v) < 1e-10
+
+
+def test_byte_order_mark_of_a_urdf_is_ignored(tmp_path: Path) -> None:
+    path, marked = tmp_path / "arm.urdf", "\ufeff" + ARM7.read_text(encoding="utf-8")
+    path.write_text(marked, encoding="utf-8")
+    for source in (path, marked):
+        assert fjr.robot_from_urdf(source, ARM7_JOINTS, 100.0, 0.1).n == 7
+
+
+def test_links_and_joints_may_share_names() -> None:
+    text = ARM7.read_text(encoding="utf-8")
+    named = text
+    for i in range(1, 8):
+        named = named.replace(f'"link{i}"', f'"joint{i}"')
+    assert named != text
+    here, there = (fjr.robot_from_urdf(xml, ARM7_JOINTS, 100.0, 0.1) for xml in (named, text))
+    q = np.linspace(-1, 1, 7)
+    assert np.array_equal(here.M_l(q), there.M_l(q))
+
+
+def test_file_path_and_text_give_the_same_robot(tmp_path: Path) -> None:
+    urdf = random_urdf(3, 0)
+    file = tmp_path / "arm.urdf"
+    file.write_text('<?xml version="1.0" encoding="utf-8"?>\n' + urdf.xml, encoding="utf-8")
+    q = np.array([0.3, -0.4, 0.5])
+    robots = [
+        fjr.robot_from_urdf(source, urdf.joints, 100.0, 0.1) for source in (file, str(file), file.read_text(), urdf.xml)
+    ]
+    assert all(np.array_equal(robot.M_l(q), robots[0].M_l(q)) for robot in robots)
+
+
+# The bodies alone.
+
+KR300 = Path(__file__).parents[3] / "examples/kr300/kr300.urdf"
+URDFS = {
+    **{f"random {n} {seed}": random_urdf(n, seed).xml for n in (1, 2, 3, 5, 7) for seed in range(3)},
+    **{robot.name: robot.urdf for robot in ROBOTS if robot.package in ("airo-models", "rtb-data")},
+    **{path.stem: path for path in (ARM7, KR300)},
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", URDFS)
+def test_bodies_equal_those_of_the_reduced_model_of_pinocchio(name: str, seed: int) -> None:
+    """All joints of the longest chain are named, then some, with the others locked at random."""
+    source, rng = URDFS[name], np.random.default_rng(seed)
+    tree = read_urdf(source)
+    chain = chains(tree)[0].joints
+    joints = [joint for joint in chain if seed == 0 or rng.random() < 0.6] or [chain[-1]]
+    moving = [joint.name for joint in tree.joints.values() if joint.kind in MOVING and joint.name not in joints]
+    locked = dict(zip(moving, rng.uniform(-2, 2, len(moving)), strict=True))
+    model = pin.buildModelFromXML(source.read_text(encoding="utf-8") if isinstance(source, Path) else source)
+    rest = PinocchioLinks(model, [], locked).rest
+    reduced = pin.buildReducedModel(model, [model.getJointId(joint) for joint in locked], rest)
+
+    bodies = reduced_bodies(tree, joints, locked)
+    assert list(bodies) == list(reduced.names)[1:]
+    for body, placement, expected in zip(
+        bodies.values(), list(reduced.jointPlacements)[1:], list(reduced.inertias)[1:], strict=True
+    ):
+        pairs = [
+            (body.rotation, placement.rotation),
+            (body.translation, placement.translation),
+            (body.mass, expected.mass),
+            (body.com, expected.lever if expected.mass else np.zeros(3)),
+            (body.inertia, expected.inertia),
+        ]
+        for found, oracle in pairs:
+            np.testing.assert_allclose(found, oracle, rtol=1e-12, atol=1e-12)
+
+
+# A hand-written planar arm, which the tests below modify.
+
+ZERO = 'ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"'
+
+
+def link(name: str, mass: float = 1.0, com: float = 0.1, inertia: str = ZERO.replace('iyy="0"', 'iyy="0.01"')) -> str:
+    inner = f'<origin xyz="0 0 {-com}"/><mass value="{mass}"/><inertia {inertia}/>'
+    return f'<link name="{name}"><inertial>{inner}</inertial></link>'
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", inner: str = "", z: float = 0.0) -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="0 0 {z}"/><axis xyz="0 1 0"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{inner}</joint>'
+
+
+def robot(*parts: str) -> str:
+    return f'<robot name="r">{"".join(parts)}</robot>'
+
+
+BASE = '<link name="base"/>'
+SHOULDER, ELBOW = joint("shoulder", "base", "upper"), joint("elbow", "upper", "lower", z=-0.3)
+TWO = robot(BASE, link("upper"), link("lower"), SHOULDER, ELBOW)
+
+
+def read(xml: str, joints: Any = ("shoulder", "elbow"), stiffness: Any = 50.0, **values: Any) -> fjr.Robot:
+    return fjr.robot_from_urdf(xml, joints, stiffness, values.pop("motor_inertia", 0.1), **values)
+
+
+def test_planar_urdf_matches_the_closed_form() -> None:
+    (m1, m2), (c1, c2), (I1, I2) = PLANAR["link_mass"], PLANAR["link_com"], PLANAR["link_inertia"]
+    links = [
+        link(n, m, c, ZERO.replace('iyy="0"', f'iyy="{i}"'))
+        for n, m, c, i in (("upper", m1, c1, I1), ("lower", m2, c2, I2))
+    ]
+    urdf, closed = read(robot(BASE, *links, SHOULDER, ELBOW)), fjr.planar_two_link(**PLANAR)
+    q, v, w = np.random.default_rng(5).uniform(-2, 2, (3, 2))
+    assert relative(urdf.M_l(q), closed.M_l(q)) < 1e-14
+    assert relative(urdf.coriolis(q, v, w), closed.coriolis(q, v, w)) < 1e-13
+    assert relative(urdf.grad_P_l(q), closed.grad_P_l(q)) < 1e-14
+
+
+# Elastic data.
+
+
+def test_elastic_data_have_the_named_order() -> None:
+    K, M_m = np.array([[50.0, 4.0], [4.0, 30.0]]), np.array([[0.2, 0.03], [0.03, 0.1]])
+    arm = read(
+        TWO, ["elbow", "shoulder"], K, motor_inertia=M_m, link_damping=(1, 2), motor_damping=3, input_gain=(2, 4)
+    )
+    assert np.array_equal(arm.K, K)
+    assert np.array_equal(arm.M_m, M_m)
+    assert np.array_equal(arm.D_l, np.diag([1, 2]))
+    assert np.array_equal(arm.D_m, np.diag([3, 3]))
+    assert np.array_equal(arm.B_m, np.diag([2, 4]))
+    assert np.allclose(arm.M_l([0, 0]), read(TWO).M_l([0, 0])[::-1, ::-1], rtol=1e-15)
+
+
+def test_a_gear_ratio_reflects_the_rotors_inertia() -> None:
+    rotor = np.array([[2e-5, 1e-6], [1e-6, 1e-5]])
+    arm = read(TWO, motor_inertia=rotor, gear_ratio=(100, -50))
+    assert np.allclose(arm.M_m, [[0.2, -0.005], [-0.005, 0.025]], rtol=1e-14)
+    assert np.array_equal(read(TWO, motor_inertia=2e-5, gear_ratio=100).M_m, 0.2 * np.eye(2))
+
+
+# Limits.
+
+
+def limited(inner: str, kind: str = "revolute") -> fjr.JointLimits:
+    limits = read(robot(BASE, link("upper"), joint("shoulder", "base", "upper", kind, inner)), ["shoulder"]).limits
+    assert limits is not None
+    return limits
+
+
+def values_of(limits: fjr.JointLimits) -> list[float]:
+    return [float(getattr(limits, name)[0]) for name in ("lower", "upper", "velocity", "effort")]
+
+
+@pytest.mark.parametrize(
+    ("inner", "kind", "expected"),
+    [
+        ('<limit lower="-1" upper="2" velocity="3" effort="4"/>', "revolute", [-1, 2, 3, 4]),
+        ('<limit lower="0" upper="2" velocity="3" effort="4"/>', "prismatic", [0, 2, 3, 4]),
+        ('<limit lower="-1" upper="2" velocity="0" effort="0"/>', "revolute", [-1, 2, np.inf, np.inf]),
+        ('<limit lower="0" upper="0" velocity="3" effort="4"/>', "revolute", [-np.inf, np.inf, 3, 4]),
+        ('<limit velocity="3" effort="4"/>', "continuous", [-np.inf, np.inf, 3, 4]),
+        ('<limit lower="-1" upper="2" velocity="3" effort="4"/>', "continuous", [-np.inf, np.inf, 3, 4]),
+        ('<limit effort="inf"/>', "revolute", [-np.inf, np.inf, np.inf, np.inf]),
+        ("", "revolute", [-np.inf, np.inf, np.inf, np.inf]),
+    ],
+)
+def test_zero_or_absent_limits_are_no_limits(inner: str, kind: str, expected: list[float]) -> None:
+    assert values_of(limited(inner, kind)) == expected
+
+
+def test_limits_have_the_named_order() -> None:
+    limits = fjr.robot_from_urdf(ARM7, ARM7_JOINTS[::-1], 1e4, 0.5).limits
+    assert limits is not None
+    assert limits.effort.tolist() == [40, 40, 110, 110, 110, 176, 176]
+    assert not limits.effort.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"lower": [1.0, 0.0]}, "expected lower <= upper"),
+        ({"effort": [0.0, 1.0]}, "effort limit is .*; expected positive numbers"),
+        ({"velocity": [1.0]}, r"velocity has shape \(1,\); expected that of lower, \(2,\)"),
+        ({"upper": [1.0, np.nan]}, "upper limit is .*; expected one number per joint"),
+        ({"upper": "high"}, "upper limit is 'high'; expected numbers"),
+    ],
+)
+def test_invalid_limits_are_refused(change: dict[str, Any], sentence: str) -> None:
+    good = {"lower": [-1.0, -1.0], "upper": [0.5, 0.5], "velocity": [1.0, 1.0], "effort": [1.0, 1.0]}
+    with pytest.raises(fjr.RobotError, match=sentence):
+        fjr.JointLimits(**{**good, **change})  # type: ignore[arg-type]
+
+
+def test_limits_of_another_number_of_joints_are_refused() -> None:
+    arm, one = read(TWO), limited("")
+    with pytest.raises(fjr.RobotError, match="limits are of 1 joints; expected 2"):
+        fjr.Robot(arm.links, arm.M_m, arm.K, arm.D_l, arm.D_m, arm.B_m, one)
+
+
+# Mimicking joints.
+
+
+FINGERS = (
+    link("left", com=0.2),
+    link("right", com=0.3),
+    joint("left_finger", "lower", "left", "prismatic"),
+    joint("right_finger", "lower", "right", "prismatic", '<mimic joint="left_finger" multiplier="-2" offset="0.1"/>'),
+)
+HAND = TWO.replace("</robot>", "".join(FINGERS) + "</robot>")
+
+
+def test_a_mimicking_joint_is_locked_at_the_position_of_its_leader() -> None:
+    positions = {"left_finger": 0.3, "right_finger": -0.5}
+    oracle = PinocchioLinks(pin.buildModelFromXML(with_limits(HAND)), ["shoulder", "elbow"], positions)
+    assert agreement(read(HAND, locked={"left_finger": 0.3}), oracle, seed=0) < 1e-10
+
+
+def with_limits(xml: str) -> str:
+    """Add a <limit> to every joint, which Pinocchio requires but robot_from_urdf does not."""
+    return xml.replace("</joint>", '<limit lower="0" upper="0" effort="0" velocity="0"/></joint>')
+
+
+def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    bad = link("antenna", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + link("hub", mass=-2.0)
+    arms = joint("mast", "base", "antenna", "fixed") + joint("wheel", "base", "hub", "continuous")
+    found = read(TWO.replace("</robot>", bad + arms + "</robot>"))
+    q = np.array([0.4, -0.7])
+    assert np.array_equal(found.M_l(q), read(TWO).M_l(q))
+    assert [record.getMessage() for record in caplog.records] == [
+        "link 'antenna' has the principal inertia -1; expected 0 or more; "
+        "link 'hub' has the mass -2.0; expected 0 or more; ignored, since no chosen joint moves them"
+    ]
+
+
+def test_a_bad_inertia_below_a_locked_joint_of_the_arm_is_refused() -> None:
+    bad = link("hook", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + joint("wrist", "lower", "hook")
+    with pytest.raises(fjr.RobotError, match="link 'hook' has the principal inertia -1; expected 0 or more"):
+        read(TWO.replace("</robot>", bad + "</robot>"))
+
+
+def test_an_extension_with_an_undeclared_prefix_is_ignored() -> None:
+    extended = TWO.replace("</robot>", "<gazebo><sim:sensor sim:rate='1'/></gazebo></robot>")
+    assert np.array_equal(read(extended).M_l([0.1, 0.2]), read(TWO).M_l([0.1, 0.2]))
+
+
+# Invalid input: one sentence, nothing printed.
+
+POINT = link("lower", 1.0, 0.0, ZERO)
+SIDE = TWO.replace("</robot>", link("other") + joint("wing", "upper", "other") + "</robot>")
+
+REFUSED: dict[str, tuple[str, str]] = {
+    "broken": ("<robot", "the URDF text does not parse as XML"),
+    "not a urdf": ("<sdf/>", "root element <sdf>; expected the <robot> of a URDF"),
+    "xacro": ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include/></robot>', "expected a plain URDF"),
+    "empty": ("<robot/>", "the URDF has no <link>"),
+    "two links of a name": (TWO.replace('link name="lower"', 'link name="upper"'), "a link named 'upper' twice"),
+    "no name": (TWO.replace('link name="lower"', "link"), "a link named None twice or without a name"),
+    "unknown type": (TWO.replace('"revolute"', '"hinge"', 1), "joint 'shoulder' has the type 'hinge'; expected one of"),
+    "unknown link": (TWO.replace('child link="lower"', 'child link="fore"'), "joint 'elbow' names the link 'fore'"),
+    "no child": (TWO.replace('<child link="lower"/>', ""), "joint 'elbow' has no <child link"),
+    "two parents": (
+        TWO.replace("</robot>", joint("rod", "base", "lower") + "</robot>"),
+        "link 'lower' is the child of joints 'elbow' and 'rod' .a closed chain.; expected a tree",
+    ),
+    "loop": (
+        robot(BASE, link("upper"), link("lower"), joint("shoulder", "lower", "upper"), ELBOW),
+        "is its own ancestor .a closed chain.; expected a tree",
+    ),
+    "two roots": (TWO.replace("</robot>", link("loose") + "</robot>"), "links base, loose have no parent joint"),
+    "floating base": (
+        TWO.replace("</robot>", '<link name="world"/>' + joint("free", "world", "base", "floating") + "</robot>"),
+        "joint 'free' is floating; expected an arm with a fixed base",
+    ),
+    "planar base": (
+        TWO.replace("</robot>", '<link name="world"/>' + joint("drive", "world", "base", "planar") + "</robot>"),
+        "joint 'drive' is planar",
+    ),
+    "zero axis": (TWO.replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"', 1), "joint 'shoulder' has the axis 0 0 0"),
+    "short axis": (TWO.replace('axis xyz="0 1 0"', 'axis xyz="0 1"', 1), '<axis xyz="0 1">; expected 3 numbers'),
+    "word in origin": (TWO.replace('"0 0 -0.3"', '"0 0 a"'), "joint 'elbow' has <origin xyz=\"0 0 a\">; expected 3"),
+    "nan in origin": (TWO.replace('"0 0 -0.3"', '"0 0 nan"'), "joint 'elbow' has <origin xyz=\"0 0 nan\">"),
+    "nan mass": (TWO.replace('mass value="1.0"', 'mass value="nan"', 1), "link 'upper' has <mass value=\"nan\">"),
+    "no mass": (TWO.replace('<mass value="1.0"/>', "", 1), "link 'upper' has <mass value=\"\">; expected a number"),
+    "mass zero": (TWO.replace('value="1.0"', 'value="0"', 1), "link 'upper' has the mass 0 and an inertia; expected"),
+    "negative mass": (
+        TWO.replace('value="1.0"', 'value="-1"', 1),
+        "link 'upper' has the mass -1.0; expected 0",
+    ),
+    "negative inertia": (TWO.replace('iyy="0.01"', 'iyy="-1"', 1), "link 'upper' has the principal inertia -1"),
+    "massless": (robot(BASE, link("upper"), '<link name="lower"/>', SHOULDER, ELBOW), "joint 'elbow' can move without"),
+    "mass on the axis": (robot(BASE, link("upper"), POINT, SHOULDER, ELBOW), "joint 'elbow' can move without moving"),
+    "all massless": (
+        robot(BASE, '<link name="upper"/>', '<link name="lower"/>', SHOULDER, ELBOW),
+        "joint 'elbow' can move without moving mass .M_l is singular.; expected links with mass and inertia beyond it",
+    ),
+    "range upside down": (
+        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit lower="1" upper="-1"/>')),
+        "joint 'shoulder' has <limit> lower=1 upper=-1 velocity=0 effort=0; expected lower <= upper",
+    ),
+    "negative effort": (
+        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit effort="-1"/>')),
+        "expected lower <= upper, velocity and effort 0 or more",
+    ),
+    "nan limit": (
+        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit effort="nan"/>')),
+        "joint 'shoulder' has <limit effort=\"nan\">; expected a number",
+    ),
+    "mimics a named joint": (
+        HAND.replace('mimic joint="left_finger"', 'mimic joint="elbow"'),
+        "joint 'right_finger' mimics the named joint 'elbow'",
+    ),
+    "mimics itself": (HAND.replace('mimic joint="left_finger"', 'mimic joint="right_finger"'), "mimics itself"),
+    "mimics nobody": (HAND.replace('mimic joint="left_finger"', 'mimic joint="thumb"'), "no joint 'thumb'"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_an_invalid_urdf_is_refused_in_one_sentence(what: str, capfd: pytest.CaptureFixture[str]) -> None:
+    xml, sentence = REFUSED[what]
+    with pytest.raises(fjr.RobotError, match=sentence) as refused:
+        read(xml)
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", "")
+
+
+FIXED = HAND.replace("</robot>", '<link name="camera"/>' + joint("mount", "lower", "camera", "fixed") + "</robot>")
+ASKED: dict[str, tuple[str, dict[str, Any], str]] = {
+    "unknown joint": (TWO, {"joints": ["sholder", "elbow"]}, "no joint 'sholder'; did you mean 'shoulder'. expected"),
+    "far off": (TWO, {"joints": ["x"]}, "no joint 'x'; expected some of shoulder, elbow"),
+    "twice": (TWO, {"joints": ["elbow", "elbow"]}, "joints holds 'elbow' twice; expected every joint once"),
+    "a word": (TWO, {"joints": "elbow"}, "joints is 'elbow'; expected a list of joint names"),
+    "none": (TWO, {"joints": []}, r"joints is \[\]; expected a list of joint names"),
+    "fixed": (FIXED, {"joints": ["mount"]}, "joint 'mount' is fixed; expected a revolute, continuous, prismatic joint"),
+    "mimic": (FIXED, {"joints": ["right_finger"]}, "joint 'right_finger' mimics 'left_finger'; expected joints that"),
+    "branches": (SIDE, {"joints": ["shoulder", "elbow", "wing"]}, "'elbow' and 'wing' are on different branches after"),
+    "stiffness": (TWO, {"stiffness": [1.0] * 3}, r"stiffness has shape \(3,\); expected a scalar"),
+    "nan stiffness": (TWO, {"stiffness": [1.0, np.nan]}, "stiffness is .*; expected finite numbers"),
+    "negative stiffness": (TWO, {"stiffness": -1.0}, "K has smallest eigenvalue -1"),
+    "motor inertia": (TWO, {"motor_inertia": [1.0]}, r"motor_inertia has shape \(1,\)"),
+    "gear ratio": (TWO, {"gear_ratio": [1.0]}, r"gear_ratio has shape \(1,\)"),
+    "no gear": (TWO, {"gear_ratio": 0.0}, "gear_ratio is .*; expected numbers other than 0"),
+    "gravity": (TWO, {"gravity": (0, np.nan, 0)}, "gravity is .*; expected finite numbers"),
+    "locked unknown": (TWO, {"locked": {"elbwo": 0.0}}, "no joint 'elbwo'; did you mean 'elbow'"),
+    "locked and named": (TWO, {"locked": {"elbow": 0.0}}, "joint 'elbow' is named and locked; expected one of the two"),
+    "locked fixed": (FIXED, {"locked": {"mount": 0.1}}, "locked joint 'mount' is fixed"),
+    "locked mimic": (FIXED, {"locked": {"right_finger": 0.1}}, "locked joint 'right_finger' mimics 'left_finger'"),
+    "locked nan": (FIXED, {"locked": {"left_finger": np.nan}}, "position of locked joint 'left_finger' is .* finite"),
+}
+
+
+@pytest.mark.parametrize("what", ASKED)
+def test_inconsistent_requests_are_refused_in_one_sentence(what: str, capfd: pytest.CaptureFixture[str]) -> None:
+    xml, values, sentence = ASKED[what]
+    with pytest.raises(fjr.RobotError, match=sentence) as refused:
+        read(xml, **values)
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_missing_file_or_folder_is_named(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.urdf", tmp_path):
+        with pytest.raises(fjr.RobotError, match=f"URDF {path} cannot be read .*; expected a file or XML text"):
+            fjr.robot_from_urdf(path, ["a"], 1.0, 1.0)
+
+
+def test_binary_file_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_bytes(b"\x00\xff\x7fELF")
+    with pytest.raises(fjr.RobotError, match="arm.urdf does not parse as XML"):
+        fjr.robot_from_urdf(file, ["a"], 1.0, 1.0)
+
+
+# The seven-joint arm.
+
+
+def arm7_links() -> dict[str, ET.Element]:
+    return {str(link.get("name")): link for link in ET.parse(ARM7).getroot().findall("link")}
+
+
+def attribute(element: ET.Element, path: str, name: str) -> Array:
+    found = element.find(path)
+    assert found is not None, path
+    return np.array([float(word) for word in found.get(name, "0 0 0").split()])
+
+
+@pytest.mark.parametrize("name", ["base_link", *(f"link{i}" for i in range(1, 8)), "tool"])
+def test_every_link_of_arm7_has_the_inertia_of_its_visual_cylinder(name: str) -> None:
+    element = arm7_links()[name]
+    (m,), (r,) = attribute(element, "inertial/mass", "value"), attribute(element, "visual/geometry/cylinder", "radius")
+    (h,) = attribute(element, "visual/geometry/cylinder", "length")
+    R = pin.rpy.rpyToMatrix(attribute(element, "visual/origin", "rpy"))
+    across = m * (3 * r**2 + h**2) / 12
+    I_c = R @ np.diag([across, across, m * r**2 / 2]) @ R.T
+    seen = [attribute(element, "inertial/inertia", key)[0] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
+    assert np.allclose(seen, [*np.diag(I_c), I_c[0, 1], I_c[0, 2], I_c[1, 2]], rtol=1e-5, atol=1e-12)
+    assert np.array_equal(attribute(element, "inertial/origin", "xyz"), attribute(element, "visual/origin", "xyz"))
+
+
+def test_arm7_has_the_data_of_a_light_seven_joint_arm() -> None:
+    """The moving mass is 18 to 20 kg, all limits exist, and a 1 kHz loop can control the wrist."""
+    arm = fjr.robot_from_urdf(ARM7, ARM7_JOINTS, 1e4, 0.5)
+    masses = {name: float(attribute(link, "inertial/mass", "value")[0]) for name, link in arm7_links().items()}
+    assert 18 < sum(masses.values()) - masses["base_link"] < 20
+    assert arm.limits is not None
+    rng = np.random.default_rng(7)
+    points = rng.uniform(arm.limits.lower, arm.limits.upper, (500, 7)) * rng.integers(0, 2, (500, 7))
+    assert min(np.linalg.eigvalsh(arm.M_l(q))[0] for q in points) > 0.0039
+    assert np.all(np.max([np.abs(arm.grad_P_l(q)) for q in points], axis=0) < arm.limits.effort / 2)
+
+
+def test_arm7_agrees_with_pinocchio() -> None:
+    arm = fjr.robot_from_urdf(ARM7, ARM7_JOINTS, 1e4, 0.5)
+    assert agreement(arm, PinocchioLinks(pin.buildModelFromUrdf(str(ARM7)), ARM7_JOINTS), seed=0) < 1e-10

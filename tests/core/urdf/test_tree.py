@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trees of URDFs: transforms between links, which agree with Pinocchio's placements, and serial chains."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from core.oracles.cases import Array
+from core.oracles.chains import ARM7, ARM7_JOINTS, random_urdf
+from fjr_core.errors import RobotError
+from fjr_core.urdf.chains import chains
+from fjr_core.urdf.tree import UrdfFrames, read_urdf
+
+MIMIC = """<robot name="hand"><link name="palm"/><link name="a"/><link name="b"/>
+<joint name="one" type="prismatic"><parent link="palm"/><child link="a"/><axis xyz="0 2 0"/>
+  <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+<joint name="two" type="continuous"><parent link="palm"/><child link="b"/><axis xyz="0 0 1"/>
+  <mimic joint="one" multiplier="-2" offset="0.5"/></joint></robot>"""
+
+
+def placed(frames: UrdfFrames, positions: dict[str, float]) -> dict[str, Array]:
+    """Return the homogeneous placement of each link in the root, by composing the transforms."""
+    relative = {each.child: each for each in frames.at(positions)}
+
+    def placement(link: str) -> Array:
+        if link not in relative:
+            return np.eye(4)
+        each = relative[link]
+        here = pin.SE3(pin.Quaternion(np.array(each.quaternion)).matrix(), np.array(each.translation))
+        return placement(each.parent) @ here.homogeneous
+
+    return {link: placement(link) for link in relative}
+
+
+def agree(xml: str, positions: dict[str, float]) -> None:
+    model = pin.buildModelFromXML(xml)
+    data, q = model.createData(), pin.neutral(model)
+    for name, value in positions.items():
+        joint = model.joints[model.getJointId(name)]
+        q[joint.idx_q : joint.idx_q + joint.nq] = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+    pin.framesForwardKinematics(model, data, q)
+    links = placed(UrdfFrames(xml), positions)
+    assert links
+    for link, found in links.items():
+        expected = data.oMf[model.getFrameId(link, pin.FrameType.BODY)].homogeneous
+        np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=link)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_arms_agree_with_pinocchio(seed: int) -> None:
+    case = random_urdf(5, seed)
+    names = list(pin.buildModelFromXML(case.xml).names)[1:]
+    agree(case.xml, dict(zip(names, np.random.default_rng(seed).uniform(-2, 2, len(names)), strict=True)))
+
+
+def test_seven_joint_arm_agrees_with_pinocchio() -> None:
+    agree(ARM7.read_text(), dict(zip(ARM7_JOINTS, np.linspace(-1.0, 1.0, 7), strict=True)))
+
+
+def test_unknown_joints_are_ignored_and_missing_ones_are_at_zero() -> None:
+    frames = UrdfFrames(ARM7.read_text())
+    np.testing.assert_array_equal(
+        [each.quaternion for each in frames.at({"joint1_motor": 1.0})], [each.quaternion for each in frames.at({})]
+    )
+
+
+def test_a_sliding_joint_moves_along_its_unit_axis_and_a_mimic_joint_follows() -> None:
+    slide, turn = UrdfFrames(MIMIC).at({"one": 0.25})
+    np.testing.assert_allclose(slide.translation, [-0.25, 0.0, 1.0], atol=1e-15)
+    np.testing.assert_allclose(slide.quaternion, [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    assert (turn.parent, turn.child) == ("palm", "b")
+    np.testing.assert_allclose(turn.quaternion, [0.0, 0.0, 0.0, 1.0], atol=1e-15)  # -2 * 0.25 + 0.5 = 0
+
+
+def test_invalid_text_is_refused() -> None:
+    with pytest.raises(RobotError, match="does not parse as XML"):
+        UrdfFrames("<robot")
+
+
+Joint = tuple[str, str, str]
+
+
+def urdf(*joints: Joint, kinds: dict[str, str] | None = None, inner: dict[str, str] | None = None) -> str:
+    """Return a URDF of joints (name, parent, child), revolute unless `kinds` has another type."""
+    links = dict.fromkeys(link for _, parent, child in joints for link in (parent, child))
+    parts = [f'<link name="{link}"/>' for link in links]
+    for name, parent, child in joints:
+        kind, more = (kinds or {}).get(name, "revolute"), (inner or {}).get(name, "")
+        parts.append(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
+        )
+    return f'<robot name="r">{"".join(parts)}</robot>'
+
+
+FIVE: tuple[Joint, ...] = tuple((f"j{i}", f"l{i - 1}", f"l{i}") for i in range(1, 6))
+NAMES = tuple(f"j{i}" for i in range(1, 6))
+
+
+def found(text: str) -> list[tuple[str, ...]]:
+    return [chain.joints for chain in chains(read_urdf(text))]
+
+
+def test_a_chain_runs_from_the_base_to_the_tip_across_fixed_joints() -> None:
+    assert found(urdf(*FIVE, kinds={"j3": "fixed"})) == [("j1", "j2", "j4", "j5")]
+
+
+@pytest.mark.parametrize("name", ["left_finger", "gripper_joint", "Jaw", "hand_index_1", "thumb", "jointGripper"])
+def test_a_chain_ends_before_a_joint_named_like_a_gripper(name: str) -> None:
+    assert found(urdf(*FIVE, (name, "l5", "l6"))) == [NAMES]
+
+
+@pytest.mark.parametrize("fingers", [2, 3])
+def test_a_chain_ends_where_it_branches_into_fingers(fingers: int) -> None:
+    sides = [(f"side{i}_{k}", f"tip{i}_{k - 1}" if k else "l5", f"tip{i}_{k}") for i in range(fingers) for k in (0, 1)]
+    assert found(urdf(*FIVE, *sides)) == [NAMES]
+
+
+def test_a_mimicking_finger_makes_its_leader_a_finger() -> None:
+    two = (("left", "l5", "a"), ("right", "l5", "b"))
+    assert found(urdf(*FIVE, *two, inner={"right": '<mimic joint="left"/>'})) == [NAMES]
+
+
+def test_two_arms_on_a_torso_are_two_chains_with_the_torso() -> None:
+    arms = [
+        (f"{side}{i}", f"{side}link{i - 1}" if i > 1 else "chest", f"{side}link{i}")
+        for side in "ab"
+        for i in range(1, 7)
+    ]
+    longest = found(urdf(("torso", "base", "chest"), *arms))
+    assert longest == [("torso", *(f"{side}{i}" for i in range(1, 7))) for side in "ab"]
+
+
+def test_the_longest_chain_is_first_and_wheels_are_none() -> None:
+    more = (("neck", "l0", "head"), ("left_wheel_joint", "l0", "wheel"))
+    assert found(urdf(*more, *FIVE, kinds={"left_wheel_joint": "continuous"})) == [NAMES, ("neck",)]
+
+
+def test_a_gripper_alone_has_no_chain() -> None:
+    assert found(urdf(("left_finger", "palm", "a"), ("right_finger", "palm", "b"))) == []
