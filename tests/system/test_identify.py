@@ -13,12 +13,10 @@ import pytest
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_design.posterior.result import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
-from fjr_identification.cli.command import unconfirmed
-from fjr_identification.estimation.hold_out import HoldOut
-from fjr_identification.page.page_figures import autocorrelation
-from fjr_identification.page.page_rows import groups
-from fjr_identification.robot_file.nominal_robot import identified_values, nominal_robot
-from fjr_identification.robot_file.robot_yaml import robot_file
+from fjr_identification.cli.identify import unconfirmed
+from fjr_identification.estimation.validation import HoldOut
+from fjr_identification.page import autocorrelation, groups
+from fjr_identification.robot_file import identified_values, nominal_robot, robot_file
 from system.browser import Browser
 from system.executables import fjr_here
 from system.shared_runs import shared_run

@@ -19,12 +19,12 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError
 from fjr_core.model.robot import Robot
 from fjr_design.posterior.result import DEFLECTION, UNKNOWN, WEAK
-from fjr_identification.estimation.hold_out import hold_out
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.parameters import Options, Prior
-from fjr_identification.page.page_figures import fit_plots
-from fjr_identification.records.read_record import Reading, read_record
-from fjr_identification.records.record_map import TableMap, read_map
+from fjr_identification.estimation.validation import hold_out
+from fjr_identification.page import fit_plots
+from fjr_identification.read_record import Reading, read_record
+from fjr_identification.record_map import TableMap, read_map
 from system.bags import rewritten
 from system.shared_runs import shared_run
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from fjr_identification.estimation.bounded_step import bounded_step
+from fjr_identification.estimation.optimise import bounded_step
 
 
 @pytest.mark.parametrize("seed", range(50))

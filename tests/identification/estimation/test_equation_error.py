@@ -12,14 +12,20 @@ import fjr_core as fjr
 from core.oracles.elastic_joint import ElasticJoint, multi_sine, usual_record
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, WEAK
-from fjr_identification.estimation import gauss_newton
-from fjr_identification.estimation.equation_error import equation_error, link_side, motor_side, rigid_along
+from fjr_identification.estimation import optimise
 from fjr_identification.estimation.estimation_problem import Estimation
-from fjr_identification.estimation.filtered_fit import confounded, filtered_fit, simulation_start
-from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.filtered_fit import (
+    confounded,
+    equation_error,
+    filtered_fit,
+    link_side,
+    motor_side,
+    rigid_along,
+    simulation_start,
+)
+from fjr_identification.estimation.identify import MOST, displacement, identify
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import KINDS, Options, Prior
-from fjr_identification.estimation.unmodelled_torque import MOST, displacement
 from identification.estimation.test_identify import NOISE, found_in, noisy, robot_like
 
 JOINT = ElasticJoint()
@@ -31,7 +37,7 @@ def setup_of(noise: float = NOISE) -> Estimation:
 
 
 def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gauss_newton, "MOST_ITERATIONS", 0)
+    monkeypatch.setattr(optimise, "MOST_ITERATIONS", 0)
     start = setup_of().prior.values
     monkeypatch.setattr(f"{identify.__module__}.simulation_start", lambda setup, z: {**setup.values, **start})
     found = found_in(noisy(*usual_record(), 4e-3), JOINT)

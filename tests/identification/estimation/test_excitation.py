@@ -9,16 +9,17 @@ import pytest
 import fjr_core as fjr
 from fjr_core.errors import TrajectoryError
 from fjr_core.law.safety_settings import Settings
-from fjr_identification.estimation import excitation
-from fjr_identification.estimation.excitation import ExcitationDesign, design
-from fjr_identification.estimation.information import (
+from fjr_identification import excitation
+from fjr_identification.elastic_motion import (
     PARAMETERS,
+    ElasticMotion,
     InformationModel,
-    JointMotion,
     JointNoise,
+    elastic_motion,
     encoder_noise,
+    motion_envelope,
 )
-from fjr_identification.estimation.motion_envelope import elastic_motion, motion_envelope
+from fjr_identification.excitation import ExcitationDesign, design
 
 NOISE = JointNoise(np.full(2, 1e-5), np.full(2, 2e-5), np.full(2, 1e-2))
 SINE = fjr.Sine([0.5, 0.4], 2.0, phase=-np.pi / 2)
@@ -113,7 +114,7 @@ def test_the_information_is_that_of_the_outputs_of_the_joint():
     dq_l, dq_m, ddq_l, ddq_m = (
         np.fft.irfft((1j * w) ** i * q[j], k)[:, None] for i, j in ((1, 0), (1, 1), (2, 0), (2, 1))
     )
-    motion = JointMotion(J * ddq_l + p[1] * dq_l, dq_l, dq_m, ddq_m)
+    motion = ElasticMotion(0 * dq_l, dq_l, ddq_l, J * ddq_l + p[1] * dq_l, 0 * dq_m, dq_m, ddq_m, 0 * dq_m)
     noise = JointNoise(np.array([s_l]), np.array([s_m]), np.array([1e-9]))
     model = InformationModel(np.exp(p[:1]), np.exp(p[2:3]), np.array([J]), noise, period, 1000)
     own = [PARAMETERS.index(name) for name in ("joint_stiffness", "link_damping", "motor_inertia", "motor_damping")]

@@ -9,8 +9,8 @@ import numpy as np
 
 from core.oracles.elastic_joint import TRUTH
 from fjr_core.numerics.checks import Array
-from fjr_identification.estimation.gauss_newton import optimise
 from fjr_identification.estimation.multiple_shooting import FEWEST, ROUGH, Problem
+from fjr_identification.estimation.optimise import optimise
 from identification.estimation.test_equation_error import JOINT, NOISE, setup_of
 
 

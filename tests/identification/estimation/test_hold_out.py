@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from fjr_design.posterior.result import IDENTIFIED, Estimate, Identification
-from fjr_identification.estimation.hold_out import hold_out
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import Options, Prior
+from fjr_identification.estimation.validation import hold_out
 from identification.estimation import recorded_joint
 
 LATE = 2  # samples by which the link encoder is read late

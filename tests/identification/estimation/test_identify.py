@@ -14,9 +14,9 @@ from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, u
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.intervals import inflation
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import Options, Prior
-from fjr_identification.estimation.posterior import inflation
 from fjr_identification.estimation.validation import predicted_deflection
 
 NOISE = 2e-5  # rad

@@ -15,11 +15,10 @@ from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_body import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_identification.estimation.coordinates import Coordinates, packed
-from fjr_identification.estimation.elastic_arm import ElasticArm, free_entries
+from fjr_identification.estimation.elastic_arm import ElasticArm, packed
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import KINDS, USUAL, Prior, size
-from fjr_identification.estimation.segments import Segment, compare
+from fjr_identification.estimation.multiple_shooting import Segment, compare
+from fjr_identification.estimation.parameters import KINDS, USUAL, Coordinates, Prior, size
 from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 FREE = (
@@ -101,7 +100,7 @@ def test_sensitivities_equal_central_differences(name: str) -> None:
     record = MotionRecord("a record", ("joint1",), dt, u, silent, silent, np.full_like(u, np.nan))
     segment = Segment(record, held(u, dt, 2), 6, 48, 6)
     coordinates = Coordinates.of([(name, 0)], parameters(joint), dict.fromkeys(KINDS, np.ones(1)))
-    arm = ElasticArm(robot, free_entries(ElasticArm(robot, ()).layout, coordinates.dynamic))
+    arm = ElasticArm(robot, coordinates.dynamic)
     shooting, signals = Shooting(arm, coordinates.delays), (("q_l", 0), ("q_m", 0))
 
     def predicted(z: Array) -> Array:
@@ -131,7 +130,7 @@ def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() ->
     p = values(3, joint_stiffness=300.0, motor_inertia=0.1, link_damping=0.3, motor_coulomb_friction=0.2, offset=0.01)
     free = [(name, j) for name in USUAL[:7] for j in range(3)]
     coordinates = Coordinates.of([*free, ("effort_delay", 0), ("effort_delay", 2)], p, dict.fromkeys(KINDS, np.ones(3)))
-    arm = ElasticArm(robot, free_entries(ElasticArm(robot, ()).layout, coordinates.dynamic))
+    arm = ElasticArm(robot, coordinates.dynamic)
     shooting, effort = Shooting(arm, coordinates.delays), held(2 * random.standard_normal((30, 3)), dt, 2)
     assert coordinates.delays == (0, 2)
     assert shooting.padded > 8 * shooting.vectors

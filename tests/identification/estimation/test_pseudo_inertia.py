@@ -12,13 +12,11 @@ from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_body import Body
 from fjr_core.model.robot import Robot
 from fjr_core.model.urdf_inertia import with_inertias
-from fjr_identification.estimation.coordinates import packed
-from fjr_identification.estimation.elastic_arm import ElasticArm, free_entries
+from fjr_identification.estimation.elastic_arm import ElasticArm, corrected_arm, corrected_body, packed
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import PSEUDO_INERTIA, Options, Prior
-from fjr_identification.estimation.pseudo_inertia import corrected_arm, corrected_body
 from identification.estimation.test_prediction import values
 
 BODIES = (
@@ -67,8 +65,7 @@ def test_torques_of_the_corrected_arm_are_those_of_the_corrected_bodies() -> Non
     theta = 0.2 * random.standard_normal((2, 10))
     p = values(2, joint_stiffness=900.0, motor_inertia=0.2)
     p |= {name: theta[:, k] for k, name in enumerate(PSEUDO_INERTIA)}
-    layout = ElasticArm(robot, ()).layout
-    arm = ElasticArm(robot, free_entries(layout, [(PSEUDO_INERTIA[0], 0)]))
+    arm = ElasticArm(robot, ((PSEUDO_INERTIA[0], 0),))
     other = ElasticArm(robot_of(corrected(BODIES, theta)), ())
     for _ in range(3):
         x, u = random.normal(size=8), random.normal(size=2)

@@ -12,8 +12,7 @@ import pytest
 import fjr_core as fjr
 from fjr_core.errors import RecordError
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.record_checks import findings
-from fjr_identification.estimation.signal_checks import still_joints
+from fjr_identification.record_checks import findings
 from identification.estimation import recorded_joint
 
 Change = Callable[[MotionRecord], MotionRecord]
@@ -111,7 +110,7 @@ def test_joint_at_rest_beside_a_moving_one_is_listed() -> None:
     still = np.zeros_like(one.u)
     columns = {name: np.hstack([getattr(one, name), still]) for name in ("u", "q_l", "q_m")}
     both = replace(one, joints=("joint1", "joint2"), torque=np.full_like(columns["u"], np.nan), **columns)
-    assert still_joints(both) == ("joint2",)
+    assert both.still == ("joint2",)
 
 
 def test_record_of_another_robot_is_refused() -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from bench.identification import draw
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.record_checks import findings
-from fjr_identification.estimation.scale_checks import LONGEST, _most_moving, unseen
+from fjr_identification.record_checks import findings
+from fjr_identification.scale_checks import LONGEST, _most_moving, unseen
 from identification.estimation import recorded_joint
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from fjr_core.errors import RecordError
 from fjr_core.numerics.checks import Array
-from fjr_identification.estimation.uniform_grid import Uniform, uniform
+from fjr_identification.estimation.motion_record import Uniform, on_uniform_grid
 
 DT, K = 2e-3, 2000
 GRID = DT * np.arange(K)
@@ -24,7 +24,7 @@ def effort(t: Array) -> Array:
 
 
 def put(t: Array) -> Uniform:
-    return uniform("run.csv", t, effort(t), motion(t))
+    return on_uniform_grid("run.csv", t, effort(t), motion(t))
 
 
 def test_uniform_samples_are_left_as_they_are() -> None:
@@ -41,7 +41,7 @@ def test_rounded_stamps_count_as_uniform() -> None:
 def test_jitter_is_interpolated_and_reported() -> None:
     t = GRID + DT * 0.3 * np.random.default_rng(1).uniform(-1, 1, K)
     t[0], t[-1] = 0.0, GRID[-1]
-    found = uniform("run.csv", t, np.ones((K, 1)), motion(t))
+    found = on_uniform_grid("run.csv", t, np.ones((K, 1)), motion(t))
     assert found.dt == pytest.approx(DT)
     assert np.max(np.abs(found.sampled[:, 0] - motion(found.dt * np.arange(K))[:, 0])) < 1e-6
     assert np.all(np.isnan(found.sampled[:, 1]))
@@ -62,7 +62,7 @@ def test_lost_samples_are_interpolated_and_counted() -> None:
 def test_mean_of_a_held_effort_is_its_integral() -> None:
     t = GRID + 0.25 * DT * (np.arange(K) % 2)
     u = np.random.default_rng(2).standard_normal((K, 1))
-    found = uniform("run.csv", t, u, motion(t))
+    found = on_uniform_grid("run.csv", t, u, motion(t))
     widths = np.append(np.diff(t), found.dt * len(found.held) - (t[-1] - t[0]))
     assert found.dt * found.held.sum() == pytest.approx(float(widths @ u[:, 0]), abs=1e-2 * DT * K)
 
@@ -84,5 +84,5 @@ def test_mean_of_a_held_effort_is_its_integral() -> None:
 def test_other_times_are_refused_in_one_sentence(change: object, sentence: str) -> None:
     t = change(GRID)  # type: ignore[operator]
     with pytest.raises(RecordError, match="^run.csv") as caught:
-        uniform("run.csv", t, np.zeros((len(t), 1)), np.zeros((len(t), 1)))
+        on_uniform_grid("run.csv", t, np.zeros((len(t), 1)), np.zeros((len(t), 1)))
     assert sentence in str(caught.value)

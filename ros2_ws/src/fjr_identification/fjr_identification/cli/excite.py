@@ -17,9 +17,8 @@ from fjr_core.files.atomic_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import rest_position
 from fjr_design.scaffold.first_scenario import first_values
-from fjr_identification.estimation.excitation import Excitation, design
-from fjr_identification.estimation.information import PARAMETERS, JointNoise, encoder_noise
-from fjr_identification.estimation.motion_envelope import MotionEnvelope, motion_envelope
+from fjr_identification.elastic_motion import PARAMETERS, JointNoise, MotionEnvelope, encoder_noise, motion_envelope
+from fjr_identification.excitation import Excitation, design
 from fjr_msgs_py.console.formatting import plural
 from fjr_msgs_py.console.progress import phase
 from fjr_msgs_py.console.result import Result

@@ -2,7 +2,7 @@
 """Design the motion of a record from which the parameters of elastic joints are known best: D-optimal, within limits.
 
 The reference is a finite Fourier series in each joint, at rest at the start and the end of each period. Its free
-coefficients maximise log det of the Fisher information (information.py) of stiffness, offset, rotor inertia, friction
+coefficients maximise log det of the Fisher information (`elastic_motion`) of stiffness, offset, rotor inertia, friction
 and damping over the record, along the inverse dynamics of the flexible-joint robot, by L-BFGS-B with exact gradients
 from a few random starts, of which the one with the largest least gain in stiffness is kept. Limits enter as a quadratic
 penalty; the result is then scaled about its offset until it keeps them.
@@ -27,8 +27,7 @@ from fjr_core.motions.sine import MultiSine
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
 
-from .information import EMPHASIS, InformationModel, JointMotion, JointNoise
-from .motion_envelope import QUANTITIES, MotionEnvelope, elastic_motion
+from .elastic_motion import InformationModel, JointNoise, MotionEnvelope, elastic_motion
 
 LONGEST_PERIOD = 10.0  # s
 HARMONICS = 10
@@ -44,6 +43,8 @@ START = 0.1  # of the acceleration that random coefficients may ask for
 FINE = 8  # times as many instants when limits are checked
 HALVINGS = 40
 POSES = 64  # configurations whose mean link inertia counts
+EMPHASIS = 4.0
+"""Weight of the stiffness beyond its share in log det F: the law depends on it most, and it is known least."""
 
 Progress = Callable[[str, float], None]
 
@@ -52,7 +53,7 @@ Progress = Callable[[str, float], None]
 class Excitation:
     """A designed reference of `duration` [s], which rests at 0 and at each multiple of `period` [s].
 
-    deviations, before (n, 7): Cramer-Rao bounds of the standard deviations of information.PARAMETERS, of this motion
+    deviations, before (n, 7): Cramer-Rao bounds of the standard deviations of elastic_motion.PARAMETERS, of this motion
     and of the reference it was compared with; those of stiffness and motor inertia are relative.
     """
 
@@ -79,14 +80,14 @@ def design(
     starts. progress: receives a text and the finished share. Raises TrajectoryError if no motion keeps the limits.
     """
     task = ExcitationDesign(robot, limits, noise, duration, sample_period)
-    known, rng = task.deviations(before), np.random.default_rng(seed)
+    bounds, rng = task.deviations(before), np.random.default_rng(seed)
     best, most = None, 0.0
     for i in range(STARTS):
         progress("designing the excitation", i / (STARTS + ROUNDS))
         c = task.start(rng)
         for weight in PENALTIES:
             c = task.improved(c, weight)
-        if (gain := task.least_gain(c, known)) > most:
+        if (gain := task.least_gain(c, bounds)) > most:
             best, most = c, gain
     if best is None:
         raise TrajectoryError(
@@ -94,13 +95,13 @@ def design(
         )
     for k in range(ROUNDS):
         progress("designing the excitation", (STARTS + k) / (STARTS + ROUNDS))
-        gains = task.gains(best, known)
+        gains = task.gains(best, bounds)
         refined = task.improved(best, FINAL_PENALTY, EMPHASIS * gains.max() / gains)
-        if (least := task.least_gain(refined, known)) <= most:
+        if (least := task.least_gain(refined, bounds)) <= most:
             break
         best, most = refined, least
     reference = task.series.reference(task.within(best))
-    return Excitation(reference, duration, task.series.period, task.deviations(reference), known)
+    return Excitation(reference, duration, task.series.period, task.deviations(reference), bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,16 +190,11 @@ class ExcitationDesign:
         """Return the loss of coefficients and its gradient (size, n)."""
         jets = np.einsum("rks,sn->krn", self._basis, c)
         motion = elastic_motion(self.robot, jets, self._inverse_dynamics)
-        values = motion.stacked
-        information, rate = self.model.criterion(
-            JointMotion(motion.torque, motion.dq_l, motion.dq_m, motion.ddq_m), emphasis
-        )
-        over = np.sign(r := self.limits.ratios(values)) * np.maximum(np.abs(r) - 1.0, 0.0)
-        k = len(jets)
+        information, rate = self.model.criterion(motion, emphasis)
+        ratios, k = self.limits.ratios(motion.stacked), len(jets)
+        over = np.sign(ratios) * np.maximum(np.abs(ratios) - 1.0, 0.0)
         loss = -information + weight * float((over**2).sum()) / k
-        slope = 2 * weight / k * over * self.limits.slope
-        for name, value in (("torque", rate.torque), ("dq_l", rate.dq_l), ("dq_m", rate.dq_m), ("ddq_m", rate.ddq_m)):
-            slope[QUANTITIES.index(name)] -= value
+        slope = 2 * weight / k * over * self.limits.slope - rate
         return loss, np.einsum("rks,krn->sn", self._basis, self._pulled_back(jets, slope))
 
     def _pulled_back(self, jets: Array, slope: Array) -> Array:
@@ -225,19 +221,19 @@ class ExcitationDesign:
         function = ca.Function("inverse_dynamics_adjoint", [*motion, *bars], parts, {"cse": True})
         return compiled(function).map(len(self._instants))
 
-    def least_gain(self, c: Array, known: Array) -> float:
+    def least_gain(self, c: Array, bounds: Array) -> float:
         """Return the least of the gains, 0 if the limits leave no room for the motion."""
         try:
-            return float(self.gains(c, known).min())
+            return float(self.gains(c, bounds).min())
         except TrajectoryError:
             return 0.0
 
-    def gains(self, c: Array, known: Array) -> Array:
-        """Return the factors (n,) by which the deviations of K of the motion within the limits are below known (n, 7).
+    def gains(self, c: Array, bounds: Array) -> Array:
+        """Return the factors (n,) by which the deviations of K of the motion within the limits are below bounds (n, 7).
 
         Raises TrajectoryError if the limits leave no room for it.
         """
-        return known[:, 0] / self.deviations(self.series.reference(self.within(c)))[:, 0]
+        return bounds[:, 0] / self.deviations(self.series.reference(self.within(c)))[:, 0]
 
     def within(self, c: Array) -> Array:
         """Return the coefficients scaled about the offset until the motion keeps all limits.
@@ -252,7 +248,7 @@ class ExcitationDesign:
 
         def keeps(factor: float) -> bool:
             jets = np.einsum("rks,sn->krn", basis, scaled(factor))
-            return self.limits.keeps(elastic_motion(self.robot, jets).stacked)
+            return self.limits.keeps(elastic_motion(self.robot, jets))
 
         if keeps(1.0):
             return c
@@ -270,5 +266,4 @@ class ExcitationDesign:
         """Return the Cramer-Rao bounds (n, 7) of a reference over the whole record; see Excitation."""
         k = int(np.ceil(len(self._instants) * self.duration / self.series.period))
         motion = elastic_motion(self.robot, np.asarray(reference.jets(np.arange(k) * self.duration / k)))
-        model = replace(self.model, period=self.duration)
-        return model.deviations(JointMotion(motion.torque, motion.dq_l, motion.dq_m, motion.ddq_m))
+        return replace(self.model, period=self.duration).deviations(motion)

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from fjr_core.errors import RecordError
 from fjr_core.numerics.checks import Array
-from fjr_identification.records.record_map import COMMANDS, STATES, BagMap
-from fjr_identification.records.samples import LARGEST, Samples, Window
 from fjr_monitor.analysis.commands import match_stamps
 from fjr_monitor.analysis.states import first_of_each_stamp
 from fjr_monitor.recording.message_types import typestore
@@ -23,6 +21,9 @@ from fjr_monitor.recording.reader import FLOATS, JOINT_STATE, in_order, read_bag
 from fjr_monitor.recording.topic import BagError, Times
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.layout import StateLayout
+
+from .estimation.motion_record import LARGEST, Samples, Window
+from .record_map import COMMANDS, STATES, BagMap
 
 BLOCK = 4096  # messages between two looks at the window
 

@@ -13,14 +13,13 @@ from fjr_core.config.measurement import measurement
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RecordError
 from fjr_core.model.robot import Robot
-from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.record_checks import findings
-from fjr_identification.estimation.scale_checks import unseen
-from fjr_identification.estimation.signal_checks import still_joints
-from fjr_identification.records.bag_record import bag_samples
-from fjr_identification.records.record_map import BagMap, TableMap
-from fjr_identification.records.samples import Window
-from fjr_identification.records.table_record import PARQUET, table_samples
+
+from .bag_record import bag_samples
+from .estimation.motion_record import MotionRecord, Window
+from .record_checks import findings
+from .record_map import BagMap, TableMap
+from .scale_checks import unseen
+from .table_record import PARQUET, table_samples
 
 TABLES = (".csv", ".csv.gz", ".txt", ".tsv", PARQUET)
 SCENARIO = "scenario.yaml"
@@ -65,7 +64,7 @@ def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot
         raise RecordError(f"{path} is a bag and the mapping file has columns; expected one with 'bag'")
     if reading.mapping is not None:
         return reading.mapping
-    run = next((each for each in (path, *path.resolve().parents[:2]) if (each / SCENARIO).is_file()), None)
+    run = next((folder for folder in (path, *path.resolve().parents[:2]) if (folder / SCENARIO).is_file()), None)
     if run is None:
         return BagMap(np.ones(len(joints)))
     scenario = load_scenario(run / SCENARIO, user_code=False)
@@ -77,12 +76,11 @@ def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot
 
 def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collection[str]) -> tuple[str, ...]:
     """Return a sentence for accepted contradictions, joints at rest and unseen scales; raise RecordError for others."""
-    found = findings(record, robot, accepted)
-    refused = [each for each in found if each.kind not in accepted]
+    contradictions = findings(record, robot, accepted)
+    refused = [finding for finding in contradictions if finding.kind not in accepted]
     if refused:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise RecordError(f"{path}: {refused[0].sentence}{more}; --accept {refused[0].kind} identifies nevertheless")
-    still = still_joints(record)
-    rest = (f"{path}: standing still: {', '.join(still)}",) if still else ()
-    scales = (f"{path}: {each}" for each in unseen(record, robot))
-    return (*(f"{path}: {each.sentence}" for each in found), *rest, *scales)
+    rest = [f"standing still: {', '.join(record.still)}"] if record.still else []
+    sentences = [*(finding.sentence for finding in contradictions), *rest, *unseen(record, robot)]
+    return tuple(f"{path}: {sentence}" for sentence in sentences)

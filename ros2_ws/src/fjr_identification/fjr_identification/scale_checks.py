@@ -21,11 +21,8 @@ from scipy.signal import butter, sosfiltfilt
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 
-from .finding import GEAR_RATIO, TIME, Finding
-from .motion_record import MotionRecord
-from .rigid_motion import RigidMotion, rigid_motion, spring_torques
-from .segments import SIGNALS
-from .signal_checks import still_joints
+from .estimation.motion_record import SIGNALS, MotionRecord
+from .rigid_motion import GEAR_RATIO, TIME, Finding, RigidMotion, rigid_motion, spring_torques
 
 CUTOFF = 2.0  # Hz; well below resonances, which the rigid links do not have
 ROWS = 1000  # samples that are compared
@@ -70,9 +67,8 @@ class Scan:
 
     def least_found(self, what: str) -> float:
         """Return the factor from which on errors of a right record would be found; inf: none would."""
-        found = [self.differs(s, self.here, u) for s, u in zip(self.scales, self.unexplained[what], strict=True)]
-        factors = np.exp(np.abs(np.log(self.scales)))
-        missed = np.max(factors[~np.array(found)], initial=1.0)
+        seen = [self.differs(s, self.here, u) for s, u in zip(self.scales, self.unexplained[what], strict=True)]
+        missed = np.max(np.exp(np.abs(np.log(self.scales[~np.array(seen)]))), initial=1.0)
         return float(missed * STEP) if missed * STEP < LARGEST else np.inf
 
 
@@ -93,7 +89,7 @@ def unseen(record: MotionRecord, robot: Robot) -> tuple[str, ...]:
     sentences = []
     for joint, scan in _scans(record, robot).items():
         factors = (max(scan.least_found(what) for what in (POSITION, RATIO)), scan.least_found(SECONDS))
-        ratio, time = (f"up to {each:.3g} times" if np.isfinite(each) else "any" for each in factors)
+        ratio, time = (f"up to {factor:.3g} times" if np.isfinite(factor) else "any" for factor in factors)
         side = "link" if np.isfinite(record.q_m[:, record.joints.index(joint)]).all() else "motor"
         sentences.append(
             f"{joint} has no {side} encoder: a wrong gear ratio ({ratio}) or time scale ({time}) would not be noticed "
@@ -108,16 +104,16 @@ def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
     if np.isfinite(record.q_l).all() and np.isfinite(record.q_m).all():
         return {}
     record = _most_moving(record)
-    motion, still = rigid_motion(record, robot), still_joints(record)
+    motion = rigid_motion(record, robot)
     short = len(record.u) * record.dt < SHORTEST or len(motion.u) <= SETTLING
     if short or not np.all(np.isfinite(motion.position)):
         return {}
-    moving = [j for j, joint in enumerate(record.joints) if joint not in still and np.ptp(record.u[:, j]) > 0]
-    chosen = [j for j in moving if not motion.both[j]]
+    moving = [j for j, name in enumerate(record.joints) if name not in record.still and np.ptp(record.u[:, j]) > 0]
+    one_sided = [j for j in moving if not motion.both[j]]
     count = round(np.log(LARGEST) / np.log(STEP))
     tried = STEP ** np.arange(-count, count + 1, dtype=float)
-    late = [_terms(motion, robot, scale=1.0, time=s) for s in tried] if chosen else []
-    return {record.joints[j]: _scan(motion, robot, j, tried, late) for j in chosen}
+    late = [_terms(motion, robot, scale=1.0, time=s) for s in tried] if one_sided else []
+    return {record.joints[j]: _scan(motion, robot, j, tried, late) for j in one_sided}
 
 
 def _most_moving(record: MotionRecord) -> MotionRecord:
@@ -135,9 +131,9 @@ def _scan(motion: RigidMotion, robot: Robot, j: int, tried: Array, late: list[Te
     here = _terms(motion, robot)
     moved = [_terms(motion, robot, np.where(np.arange(robot.n) == j, g, 1.0)) for g in tried]
     unexplained = {
-        POSITION: np.array([each.unexplained(j) for each in moved]),
-        RATIO: np.array([each.unexplained(j, g) for each, g in zip(moved, tried, strict=True)]),
-        SECONDS: np.array([each.unexplained(j) for each in late]),
+        POSITION: np.array([terms.unexplained(j) for terms in moved]),
+        RATIO: np.array([terms.unexplained(j, g) for terms, g in zip(moved, tried, strict=True)]),
+        SECONDS: np.array([terms.unexplained(j) for terms in late]),
     }
     return Scan(tried, unexplained, here.unexplained(j), here.independent - PARAMETERS)
 
@@ -176,8 +172,8 @@ def _terms(motion: RigidMotion, robot: Robot, scale: Array | float = 1.0, time: 
     dt = motion.dt * (rows.step or 1)
     edge = int(0.3 / CUTOFF / dt)
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
-    slow = [sosfiltfilt(sections, each, axis=0)[edge : len(each) - edge] for each in terms]
-    return Terms(slow[0], slow[1], slow[2], slow[3], slow[4], min(2 * CUTOFF * dt, 1.0) * len(slow[0]))
+    slow = [sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms]
+    return Terms(*slow, independent=min(2 * CUTOFF * dt, 1.0) * len(slow[0]))
 
 
 def _fitted(columns: list[Array], y: Array) -> tuple[Array, Array]:

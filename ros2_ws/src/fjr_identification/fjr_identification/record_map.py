@@ -55,7 +55,7 @@ class TableMap:
     @property
     def columns(self) -> list[str]:
         """Return the names of all columns, each once."""
-        named = [column.name for each in self.signals.values() for column in each.values()]
+        named = [column.name for of_joint in self.signals.values() for column in of_joint.values()]
         return list(dict.fromkeys([self.time.name, *named]))
 
 
@@ -132,22 +132,22 @@ def _check_efforts(signals: Mapping[str, Mapping[str, Column]], joints: Sequence
 def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, Column]:
     """Return the columns of a signal by joint."""
     entry = _entry(name, given, KEYS)
-    own = entry.get("joints", list(joints))
-    if not isinstance(own, list) or not set(own) <= set(joints):
-        raise ParameterError(f"{name}.joints is {own!r}; expected some of {', '.join(joints)}")
-    columns = entry["column"]
+    listed = entry.get("joints", list(joints))
+    if not isinstance(listed, list) or not set(listed) <= set(joints):
+        raise ParameterError(f"{name}.joints is {listed!r}; expected some of {', '.join(joints)}")
+    columns, n = entry["column"], len(listed)
     if isinstance(columns, str):
-        columns = [columns.replace("{joint}", joint) for joint in own]
-    if not isinstance(columns, list) or len(columns) != len(own) or not all(isinstance(each, str) for each in columns):
-        raise ParameterError(f"{name}.column is {columns!r}; expected {len(own)} names, or one with {{joint}}")
+        columns = [columns.replace("{joint}", joint) for joint in listed]
+    if not isinstance(columns, list) or len(columns) != n or not all(isinstance(column, str) for column in columns):
+        raise ParameterError(f"{name}.column is {columns!r}; expected {n} names, or one with {{joint}}")
     if len(set(columns)) < len(columns):
         raise ParameterError(f"{name}.column names a column twice; expected one per joint, as in '{{joint}}_position'")
     scale = _unit(name, entry, UNITS[name], "")
-    ratio, sign = (_numbers(f"{name}.{key}", entry.get(key, 1.0), len(own)) for key in ("gear_ratio", "sign"))
+    ratio, sign = (_numbers(f"{name}.{key}", entry.get(key, 1.0), n) for key in ("gear_ratio", "sign"))
     if not set(sign) <= {-1.0, 1.0}:
         raise ParameterError(f"{name}.sign is {entry['sign']!r}; expected 1 or -1")
     factor = scale * sign * (1.0 / ratio if UNITS[name] is ANGLES else ratio)
-    return {joint: Column(column, float(each)) for joint, column, each in zip(own, columns, factor, strict=True)}
+    return {joint: Column(column, float(to_si)) for joint, column, to_si in zip(listed, columns, factor, strict=True)}
 
 
 def _entry(name: str, given: Any, keys: Sequence[str]) -> Mapping[str, Any]:
@@ -170,7 +170,7 @@ def _unit(name: str, entry: Mapping[str, Any], units: Mapping[str, float], defau
 def _numbers(name: str, value: Any, n: int) -> Array:
     """Return one or n numbers as (n,), none of them 0."""
     listed = value if isinstance(value, list) else [value] * n
-    good = [isinstance(each, (int, float)) and not isinstance(each, bool) and math.isfinite(each) for each in listed]
-    if len(listed) != n or not all(good) or not all(listed):
+    good = [isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x) and x != 0 for x in listed]
+    if len(listed) != n or not all(good):
         raise ParameterError(f"{name} is {value!r}; expected a number other than 0, or {n} of them")
     return np.array(listed, dtype=float)
