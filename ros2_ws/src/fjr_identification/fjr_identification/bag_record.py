@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from mcap.records import Message
-from numpy.typing import NDArray
 
 from fjr_core.errors import RecordError
 from fjr_core.numerics.checks import Array
@@ -40,14 +39,15 @@ def bag_samples(path: Path, mapping: BagMap, joints: tuple[str, ...], window: Wi
     if held[states].type_name != JOINT_STATE:
         raise BagError(f"{states} of {path} is a {held[states].type_name}; expected {JOINT_STATE}")
     answers = held[commands].type_name == JOINT_STATE if commands else False
-    columns: dict[str, _Columns] = {states: _States(states, names.state_names(joints), ("position", "effort"))}
+    of_states = _States(states, names.state_names(joints), ("position", "effort"))
+    columns: dict[str, _States | _Efforts] = {states: of_states}
     if commands:
         columns[commands] = _States(commands, joints, ("effort",)) if answers else _Efforts(commands, len(joints))
     for count, (name, message) in enumerate(in_order(path, list(columns))):
         columns[name].add(message)
-        if count % BLOCK == 0 and _is_full(columns[states], window):
+        if count % BLOCK == 0 and _is_full(of_states, window):
             break
-    return _samples(path, columns[states], columns.get(commands or ""), mapping, joints, window)
+    return _samples(path, of_states, columns.get(commands or ""), mapping, joints, window)
 
 
 def _is_full(states: _Columns, window: Window) -> bool:
@@ -65,10 +65,6 @@ class _Columns:
         self.name = name
         self.stamps, self.sent, self.numbers = array("q"), array("q"), array("d")
 
-    def add(self, message: Message) -> None:
-        """Take the numbers of a message; raise BagError."""
-        raise NotImplementedError
-
     def append(self, stamp: int, sent: int, row: Array) -> None:
         """Append the stamp and the send time [ns] of a message and its row."""
         self.stamps.append(stamp)
@@ -77,7 +73,7 @@ class _Columns:
 
     def arrays(self) -> tuple[Times, Times, Array]:
         """Return stamps, send times (k,) [ns] and rows (k, width)."""
-        stamps, sent = (np.array(each, dtype=np.int64) for each in (self.stamps, self.sent))
+        stamps, sent = (np.array(times, dtype=np.int64) for times in (self.stamps, self.sent))
         return stamps, sent, np.array(self.numbers).reshape(len(stamps), -1)
 
 
@@ -91,6 +87,7 @@ class _States(_Columns):
         self._places: list[tuple[str, Array, Array]] = []  # field, columns of a row, places in the message
 
     def add(self, message: Message) -> None:
+        """Take the numbers of a message; raise BagError."""
         data = bytes(message.data)
         if self._layout is None or not self._layout.taken(data):
             self._learn(data)
@@ -112,9 +109,9 @@ class _States(_Columns):
             raise BagError(f"{self.name} holds a {JOINT_STATE} with an unusual layout; expected little-endian CDR")
         self._places = []
         for i, what in enumerate(self._fields):
-            k = len(getattr(message, what))
-            found = [(j, list(message.name).index(each)) for j, each in enumerate(self._joints) if each in message.name]
-            pairs = np.array([(i * len(self._joints) + j, at) for j, at in found if at < k], dtype=int).reshape(-1, 2)
+            k, listed = len(getattr(message, what)), list(message.name)
+            held = [(j, listed.index(joint)) for j, joint in enumerate(self._joints) if joint in listed]
+            pairs = np.array([(i * len(self._joints) + j, at) for j, at in held if at < k], dtype=int).reshape(-1, 2)
             self._places.append((what, pairs[:, 0], pairs[:, 1]))
 
 
@@ -126,6 +123,7 @@ class _Efforts(_Columns):
         self._n = n
 
     def add(self, message: Message) -> None:
+        """Take the numbers of a message; raise BagError."""
         try:
             data = np.array(typestore().deserialize_cdr(bytes(message.data), FLOATS).data, dtype=float)
         except Exception as error:  # any error of the decoder
@@ -137,15 +135,15 @@ class _Efforts(_Columns):
 
 def _topic(path: Path, held: Sequence[str], namespace: str, name: str) -> str:
     """Return the topic of this name in the namespace, else in any; raise BagError."""
-    found = _found(path, held, namespace, name)
-    if found is None:
+    topic = _topic_if_held(path, held, namespace, name)
+    if topic is None:
         raise BagError(
             f"{path} holds no message of {namespace}/{name}; it holds {', '.join(sorted(held)) or 'nothing'}"
         )
-    return found
+    return topic
 
 
-def _found(path: Path, held: Sequence[str], namespace: str, name: str) -> str | None:
+def _topic_if_held(path: Path, held: Sequence[str], namespace: str, name: str) -> str | None:
     if f"{namespace}/{name}" in held:
         return f"{namespace}/{name}"
     others = [] if namespace else [topic for topic in held if topic.endswith(f"/{name}")]
@@ -159,16 +157,21 @@ def _command_topic(path: Path, held: Sequence[str], mapping: BagMap) -> str | No
     if mapping.effort == STATES:
         return None
     for name in (names.JOINT_COMMANDS, names.EFFORT_COMMANDS):
-        found = _found(path, held, mapping.namespace, name)
-        if found is not None:
-            return found
+        topic = _topic_if_held(path, held, mapping.namespace, name)
+        if topic is not None:
+            return topic
     if mapping.effort == COMMANDS:
         return _topic(path, held, mapping.namespace, names.JOINT_COMMANDS)
     return None
 
 
 def _samples(
-    path: Path, states: _Columns, commands: _Columns | None, mapping: BagMap, joints: tuple[str, ...], window: Window
+    path: Path,
+    states: _Columns,
+    commands: _States | _Efforts | None,
+    mapping: BagMap,
+    joints: tuple[str, ...],
+    window: Window,
 ) -> Samples:
     """Return the samples of the states with their efforts."""
     n, (stamps, sent, rows) = len(joints), states.arrays()
@@ -182,10 +185,16 @@ def _samples(
         u, notes = _answers(stamps, sent, commands)
     unknown = np.full_like(q_l, np.nan)
     q_m, tau = (unknown, tau) if mapping.by_torque else (q_m / mapping.gear_ratio, unknown)
-    begin, end = _driven(path, u)
-    kept = begin + _no_repeats(stamps[begin:end])
+    driven = np.flatnonzero(np.isfinite(u).all(axis=1))
+    if not len(driven):
+        raise RecordError(f"{path} holds no effort of all joints; expected commands, or efforts in the states")
+    begin, end = int(driven[0]), int(driven[-1]) + 1
+    kept = begin + np.flatnonzero(np.append(True, np.diff(stamps[begin:end]) != 0))  # a waiting plant repeats its state
+    u = u[kept]
+    answered = np.isfinite(u).all(axis=1)
+    u = u[np.maximum.accumulate(np.where(answered, np.arange(len(u)), 0))]  # the last command holds
     t = (stamps[kept] - stamps[kept[0]]) * 1e-9
-    table = window.of(t, np.column_stack([t, q_l[kept], q_m[kept], _held(u[kept]), tau[kept]]))
+    table = window.of(t, np.column_stack([t, q_l[kept], q_m[kept], u, tau[kept]]))
     if not len(table):
         raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
     q_l, q_m, u, tau = (table[:, 1 + i * n : 1 + (i + 1) * n] for i in range(4))
@@ -193,7 +202,7 @@ def _samples(
     return Samples(path.name, table[:, 0], q_l, q_m, u, tau, notes)
 
 
-def _answers(stamps: Times, sent: Times, commands: _Columns) -> tuple[Array, tuple[str, ...]]:
+def _answers(stamps: Times, sent: Times, commands: _States | _Efforts) -> tuple[Array, tuple[str, ...]]:
     """Return the command (k, n) of each state, NaN without one, and a note if some are missing."""
     times, published, efforts = commands.arrays()
     if not len(times):
@@ -208,25 +217,6 @@ def _answers(stamps: Times, sent: Times, commands: _Columns) -> tuple[Array, tup
     answered = np.flatnonzero(found)
     missing = int((~found[answered[0] : answered[-1]]).sum()) if len(answered) else 0
     return u, (f"{missing} states have no command: the one before is taken to hold",) if missing else ()
-
-
-def _driven(path: Path, u: Array) -> tuple[int, int]:
-    """Return the range of rows from the first with an effort to the last."""
-    known = np.flatnonzero(np.isfinite(u).all(axis=1))
-    if not len(known):
-        raise RecordError(f"{path} holds no effort of all joints; expected commands, or efforts in the states")
-    return int(known[0]), int(known[-1]) + 1
-
-
-def _no_repeats(stamps: Times) -> NDArray[np.intp]:
-    """Return the rows whose stamp differs from the one before: a plant that waits repeats its state."""
-    return np.flatnonzero(np.append(True, np.diff(stamps) != 0))
-
-
-def _held(u: Array) -> Array:
-    """Return the efforts with the last known row in place of unknown ones."""
-    known = np.isfinite(u).all(axis=1)
-    return u[np.maximum.accumulate(np.where(known, np.arange(len(u)), 0))]
 
 
 def _check_finite(path: Path, signals: dict[str, Array], joints: Sequence[str]) -> None:

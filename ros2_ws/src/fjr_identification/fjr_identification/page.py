@@ -16,6 +16,8 @@ from fjr_monitor.plotting.figure import Line, Plot, colour
 from fjr_monitor.report import html
 from fjr_msgs_py.console.formatting import DASH, interval, number, percent, plural
 
+from .estimation.validation import HoldOut
+
 HOLD_OUT = ("", "this model", "rigid joints", "without skew")
 HOLD_OUT_TEXT = (
     "Root mean square of the deflection q_m - q_l that a model leaves unexplained, relative to all of it, on a record "
@@ -37,8 +39,6 @@ BY_MOTION = (
     "Torques that the model lacks move the joints too far for a simulation. The deflections follow from the filtered "
     "motion of the record and the identified parameters; nothing is simulated."
 )
-HoldOutRows = tuple[str, Sequence[Sequence[float]]]
-"""Name of a record, and for each joint the unexplained shares of the columns of HOLD_OUT."""
 COLOURS = {IDENTIFIED: "ok", WEAK: "maybe", UNKNOWN: "no"}
 WIDEST = 4.0  # factor between the value and each end of the axis of a positive parameter
 BAR_HEAD = "interval, value, prior"
@@ -50,7 +50,7 @@ PREDICTED_BY_MOTION = "predicted from the motion of the record"
 
 
 def write_page(
-    path: Path, name: str, found: Identification, hold_outs: Sequence[HoldOutRows], notes: Sequence[str], seconds: float
+    path: Path, name: str, found: Identification, hold_outs: Sequence[HoldOut], notes: Sequence[str], seconds: float
 ) -> Path:
     """Write the page as one self-contained file. seconds: length of all records. Raises AssetError."""
     places = [f"record-{i}" for i in range(len(found.fits))]
@@ -75,9 +75,7 @@ def write_page(
         reasons=reasons(found),
         parameters_text=TEXT,
         bar_head=BAR_HEAD,
-        hold_outs=[
-            (f"Hold-out: {record}", hold_out_rows(found.joints, rows), HOLD_OUT_TEXT) for record, rows in hold_outs
-        ],
+        hold_outs=[(f"Hold-out: {held.record}", hold_out_rows(held), HOLD_OUT_TEXT) for held in hold_outs],
         hold_out_head=HOLD_OUT,
         sections=[
             (place, fit.record, BY_MOTION if DEFLECTION in fit.measured else BY_SEGMENTS)
@@ -95,9 +93,9 @@ def counted(found: Identification) -> dict[str, int]:
     return {verdict: verdicts.count(verdict) for verdict in (IDENTIFIED, WEAK, UNKNOWN)}
 
 
-def hold_out_rows(joints: Sequence[str], shares: Sequence[Sequence[float]]) -> list[list[str]]:
+def hold_out_rows(held: HoldOut) -> list[list[str]]:
     """Return the rows of a hold-out table, of the joints whose both sides are measured."""
-    rows = zip(joints, shares, strict=True)
+    rows = zip(held.joints, held.shares, strict=True)
     return [[joint, *(percent(share, 1) for share in row)] for joint, row in rows if np.isfinite(row[0])]
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fjr_core.errors import RecordError
 from fjr_core.model.robot import Robot
@@ -154,7 +155,7 @@ def clipped(record: MotionRecord) -> Iterator[Finding]:
                 yield Finding(CLIPPED, joint, sentence)
 
 
-def _runs(at: Array) -> tuple[Array, Array]:
+def _runs(at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return starts and lengths of the runs of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]])))
     return edges[::2], edges[1::2] - edges[::2]

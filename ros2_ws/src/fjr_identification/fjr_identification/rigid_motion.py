@@ -85,8 +85,9 @@ def rigid_motion(record: MotionRecord, robot: Robot, scale: Array | float = 1.0,
     tau = spring_torques(robot, link[rows], dq_l[rows], ddq_l[rows])
     needed = (tau + ddq_m[rows] @ robot.M_m.T + dq_m[rows] @ robot.D_m.T) @ np.linalg.inv(robot.B_m).T
     both = np.isfinite(q_l).all(axis=0) & np.isfinite(q_m).all(axis=0) & (np.ptp(link, axis=0) > 0)
-    kept = [signal[rows] for signal in (q_l, q_m, torque, u, link, dq_l, dq_m)]
-    return RigidMotion(*kept, tau, needed, both, max(4.0, 2 * CUTOFF * len(u) * record.dt), record.dt * rows.step)
+    independent, dt = max(4.0, 2 * CUTOFF * len(u) * record.dt), record.dt * rows.step
+    measured = q_l[rows], q_m[rows], torque[rows], u[rows]
+    return RigidMotion(*measured, link[rows], dq_l[rows], dq_m[rows], tau, needed, both, independent, dt)
 
 
 def _low_pass(values: Array, dt: float) -> Array:

@@ -173,7 +173,7 @@ def _terms(motion: RigidMotion, robot: Robot, scale: Array | float = 1.0, time: 
     edge = int(0.3 / CUTOFF / dt)
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
     slow = [sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms]
-    return Terms(*slow, independent=min(2 * CUTOFF * dt, 1.0) * len(slow[0]))
+    return Terms(slow[0], slow[1], slow[2], slow[3], slow[4], min(2 * CUTOFF * dt, 1.0) * len(slow[0]))
 
 
 def _fitted(columns: list[Array], y: Array) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import Options, Prior
 from fjr_identification.estimation.validation import HoldOut, hold_out
-from fjr_identification.page import HOLD_OUT, HoldOutRows, counted, hold_out_rows, write_page
+from fjr_identification.page import HOLD_OUT, counted, hold_out_rows, write_page
 from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import read_map
 from fjr_identification.rigid_motion import KINDS
@@ -49,20 +49,16 @@ def identify(
     hold_outs: Sequence[Path],
     mapping: Path | None,
     write_map: bool,
-    joints: tuple[str, ...],
     start: float,
     duration: float,
     accepted: Sequence[str],
-    payload: bool,
-    link_inertia: bool,
-    static_friction: bool,
-    position_torque: str,
     output: Path,
+    **free: Any,
 ) -> Result:
     """Identify a robot from records, write all files and return a table; raise FjrError.
 
     accepted: kinds of contradictions that are reported only. write_map: write the mapping file of the first record
-    instead, next to which nothing is replaced.
+    instead, next to which nothing is replaced. free: joints and other Options, by which parameters are free.
     """
     if write_map:
         return _mapped(records[0], robot)
@@ -71,13 +67,7 @@ def identify(
     unknown = [kind for kind in accepted if kind not in KINDS]
     if unknown:
         raise ParameterError(f"--accept is '{unknown[0]}'; expected one of {', '.join(KINDS)}")
-    options = Options(
-        joints=joints,
-        payload=payload,
-        link_inertia=link_inertia,
-        static_friction=static_friction,
-        position_torque=position_torque,
-    )
+    options = Options(**free)
     nominal = nominal_robot(robot)
     _refuse_joints_without_inertia(nominal)
     reading = Reading(read_map(mapping, nominal.joints) if mapping else None, start, duration, accepted)
@@ -87,13 +77,13 @@ def identify(
     with _progress() as progress:
         found = identification_of(motions, nominal.robot, prior, options, progress)
     compared = [hold_out(found, record, nominal.robot, prior, options) for record in predicted]
-    rows = [(held.record, list(zip(held.model, held.rigid, held.no_skew, strict=True))) for held in compared]
     notes = (*notes, *more, *unconfirmed(compared))
-    inputs = {"robot": robot, "records": records, "hold_out": dict(rows), "notes": notes}
+    shares = {held.record: held.shares for held in compared}
+    inputs = {"robot": robot, "records": records, "hold_out": shares, "notes": notes}
     values = {**found.as_dict(), **inputs}
-    file = _write(output, nominal, found, motions, rows, values)
+    file = _write(output, nominal, found, motions, compared, values)
     paths = [output / name for name in (ROBOT, VALUES, PAGE)]
-    lines = [*table(found), *_hold_out_lines(found.joints, rows), *_last_lines(paths, file)]
+    lines = [*table(found), *_hold_out_lines(compared), *_last_lines(paths, file)]
     return Result("\n".join(lines), {**values, "files": paths})
 
 
@@ -152,7 +142,7 @@ def _write(
     nominal: NominalRobot,
     found: Identification,
     records: Sequence[MotionRecord],
-    rows: Sequence[HoldOutRows],
+    compared: Sequence[HoldOut],
     values: Mapping[str, Any],
 ) -> RobotFile:
     """Write robot.yaml, the URDF of corrected links, identification.json with the values, and the page."""
@@ -165,7 +155,7 @@ def _write(
     write_text(folder / VALUES, json_text(values, indent=1) + "\n")
     seconds = sum(record.dt * len(record.u) for record in records)
     notes = [*values["notes"], *([f"robot.yaml has no gains: {file.reason}"] if file.reason else [])]
-    write_page(folder / PAGE, nominal.name, found, rows, notes, seconds)
+    write_page(folder / PAGE, nominal.name, found, compared, notes, seconds)
     return file
 
 
@@ -208,12 +198,12 @@ def unconfirmed(compared: Sequence[HoldOut]) -> list[str]:
     return sentences
 
 
-def _hold_out_lines(joints: Sequence[str], rows: Sequence[HoldOutRows]) -> list[str]:
+def _hold_out_lines(compared: Sequence[HoldOut]) -> list[str]:
     """Return the tables of unexplained deflections as text."""
     lines: list[str] = []
-    for record, shares in rows:
-        cells = [("unexplained", *HOLD_OUT[1:]), *hold_out_rows(joints, shares)]
-        lines += ["", f"hold-out {record}: share of the deflection that a model leaves unexplained"]
+    for held in compared:
+        cells = [("unexplained", *HOLD_OUT[1:]), *hold_out_rows(held)]
+        lines += ["", f"hold-out {held.record}: share of the deflection that a model leaves unexplained"]
         lines += ["  ".join(cell.ljust(14) for cell in row).rstrip() for row in cells]
     return lines
 

@@ -75,8 +75,8 @@ def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array])
     deflection = smoothed(torque / values["joint_stiffness"] + values["offset"], record.dt)
     q_l[:, no_link] = (q_m - deflection)[:, no_link]
     q_m[:, no_motor] = (q_l + deflection)[:, no_motor]
-    sides = [smoothed(q, record.dt, order) for q in (q_l, q_m) for order in range(3)]
-    return FilteredMotion(record.dt, *sides, smoothed(record.u, record.dt), rigid)
+    (q_l, v_l, a_l), (q_m, v_m, a_m) = ([smoothed(q, record.dt, order) for order in range(3)] for q in (q_l, q_m))
+    return FilteredMotion(record.dt, q_l, v_l, a_l, q_m, v_m, a_m, smoothed(record.u, record.dt), rigid)
 
 
 def rigid_torque(arm: ElasticArm, values: Mapping[str, Array], q: Array, v: Array, a: Array) -> Array:

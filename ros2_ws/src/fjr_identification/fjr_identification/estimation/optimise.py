@@ -63,15 +63,19 @@ def optimise(problem: Problem, z: Array, x0: Array, progress: Progress = lambda 
     First on the beginnings of some segments, which are nearly linear in z and in the initial states, then on longer
     parts of them, at last on all.
     """
-    stages = len(HORIZONS) + 1
     stride = max(1, len(problem.segments) // FEW)
     some, noise = x0[::stride], problem.rough_noise
     for k, share in enumerate(HORIZONS):
         part = problem.part(stride, share)
-        trial, _ = descended(part, z, some, noise, NEAR, ROUGHLY, lambda done, k=k: progress((k + done) / stages))
+        trial, _ = descended(part, z, some, noise, NEAR, ROUGHLY, _of_stage(progress, k))
         z, some, noise = trial.z, trial.x0, part.noise(trial.compared)
     x0 = some if stride == 1 else _settled(problem, z, x0, noise)
-    return refine(problem, z, x0, noise, lambda done: progress((stages - 1 + done) / stages))
+    return refine(problem, z, x0, noise, _of_stage(progress, len(HORIZONS)))
+
+
+def _of_stage(progress: Progress, stage: int) -> Progress:
+    """Return the progress of one of the stages of `optimise`."""
+    return lambda share: progress((stage + share) / (len(HORIZONS) + 1))
 
 
 def refine(problem: Problem, z: Array, x0: Array, noise: Array, progress: Progress = lambda share: None) -> MostLikely:

@@ -122,6 +122,11 @@ class HoldOut:
     rigid: Array
     no_skew: Array
 
+    @property
+    def shares(self) -> Array:
+        """Return model, rigid and no_skew (n, 3)."""
+        return np.column_stack([self.model, self.rigid, self.no_skew])
+
 
 def hold_out(
     identification: Identification, record: MotionRecord, robot: Robot, prior: Prior, options: Options

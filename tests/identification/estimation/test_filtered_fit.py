@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the filtered equations: their derivatives, what is fitted to them, and when they replace a simulation."""
+"""Errors of the filtered equations, their fit, and where it replaces a simulation."""
 
 from __future__ import annotations
 

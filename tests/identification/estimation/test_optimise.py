@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The descent begins with short parts of the segments and ends at least as near to the record as the truth."""
+"""The descent ends at least as near to the record as the truth; its steps are those of non-negative least squares."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from scipy.optimize import nnls
 
 from core.oracles.elastic_joint import TRUTH
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.multiple_shooting import FEWEST, ROUGH, Problem
-from fjr_identification.estimation.optimise import optimise
-from identification.estimation.test_equation_error import JOINT, NOISE, setup_of
+from fjr_identification.estimation.optimise import bounded_step, optimise
+from identification.estimation.test_filtered_fit import JOINT, NOISE, setup_of
 
 
 def problem_at_truth() -> tuple[Problem, Array]:
@@ -56,3 +58,24 @@ def test_the_optimum_fits_as_well_as_the_truth() -> None:
     assert found.converged
     assert problem.cost(found.compared, found.z) < problem.cost(true[1], z)
     assert np.all(found.noise < 1.5 * NOISE)
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_the_step_ends_at_the_nonnegative_least_squares_of_scipy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    J, r, z = random.standard_normal((12, 4)), random.standard_normal(12), np.full(4, 0.2)
+    expected, _ = nnls(J, r)
+    step = bounded_step(J.T @ J, J.T @ (r - J @ z), z, np.ones(4, dtype=bool))
+    np.testing.assert_allclose(z + step, expected, atol=1e-6)
+
+
+def test_entries_without_a_bound_may_become_negative() -> None:
+    H, g = np.diag([4.0, 1.0]), np.array([-8.0, -3.0])
+    np.testing.assert_allclose(bounded_step(H, g, np.ones(2), np.array([False, True])), [-2.0, -1.0])
+
+
+def test_damping_shortens_each_entry_by_its_own_curvature() -> None:
+    step = bounded_step(
+        np.diag([4.0, 100.0]), np.array([4.0, 100.0]), np.zeros(2), np.zeros(2, dtype=bool), damping=1.0
+    )
+    np.testing.assert_allclose(step, [0.5, 0.5])
