@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Known joints are found again with intervals that contain the truth; what records cannot reveal is said, not guessed."""
+"""Known joints are found again with intervals that contain the truth; what records cannot reveal is not guessed."""
 
 from __future__ import annotations
 

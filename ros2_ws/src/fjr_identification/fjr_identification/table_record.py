@@ -75,10 +75,10 @@ def _samples(path: Path, values: Array, names: list[str], mapping: TableMap, joi
     """Return the columns (k, 1 + m) as signals in SI units at the joint side."""
 
     def signal(name: str) -> Array:
-        found = np.full((len(values), len(joints)), np.nan)
+        columns = np.full((len(values), len(joints)), np.nan)
         for joint, column in mapping.signals.get(name, {}).items():
-            found[:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
-        return found
+            columns[:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
+        return columns
 
     return Samples(path.name, values[:, 0], signal(LINK), signal(MOTOR), signal(EFFORT), signal(TORQUE))
 
@@ -135,7 +135,7 @@ def _check_finite(path: Path, names: list[str], block: Array, before: int) -> No
 
 
 @dataclass(frozen=True)
-class Named:
+class Meaning:
     """What the name of a column says; "" where it says nothing. signal: also "position", of an unknown side."""
 
     column: str
@@ -150,11 +150,10 @@ def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
     joints: of the robot file, empty without one. Raises RecordError for a table without header or without positions.
     """
     delimiter, header = _delimiter_and_names(table)
-    found = [_named(column, joints) for column in header]
-    if joints and {each.joint for each in found} & set(joints):  # columns of other joints are of no use
-        found = [each if each.joint in ("", *joints) else Named(each.column) for each in found]
-    times = [each for each in found if each.signal == TIME]
-    by_signal = {signal: [each for each in found if each.signal == signal] for signal in (*UNITS, "position")}
+    meanings = [_meaning(column, joints) for column in header]
+    if joints and {meaning.joint for meaning in meanings} & set(joints):  # columns of other joints are of no use
+        meanings = [m if m.joint in ("", *joints) else Meaning(m.column) for m in meanings]
+    by_signal = {name: [m for m in meanings if m.signal == name] for name in (*UNITS, "position")}
     if not any(by_signal.values()):
         raise RecordError(
             f"{table}: no name of a column says position or torque ({', '.join(header)[: LONGEST // 4]}); expected "
@@ -163,7 +162,11 @@ def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
     todo: list[str] = []
     lines = [f"# Columns of {table.name}, by `fjr identify --write-map`; docs/identification.md explains the keys."]
     lines += [] if delimiter == "," else [f"delimiter: {_text(delimiter)}"]
-    lines += _time(times, todo)
+    time = next((m for m in meanings if m.signal == TIME), None)
+    todo += [] if time else ["fill in  time.column: no column was recognised"]
+    todo += [] if time and time.unit else ["fill in  time.unit: s, ms, us or ns"]
+    column, unit = (_text(time.column), time.unit) if time else (FILL_IN, "")
+    lines.append(f"time: {{column: {column}, unit: {unit or FILL_IN}}}")
     if by_signal["position"]:
         todo.append(
             f"fill in  whether {_few(by_signal['position'])} are {MOTOR} or {LINK}: replace {FILL_IN} by one of them"
@@ -174,44 +177,31 @@ def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
     if not by_signal[EFFORT]:
         lines.append(f"{EFFORT}: {{column: {FILL_IN}, unit: {FILL_IN}}}")
         todo.append(f"fill in  {EFFORT}: no column was recognised")
-    unused = [each for each in found if not each.signal or (each.signal == TIME and each != times[0])]
-    lines += [f"# not used: {', '.join(each.column for each in unused)}"] if unused else []
+    unused = [m.column for m in meanings if not m.signal or (m.signal == TIME and m != time)]
+    lines += [f"# not used: {', '.join(unused)}"] if unused else []
     return "\n".join(lines) + "\n", todo
 
 
-def _time(times: Sequence[Named], todo: list[str]) -> Iterator[str]:
-    name, unit = (times[0].column, times[0].unit) if times else (FILL_IN, "")
-    if not times:
-        todo.append("fill in  time.column: no column was recognised")
-    if not unit:
-        todo.append("fill in  time.unit: s, ms, us or ns")
-    yield f"time: {{column: {_text(name)}, unit: {unit or FILL_IN}}}"
-
-
-def _signal(signal: str, columns: Sequence[Named], joints: Sequence[str], todo: list[str]) -> Iterator[str]:
+def _signal(signal: str, columns: Sequence[Meaning], joints: Sequence[str], todo: list[str]) -> Iterator[str]:
     """Yield the lines of a signal and add what is missing to `todo`."""
-    units = {each.unit for each in columns}
+    units = {meaning.unit for meaning in columns}
     unit = units.pop() if len(units) == 1 else ""
-    known = list(ANGLES) if signal in (FILL_IN, LINK, MOTOR) else list(UNITS[EFFORT])
     if not unit:
-        todo.append(f"fill in  {signal}.unit of {_few(columns)}: {', '.join(known)}")
-    own = [each.joint for each in columns]
-    by_name = all(own) and len(set(own)) == len(own)
-    if joints and by_name and set(own) <= set(joints):
-        named = own
-    elif joints and len(own) == len(joints):
+        possible = ANGLES if signal in (FILL_IN, LINK, MOTOR) else UNITS[EFFORT]
+        todo.append(f"fill in  {signal}.unit of {_few(columns)}: {', '.join(possible)}")
+    said = [meaning.joint for meaning in columns]
+    distinct = all(said) and len(set(said)) == len(said)
+    named = said if distinct and set(said) <= set(joints or said) else []
+    if not named and joints and len(said) == len(joints):
         named = list(joints)
         todo.append(f"check    {signal}: {_few(columns)} are taken for {', '.join(joints)} in this order")
-    else:
-        named = own if by_name and not joints else []
     if not named:
         todo.append(
             f"fill in  {signal}.joints of {_few(columns)}: one joint of the robot file for each, in their order"
         )
-    pattern = {each.column.replace(joint, "{joint}", 1) for each, joint in zip(columns, named, strict=False)}
-    column = _text(pattern.pop()) if len(pattern) == 1 else _listed(each.column for each in columns)
+    patterns = {m.column.replace(joint, "{joint}", 1) for m, joint in zip(columns, named, strict=False)}
     yield f"{signal}:"
-    yield f"  column: {column}"
+    yield f"  column: {_text(patterns.pop()) if len(patterns) == 1 else _listed(m.column for m in columns)}"
     if not named or not joints or named != list(joints):
         yield f"  joints: {_listed(named) if named else FILL_IN}"
     yield f"  unit: {unit or FILL_IN}"
@@ -220,57 +210,50 @@ def _signal(signal: str, columns: Sequence[Named], joints: Sequence[str], todo: 
         todo.append(f"check    {signal}.gear_ratio is 1: {_few(columns)} count at the joint's side")
 
 
-def _named(column: str, joints: Sequence[str]) -> Named:
+def _meaning(column: str, joints: Sequence[str]) -> Meaning:
     """Return what the name of a column says."""
-    words = _words(column)
-    own = next((joint for joint in sorted(joints, key=len, reverse=True) if _holds(words, _words(joint))), "")
-    left = _without(words, _words(own)) if own else words
-    unit, left = _unit(left)
-    said = set(left)
+    words, joint = _words(column), ""
+    for name in sorted(joints, key=len, reverse=True):
+        part = _words(name)
+        starts = [i for i in range(len(words) - len(part) + 1) if words[i : i + len(part)] == part]
+        if starts:
+            joint, words = name, [*words[: starts[0]], *words[starts[0] + len(part) :]]
+            break
+    unit, words = _unit(words)
+    said = set(words)
     if said & IGNORED:
-        return Named(column)
+        return Meaning(column)
     if said & TIMES and not said & (EFFORTS | POSITIONS):
-        return Named(column, TIME, "", unit)
+        return Meaning(column, TIME, "", unit)
     side = next((side for side, names in SIDES.items() if said & names), "")
     if said & EFFORTS or unit in UNITS[EFFORT]:
         signal = TORQUE if said & SENSORS or side == LINK else EFFORT
     elif said & POSITIONS or side or unit in ANGLES:
         signal = side or "position"
     else:
-        return Named(column)
-    kept = [word for word in left if word not in EFFORTS | POSITIONS | SENSORS | SIDES[MOTOR] | SIDES[LINK]]
-    return Named(column, signal, own or "_".join(kept), unit)
+        return Meaning(column)
+    kept = [word for word in words if word not in EFFORTS | POSITIONS | SENSORS | SIDES[MOTOR] | SIDES[LINK]]
+    return Meaning(column, signal, joint or "_".join(kept), unit)
 
 
 def _words(text: str) -> list[str]:
     """Split a name at everything but letters and digits and before capitals, and letters of symbols from numbers."""
-    spread = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
-    parts = [part.lower() for part in re.split(r"[^A-Za-z0-9]+", spread) if part]
     symbols = EFFORTS | POSITIONS | SIDES[MOTOR] | SIDES[LINK] | IGNORED
-    split = [re.fullmatch(r"([a-z]+)(\d+)", part) for part in parts]
-    return [
-        word
-        for part, found in zip(parts, split, strict=True)
-        for word in (found.groups() if found and found[1] in symbols else (part,))
-    ]
+    words: list[str] = []
+    for part in re.split(r"[^A-Za-z0-9]+", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)):
+        numbered = re.fullmatch(r"([a-z]+)(\d+)", part.lower())
+        words += numbered.groups() if numbered and numbered[1] in symbols else [part.lower()] if part else []
+    return words
 
 
 def _unit(words: Sequence[str]) -> tuple[str, list[str]]:
     """Return the unit at the end of the words, "" if there is none, and the words before it."""
+    units = {**UNIT, "m": "m", "n": "N"}
     for count in (2, 1):
         end = "".join(words[-count:])
-        if len(words) > count and (count == 1 or words[-2:] == ["n", "m"]) and end in {**UNIT, "m": "m", "n": "N"}:
-            return {**UNIT, "m": "m", "n": "N"}[end], list(words[:-count])
+        if len(words) > count and (count == 1 or words[-2:] == ["n", "m"]) and end in units:
+            return units[end], list(words[:-count])
     return "", list(words)
-
-
-def _holds(words: Sequence[str], part: Sequence[str]) -> bool:
-    return any(list(words[i : i + len(part)]) == list(part) for i in range(len(words) - len(part) + 1))
-
-
-def _without(words: Sequence[str], part: Sequence[str]) -> list[str]:
-    i = next(i for i in range(len(words)) if list(words[i : i + len(part)]) == list(part))
-    return [*words[:i], *words[i + len(part) :]]
 
 
 def _delimiter_and_names(table: Path) -> tuple[str, list[str]]:
@@ -278,15 +261,15 @@ def _delimiter_and_names(table: Path) -> tuple[str, list[str]]:
     try:
         if table.name.endswith(PARQUET):
             return ",", list(pq.read_schema(table).names)
-        headers: Mapping[str, list[str]] = {each: header_of(table, each)[1] for each in ",;\t"}
+        headers: Mapping[str, list[str]] = {mark: header_of(table, mark)[1] for mark in ",;\t"}
     except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
         raise RecordError(f"{table} is not a table ({' '.join(str(error).split())}); expected CSV or Parquet") from None
-    delimiter = max(headers, key=lambda each: len(headers[each]))
+    delimiter = max(headers, key=lambda mark: len(headers[mark]))
     return delimiter, headers[delimiter]
 
 
-def _few(columns: Sequence[Named], most: int = 3) -> str:
-    names = [each.column for each in columns]
+def _few(columns: Sequence[Meaning], most: int = 3) -> str:
+    names = [meaning.column for meaning in columns]
     return ", ".join(names) if len(names) <= most else f"{names[0]} to {names[-1]}"
 
 

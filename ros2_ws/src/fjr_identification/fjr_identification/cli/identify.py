@@ -16,7 +16,6 @@ from fjr_core.errors import ParameterError
 from fjr_core.files.atomic_file import write_text
 from fjr_core.model.free_inertia import joints_without_inertia
 from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, WEAK, Identification
-from fjr_identification import robot_file as nominal_robot
 from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import Options, Prior
@@ -32,6 +31,7 @@ from fjr_identification.robot_file import (
     RobotFile,
     corrected_urdf,
     identified_values,
+    nominal_robot,
     robot_file,
 )
 from fjr_identification.table_record import written_map
