@@ -212,10 +212,10 @@ def _answers(stamps: Times, sent: Times, commands: _States | _Efforts) -> tuple[
         u = np.where(last[:, None] >= 0, efforts[np.maximum(last, 0)], np.nan)
         return u, (f"a command of {commands.name} is taken to answer the last state sent before it",)
     rows = first_of_each_stamp(times)
-    place, found = match_stamps(stamps, times[rows])
-    u = np.where(found[:, None], efforts[rows][place], np.nan)
-    answered = np.flatnonzero(found)
-    missing = int((~found[answered[0] : answered[-1]]).sum()) if len(answered) else 0
+    place, answered = match_stamps(stamps, times[rows])
+    u = np.where(answered[:, None], efforts[rows][place], np.nan)
+    ends = np.flatnonzero(answered)
+    missing = int((~answered[ends[0] : ends[-1]]).sum()) if len(ends) else 0
     return u, (f"{missing} states have no command: the one before is taken to hold",) if missing else ()
 
 

@@ -10,7 +10,6 @@ penalty; the result is then scaled about its offset until it keeps them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -46,8 +45,6 @@ POSES = 64  # configurations whose mean link inertia counts
 EMPHASIS = 4.0
 """Weight of the stiffness beyond its share in log det F: the law depends on it most, and it is known least."""
 
-Progress = Callable[[str, float], None]
-
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
@@ -72,18 +69,16 @@ def design(
     duration: float,
     sample_period: float,
     seed: int = 0,
-    progress: Progress = lambda _text, _share: None,
 ) -> Excitation:
     """Return the motion of `duration` [s] within the limits that determines the parameters of the joints best.
 
     before: reference whose information is compared, over the same duration and with the same noise. seed: of the random
-    starts. progress: receives a text and the finished share. Raises TrajectoryError if no motion keeps the limits.
+    starts. Raises TrajectoryError if no motion keeps the limits.
     """
     task = ExcitationDesign(robot, limits, noise, duration, sample_period)
     bounds, rng = task.deviations(before), np.random.default_rng(seed)
     best, most = None, 0.0
-    for i in range(STARTS):
-        progress("designing the excitation", i / (STARTS + ROUNDS))
+    for _ in range(STARTS):
         c = task.start(rng)
         for weight in PENALTIES:
             c = task.improved(c, weight)
@@ -93,8 +88,7 @@ def design(
         raise TrajectoryError(
             f"no motion of {STARTS} random starts keeps the limits; expected wider limits or a lighter arm"
         )
-    for k in range(ROUNDS):
-        progress("designing the excitation", (STARTS + k) / (STARTS + ROUNDS))
+    for _ in range(ROUNDS):
         gains = task.gains(best, bounds)
         refined = task.improved(best, FINAL_PENALTY, EMPHASIS * gains.max() / gains)
         if (least := task.least_gain(refined, bounds)) <= most:
@@ -176,8 +170,8 @@ class ExcitationDesign:
             return value, (slope * scale).ravel()
 
         options = {"maxiter": STEPS, "maxcor": 30}
-        found = minimize(loss, (coefficients / scale).ravel(), jac=True, method="L-BFGS-B", options=options)
-        return np.asarray(found.x.reshape(coefficients.shape) * scale)
+        best = minimize(loss, (coefficients / scale).ravel(), jac=True, method="L-BFGS-B", options=options)
+        return np.asarray(best.x.reshape(coefficients.shape) * scale)
 
     def _scale(self) -> Array:
         """Return the size (size, n) of coefficients: an acceleration, and for the offset half the range."""
@@ -202,8 +196,8 @@ class ExcitationDesign:
         torque = slope[7] @ np.linalg.inv(self.robot.B_m)
         bars = (slope[3], slope[4], slope[5], slope[6], torque)
         given = [jets[:, row].T for row in range(JETS)] + [bar.T for bar in bars]
-        found = [rows.full().T for rows in self._adjoint(*given)]
-        return np.stack([*(found[row] + slope[row] for row in range(3)), *found[3:]], axis=1)
+        pulled = [rows.full().T for rows in self._adjoint(*given)]
+        return np.stack([*(pulled[row] + slope[row] for row in range(3)), *pulled[3:]], axis=1)
 
     @cached_property
     def _inverse_dynamics(self) -> ca.Function:

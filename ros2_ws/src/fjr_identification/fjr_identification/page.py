@@ -50,20 +50,24 @@ PREDICTED_BY_MOTION = "predicted from the motion of the record"
 
 
 def write_page(
-    path: Path, name: str, found: Identification, hold_outs: Sequence[HoldOut], notes: Sequence[str], seconds: float
+    path: Path,
+    name: str,
+    identification: Identification,
+    hold_outs: Sequence[HoldOut],
+    notes: Sequence[str],
+    seconds: float,
 ) -> Path:
     """Write the page as one self-contained file. seconds: length of all records. Raises AssetError."""
-    places = [f"record-{i}" for i in range(len(found.fits))]
-    plots = [
-        plot for place, fit in zip(places, found.fits, strict=True) for plot in fit_plots(fit, found.joints, place)
-    ]
-    counts = counted(found)
+    joints, fits = identification.joints, identification.fits
+    places = [f"record-{i}" for i in range(len(fits))]
+    pairs = list(zip(places, fits, strict=True))
+    counts = counted(identification)
     html.write_page(
         path,
         "identification.html",
-        f"{name}: {counts[IDENTIFIED]} of {len(found.estimates)} parameters identified",
-        plots,
-        kicker=f"Identification of {plural(len(found.joints), 'joint')} from {plural(len(found.fits), 'record')}",
+        f"{name}: {counts[IDENTIFIED]} of {len(identification.estimates)} parameters identified",
+        [plot for place, fit in pairs for plot in fit_plots(fit, joints, place)],
+        kicker=f"Identification of {plural(len(joints), 'joint')} from {plural(len(fits), 'record')}",
         notes=notes,
         tiles=[
             (str(counts[IDENTIFIED]), "parameters identified"),
@@ -71,25 +75,24 @@ def write_page(
             (str(counts[UNKNOWN]), "not identifiable from these records: as before"),
             (f"{seconds:.3g} s", "of motion"),
         ],
-        groups=groups(found),
-        reasons=reasons(found),
+        groups=groups(identification),
+        reasons=reasons(identification),
         parameters_text=TEXT,
         bar_head=BAR_HEAD,
         hold_outs=[(f"Hold-out: {held.record}", hold_out_rows(held), HOLD_OUT_TEXT) for held in hold_outs],
         hold_out_head=HOLD_OUT,
         sections=[
-            (place, fit.record, BY_MOTION if DEFLECTION in fit.measured else BY_SEGMENTS)
-            for place, fit in zip(places, found.fits, strict=True)
+            (place, fit.record, BY_MOTION if DEFLECTION in fit.measured else BY_SEGMENTS) for place, fit in pairs
         ],
-        json=html.as_json(found.as_dict()),
+        json=html.as_json(identification.as_dict()),
         footer=FOOTER,
     )
     return path
 
 
-def counted(found: Identification) -> dict[str, int]:
+def counted(identification: Identification) -> dict[str, int]:
     """Return the number of estimates of each verdict."""
-    verdicts = [estimate.verdict for estimate in found.estimates]
+    verdicts = [estimate.verdict for estimate in identification.estimates]
     return {verdict: verdicts.count(verdict) for verdict in (IDENTIFIED, WEAK, UNKNOWN)}
 
 
@@ -119,18 +122,18 @@ class Row:
     prior_at: float | None
 
 
-def reasons(found: Identification) -> list[str]:
+def reasons(identification: Identification) -> list[str]:
     """Return the reasons of all verdicts, each once, in the order of the estimates."""
-    return list(dict.fromkeys(estimate.reason for estimate in found.estimates if estimate.reason))
+    return list(dict.fromkeys(estimate.reason for estimate in identification.estimates if estimate.reason))
 
 
-def groups(found: Identification) -> list[tuple[str, list[Row]]]:
+def groups(identification: Identification) -> list[tuple[str, list[Row]]]:
     """Return the rows by parameter, in the order of the estimates."""
     rows = {}
-    for name in dict.fromkeys(estimate.name for estimate in found.estimates):
+    for name in dict.fromkeys(estimate.name for estimate in identification.estimates):
         words = name.replace("_", " ").replace("coulomb", "Coulomb")
-        estimates = [estimate for estimate in found.estimates if estimate.name == name]
-        rows[words[:1].upper() + words[1:]] = list(_rows(estimates, reasons(found)))
+        estimates = [estimate for estimate in identification.estimates if estimate.name == name]
+        rows[words[:1].upper() + words[1:]] = list(_rows(estimates, reasons(identification)))
     return list(rows.items())
 
 
@@ -240,7 +243,7 @@ def autocorrelation(values: Array, lags: int) -> Array:
     series = np.where(known, values, 0.0)
     size = 2 ** int(np.ceil(np.log2(len(values) + lags + 1)))
     power, count = (
-        np.fft.irfft(np.abs(np.fft.rfft(each, size)) ** 2, size)[: lags + 1] for each in (series, known.astype(float))
+        np.fft.irfft(np.abs(np.fft.rfft(rows, size)) ** 2, size)[: lags + 1] for rows in (series, known.astype(float))
     )
     mean = power / np.maximum(count, 0.5)
     return np.asarray(mean / mean[0]) if mean[0] > 0 else np.zeros(lags + 1)

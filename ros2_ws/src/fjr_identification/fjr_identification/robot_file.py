@@ -114,7 +114,7 @@ def nominal_robot(path: Path) -> NominalRobot:
     return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values))
 
 
-def identified_values(nominal: NominalRobot, found: Identification, folder: Path) -> dict[str, object]:
+def identified_values(nominal: NominalRobot, identification: Identification, folder: Path) -> dict[str, object]:
     """Return joints and robot.* with the identified values, for a file in this folder.
 
     Motor inertias are reflected to the joint side. robot.guesses.* remain where the records do not determine the value.
@@ -123,43 +123,45 @@ def identified_values(nominal: NominalRobot, found: Identification, folder: Path
         name: value for name, value in nominal.given.items() if not name.startswith("robot.guesses.")
     }
     urdf = changed.get(URDF)
-    if corrected_urdf(nominal, found):
+    if corrected_urdf(nominal, identification):
         changed[URDF] = CORRECTED
     elif isinstance(urdf, str) and not is_xml(urdf):
         changed[URDF] = path_from(folder, Path(urdf))
     reflected = changed.pop(GEAR_RATIO, None) is not None
     for name, symbol in MATRICES.items():
         before = np.diag(getattr(nominal.robot, symbol))
-        values = joint_values(found, name, nominal.joints, before)
+        values = joint_values(identification, name, nominal.joints, before)
         if not np.array_equal(values, before) or (reflected and name == "motor_inertia"):
             changed[f"robot.{name}"] = [significant(value) for value in values]
     for name in GUESSED:
-        guesses = [_guess(nominal, found, changed, name, j) for j in range(len(nominal.joints))]
+        guesses = [_guess(nominal, identification, changed, name, j) for j in range(len(nominal.joints))]
         if any(guesses):
             changed[GUESSES[name].name] = guesses
     return changed
 
 
-def _guess(nominal: NominalRobot, found: Identification, changed: Mapping[str, object], name: str, j: int) -> float:
+def _guess(
+    nominal: NominalRobot, identification: Identification, changed: Mapping[str, object], name: str, j: int
+) -> float:
     """Return the value of a joint if it is still a guess, else 0."""
     joint, n = nominal.joints[j], len(nominal.joints)
-    determined = any((e.name, e.joint) == (name, joint) and e.verdict != UNKNOWN for e in found.estimates)
+    determined = any((e.name, e.joint) == (name, joint) and e.verdict != UNKNOWN for e in identification.estimates)
     if determined or joint not in nominal.guessed.get(name, ()):
         return 0.0
     values = np.asarray(changed[f"robot.{name}"], dtype=float)
     return float(values[j] if values.size == n else np.diag(values.reshape(n, -1))[j])
 
 
-def corrected_urdf(nominal: NominalRobot, found: Identification) -> str:
+def corrected_urdf(nominal: NominalRobot, identification: Identification) -> str:
     """Return the text of the URDF with the identified masses and inertias of the links, "" if none is corrected."""
-    bodies = corrected_bodies(nominal.robot.links, nominal.joints, found)
+    bodies = corrected_bodies(nominal.robot.links, nominal.joints, identification)
     return with_inertias(str(nominal.given[URDF]), nominal.joints, bodies) if bodies else ""
 
 
-def joint_values(found: Identification, name: str, joints: tuple[str, ...], default: Array | float) -> Array:
+def joint_values(identification: Identification, name: str, joints: tuple[str, ...], default: Array | float) -> Array:
     """Return a parameter of all joints (n,), the default where it was not estimated."""
     values = np.array(np.broadcast_to(default, len(joints)), dtype=float)
-    for estimate in found.estimates:
+    for estimate in identification.estimates:
         if estimate.name == name and estimate.joint in joints:
             values[joints.index(estimate.joint)] = estimate.value
     return values
@@ -179,33 +181,42 @@ class RobotFile:
 
 
 def robot_file(
-    nominal: NominalRobot, found: Identification, values: Mapping[str, object], records: Sequence[str], file: str
+    nominal: NominalRobot,
+    identification: Identification,
+    values: Mapping[str, object],
+    records: Sequence[str],
+    file: str,
 ) -> RobotFile:
     """Return the robot file of identified values; without a loop if no gains are found."""
-    urdf = corrected_urdf(nominal, found) or nominal.given.get(URDF)
+    urdf = corrected_urdf(nominal, identification) or nominal.given.get(URDF)
     absolute = {**values, **({} if urdf is None else {URDF: urdf})}
     robot = builders.robot(complete(robot_parameters(absolute), absolute))
     head = HEAD.format(name=nominal.name, records=", ".join(records), file=file)
-    body = [head, *_robot_lines(found, values), *_imperfection_lines(found, nominal.joints), *_left_out(found)]
+    body = [
+        head,
+        *_robot_lines(identification, values),
+        *_imperfection_lines(identification, nominal.joints),
+        *_left_out(identification),
+    ]
     text = "\n".join(line.rstrip("\n") for line in body) + "\n"
     try:
-        proposal = proposal_of(robot, nominal.joints, nominal.name, effort_delay(found))
+        proposal = proposal_of(robot, nominal.joints, nominal.name, effort_delay(identification))
     except (GainsError, TrajectoryError) as error:
         return RobotFile(text, str(error))
-    return RobotFile(text + _loop(robot, found, nominal.joints, proposal, file))
+    return RobotFile(text + _loop(robot, identification, nominal.joints, proposal, file))
 
 
-def effort_delay(found: Identification) -> float:
+def effort_delay(identification: Identification) -> float:
     """Return the largest identified delay of the efforts [s], 0 if no interval is above 0."""
-    return max((e.value for e in found.estimates if e.name == "effort_delay" and e.low > 0), default=0.0)
+    return max((e.value for e in identification.estimates if e.name == "effort_delay" and e.low > 0), default=0.0)
 
 
-def _robot_lines(found: Identification, values: Mapping[str, object]) -> Iterator[str]:
+def _robot_lines(identification: Identification, values: Mapping[str, object]) -> Iterator[str]:
     yield f"    joints: {_list(values['joints'])}"
     yield "    robot:"
     tree = ros_yaml.tree_of({name: value for name, value in values.items() if name != "joints"})["robot"]
     for key, value in tree.items():
-        yield from _comments(found, key)
+        yield from _comments(identification, key)
         if isinstance(value, dict):
             yield f"      {key}:   # reported until they are replaced"
             yield from (f"        {name}: {_value(entry)}" for name, entry in value.items())
@@ -213,37 +224,42 @@ def _robot_lines(found: Identification, values: Mapping[str, object]) -> Iterato
             yield f"      {key}: {_value(value)}"
 
 
-def _imperfection_lines(found: Identification, joints: tuple[str, ...]) -> Iterator[str]:
+def _imperfection_lines(identification: Identification, joints: tuple[str, ...]) -> Iterator[str]:
     """Yield friction, payload and delay for the simulated arm."""
-    estimated = {estimate.name for estimate in found.estimates}
+    estimated = {estimate.name for estimate in identification.estimates}
     lines: list[str] = []
     for name in FRICTION:
         if name in estimated:
-            levels = [significant(max(0.0, level)) for level in joint_values(found, name, joints, 0.0)]
-            lines += [*_comments(found, name), f"      {name}: {_list(levels)}"]
+            levels = [significant(max(0.0, level)) for level in joint_values(identification, name, joints, 0.0)]
+            lines += [*_comments(identification, name), f"      {name}: {_list(levels)}"]
     if PAYLOAD[0] in estimated:
-        single = {estimate.name: significant(estimate.value) for estimate in found.estimates}
+        single = {estimate.name: significant(estimate.value) for estimate in identification.estimates}
         mass, *place = (single[name] for name in PAYLOAD)
-        lines += [line for name in PAYLOAD for line in _comments(found, name)]
+        lines += [line for name in PAYLOAD for line in _comments(identification, name)]
         lines += [f"      payload_mass: {significant(max(0.0, mass))}", f"      payload_position: {_list(place)}"]
     if "effort_delay" in estimated:
-        delay = significant(max(0.0, effort_delay(found)))
-        lines += [*_comments(found, "effort_delay"), f"      command_delay: {delay}   # s, the largest of all joints"]
+        delay = significant(max(0.0, effort_delay(identification)))
+        lines += [
+            *_comments(identification, "effort_delay"),
+            f"      command_delay: {delay}   # s, the largest of all joints",
+        ]
     yield from (["    imperfections:   # of the simulated arm", *lines] if lines else [])
 
 
-def _left_out(found: Identification) -> Iterator[str]:
+def _left_out(identification: Identification) -> Iterator[str]:
     """Yield comments on what no parameter of a scenario expresses."""
     placed = {*MATRICES, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
-    others = [estimate for estimate in found.estimates if estimate.name not in placed and estimate.verdict != UNKNOWN]
+    others = [
+        estimate for estimate in identification.estimates if estimate.name not in placed and estimate.verdict != UNKNOWN
+    ]
     if others:
         yield "    # Without a parameter here; correct these in the driver:"
         yield from (f"    #   {described(estimate)}" for estimate in others)
 
 
-def _comments(found: Identification, name: str) -> list[str]:
+def _comments(identification: Identification, name: str) -> list[str]:
     """Return a line for each joint with interval and verdict of a parameter."""
-    return [f"      # {described(estimate)}" for estimate in found.estimates if estimate.name == name]
+    return [f"      # {described(estimate)}" for estimate in identification.estimates if estimate.name == name]
 
 
 def described(estimate: Estimate) -> str:
@@ -264,10 +280,12 @@ def plain_interval(estimate: Estimate) -> str:
     return f"{ends[0]} to {ends[1]}"
 
 
-def _loop(robot: Robot, found: Identification, joints: tuple[str, ...], proposal: Proposal, file: str) -> str:
+def _loop(robot: Robot, identification: Identification, joints: tuple[str, ...], proposal: Proposal, file: str) -> str:
     """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
     motion, gains, n = proposal.motion, proposal.gains, robot.n
-    levels = {field: np.maximum(0.0, joint_values(found, name, joints, 0.0)) for name, field in FRICTION.items()}
+    levels = {
+        field: np.maximum(0.0, joint_values(identification, name, joints, 0.0)) for name, field in FRICTION.items()
+    }
     rate = friction_rate(Nonidealities(n, **levels), robot.M_l(proposal.q_l), robot.M_m)
     entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
     return LOOP.format(

@@ -75,15 +75,15 @@ def identify(
     predicted, more = _read(hold_outs, nominal, reading)
     prior = Prior.of(nominal.robot)
     with _progress() as progress:
-        found = identification_of(motions, nominal.robot, prior, options, progress)
-    compared = [hold_out(found, record, nominal.robot, prior, options) for record in predicted]
+        identification = identification_of(motions, nominal.robot, prior, options, progress)
+    compared = [hold_out(identification, record, nominal.robot, prior, options) for record in predicted]
     notes = (*notes, *more, *unconfirmed(compared))
     shares = {held.record: held.shares for held in compared}
     inputs = {"robot": robot, "records": records, "hold_out": shares, "notes": notes}
-    values = {**found.as_dict(), **inputs}
-    file = _write(output, nominal, found, motions, compared, values)
+    values = {**identification.as_dict(), **inputs}
+    file = _write(output, nominal, identification, motions, compared, values)
     paths = [output / name for name in (ROBOT, VALUES, PAGE)]
-    lines = [*table(found), *_hold_out_lines(compared), *_last_lines(paths, file)]
+    lines = [*table(identification), *_hold_out_lines(compared), *_last_lines(paths, file)]
     return Result("\n".join(lines), {**values, "files": paths})
 
 
@@ -140,7 +140,7 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
 def _write(
     folder: Path,
     nominal: NominalRobot,
-    found: Identification,
+    identification: Identification,
     records: Sequence[MotionRecord],
     compared: Sequence[HoldOut],
     values: Mapping[str, Any],
@@ -148,23 +148,23 @@ def _write(
     """Write robot.yaml, the URDF of corrected links, identification.json with the values, and the page."""
     folder.mkdir(parents=True, exist_ok=True)
     names = [record.name for record in records]
-    file = robot_file(nominal, found, identified_values(nominal, found, folder), names, ROBOT)
+    file = robot_file(nominal, identification, identified_values(nominal, identification, folder), names, ROBOT)
     write_text(folder / ROBOT, file.text)
-    if urdf := corrected_urdf(nominal, found):
+    if urdf := corrected_urdf(nominal, identification):
         write_text(folder / CORRECTED, urdf)
     write_text(folder / VALUES, json_text(values, indent=1) + "\n")
     seconds = sum(record.dt * len(record.u) for record in records)
     notes = [*values["notes"], *([f"robot.yaml has no gains: {file.reason}"] if file.reason else [])]
-    write_page(folder / PAGE, nominal.name, found, compared, notes, seconds)
+    write_page(folder / PAGE, nominal.name, identification, compared, notes, seconds)
     return file
 
 
-def table(found: Identification) -> list[str]:
+def table(identification: Identification) -> list[str]:
     """Return a line for each estimate, below a headline."""
-    counts = counted(found)
+    counts = counted(identification)
     cells = [("parameter", "joint", "value", "95 % interval", "verdict")]
     reasons = []
-    for estimate in found.estimates:
+    for estimate in identification.estimates:
         ends = "" if estimate.verdict == UNKNOWN else interval(estimate.low, estimate.high)
         value = number(estimate.value, estimate.unit)
         cells.append((estimate.name, estimate.joint, value, ends, estimate.verdict))
