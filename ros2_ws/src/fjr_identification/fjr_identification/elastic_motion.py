@@ -33,6 +33,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.numerics.checks import Array
 
+from .estimation.elastic_arm import coulomb
+
 INSTANTS = 2000  # of a reference that stands for missing limits
 ACCELERATION = 0.99  # of the limit, which the reference has to keep, not the robot
 RESTING = 1e-6  # rad, rad/s, N m; range of a quantity that does not move
@@ -214,10 +216,10 @@ class InformationModel:
         """Return J (2, k, n, 7) of the residuals r_l and r_m."""
         J = np.zeros((2, *m.torque.shape, len(PARAMETERS)))
         J[_LINK, ..., 0], J[_LINK, ..., 1] = m.torque, -self.K
-        J[_LINK, ..., 2], J[_LINK, ..., 3] = -m.dq_l, -np.tanh(m.dq_l / SMOOTHING)
+        J[_LINK, ..., 2], J[_LINK, ..., 3] = -m.dq_l, -coulomb(m.dq_l, SMOOTHING)
         J[_MOTOR, ..., 0], J[_MOTOR, ..., 1] = -m.torque, self.K
         J[_MOTOR, ..., 4], J[_MOTOR, ..., 5] = -self.M_m * m.ddq_m, -m.dq_m
-        J[_MOTOR, ..., 6] = -np.tanh(m.dq_m / SMOOTHING)
+        J[_MOTOR, ..., 6] = -coulomb(m.dq_m, SMOOTHING)
         return J
 
     def _chained(self, slope: Array, m: ElasticMotion) -> Array:

@@ -18,6 +18,7 @@ import numpy as np
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 
+from .estimation.elastic_arm import coulomb
 from .estimation.motion_record import MotionRecord
 from .estimation.parameters import LARGEST_SKEW
 from .rigid_motion import (
@@ -80,8 +81,8 @@ def _leaves_range(robot: Robot, motion: RigidMotion, moving: list[int]) -> bool:
 def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> Line:
     """Fit the effort of joint `effort` (None: j) by the torque that the motion of joint j needs, with friction."""
     v_l, v_m = motion.velocity[:, j], motion.motor_velocity[:, j]
-    friction = [v_l, np.tanh(v_l / SMOOTHING)]
-    friction += [] if np.array_equal(v_l, v_m) else [v_m, np.tanh(v_m / SMOOTHING)]
+    friction = [v_l, coulomb(v_l, SMOOTHING)]
+    friction += [] if np.array_equal(v_l, v_m) else [v_m, coulomb(v_m, SMOOTHING)]
     return fitted_line(motion.needed[:, j], motion.u[:, j if effort is None else effort], friction, motion.independent)
 
 
@@ -91,7 +92,7 @@ def skews(record: MotionRecord, motion: RigidMotion) -> Iterator[Finding]:
         v, tau = motion.velocity[:, j], motion.tau[:, j]
         lines, count = {}, motion.independent
         if motion.both[j]:
-            lines["q_l"] = fitted_line(v, motion.deflection[:, j], (tau, np.tanh(v / SMOOTHING)), count)
+            lines["q_l"] = fitted_line(v, motion.deflection[:, j], (tau, coulomb(v, SMOOTHING)), count)
         if np.all(np.isfinite(motion.torque[:, j])):
             lines["torque"] = fitted_line(-np.gradient(tau, motion.dt), motion.torque[:, j], (tau, v), count)
         for name, line in lines.items():
@@ -127,7 +128,7 @@ def _slopes(motion: RigidMotion, robot: Robot, j: int) -> tuple[float, float] | 
         return None
     compliances = 1.0 / robot.K[j, j] / SPREAD, 1.0 / robot.K[j, j] * SPREAD
     v = motion.velocity[:, j]
-    skew_and_friction = (v, np.tanh(v / SMOOTHING))
+    skew_and_friction = (v, coulomb(v, SMOOTHING))
     q_l, q_m, tau = motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j]
     return bounded_slope(q_l, q_m, tau, skew_and_friction, compliances, motion.independent)
 

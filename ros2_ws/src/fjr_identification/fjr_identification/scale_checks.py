@@ -21,6 +21,7 @@ from scipy.signal import butter, sosfiltfilt
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 
+from .estimation.elastic_arm import coulomb
 from .estimation.motion_record import SIGNALS, MotionRecord
 from .rigid_motion import GEAR_RATIO, TIME, Finding, RigidMotion, rigid_motion, spring_torques
 
@@ -168,7 +169,7 @@ def _terms(motion: RigidMotion, robot: Robot, scale: Array | float = 1.0, time: 
     q, v = motion.position * scale, motion.velocity * scale / time
     a = np.gradient(v, motion.dt * time, axis=0)
     links = spring_torques(robot, q[rows], v[rows], a[rows])
-    terms = (links, (a @ robot.M_m.T)[rows], v[rows], np.tanh(v[rows] / SMOOTHING), motion.u[rows] @ robot.B_m.T)
+    terms = (links, (a @ robot.M_m.T)[rows], v[rows], coulomb(v[rows], SMOOTHING), motion.u[rows] @ robot.B_m.T)
     dt = motion.dt * (rows.step or 1)
     edge = int(0.3 / CUTOFF / dt)
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")

@@ -162,6 +162,11 @@ def _rigid(links: RigidArm, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
     return links.M_l(q) @ a + dM - links.grad_T(q, v) + links.grad_P_l(q)
 
 
+def coulomb(v: Array, smoothing: Array | float) -> Array:
+    """Return Coulomb friction at velocities v per unit of its level, as `friction` of the plant: it turns over v_0."""
+    return np.tanh(v / smoothing)
+
+
 def position_torque(p: SimpleNamespace, q: ca.SX, f: Any = ca) -> ca.SX:
     """Return the torque sum_k a_k sin k q + b_k cos k q (n,) [N m], k = 1, 2; f: casadi or numpy."""
     return sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q, f), strict=True))

@@ -24,7 +24,7 @@ import numpy as np
 
 from fjr_core.numerics.checks import Array
 
-from .elastic_arm import packed, position_terms
+from .elastic_arm import coulomb, packed, position_terms
 from .estimation_problem import Estimation
 from .filtered_motion import FilteredMotion, decimated, inner, shifted
 from .multiple_shooting import NormalEquations
@@ -101,7 +101,7 @@ def motor_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Arra
     p = setup.coordinates.parameters(z)
     tau, columns, _ = _spring_torque(m, rigid, p, j)
     u = shifted((m.u @ setup.robot.B_m.T)[:, j], m.dt, p["effort_delay"][j] + m.dt / 2)
-    B, v, friction = p["motor_inertia"][j], m.v_m[:, j], np.tanh(m.v_m[:, j] / p["smoothing"][j])
+    B, v, friction = p["motor_inertia"][j], m.v_m[:, j], coulomb(m.v_m[:, j], p["smoothing"][j])
     columns[("motor_inertia", j)] = B * m.a_m[:, j]
     columns[("motor_damping", j)] = v
     columns[("motor_coulomb_friction", j)] = friction
@@ -116,7 +116,7 @@ def _spring_torque(
     """Return tau (k,) of joint j, its derivatives, and the position of the link, at the link's skew."""
     skew = p["link_skew"][j]
     q, v, tau = (shifted(signal[:, j], m.dt, skew) for signal in (m.q_l, m.v_l, rigid.torque))
-    friction, terms = np.tanh(v / p["smoothing"][j]), position_terms(q, np)
+    friction, terms = coulomb(v, p["smoothing"][j]), position_terms(q, np)
     columns = {(name, j): term for name, term in zip(POSITION_TORQUE, terms, strict=True)}
     columns |= {("link_damping", j): v, ("link_coulomb_friction", j): friction}
     tau = tau + sum(p[name][i] * column for (name, i), column in columns.items())

@@ -20,7 +20,7 @@ from scipy.signal import resample_poly, savgol_filter
 
 from fjr_core.numerics.checks import Array
 
-from .elastic_arm import ElasticArm, packed
+from .elastic_arm import ElasticArm, coulomb, packed
 from .motion_record import MotionRecord
 from .parameters import Prior
 
@@ -146,7 +146,7 @@ def _start_of_link(values: dict[str, Array], motions: Sequence[FilteredMotion], 
         columns, outputs = [], []
         for m in motions:
             q_l, v_l, rigid = (shifted(signal[:, j], m.dt, skew) for signal in (m.q_l, m.v_l, m.rigid))
-            A = np.column_stack([rigid + D_l * v_l, np.tanh(v_l / smoothing), np.ones(len(q_l))])
+            A = np.column_stack([rigid + D_l * v_l, coulomb(v_l, smoothing), np.ones(len(q_l))])
             columns.append(inner(A, m.dt))
             outputs.append(inner(m.q_m[:, j] - q_l, m.dt))
         A, deflection = np.vstack(columns), np.concatenate(outputs)
@@ -174,9 +174,9 @@ def _start_of_motor(
         for m in motions:
             v_l, rigid = (shifted(signal[:, j], m.dt, values["link_skew"][j]) for signal in (m.v_l, m.rigid))
             tau = rigid + values["link_damping"][j] * v_l
-            tau += values["link_coulomb_friction"][j] * np.tanh(v_l / smoothing)
+            tau += values["link_coulomb_friction"][j] * coulomb(v_l, smoothing)
             u = shifted((m.u @ robot_input.T)[:, j], m.dt, delay + m.dt / 2)
-            A = np.column_stack([m.a_m[:, j], m.v_m[:, j], np.tanh(m.v_m[:, j] / smoothing)])
+            A = np.column_stack([m.a_m[:, j], m.v_m[:, j], coulomb(m.v_m[:, j], smoothing)])
             columns.append(inner(A, m.dt))
             outputs.append(inner(u - tau, m.dt))
         solution, squares = _solved(np.vstack(columns), np.concatenate(outputs))

@@ -74,35 +74,12 @@ class MotionRecord:
         return bool(np.isfinite(self.q_l[:, j]).any() and np.isfinite(self.q_m[:, j]).any())
 
 
-@dataclass(frozen=True, eq=False)
-class Uniform:
-    """Signals on the grid 0, dt, 2 dt, ... of k samples; jitter, missing: what was interpolated.
+def on_uniform_grid(name: str, t: Array, held: Array, sampled: Array) -> tuple[float, Array, Array, tuple[str, ...]]:
+    """Return signals on the grid 0, dt, 2 dt, ...: dt [s], held, sampled, and a sentence if anything was interpolated.
 
-    dt [s]. held (k, m): mean over each interval of signals that are held between samples. sampled (k, l): cubic
-    interpolation of the others. jitter [s]: largest distance of a sample from the grid. missing: number of samples.
-    """
-
-    dt: float
-    held: Array
-    sampled: Array
-    jitter: float
-    missing: int
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """A sentence if anything was interpolated."""
-        if self.missing == 0 and self.jitter <= JITTER * self.dt:
-            return ()
-        return (
-            f"interpolated to {self.dt * 1e3:.6g} ms: samples are up to {self.jitter * 1e3:.2g} ms off this grid, "
-            f"{self.missing} are missing",
-        )
-
-
-def on_uniform_grid(name: str, t: Array, held: Array, sampled: Array) -> Uniform:
-    """Return the signals on a uniform grid; t (k,) [s], held (k, m), sampled (k, l), columns of NaN stay NaN.
-
-    Raises RecordError, which names the record, for times that run back, jump, or have no common period.
+    t (k,) [s]. held (k, m): signals that are held between samples; their mean over each interval. sampled (k, l): the
+    others, by cubic interpolation; columns of NaN stay NaN. Raises RecordError, which names the record, for times that
+    run back, jump, or have no common period.
     """
     steps = _checked_steps(name, t)
     period = float(np.median(steps))
@@ -118,9 +95,11 @@ def on_uniform_grid(name: str, t: Array, held: Array, sampled: Array) -> Uniform
         )
     missing = int((counts - 1).sum())
     if missing == 0 and jitter <= JITTER * dt:
-        return Uniform(dt, held, sampled, jitter, 0)
+        return dt, held, sampled, ()
     grid = t[0] + dt * np.arange(index[-1] + 1)
-    return Uniform(dt, _means(t, held, grid, dt), _interpolated(t, sampled, grid), jitter, missing)
+    off = f"samples are up to {jitter * 1e3:.2g} ms off this grid, {missing} are missing"
+    note = f"interpolated to {dt * 1e3:.6g} ms: {off}"
+    return dt, _means(t, held, grid, dt), _interpolated(t, sampled, grid), (note,)
 
 
 def _checked_steps(name: str, t: Array) -> Array:
@@ -227,7 +206,7 @@ class Samples:
         """Return the record on a uniform grid of time, and the notes; raise RecordError."""
         n = len(joints)
         measured = np.hstack([self.link_position, self.motor_position, self.joint_torque])
-        grid = on_uniform_grid(self.name, self.t, self.effort, measured)
-        q_l, q_m, torque = (grid.sampled[:, i * n : (i + 1) * n] for i in range(3))
-        record = MotionRecord(self.name, joints, grid.dt, grid.held, q_l, q_m, torque)
-        return record, tuple(f"{self.name}: {note}" for note in (*self.notes, *grid.notes))
+        dt, u, sampled, notes = on_uniform_grid(self.name, self.t, self.effort, measured)
+        q_l, q_m, torque = (sampled[:, i * n : (i + 1) * n] for i in range(3))
+        record = MotionRecord(self.name, joints, dt, u, q_l, q_m, torque)
+        return record, tuple(f"{self.name}: {note}" for note in (*self.notes, *notes))

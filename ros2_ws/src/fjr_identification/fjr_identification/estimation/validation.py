@@ -19,7 +19,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import DEFLECTION, Fit, Identification
 
-from .elastic_arm import ElasticArm, position_torque
+from .elastic_arm import ElasticArm, coulomb, position_torque
 from .filtered_motion import FilteredMotion, decimated, filtered, inner, rigid_torque, shifted, smoothed
 from .motion_record import MotionRecord
 from .multiple_shooting import Comparison, Problem
@@ -86,7 +86,7 @@ def predicted_deflection(
         for side in (motion.q_l, motion.v_l, motion.a_l)
     )
     torque = rigid_torque(arm, values, q, v, a) + values["link_damping"] * v
-    torque += values["link_coulomb_friction"] * np.tanh(v / values["smoothing"])
+    torque += values["link_coulomb_friction"] * coulomb(v, values["smoothing"])
     torque += np.asarray(position_torque(SimpleNamespace(**values), q, np))
     sides = smoothed(record.q_m - record.q_l, record.dt), torque / values["joint_stiffness"] - skew * v
     measured, predicted = (inner(side, record.dt) for side in sides)
