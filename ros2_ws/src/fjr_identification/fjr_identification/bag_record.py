@@ -21,14 +21,16 @@ from fjr_monitor.recording.topic import BagError, Times
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.layout import StateLayout
 
-from .estimation.motion_record import LARGEST, Samples, Window
+from .estimation.motion_record import LARGEST, MotionRecord, Window, record_of_samples
 from .record_map import COMMANDS, STATES, BagMap
 
 BLOCK = 4096  # messages between two looks at the window
 
 
-def bag_samples(path: Path, mapping: BagMap, joints: tuple[str, ...], window: Window) -> Samples:
-    """Return the samples of a bag from the first commanded state on, within the window.
+def record_of_bag(
+    path: Path, mapping: BagMap, joints: tuple[str, ...], window: Window
+) -> tuple[MotionRecord, tuple[str, ...]]:
+    """Return the record of a bag from the first commanded state on, within the window, and notes on it.
 
     Effort: the command that answers each state by its stamp, else the last one sent before the next state, else the
     torque of the motors in the states. Raises BagError, RecordError.
@@ -47,7 +49,7 @@ def bag_samples(path: Path, mapping: BagMap, joints: tuple[str, ...], window: Wi
         columns[name].add(message)
         if count % BLOCK == 0 and _is_full(of_states, window):
             break
-    return _samples(path, of_states, columns.get(commands or ""), mapping, joints, window)
+    return _record(path, of_states, columns.get(commands or ""), mapping, joints, window)
 
 
 def _is_full(states: _Columns, window: Window) -> bool:
@@ -165,15 +167,15 @@ def _command_topic(path: Path, held: Sequence[str], mapping: BagMap) -> str | No
     return None
 
 
-def _samples(
+def _record(
     path: Path,
     states: _Columns,
     commands: _States | _Efforts | None,
     mapping: BagMap,
     joints: tuple[str, ...],
     window: Window,
-) -> Samples:
-    """Return the samples of the states with their efforts."""
+) -> tuple[MotionRecord, tuple[str, ...]]:
+    """Return the record of the states with their efforts, and notes on it."""
     n, (stamps, sent, rows) = len(joints), states.arrays()
     if not len(stamps):
         raise RecordError(f"{path} holds no state; expected a record of motion")
@@ -199,7 +201,7 @@ def _samples(
         raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
     q_l, q_m, u, tau = (table[:, 1 + i * n : 1 + (i + 1) * n] for i in range(4))
     _check_finite(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
-    return Samples(path.name, table[:, 0], q_l, q_m, u, tau, notes)
+    return record_of_samples(path.name, joints, table[:, 0], q_l, q_m, u, tau, notes)
 
 
 def _answers(stamps: Times, sent: Times, commands: _States | _Efforts) -> tuple[Array, tuple[str, ...]]:

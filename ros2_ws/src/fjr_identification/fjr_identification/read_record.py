@@ -14,12 +14,12 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RecordError
 from fjr_core.model.robot import Robot
 
-from .bag_record import bag_samples
+from .bag_record import record_of_bag
 from .estimation.motion_record import MotionRecord, Window
 from .record_checks import findings
 from .record_map import BagMap, TableMap
 from .scale_checks import unseen
-from .table_record import PARQUET, table_samples
+from .table_record import PARQUET, record_of_table
 
 TABLES = (".csv", ".csv.gz", ".txt", ".tsv", PARQUET)
 SCENARIO = "scenario.yaml"
@@ -51,10 +51,9 @@ def read_record(
             raise RecordError(
                 f"{path} is a table; expected --map FILE with its columns and units (--write-map makes one)"
             )
-        samples = table_samples(path, reading.mapping, joints, window)
+        record, notes = record_of_table(path, reading.mapping, joints, window)
     else:
-        samples = bag_samples(path, _bag_map(path, reading, joints, robot), joints, window)
-    record, notes = samples.on_grid(joints)
+        record, notes = record_of_bag(path, _bag_map(path, reading, joints, robot), joints, window)
     return record, (*notes, *_checked(path, record, robot, reading.accepted))
 
 

@@ -27,7 +27,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.errors import LONGEST, RecordError
 from fjr_core.numerics.checks import Array
 
-from .estimation.motion_record import Samples, Window
+from .estimation.motion_record import MotionRecord, Window, record_of_samples
 from .record_map import ANGLES, EFFORT, LINK, MOTOR, TORQUE, UNITS, TableMap
 
 PARQUET = ".parquet"
@@ -50,8 +50,13 @@ SIDES = {MOTOR: {"motor", "rotor", "qm", "m"}, LINK: {"link", "load", "output", 
 SENSORS = {"sensor", "measured", "ext", "jts"}
 
 
-def table_samples(path: Path, mapping: TableMap, joints: tuple[str, ...], window: Window) -> Samples:
-    """Return the samples of a table within the window; raise RecordError, which names the file, row and column."""
+def record_of_table(
+    path: Path, mapping: TableMap, joints: tuple[str, ...], window: Window
+) -> tuple[MotionRecord, tuple[str, ...]]:
+    """Return the record of a table within the window, and notes on it.
+
+    Raises RecordError, which names the file, row and column.
+    """
     names, rows = mapping.columns, 0
     blocks: list[Array] = []
     try:
@@ -68,19 +73,12 @@ def table_samples(path: Path, mapping: TableMap, joints: tuple[str, ...], window
     if not blocks:
         raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
     values = np.concatenate(blocks)
-    return _samples(path, values, names, mapping, joints)
-
-
-def _samples(path: Path, values: Array, names: list[str], mapping: TableMap, joints: tuple[str, ...]) -> Samples:
-    """Return the columns (k, 1 + m) as signals in SI units at the joint side."""
-
-    def signal(name: str) -> Array:
-        columns = np.full((len(values), len(joints)), np.nan)
-        for joint, column in mapping.signals.get(name, {}).items():
-            columns[:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
-        return columns
-
-    return Samples(path.name, values[:, 0], signal(LINK), signal(MOTOR), signal(EFFORT), signal(TORQUE))
+    signals = {name: np.full((len(values), len(joints)), np.nan) for name in UNITS}
+    for name, columns in mapping.signals.items():
+        for joint, column in columns.items():
+            signals[name][:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
+    q_l, q_m, u, torque = (signals[name] for name in (LINK, MOTOR, EFFORT, TORQUE))
+    return record_of_samples(path.name, joints, values[:, 0], q_l, q_m, u, torque)
 
 
 def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:

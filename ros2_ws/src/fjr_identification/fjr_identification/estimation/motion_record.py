@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -186,27 +187,20 @@ class Window:
         return rows
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """k samples of n joints in SI units at the joint side; NaN: not measured.
+def record_of_samples(
+    name: str,
+    joints: tuple[str, ...],
+    t: Array,
+    q_l: Array,
+    q_m: Array,
+    u: Array,
+    torque: Array,
+    notes: Sequence[str] = (),
+) -> tuple[MotionRecord, tuple[str, ...]]:
+    """Return the record on a uniform grid that samples at t (k,) [s] make, and notes on what was substituted.
 
-    t (k,) [s]. link_position, motor_position (k, n) [rad, m], effort (k, n): held from each sample to the next,
-    joint_torque (k, n) [N m, N]. notes: a sentence for each thing that was substituted.
+    q_l, q_m, u, torque: as in MotionRecord. notes: on the samples. Raises RecordError.
     """
-
-    name: str
-    t: Array
-    link_position: Array
-    motor_position: Array
-    effort: Array
-    joint_torque: Array
-    notes: tuple[str, ...] = ()
-
-    def on_grid(self, joints: tuple[str, ...]) -> tuple[MotionRecord, tuple[str, ...]]:
-        """Return the record on a uniform grid of time, and the notes; raise RecordError."""
-        n = len(joints)
-        measured = np.hstack([self.link_position, self.motor_position, self.joint_torque])
-        dt, u, sampled, notes = on_uniform_grid(self.name, self.t, self.effort, measured)
-        q_l, q_m, torque = (sampled[:, i * n : (i + 1) * n] for i in range(3))
-        record = MotionRecord(self.name, joints, dt, u, q_l, q_m, torque)
-        return record, tuple(f"{self.name}: {note}" for note in (*self.notes, *notes))
+    dt, effort, sampled, on_grid = on_uniform_grid(name, t, u, np.hstack([q_l, q_m, torque]))
+    record = MotionRecord(name, joints, dt, effort, *np.hsplit(sampled, 3))
+    return record, tuple(f"{name}: {note}" for note in (*notes, *on_grid))
