@@ -27,8 +27,8 @@ from fjr_core.numerics.checks import Array
 from .elastic_arm import coulomb, packed, position_terms
 from .estimation_problem import Estimation
 from .filtered_motion import FilteredMotion, decimated, inner, shifted
-from .multiple_shooting import NormalEquations
-from .optimise import bounded_step, with_prior
+from .multiple_shooting import NormalEquations, with_prior
+from .optimise import bounded_step
 from .parameters import OF_LINKS, POSITION_TORQUE
 from .verdicts import Estimates, estimates_at, not_identifiable
 

@@ -37,8 +37,8 @@ from .filtered_fit import (
 from .filtered_motion import FilteredMotion, shifted
 from .intervals import spurious_information
 from .motion_record import MotionRecord
-from .multiple_shooting import Problem
-from .optimise import MostLikely, optimise, refine
+from .multiple_shooting import Prediction
+from .optimise import optimise, refine
 from .parameters import PAYLOAD, Options, Prior
 from .validation import Deflection, deflection_error, predicted_deflection, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
@@ -105,45 +105,43 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Estimates by simulation and the fit of each record; problem, best: with all parameters free."""
+    """Estimates by simulation and the fit of each record; best: the prediction with all parameters free."""
 
-    problem: Problem
-    best: MostLikely
+    best: Prediction
     estimates: Estimates
     fits: tuple[Fit, ...]
     converged: bool
 
     def fits_at(self, z: Array) -> tuple[Fit, ...]:
         """Return the fit of each record at other z (p,); () if the prediction does not stay finite."""
-        evaluated = self.problem.evaluate(z, self.best.x0, self.problem.rough_noise)
-        if evaluated is None:
-            return ()
-        return simulated_fits(self.problem, evaluated[1], self.problem.noise(evaluated[1]))
+        other = self.best.problem.evaluate(z, self.best.x0, self.best.problem.rough_noise)
+        return () if other is None else simulated_fits(other, other.residual)
 
 
 def simulated_fit(
     setup: Estimation, motions: Sequence[FilteredMotion], start: Mapping[str, Array], progress: Progress
 ) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
-    problem, coordinates = setup.problem(setup.coordinates, start, motions), setup.coordinates
-    z = coordinates.of_values(start)
-    best = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
+    coordinates = setup.coordinates
+    problem, z = setup.problem(coordinates, start, motions), coordinates.of_values(start)
+    best, converged = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
     progress("intervals", 0.0)
-    spurious = spurious_information(problem, best)
+    spurious = spurious_information(best)
     unknown = not_identifiable(best.projected, spurious, coordinates.width)
-    fixed = tuple(k for k in unknown if fitted_at_prior(problem, best, (k,)) is not None)
-    last, of_free, z = problem, best, best.z
+    fixed = tuple(k for k in unknown if fitted_at_prior(best, (k,)) is not None)
+    last, z = best, best.z
     if fixed:
         free = [k for k in range(len(z)) if k not in fixed]
-        near, x0 = fitted_at_prior(problem, best, fixed) or (best.z, best.x0)
-        last = setup.problem(coordinates.without(fixed), start, motions)
-        of_free = refine(last, near[free], x0, best.noise, lambda share: progress("prediction error again", share))
+        near = fitted_at_prior(best, fixed) or best
+        fewer = setup.problem(coordinates.without(fixed), start, motions)
+        last, converged = refine(
+            fewer, near.z[free], near.x0, best.noise, lambda share: progress("prediction error again", share)
+        )
         z = coordinates.mean.copy()
-        z[free] = of_free.z
-    doubt = "" if of_free.converged else NOT_CONVERGED
+        z[free] = last.z
+    doubt = "" if converged else NOT_CONVERGED
     estimates = estimates_at(setup, best.projected, spurious, fixed, z, doubt)
-    fits = simulated_fits(last, of_free.compared, of_free.noise)
-    return Simulation(problem, best, estimates, fits, of_free.converged)
+    return Simulation(best, estimates, simulated_fits(last, last.noise), converged)
 
 
 def _start_of_simulation(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> Array | None:

@@ -23,8 +23,7 @@ from scipy.stats import norm, t
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import LOG, NONNEGATIVE
 
-from .multiple_shooting import RIDGE, NormalEquations, Problem
-from .optimise import MostLikely
+from .multiple_shooting import RIDGE, NormalEquations, Prediction
 
 CONFIDENCE = 0.95
 LAGS = 2
@@ -104,7 +103,7 @@ def _inverse(H: Array) -> Array:
     return np.asarray(np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
-def spurious_information(problem: Problem, best: MostLikely) -> Array:
+def spurious_information(best: Prediction) -> Array:
     """Return CAUTION times the information (p, p) that is due to noise in initial states, and to their prior.
 
     Noise: growth of the information under disturbances of the initial states, which have their covariance and come with
@@ -114,22 +113,22 @@ def spurious_information(problem: Problem, best: MostLikely) -> Array:
     segments, size = best.x0.shape
     draws = max(1, LEAST_DRAWS // segments)
     normals = np.random.default_rng(0).standard_normal((segments, draws, size))
-    by_noise = problem.of_each(lambda k: _growth(problem, best, k, normals[k]))
+    by_noise = best.problem.of_each(lambda k: _growth(best, k, normals[k]))
     by_prior = []
     for compared, part in zip(best.compared, best.projected, strict=True):
-        weight = problem.state_width**-2 + RIDGE * np.diag(compared.H)[:size]
+        weight = best.problem.state_width**-2 + RIDGE * np.diag(compared.H)[:size]
         by_prior.append(part.B.T @ (weight[:, None] * part.B))
     return np.asarray(CAUTION * np.asarray(sum(by_noise)) + CAUTION * np.asarray(sum(by_prior)))
 
 
-def _growth(problem: Problem, best: MostLikely, k: int, normals: Array) -> Array:
+def _growth(best: Prediction, k: int, normals: Array) -> Array:
     """Return the growth of the information of segment k by disturbances of its initial state, (draws, 4n) each."""
     x, size, information = best.x0[k], normals.shape[1], best.projected[k].H
     scale, (factor, lower) = best.compared[k].state_factor(size, 0.0)
     growth = np.zeros_like(information)
     for normal in normals:
         dx = solve_triangular(factor, normal, trans=1 if lower else 0, lower=lower) / scale
-        pair = [problem.compare(k, best.z, x + sign * dx, best.noise) for sign in (1, -1)]
+        pair = [best.problem.compare(k, best.z, x + sign * dx, best.noise) for sign in (1, -1)]
         complete = [compared.projected(size).H for compared in pair if compared is not None]
         if len(complete) == len(pair):
             growth += (sum(complete) / 2 - information) / len(normals)

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -229,12 +230,12 @@ class Problem:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(work, range(len(self.segments))))
 
-    def evaluate(self, z: Array, x0: Array, noise: Array) -> tuple[Array, list[Comparison]] | None:
-        """Return settled initial states and the comparison of each segment, None if one does not stay finite."""
+    def evaluate(self, z: Array, x0: Array, noise: Array) -> Prediction | None:
+        """Return the prediction at z from settled initial states near x0, None if one does not stay finite."""
         settled = [result for result in self.of_each(lambda k: self._settle(k, z, x0[k], noise)) if result is not None]
         if len(settled) < len(self.segments):
             return None
-        return np.array([x for x, _ in settled]), [compared for _, compared in settled]
+        return Prediction(self, z, np.array([x for x, _ in settled]), noise, [compared for _, compared in settled])
 
     def _settle(self, k: int, z: Array, x: Array, noise: Array) -> tuple[Array, Comparison] | None:
         """Return the most likely initial state of a segment at z, by Levenberg-Marquardt, and the comparison there."""
@@ -262,19 +263,49 @@ class Problem:
         compared.g[:size] -= away / self.state_width
         return replace(compared, penalty=float(away @ away))
 
-    def noise(self, compared: Sequence[Comparison]) -> Array:
-        """Return the root mean square residual of each signal (signals,)."""
-        squares, counts = (sum(getattr(segment, name) for segment in compared) for name in ("squares", "counts"))
-        return np.asarray(np.maximum(np.sqrt(squares / np.maximum(counts, 1)), self.floor))
-
-    def cost(self, compared: Sequence[Comparison], z: Array) -> float:
-        """Return -log L at the most likely initial states: less what those of the comparisons are short of."""
-        counts, squares = (sum(getattr(segment, name) for segment in compared) for name in ("counts", "squares"))
-        noise = self.noise(compared)
-        prior = (z - self.coordinates.mean) / self.coordinates.width
-        states = sum(segment.penalty - segment.unsettled for segment in compared)
-        return float(counts @ np.log(noise) + (np.sum(squares / noise**2) + prior @ prior + states) / 2)
-
 
 def _weighted(compared: Comparison, noise: Array) -> float:
     return float(np.sum(compared.squares / noise**2)) + compared.penalty
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """All segments predicted at z (p,) from settled initial states x0 (segments, 4n), compared in units of noise."""
+
+    problem: Problem
+    z: Array
+    x0: Array
+    noise: Array
+    compared: Sequence[Comparison]
+
+    @cached_property
+    def residual(self) -> Array:
+        """Root mean square residual of each signal (signals,), at least the noise of its steps."""
+        squares, counts = (sum(getattr(segment, name) for segment in self.compared) for name in ("squares", "counts"))
+        return np.asarray(np.maximum(np.sqrt(squares / np.maximum(counts, 1)), self.problem.floor))
+
+    @cached_property
+    def cost(self) -> float:
+        """-log L at the most likely initial states: less what those of the comparisons are short of."""
+        counts, squares = (sum(getattr(segment, name) for segment in self.compared) for name in ("counts", "squares"))
+        coordinates = self.problem.coordinates
+        prior = (self.z - coordinates.mean) / coordinates.width
+        states = sum(segment.penalty - segment.unsettled for segment in self.compared)
+        squares = np.sum(squares / self.residual**2)
+        return float(counts @ np.log(self.residual) + (squares + prior @ prior + states) / 2)
+
+    @cached_property
+    def projected(self) -> list[NormalEquations]:
+        """Normal equations of each segment, without its initial state."""
+        return [segment.projected(self.x0.shape[1]) for segment in self.compared]
+
+    @cached_property
+    def normal_equations(self) -> tuple[Array, Array]:
+        """Information about z with the prior (p, p), and the gradient of log L (p,)."""
+        return with_prior(self.problem.coordinates, self.z, self.projected)
+
+
+def with_prior(coordinates: Coordinates, z: Array, parts: Sequence[NormalEquations]) -> tuple[Array, Array]:
+    """Return the information about z with the prior, and the gradient of log L, of segments or blocks."""
+    H = np.asarray(sum(part.H for part in parts)) + np.diag(coordinates.width**-2)
+    return H, np.asarray(sum(part.g for part in parts)) - (z - coordinates.mean) / coordinates.width**2

@@ -22,7 +22,7 @@ from fjr_design.posterior.result import DEFLECTION, Fit, Identification
 from .elastic_arm import ElasticArm, coulomb, position_torque
 from .filtered_motion import FilteredMotion, decimated, filtered, inner, rigid_torque, shifted, smoothed
 from .motion_record import MotionRecord
-from .multiple_shooting import Comparison, Problem
+from .multiple_shooting import Prediction
 from .parameters import OF_LINKS, Options, Prior
 
 STIFF = 1e12  # times the identified stiffness
@@ -146,11 +146,12 @@ def hold_out(
     return HoldOut(record.name, identification.joints, unexplained(), rigid, no_skew)
 
 
-def simulated_fits(problem: Problem, comparisons: Sequence[Comparison], deviations: Array) -> tuple[Fit, ...]:
-    """Return the fit of each record from the comparison of each segment and the noise (signals,).
+def simulated_fits(prediction: Prediction, deviations: Array) -> tuple[Fit, ...]:
+    """Return the fit of each record from the prediction of its segments and the noise (signals,).
 
     Samples outside the segments are predicted by NaN.
     """
+    problem = prediction.problem
     records = {id(segment.record): segment.record for segment in problem.segments}
     fits = []
     for record in records.values():
@@ -159,7 +160,7 @@ def simulated_fits(problem: Problem, comparisons: Sequence[Comparison], deviatio
         noise = {name: np.full(record.u.shape[1], np.nan) for name in names}
         for k, (signal, joint) in enumerate(problem.signals):
             noise[signal][joint] = deviations[k]
-            for segment, compared in zip(problem.segments, comparisons, strict=True):
+            for segment, compared in zip(problem.segments, prediction.compared, strict=True):
                 if segment.record is record:
                     at = slice(segment.first, segment.first + segment.count)
                     predicted[signal][at, joint] = compared.predicted[k]

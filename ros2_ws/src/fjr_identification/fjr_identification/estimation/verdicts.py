@@ -19,8 +19,8 @@ from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, WEAK, Estimate
 from .estimation_problem import Estimation
 from .intervals import interval, posterior
 from .motion_record import MotionRecord
-from .multiple_shooting import NormalEquations, Problem
-from .optimise import MostLikely, bounded_step, with_prior
+from .multiple_shooting import NormalEquations, Prediction
+from .optimise import bounded_step
 from .parameters import KINDS, PAYLOAD
 
 SHARP = 0.25
@@ -61,23 +61,22 @@ def not_identifiable(
     return tuple(sorted(fixed))
 
 
-def fitted_at_prior(problem: Problem, best: MostLikely, entries: Sequence[int]) -> tuple[Array, Array] | None:
-    """Return z and initial states with some entries at their prior's mean; None if the records contradict it.
+def fitted_at_prior(best: Prediction, entries: Sequence[int]) -> Prediction | None:
+    """Return the prediction with some entries of z at their prior's mean; None if the records contradict it.
 
     They do if the residuals are clearly larger there although all others adapt. Initial states are sought from where
     the normal equations move them, and from those of the most likely parameters.
     """
-    coordinates = problem.coordinates
-    H, _ = with_prior(coordinates, best.z, best.projected)
+    coordinates, (H, _) = best.problem.coordinates, best.normal_equations
     moved = np.isin(np.arange(len(best.z)), entries)
     step = np.where(moved, coordinates.mean - best.z, 0.0)
     g = -H[np.ix_(~moved, moved)] @ step[moved]
     step[~moved] = bounded_step(H[np.ix_(~moved, ~moved)], g, best.z[~moved], coordinates.nonnegative[~moved])
     followed = best.x0 - np.array([part.B @ step for part in best.projected])
     for x0 in (followed, best.x0):
-        evaluated = problem.evaluate(best.z + step, x0, best.noise)
-        if evaluated and np.all(problem.noise(evaluated[1]) <= WORSE * problem.noise(best.compared)):
-            return best.z + step, evaluated[0]
+        adapted = best.problem.evaluate(best.z + step, x0, best.noise)
+        if adapted is not None and np.all(adapted.residual <= WORSE * best.residual):
+            return adapted
     return None
 
 
