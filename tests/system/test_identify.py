@@ -16,7 +16,7 @@ from fjr_design.posterior.result import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, 
 from fjr_identification.cli.identify import unconfirmed
 from fjr_identification.estimation.validation import HoldOut
 from fjr_identification.page import autocorrelation, groups
-from fjr_identification.robot_file import identified_values, nominal_robot, robot_file
+from fjr_identification.robot_file import IdentifiedRobot, nominal_robot
 from system.browser import Browser
 from system.executables import fjr_here
 from system.shared_runs import shared_run
@@ -154,7 +154,7 @@ def test_file_keeps_the_prior_and_the_guess_of_what_is_not_identifiable(tmp_path
     (tmp_path / "arm_robot.yaml").write_text(ARM)
     nominal = nominal_robot(tmp_path / "arm_robot.yaml")
     assert nominal.name == "arm"
-    file = robot_file(nominal, made, identified_values(nominal, made, tmp_path), ["a.csv"], "robot.yaml")
+    file = IdentifiedRobot(nominal, made).file(tmp_path, ["a.csv"], "robot.yaml")
     values = ros_yaml.values_for("fjr_plant", ros_yaml.parse(file.text))
     assert values["robot.joint_stiffness"] == [41.0, 40.0]
     assert values["robot.guesses.joint_stiffness"] == [0.0, 40.0]
@@ -177,7 +177,7 @@ def test_reflected_inertia_replaces_the_gear_ratio(tmp_path: Path, made: Identif
     nominal = nominal_robot(KR300 / "kr300.yaml")
     assert nominal.name == ElementTree.parse(KR300 / "kr300.urdf").getroot().get("name")
     none = Identification(nominal.joints, (), (), (), np.zeros(0), np.zeros((0, 0)))
-    values = identified_values(nominal, none, tmp_path)
+    values = IdentifiedRobot(nominal, none).values(tmp_path)
     assert "robot.gear_ratio" not in values
     assert values["robot.motor_inertia"] == pytest.approx(np.diag(nominal.robot.M_m), rel=1e-5)
     assert (tmp_path / str(values["robot.urdf"])).is_file()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot of a robot file or a scenario before its identification, and the text of robot.yaml after it.
+"""The robot of a robot file or a scenario before its identification, and robot.yaml after it.
 
 robot.yaml has the identified robot, its friction and delay, and a loop that tracks a first motion.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -114,64 +115,6 @@ def nominal_robot(path: Path) -> NominalRobot:
     return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values))
 
 
-def identified_values(nominal: NominalRobot, identification: Identification, folder: Path) -> dict[str, object]:
-    """Return joints and robot.* with the identified values, for a file in this folder.
-
-    Motor inertias are reflected to the joint side. robot.guesses.* remain where the records do not determine the value.
-    """
-    changed: dict[str, object] = {
-        name: value for name, value in nominal.given.items() if not name.startswith("robot.guesses.")
-    }
-    urdf = changed.get(URDF)
-    if corrected_urdf(nominal, identification):
-        changed[URDF] = CORRECTED
-    elif isinstance(urdf, str) and not is_xml(urdf):
-        changed[URDF] = path_from(folder, Path(urdf))
-    reflected = changed.pop(GEAR_RATIO, None) is not None
-    for name, symbol in MATRICES.items():
-        before = np.diag(getattr(nominal.robot, symbol))
-        values = joint_values(identification, name, nominal.joints, before)
-        if not np.array_equal(values, before) or (reflected and name == "motor_inertia"):
-            changed[f"robot.{name}"] = [significant(value) for value in values]
-    for name in GUESSED:
-        guesses = [_guess(nominal, identification, changed, name, j) for j in range(len(nominal.joints))]
-        if any(guesses):
-            changed[GUESSES[name].name] = guesses
-    return changed
-
-
-def _guess(
-    nominal: NominalRobot, identification: Identification, changed: Mapping[str, object], name: str, j: int
-) -> float:
-    """Return the value of a joint if it is still a guess, else 0."""
-    joint, n = nominal.joints[j], len(nominal.joints)
-    determined = any((e.name, e.joint) == (name, joint) and e.verdict != UNKNOWN for e in identification.estimates)
-    if determined or joint not in nominal.guessed.get(name, ()):
-        return 0.0
-    values = np.asarray(changed[f"robot.{name}"], dtype=float)
-    return float(values[j] if values.size == n else np.diag(values.reshape(n, -1))[j])
-
-
-def corrected_urdf(nominal: NominalRobot, identification: Identification) -> str:
-    """Return the text of the URDF with the identified masses and inertias of the links, "" if none is corrected."""
-    bodies = corrected_bodies(nominal.robot.links, nominal.joints, identification)
-    return with_inertias(str(nominal.given[URDF]), nominal.joints, bodies) if bodies else ""
-
-
-def joint_values(identification: Identification, name: str, joints: tuple[str, ...], default: Array | float) -> Array:
-    """Return a parameter of all joints (n,), the default where it was not estimated."""
-    values = np.array(np.broadcast_to(default, len(joints)), dtype=float)
-    for estimate in identification.estimates:
-        if estimate.name == name and estimate.joint in joints:
-            values[joints.index(estimate.joint)] = estimate.value
-    return values
-
-
-def significant(value: float) -> float:
-    """Return a number with six significant digits."""
-    return float(f"{value:.6g}")
-
-
 @dataclass(frozen=True)
 class RobotFile:
     """Text of robot.yaml, and why it has no loop: "" if it has one."""
@@ -180,86 +123,144 @@ class RobotFile:
     reason: str = ""
 
 
-def robot_file(
-    nominal: NominalRobot,
-    identification: Identification,
-    values: Mapping[str, object],
-    records: Sequence[str],
-    file: str,
-) -> RobotFile:
-    """Return the robot file of identified values; without a loop if no gains are found."""
-    urdf = corrected_urdf(nominal, identification) or nominal.given.get(URDF)
-    absolute = {**values, **({} if urdf is None else {URDF: urdf})}
-    robot = builders.robot(complete(robot_parameters(absolute), absolute))
-    head = HEAD.format(name=nominal.name, records=", ".join(records), file=file)
-    body = [
-        head,
-        *_robot_lines(identification, values),
-        *_imperfection_lines(identification, nominal.joints),
-        *_left_out(identification),
-    ]
-    text = "\n".join(line.rstrip("\n") for line in body) + "\n"
-    try:
-        proposal = proposal_of(robot, nominal.joints, nominal.name, effort_delay(identification))
-    except (GainsError, TrajectoryError) as error:
-        return RobotFile(text, str(error))
-    return RobotFile(text + _loop(robot, identification, nominal.joints, proposal, file))
+@dataclass(frozen=True)
+class IdentifiedRobot:
+    """A nominal robot with what was identified of it."""
 
+    nominal: NominalRobot
+    identification: Identification
 
-def effort_delay(identification: Identification) -> float:
-    """Return the largest identified delay of the efforts [s], 0 if no interval is above 0."""
-    return max((e.value for e in identification.estimates if e.name == "effort_delay" and e.low > 0), default=0.0)
+    @cached_property
+    def corrected_urdf(self) -> str:
+        """The text of the URDF with the identified masses and inertias of the links, "" if none is corrected."""
+        joints = self.nominal.joints
+        bodies = corrected_bodies(self.nominal.robot.links, joints, self.identification)
+        return with_inertias(str(self.nominal.given[URDF]), joints, bodies) if bodies else ""
 
+    @property
+    def effort_delay(self) -> float:
+        """The largest identified delay of the efforts [s], 0 if no interval is above 0."""
+        estimates = self._of("effort_delay")
+        return max((estimate.value for estimate in estimates if estimate.low > 0), default=0.0)
 
-def _robot_lines(identification: Identification, values: Mapping[str, object]) -> Iterator[str]:
-    yield f"    joints: {_list(values['joints'])}"
-    yield "    robot:"
-    tree = ros_yaml.tree_of({name: value for name, value in values.items() if name != "joints"})["robot"]
-    for key, value in tree.items():
-        yield from _comments(identification, key)
-        if isinstance(value, dict):
-            yield f"      {key}:   # reported until they are replaced"
-            yield from (f"        {name}: {_value(entry)}" for name, entry in value.items())
-        else:
-            yield f"      {key}: {_value(value)}"
+    def values(self, folder: Path) -> dict[str, object]:
+        """Return joints and robot.* with the identified values, for a file in this folder.
 
+        Motor inertias are reflected to the joint side. robot.guesses.* remain where the records do not determine the
+        value.
+        """
+        given = self.nominal.given
+        changed = {name: value for name, value in given.items() if not name.startswith("robot.guesses.")}
+        urdf = changed.get(URDF)
+        if self.corrected_urdf:
+            changed[URDF] = CORRECTED
+        elif isinstance(urdf, str) and not is_xml(urdf):
+            changed[URDF] = path_from(folder, Path(urdf))
+        reflected = changed.pop(GEAR_RATIO, None) is not None
+        for name, symbol in MATRICES.items():
+            before = np.diag(getattr(self.nominal.robot, symbol))
+            values = self._of_joints(name, before)
+            if not np.array_equal(values, before) or (reflected and name == "motor_inertia"):
+                changed[f"robot.{name}"] = [significant(value) for value in values]
+        for name in GUESSED:
+            guesses = [self._guess(changed, name, j) for j in range(len(self.nominal.joints))]
+            if any(guesses):
+                changed[GUESSES[name].name] = guesses
+        return changed
 
-def _imperfection_lines(identification: Identification, joints: tuple[str, ...]) -> Iterator[str]:
-    """Yield friction, payload and delay for the simulated arm."""
-    estimated = {estimate.name for estimate in identification.estimates}
-    lines: list[str] = []
-    for name in FRICTION:
-        if name in estimated:
-            levels = [significant(max(0.0, level)) for level in joint_values(identification, name, joints, 0.0)]
-            lines += [*_comments(identification, name), f"      {name}: {_list(levels)}"]
-    if PAYLOAD[0] in estimated:
-        single = {estimate.name: significant(estimate.value) for estimate in identification.estimates}
-        mass, *place = (single[name] for name in PAYLOAD)
-        lines += [line for name in PAYLOAD for line in _comments(identification, name)]
-        lines += [f"      payload_mass: {significant(max(0.0, mass))}", f"      payload_position: {_list(place)}"]
-    if "effort_delay" in estimated:
-        delay = significant(max(0.0, effort_delay(identification)))
-        lines += [
-            *_comments(identification, "effort_delay"),
-            f"      command_delay: {delay}   # s, the largest of all joints",
-        ]
-    yield from (["    imperfections:   # of the simulated arm", *lines] if lines else [])
+    def file(self, folder: Path, records: Sequence[str], name: str) -> RobotFile:
+        """Return the robot file of this name for a folder; without a loop if no gains are found."""
+        values, joints, title = self.values(folder), self.nominal.joints, self.nominal.name
+        urdf = self.corrected_urdf or self.nominal.given.get(URDF)
+        absolute = {**values, **({} if urdf is None else {URDF: urdf})}
+        robot = builders.robot(complete(robot_parameters(absolute), absolute))
+        head = HEAD.format(name=title, records=", ".join(records), file=name)
+        body = [head, *self._robot_lines(values), *self._imperfection_lines(), *self._left_out()]
+        text = "\n".join(line.rstrip("\n") for line in body) + "\n"
+        try:
+            proposal = proposal_of(robot, joints, title, self.effort_delay)
+        except (GainsError, TrajectoryError) as error:
+            return RobotFile(text, str(error))
+        return RobotFile(text + self._loop(robot, proposal, name))
 
+    def _of(self, name: str) -> list[Estimate]:
+        return [estimate for estimate in self.identification.estimates if estimate.name == name]
 
-def _left_out(identification: Identification) -> Iterator[str]:
-    """Yield comments on what no parameter of a scenario expresses."""
-    placed = {*MATRICES, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
-    others = [
-        estimate for estimate in identification.estimates if estimate.name not in placed and estimate.verdict != UNKNOWN
-    ]
-    if others:
-        yield "    # Without a parameter here; correct these in the driver:"
-        yield from (f"    #   {described(estimate)}" for estimate in others)
+    def _of_joints(self, name: str, default: Array | float) -> Array:
+        """Return a parameter of all joints (n,), the default where it was not estimated."""
+        joints = self.nominal.joints
+        values = np.array(np.broadcast_to(default, len(joints)), dtype=float)
+        for estimate in self._of(name):
+            if estimate.joint in joints:
+                values[joints.index(estimate.joint)] = estimate.value
+        return values
 
+    def _guess(self, changed: Mapping[str, object], name: str, j: int) -> float:
+        """Return the value of a joint if it is still a guess, else 0."""
+        joint, n = self.nominal.joints[j], len(self.nominal.joints)
+        determined = any(estimate.joint == joint and estimate.verdict != UNKNOWN for estimate in self._of(name))
+        if determined or joint not in self.nominal.guessed.get(name, ()):
+            return 0.0
+        values = np.asarray(changed[f"robot.{name}"], dtype=float)
+        return float(values[j] if values.size == n else np.diag(values.reshape(n, -1))[j])
 
-def _comments(identification: Identification, name: str) -> list[str]:
-    """Return a line for each joint with interval and verdict of a parameter."""
-    return [f"      # {described(estimate)}" for estimate in identification.estimates if estimate.name == name]
+    def _robot_lines(self, values: Mapping[str, object]) -> Iterator[str]:
+        yield f"    joints: {_list(values['joints'])}"
+        yield "    robot:"
+        tree = ros_yaml.tree_of({name: value for name, value in values.items() if name != "joints"})["robot"]
+        for key, value in tree.items():
+            yield from self._comments(key)
+            if isinstance(value, dict):
+                yield f"      {key}:   # reported until they are replaced"
+                yield from (f"        {name}: {_value(entry)}" for name, entry in value.items())
+            else:
+                yield f"      {key}: {_value(value)}"
+
+    def _imperfection_lines(self) -> list[str]:
+        """Return friction, payload and delay for the simulated arm."""
+        lines: list[str] = []
+        for name in FRICTION:
+            if self._of(name):
+                levels = [significant(max(0.0, level)) for level in self._of_joints(name, 0.0)]
+                lines += [*self._comments(name), f"      {name}: {_list(levels)}"]
+        if self._of(PAYLOAD[0]):
+            mass, *place = (significant(self._of(name)[0].value) for name in PAYLOAD)
+            lines += [line for name in PAYLOAD for line in self._comments(name)]
+            lines += [f"      payload_mass: {significant(max(0.0, mass))}", f"      payload_position: {_list(place)}"]
+        if self._of("effort_delay"):
+            delay = significant(max(0.0, self.effort_delay))
+            lines += self._comments("effort_delay")
+            lines.append(f"      command_delay: {delay}   # s, the largest of all joints")
+        return ["    imperfections:   # of the simulated arm", *lines] if lines else []
+
+    def _left_out(self) -> list[str]:
+        """Return comments on what no parameter of a scenario expresses."""
+        placed = {*MATRICES, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+        estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
+        others = [f"    #   {described(estimate)}" for estimate in estimates if estimate.name not in placed]
+        return ["    # Without a parameter here; correct these in the driver:", *others] if others else []
+
+    def _comments(self, name: str) -> list[str]:
+        """Return a line for each joint with interval and verdict of a parameter."""
+        return [f"      # {described(estimate)}" for estimate in self._of(name)]
+
+    def _loop(self, robot: Robot, proposal: Proposal, file: str) -> str:
+        """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
+        motion, gains, n = proposal.motion, proposal.gains, robot.n
+        levels = {field: np.maximum(0.0, self._of_joints(name, 0.0)) for name, field in FRICTION.items()}
+        rate = friction_rate(Nonidealities(n, **levels), robot.M_l(proposal.q_l), robot.M_m)
+        entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
+        return LOOP.format(
+            rate=RATE,
+            steps=min(MOST_STEPS, max(proposal.inner_steps, math.ceil(rate / RATE / STABLE_STEP))),
+            q_l=_list(map(significant, proposal.q_l)),
+            q_m=_list(map(significant, proposal.q_m)),
+            beta=gains.beta,
+            where=gains.where,
+            file=file,
+            gains="\n".join(gain_lines(entries, n, indent=6)),
+            **{name: _list(map(significant, np.atleast_1d(getattr(motion, name)))) for name in MOTION},
+        )
 
 
 def described(estimate: Estimate) -> str:
@@ -280,25 +281,9 @@ def plain_interval(estimate: Estimate) -> str:
     return f"{ends[0]} to {ends[1]}"
 
 
-def _loop(robot: Robot, identification: Identification, joints: tuple[str, ...], proposal: Proposal, file: str) -> str:
-    """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
-    motion, gains, n = proposal.motion, proposal.gains, robot.n
-    levels = {
-        field: np.maximum(0.0, joint_values(identification, name, joints, 0.0)) for name, field in FRICTION.items()
-    }
-    rate = friction_rate(Nonidealities(n, **levels), robot.M_l(proposal.q_l), robot.M_m)
-    entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
-    return LOOP.format(
-        rate=RATE,
-        steps=min(MOST_STEPS, max(proposal.inner_steps, math.ceil(rate / RATE / STABLE_STEP))),
-        q_l=_list(map(significant, proposal.q_l)),
-        q_m=_list(map(significant, proposal.q_m)),
-        beta=gains.beta,
-        where=gains.where,
-        file=file,
-        gains="\n".join(gain_lines(entries, n, indent=6)),
-        **{name: _list(map(significant, np.atleast_1d(getattr(motion, name)))) for name in MOTION},
-    )
+def significant(value: float) -> float:
+    """Return a number with six significant digits."""
+    return float(f"{value:.6g}")
 
 
 def _list(values: object) -> str:

@@ -24,16 +24,7 @@ from fjr_identification.page import HOLD_OUT, counted, hold_out_rows, write_page
 from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import read_map
 from fjr_identification.rigid_motion import KINDS
-from fjr_identification.robot_file import (
-    CORRECTED,
-    GEAR_RATIO,
-    NominalRobot,
-    RobotFile,
-    corrected_urdf,
-    identified_values,
-    nominal_robot,
-    robot_file,
-)
+from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
 from fjr_identification.table_record import written_map
 from fjr_msgs_py.console.formatting import interval, number, plural
 from fjr_msgs_py.console.progress import progress_bar
@@ -147,11 +138,11 @@ def _write(
 ) -> RobotFile:
     """Write robot.yaml, the URDF of corrected links, identification.json with the values, and the page."""
     folder.mkdir(parents=True, exist_ok=True)
-    names = [record.name for record in records]
-    file = robot_file(nominal, identification, identified_values(nominal, identification, folder), names, ROBOT)
+    robot = IdentifiedRobot(nominal, identification)
+    file = robot.file(folder, [record.name for record in records], ROBOT)
     write_text(folder / ROBOT, file.text)
-    if urdf := corrected_urdf(nominal, identification):
-        write_text(folder / CORRECTED, urdf)
+    if robot.corrected_urdf:
+        write_text(folder / CORRECTED, robot.corrected_urdf)
     write_text(folder / VALUES, json_text(values, indent=1) + "\n")
     seconds = sum(record.dt * len(record.u) for record in records)
     notes = [*values["notes"], *([f"robot.yaml has no gains: {file.reason}"] if file.reason else [])]
