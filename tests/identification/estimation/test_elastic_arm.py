@@ -237,8 +237,7 @@ def test_a_heavier_link_is_found_from_the_torques_that_its_motion_needs() -> Non
     motor = q + tau / 900 + 1e-6 * np.random.default_rng(4).standard_normal(q.shape)
     record = MotionRecord("a record", ("a", "b"), dt, tau + 0.2 * a, q, motor, np.full_like(q, np.nan))
     setup = Estimation([record], nominal, Prior.of(nominal), Options(link_inertia=True))
-    motions, start = setup.start()
-    z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
     p = setup.coordinates.parameters(z)
     bodies = corrected(BODIES, np.column_stack([p[name] for name in PSEUDO_INERTIA]))
     found = robot_of(bodies)
@@ -277,4 +276,4 @@ def test_a_robot_without_bodies_has_no_inertia_to_correct() -> None:
     silent = np.zeros((500, 2))
     record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
     with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
-        Estimation([record], robot, Prior.of(robot), Options(link_inertia=True)).start()
+        _ = Estimation([record], robot, Prior.of(robot), Options(link_inertia=True)).start

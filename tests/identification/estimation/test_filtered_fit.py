@@ -51,19 +51,17 @@ def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkey
 
 def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() -> None:
     setup = setup_of()
-    motions, start = setup.start()
     parts = []
     for link, motor in ((0.1, 0.0), (0.0, 0.1)):
-        values = {**start, "link_coulomb_friction": np.array([link]), "motor_coulomb_friction": np.array([motor])}
-        parts.append(setup.problem(setup.coordinates, values, motions).segments[0].effort.slow_parts)
+        values = {**setup.start, "link_coulomb_friction": np.array([link]), "motor_coulomb_friction": np.array([motor])}
+        parts.append(setup.problem(setup.coordinates, values).segments[0].effort.slow_parts)
     np.testing.assert_array_equal(*parts)
     assert np.all(parts[0] > 1)
 
 
 def test_the_fit_and_the_share_of_each_side_are_near_the_truth() -> None:
     setup = setup_of()
-    motions, start = setup.start()
-    z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
     assert np.all(z[list(confounded(setup))] == 0.0)
     fitted, shared = setup.coordinates.parameters(z), simulation_start(setup, z)
     assert fitted["joint_stiffness"][0] == pytest.approx(JOINT.K, rel=0.02)
@@ -80,17 +78,16 @@ def test_derivatives_of_both_sides_equal_central_differences() -> None:
     q = np.column_stack([multi_sine(t, np.array([0.9, 2.1]), 0.5, seed) for seed in (1, 2)])
     record = MotionRecord("a record", ("a", "b"), 4e-3, 3 * q, q, 1.1 * q, np.full_like(q, np.nan))
     setup = Estimation([record], robot, Prior.of(robot), Options(position_torque="b", payload=True))
-    motions, _ = setup.start()
-    names, width = setup.coordinates.free, setup.coordinates.width
+    names, width, motion = setup.coordinates.free, setup.coordinates.width, setup.motions[0]
     z = setup.coordinates.mean + 0.1 * width * np.random.default_rng(3).standard_normal(len(width))
     z = np.where([KINDS[name].coordinate == LOG for name, _ in names], z, np.abs(z))
 
     def sides(at: Array) -> list[Array]:
-        rigid = rigid_along(setup, motions[0], at)
-        return [each(setup, motions[0], rigid, at, j).errors for j in range(2) for each in (link_side, motor_side)]
+        rigid = rigid_along(setup, motion, at)
+        return [side(setup, motion, rigid, at, j).errors for j in range(2) for side in (link_side, motor_side)]
 
-    rigid = rigid_along(setup, motions[0], z)
-    found = [each(setup, motions[0], rigid, z, j) for j in range(2) for each in (link_side, motor_side)]
+    rigid = rigid_along(setup, motion, z)
+    found = [side(setup, motion, rigid, z, j) for j in range(2) for side in (link_side, motor_side)]
     for k, name in enumerate(names):
         step = 1e-4 * width[k] * np.eye(len(z))[k]
         differences = [
@@ -104,9 +101,8 @@ def test_derivatives_of_both_sides_equal_central_differences() -> None:
 
 def test_blocks_add_up_to_the_information_of_the_record() -> None:
     setup = setup_of()
-    motions, start = setup.start()
-    z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
-    parts = equation_error(setup, motions, z)
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    parts = equation_error(setup, z)
     H, g = sum(part.H for part in parts), sum(part.g for part in parts)
     assert len(parts) == 4
     assert np.all(np.diag(H) > 0)
@@ -124,8 +120,7 @@ def test_torques_that_the_model_lacks_are_not_simulated() -> None:
     relative = []
     for record in (honest, wrong):
         setup = Estimation([record], robot, Prior.of(robot), Options())
-        motions, start = setup.start()
-        relative.append(displacement(setup, motions, filtered_fit(setup, motions, setup.coordinates.of_values(start))))
+        relative.append(displacement(setup, filtered_fit(setup, setup.coordinates.of_values(setup.start))))
     assert relative[0][0] < 0.1 * MOST
     assert relative[1][0] > MOST
     found = {each.name: each for each in identify([wrong], robot, Prior.of(robot)).estimates}

@@ -15,7 +15,6 @@ from itertools import combinations
 
 import numpy as np
 
-from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 
 from .estimation.elastic_arm import coulomb
@@ -50,29 +49,29 @@ EXCHANGED = {"the positions": ("q_l", "q_m"), "all signals": ("u", "q_l", "q_m",
 FOLLOWS = 0.1  # unexplained share of one side's position by that of another joint
 
 
-def degrees(record: MotionRecord, robot: Robot, motion: RigidMotion) -> Iterator[Finding]:
+def degrees(motion: RigidMotion) -> Iterator[Finding]:
     """Find positions of both sides in degrees: as rad they leave the joints' range or contradict the efforts."""
-    slides = [unit.position == "m" for unit in robot.units]
-    moving = [j for j in range(robot.n) if record.joints[j] not in record.still and not slides[j]]
+    slides = [unit.position == "m" for unit in motion.robot.units]
+    moving = [j for j in range(motion.robot.n) if motion.record.joints[j] not in motion.record.still and not slides[j]]
     if not moving:
         return
     largest = float(np.max(np.nanmax(np.abs(motion.position[:, moving]), axis=0)))
-    scaled, votes = rigid_motion(record, robot, np.where(slides, 1.0, np.radians(1.0))), 0
+    scaled, votes = rigid_motion(motion.record, motion.robot, np.where(slides, 1.0, np.radians(1.0))), 0
     for j in moving:
         here, there = effort_line(motion, j), effort_line(scaled, j)
         plausible = 1 / SPREAD < there.slope < SPREAD and there.slope > 3 * there.deviation
         votes += plausible and there.unexplained < 0.5 * here.unexplained
-    if _leaves_range(robot, motion, moving) or (2 * votes > len(moving) and largest > LEAST_DEGREES):
-        joint = record.joints[moving[0]] if len(moving) == 1 else ""
+    if _leaves_range(motion, moving) or (2 * votes > len(moving) and largest > LEAST_DEGREES):
+        joint = motion.record.joints[moving[0]] if len(moving) == 1 else ""
         sentence = f"positions reach {largest:.4g} and fit the robot as degrees only; expected rad"
         yield Finding(DEGREES, joint, sentence)
 
 
-def _leaves_range(robot: Robot, motion: RigidMotion, moving: list[int]) -> bool:
+def _leaves_range(motion: RigidMotion, moving: list[int]) -> bool:
     """Return whether positions are outside twice the range of most joints."""
-    if robot.limits is None:
+    if motion.robot.limits is None:
         return False
-    low, high = np.asarray(robot.limits.lower), np.asarray(robot.limits.upper)
+    low, high = np.asarray(motion.robot.limits.lower), np.asarray(motion.robot.limits.upper)
     bounded = [j for j in moving if np.isfinite(high[j] - low[j])]
     outside = [np.max(np.abs(motion.position[:, j] - (low + high)[j] / 2)) > (high - low)[j] for j in bounded]
     return 2 * sum(outside) > len(bounded) > 0
@@ -86,9 +85,9 @@ def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> Line:
     return fitted_line(motion.needed[:, j], motion.u[:, j if effort is None else effort], friction, motion.independent)
 
 
-def skews(record: MotionRecord, motion: RigidMotion) -> Iterator[Finding]:
+def skews(motion: RigidMotion) -> Iterator[Finding]:
     """Find link encoders and torque sensors that are read too much later or earlier than the other side."""
-    for j, joint in enumerate(record.joints):
+    for j, joint in enumerate(motion.record.joints):
         v, tau = motion.velocity[:, j], motion.tau[:, j]
         lines, count = {}, motion.independent
         if motion.both[j]:
@@ -105,28 +104,28 @@ def skews(record: MotionRecord, motion: RigidMotion) -> Iterator[Finding]:
                 yield Finding(SKEW, joint, sentence)
 
 
-def sides(record: MotionRecord, robot: Robot, motion: RigidMotion) -> Iterator[Finding]:
+def sides(motion: RigidMotion) -> Iterator[Finding]:
     """Find a side that moves against the other, in another unit or by another gear ratio, and swapped sides."""
-    exchanged = rigid_motion(record, robot, swapped=True)
-    for j, joint in enumerate(record.joints):
-        slopes = _slopes(motion, robot, j)
+    exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
+    for j, joint in enumerate(motion.record.joints):
+        slopes = _slopes(motion, j)
         if slopes is None:
             continue
         low, high = slopes
         middle = (low + high) / 2
         if high < 0:
             yield Finding(SIGN, joint, f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction")
-        elif _differs(slopes) and not _differs(_slopes(exchanged, robot, j)) and _is_spring(exchanged, robot, j):
+        elif _differs(slopes) and not _differs(_slopes(exchanged, j)) and _is_spring(exchanged, j):
             yield Finding(SWAPPED, joint, f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped")
         elif _differs(slopes):
             yield _ratio(joint, middle)
 
 
-def _slopes(motion: RigidMotion, robot: Robot, j: int) -> tuple[float, float] | None:
+def _slopes(motion: RigidMotion, j: int) -> tuple[float, float] | None:
     """Return the range of the ratio of q_m to q_l without the deflection; None if it is not known."""
     if not motion.both[j]:
         return None
-    compliances = 1.0 / robot.K[j, j] / SPREAD, 1.0 / robot.K[j, j] * SPREAD
+    compliances = 1.0 / motion.robot.K[j, j] / SPREAD, 1.0 / motion.robot.K[j, j] * SPREAD
     v = motion.velocity[:, j]
     skew_and_friction = (v, coulomb(v, SMOOTHING))
     q_l, q_m, tau = motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j]
@@ -148,26 +147,24 @@ def _ratio(joint: str, slope: float) -> Finding:
     return Finding(GEAR_RATIO, joint, sentence)
 
 
-def swapped(record: MotionRecord, robot: Robot, motion: RigidMotion) -> Iterator[Finding]:
+def swapped(motion: RigidMotion) -> Iterator[Finding]:
     """Find swapped sides: the motor then lags behind the torque that the spring transmits."""
-    exchanged = rigid_motion(record, robot, swapped=True)
-    for j, joint in enumerate(record.joints):
+    exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
+    for j, joint in enumerate(motion.record.joints):
         if not motion.both[j]:
             continue
         here, there = _deflection_line(motion, j), _deflection_line(exchanged, j)
         against = here.slope < -4 * here.deviation or here.unexplained > 4 * there.unexplained
-        if against and there.unexplained < 0.5 and _is_spring(exchanged, robot, j):
-            sentence = (
-                f"q_m - q_l of {joint} is {here.slope * robot.K[j, j]:.2g} times the deflection that the motion needs; "
-                "expected about 1: sides swapped"
-            )
+        if against and there.unexplained < 0.5 and _is_spring(exchanged, j):
+            seen = f"{here.slope * motion.robot.K[j, j]:.2g} times the deflection that the motion needs"
+            sentence = f"q_m - q_l of {joint} is {seen}; expected about 1: sides swapped"
             yield Finding(SWAPPED, joint, sentence)
 
 
-def _is_spring(motion: RigidMotion, robot: Robot, j: int) -> bool:
+def _is_spring(motion: RigidMotion, j: int) -> bool:
     """Return whether the deflection rises with the spring torque by a plausible compliance."""
     line = _deflection_line(motion, j)
-    return LEAST_COMPLIANCE < line.slope * robot.K[j, j] < SPREAD and line.slope > 4 * line.deviation
+    return LEAST_COMPLIANCE < line.slope * motion.robot.K[j, j] < SPREAD and line.slope > 4 * line.deviation
 
 
 def _deflection_line(motion: RigidMotion, j: int) -> Line:
@@ -175,10 +172,10 @@ def _deflection_line(motion: RigidMotion, j: int) -> Line:
     return fitted_line(motion.tau[:, j], motion.deflection[:, j], (motion.velocity[:, j],), motion.independent)
 
 
-def efforts(record: MotionRecord, motion: RigidMotion) -> Iterator[Finding]:
+def efforts(motion: RigidMotion) -> Iterator[Finding]:
     """Find efforts and sensor torques of the wrong sign or scale."""
-    for j, joint in enumerate(record.joints):
-        if joint in record.still:
+    for j, joint in enumerate(motion.record.joints):
+        if joint in motion.record.still:
             continue
         lines = {"effort": effort_line(motion, j)}
         if np.all(np.isfinite(motion.torque[:, j])):
@@ -193,13 +190,13 @@ def efforts(record: MotionRecord, motion: RigidMotion) -> Iterator[Finding]:
                 yield Finding(SCALE, joint, f"{seen}; expected about 1: {wrong}")
 
 
-def turned(record: MotionRecord, robot: Robot, motion: RigidMotion) -> Iterator[Finding]:
+def turned(motion: RigidMotion) -> Iterator[Finding]:
     """Find joints all of whose positions have the wrong sign: with the other one their efforts fit."""
-    for j, joint in _moving(record):
+    for j, joint in _moving(motion.record):
         here = effort_line(motion, j)
         if here.unexplained > POOR:
-            scale = np.where(np.arange(robot.n) == j, -1.0, 1.0)
-            there = effort_line(rigid_motion(record, robot, scale), j)
+            scale = np.where(np.arange(motion.robot.n) == j, -1.0, 1.0)
+            there = effort_line(rigid_motion(motion.record, motion.robot, scale), j)
             if _follows(there) and there.unexplained < BETTER * here.unexplained:
                 sentence = f"the effort of {joint} fits its motion only with the other sign of its positions"
                 yield Finding(SIGN, joint, f"{sentence}; expected the direction of the robot file")
@@ -215,9 +212,9 @@ def crossed_sides(record: MotionRecord) -> Iterator[Finding]:
             yield Finding(ORDER, first, sentence)
 
 
-def crossed(record: MotionRecord, robot: Robot, motion: RigidMotion) -> Iterator[Finding]:
+def crossed(motion: RigidMotion) -> Iterator[Finding]:
     """Find pairs of joints whose efforts, or all of whose signals, are recorded in the other order."""
-    for (i, first), (j, second) in combinations(_moving(record), 2):
+    for (i, first), (j, second) in combinations(_moving(motion.record), 2):
         pairs = (i, i), (j, j), (i, j), (j, i)
         by_effort = [effort_line(motion, *pair) for pair in pairs]
         by_sensor = [fitted_line(motion.tau[:, k], motion.torque[:, of], (), motion.independent) for k, of in pairs]
@@ -231,7 +228,7 @@ def crossed(record: MotionRecord, robot: Robot, motion: RigidMotion) -> Iterator
             yield Finding(ORDER, first, f"{sentence}; expected one order of the joints")
         elif max(line.unexplained for line in by_effort[:2]) > GOOD / 5:
             for what, names in EXCHANGED.items():
-                other = rigid_motion(_exchanged(record, i, j, names), robot)
+                other = rigid_motion(_exchanged(motion.record, i, j, names), motion.robot)
                 if _all_follow(by_effort[:2], [effort_line(other, k) for k in (i, j)]):
                     sentence = f"{what} of {first} and {second} fit the robot in the other order"
                     yield Finding(ORDER, first, f"{sentence}; expected the order of the joints in the robot file")

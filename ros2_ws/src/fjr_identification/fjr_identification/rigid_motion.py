@@ -44,7 +44,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class RigidMotion:
-    """Filtered signals of k samples and n joints; each (k, n) unless noted.
+    """Filtered signals of a record, k samples of n joints, and what a robot needs for them; each (k, n) unless noted.
 
     q_l, q_m, torque, u: as in the record, NaN where not measured. position, velocity: of the link, of the motor where
     the link is not measured. motor_velocity: of the motor or else of the link. tau: spring torque that the motion of
@@ -52,6 +52,8 @@ class RigidMotion:
     independent: number of independent samples. dt [s]: between two of the k samples.
     """
 
+    record: MotionRecord
+    robot: Robot
     q_l: Array
     q_m: Array
     torque: Array
@@ -87,7 +89,7 @@ def rigid_motion(record: MotionRecord, robot: Robot, scale: Array | float = 1.0,
     both = np.isfinite(q_l).all(axis=0) & np.isfinite(q_m).all(axis=0) & (np.ptp(link, axis=0) > 0)
     independent, dt = max(4.0, 2 * CUTOFF * len(u) * record.dt), record.dt * rows.step
     measured = q_l[rows], q_m[rows], torque[rows], u[rows]
-    return RigidMotion(*measured, link[rows], dq_l[rows], dq_m[rows], tau, needed, both, independent, dt)
+    return RigidMotion(record, robot, *measured, link[rows], dq_l[rows], dq_m[rows], tau, needed, both, independent, dt)
 
 
 def _low_pass(values: Array, dt: float) -> Array:

@@ -113,8 +113,8 @@ def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
     one_sided = [j for j in moving if not motion.both[j]]
     count = round(np.log(LARGEST) / np.log(STEP))
     tried = STEP ** np.arange(-count, count + 1, dtype=float)
-    late = [_terms(motion, robot, scale=1.0, time=s) for s in tried] if one_sided else []
-    return {record.joints[j]: _scan(motion, robot, j, tried, late) for j in one_sided}
+    late = [_terms(motion, time=s) for s in tried] if one_sided else []
+    return {record.joints[j]: _scan(motion, j, tried, late) for j in one_sided}
 
 
 def _most_moving(record: MotionRecord) -> MotionRecord:
@@ -127,10 +127,10 @@ def _most_moving(record: MotionRecord) -> MotionRecord:
     return replace(record, **{name: getattr(record, name)[first : first + count] for name in ("u", *SIGNALS)})
 
 
-def _scan(motion: RigidMotion, robot: Robot, j: int, tried: Array, late: list[Terms]) -> Scan:
+def _scan(motion: RigidMotion, j: int, tried: Array, late: list[Terms]) -> Scan:
     """Return the scan of joint j; late: terms at the times tried."""
-    here = _terms(motion, robot)
-    moved = [_terms(motion, robot, np.where(np.arange(robot.n) == j, g, 1.0)) for g in tried]
+    here = _terms(motion)
+    moved = [_terms(motion, np.where(np.arange(motion.robot.n) == j, g, 1.0)) for g in tried]
     unexplained = {
         POSITION: np.array([terms.unexplained(j) for terms in moved]),
         RATIO: np.array([terms.unexplained(j, g) for terms, g in zip(moved, tried, strict=True)]),
@@ -163,13 +163,19 @@ class Terms:
         return float(np.sum(residual**2) / max(np.sum((u - np.mean(u)) ** 2), 1e-300))
 
 
-def _terms(motion: RigidMotion, robot: Robot, scale: Array | float = 1.0, time: float = 1.0) -> Terms:
+def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -> Terms:
     """Return the terms with positions at a scale (n,) and time at another one."""
     rows = slice(None, None, max(1, len(motion.u) // ROWS))
     q, v = motion.position * scale, motion.velocity * scale / time
     a = np.gradient(v, motion.dt * time, axis=0)
-    links = spring_torques(robot, q[rows], v[rows], a[rows])
-    terms = (links, (a @ robot.M_m.T)[rows], v[rows], coulomb(v[rows], SMOOTHING), motion.u[rows] @ robot.B_m.T)
+    links = spring_torques(motion.robot, q[rows], v[rows], a[rows])
+    terms = (
+        links,
+        (a @ motion.robot.M_m.T)[rows],
+        v[rows],
+        coulomb(v[rows], SMOOTHING),
+        motion.u[rows] @ motion.robot.B_m.T,
+    )
     dt = motion.dt * (rows.step or 1)
     edge = int(0.3 / CUTOFF / dt)
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")

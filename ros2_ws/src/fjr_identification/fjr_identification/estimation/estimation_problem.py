@@ -73,15 +73,20 @@ class Estimation:
         widths |= {name: HARMONICS[name[-1]] * effort for name in POSITION_TORQUE}
         return {**widths, "payload_mass": np.array([10.0]), **self.prior.widths}
 
-    def start(self) -> tuple[list[FilteredMotion], dict[str, Array]]:
-        """Return the filtered motions and the start values of all parameters."""
-        coordinates, values = self.coordinates, self.values
-        arm = self.arm(coordinates)
-        motions = [filtered(record, arm, values) for record in self.records]
-        guess = start_values(self.records, motions, self.robot.B_m, self.prior, values["smoothing"])
+    @cached_property
+    def motions(self) -> list[FilteredMotion]:
+        """Return the filtered motion of each record."""
+        arm, values = self.arm(self.coordinates), self.values
+        return [filtered(record, arm, values) for record in self.records]
+
+    @cached_property
+    def start(self) -> dict[str, Array]:
+        """Return the start values of all parameters."""
+        coordinates, smoothing = self.coordinates, self.values["smoothing"]
+        guess = start_values(self.records, self.motions, self.robot.B_m, self.prior, smoothing)
         reach = FARTHEST * coordinates.width
         z = np.clip(coordinates.of_values(guess), coordinates.mean - reach, coordinates.mean + reach)
-        return motions, coordinates.parameters(z)
+        return coordinates.parameters(z)
 
     def arm(self, coordinates: Coordinates) -> ElasticArm:
         """Return the arm with derivatives by the free parameters."""
@@ -107,17 +112,15 @@ class Estimation:
     def _length(self, slowest: float) -> float:
         return self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
 
-    def problem(
-        self, coordinates: Coordinates, start: Mapping[str, Array], motions: Sequence[FilteredMotion]
-    ) -> Problem:
+    def problem(self, coordinates: Coordinates, start: Mapping[str, Array]) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
         arm = self.arm(coordinates)
         slowest, fastest, creep = _rates(arm, self.poses, start)
         smoothing = np.tile(start["smoothing"], 2)
-        acceleration = _reversals(motions, SLOW * smoothing)
+        acceleration = _reversals(self.motions, SLOW * smoothing)
         near_rest = np.maximum(creep, acceleration / smoothing / PASSAGE)
         segments, filtered_states = [], []
-        for record, motion in zip(self.records, motions, strict=True):
+        for record, motion in zip(self.records, self.motions, strict=True):
             steps = int(np.clip(np.ceil(record.dt * fastest), 1, MOST_PARTS))
             slow = SLOW * smoothing + PEAK * record.dt * acceleration
             effort = HeldEffort(record.u, record.dt, steps, _parts(record.dt * near_rest), slow)
@@ -126,7 +129,8 @@ class Estimation:
             filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]
         signals = measured_signals(self.records)
         floor = np.array([_least_noise(self.records, *signal) for signal in signals])
-        shooting, states, width = Shooting(arm, coordinates.delays), np.array(filtered_states), _state_width(motions)
+        states, width = np.array(filtered_states), _state_width(self.motions)
+        shooting = Shooting(arm, coordinates.delays)
         return Problem(segments, shooting, coordinates, signals, floor, states, width, self.options.threads)
 
 

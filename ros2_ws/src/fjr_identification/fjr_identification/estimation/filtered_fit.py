@@ -130,16 +130,16 @@ def _side(m: FilteredMotion, measured: Array, errors: Array, columns: Columns, u
     return Side(inner(errors, m.dt), inside, inner(used, m.dt), m.stride, float(np.std(measured)))
 
 
-def equation_error(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> list[NormalEquations]:
+def equation_error(setup: Estimation, z: Array) -> list[NormalEquations]:
     """Return the normal equations by z (p,) of each block of the records, in units of the errors' deviation at z."""
     free, size = setup.coordinates.free, len(z)
-    counts = [max(FEWEST_BLOCKS, round(len(motion.u) * motion.dt / BLOCK)) for motion in motions]
+    counts = [max(FEWEST_BLOCKS, round(len(motion.u) * motion.dt / BLOCK)) for motion in setup.motions]
     blocks = [[NormalEquations(np.zeros((size, size)), np.zeros(size)) for _ in range(count)] for count in counts]
-    rigid = [rigid_along(setup, motion, z) for motion in motions]
+    rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
     for j in range(setup.robot.n):
         for side in (link_side, motor_side):
             used = [k for k, record in enumerate(setup.records) if side is motor_side or record.both_sides(j)]
-            equations = [side(setup, motions[k], rigid[k], z, j) for k in used]
+            equations = [side(setup, setup.motions[k], rigid[k], z, j) for k in used]
             scale = _deviation(equations)
             for k, equation in zip(used, equations, strict=True):
                 entries = [i for i, name in enumerate(free) if name in equation.columns]
@@ -162,7 +162,6 @@ def _deviation(sides: Sequence[Side]) -> float:
 
 def filtered_fit(
     setup: Estimation,
-    motions: Sequence[FilteredMotion],
     z: Array,
     fixed: Collection[int] = (),
     free: Collection[int] = (),
@@ -171,12 +170,12 @@ def filtered_fit(
 
     fixed: entries that keep their prior; so do those that `undetermined` lists, other than `free`.
     """
-    fixed = {*fixed, *undetermined(setup, motions)} - {*free}
+    fixed = {*fixed, *undetermined(setup)} - {*free}
     coordinates, width = setup.coordinates, setup.coordinates.width
     z = np.where([k in fixed for k in range(len(z))], coordinates.mean, z)
     fitted = np.array([k for k in range(len(z)) if k not in fixed], dtype=int)
     for _ in range(MOST_ITERATIONS if len(fitted) else 0):
-        H, g = with_prior(coordinates, z, equation_error(setup, motions, z))
+        H, g = with_prior(coordinates, z, equation_error(setup, z))
         step = np.zeros(len(z))
         step[fitted] = bounded_step(H[np.ix_(fitted, fitted)], g[fitted], z[fitted], coordinates.nonnegative[fitted])
         largest = float(np.max(np.abs(step) / width))
@@ -186,19 +185,19 @@ def filtered_fit(
     return z
 
 
-def filtered_estimates(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> Estimates:
+def filtered_estimates(setup: Estimation, z: Array) -> Estimates:
     """Return the estimates of a fit z (p,); what is not identifiable keeps its prior. At best weakly identified."""
     nothing = np.zeros((len(z), len(z)))
-    parts = equation_error(setup, motions, z)
-    fixed = not_identifiable(parts, nothing, setup.coordinates.width, undetermined(setup, motions))
-    again = filtered_fit(setup, motions, z, fixed)
-    return estimates_at(setup, equation_error(setup, motions, again), nothing, fixed, again, NOT_SIMULATED)
+    parts = equation_error(setup, z)
+    fixed = not_identifiable(parts, nothing, setup.coordinates.width, undetermined(setup))
+    again = filtered_fit(setup, z, fixed)
+    return estimates_at(setup, equation_error(setup, again), nothing, fixed, again, NOT_SIMULATED)
 
 
-def undetermined(setup: Estimation, motions: Sequence[FilteredMotion]) -> tuple[int, ...]:
+def undetermined(setup: Estimation) -> tuple[int, ...]:
     """Return the entries that are not fitted: `confounded`, and stiffnesses whose deflection is within its noise."""
     deflected = [False] * setup.robot.n
-    for record, motion in zip(setup.records, motions, strict=True):
+    for record, motion in zip(setup.records, setup.motions, strict=True):
         for j in (j for j in range(setup.robot.n) if record.both_sides(j)):
             slow = decimated(motion.q_m[:, j] - motion.q_l[:, j], motion.stride)
             steps = np.diff(record.q_m[:, j] - record.q_l[:, j])

@@ -34,7 +34,7 @@ from .filtered_fit import (
     rigid_along,
     simulation_start,
 )
-from .filtered_motion import FilteredMotion, shifted
+from .filtered_motion import shifted
 from .intervals import spurious_information
 from .motion_record import MotionRecord
 from .multiple_shooting import Prediction
@@ -72,17 +72,16 @@ def identify(
     _check(records, robot)
     setup, joints = Estimation(list(records), robot, prior, options), records[0].joints
     progress("filtered least squares", 0.0)
-    motions, start = setup.start()
-    z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
-    filtered = filtered_estimates(setup, motions, z)
-    z_start = _start_of_simulation(setup, motions, z)
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    filtered = filtered_estimates(setup, z)
+    z_start = _start_of_simulation(setup, z)
     if z_start is None:
         by_filter = filtered.identification(joints)
         return replace(by_filter, fits=tuple(deflection.fit for deflection in _deflections(setup, by_filter)))
     progress("compilation", 0.0)
-    simulated = simulated_fit(setup, motions, simulation_start(setup, z_start), progress)
+    simulated = simulated_fit(setup, simulation_start(setup, z_start), progress)
     progress("intervals", 1.0)
-    entries = _better_by_filter(setup, motions, simulated, filtered)
+    entries = _better_by_filter(setup, simulated, filtered)
     if not entries:
         return simulated.estimates.identification(joints, simulated.fits)
     mixed = simulated.estimates.with_entries_of(filtered, entries)
@@ -118,12 +117,10 @@ class Simulation:
         return () if other is None else simulated_fits(other, other.residual)
 
 
-def simulated_fit(
-    setup: Estimation, motions: Sequence[FilteredMotion], start: Mapping[str, Array], progress: Progress
-) -> Simulation:
+def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
     coordinates = setup.coordinates
-    problem, z = setup.problem(coordinates, start, motions), coordinates.of_values(start)
+    problem, z = setup.problem(coordinates, start), coordinates.of_values(start)
     best, converged = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
     progress("intervals", 0.0)
     spurious = spurious_information(best)
@@ -133,7 +130,7 @@ def simulated_fit(
     if fixed:
         free = [k for k in range(len(z)) if k not in fixed]
         near = fitted_at_prior(best, fixed) or best
-        fewer = setup.problem(coordinates.without(fixed), start, motions)
+        fewer = setup.problem(coordinates.without(fixed), start)
         last, converged = refine(
             fewer, near.z[free], near.x0, best.noise, lambda share: progress("prediction error again", share)
         )
@@ -144,23 +141,23 @@ def simulated_fit(
     return Simulation(best, estimates, simulated_fits(last, last.noise), converged)
 
 
-def _start_of_simulation(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> Array | None:
+def _start_of_simulation(setup: Estimation, z: Array) -> Array | None:
     """Return the fit from which the deflection of some joint can be simulated, None without one.
 
     z (p,): the fit with link dampings at their prior. A wrong prior displaces the motion; free dampings may not.
     """
-    if _is_simulated(setup, motions, z):
+    if _is_simulated(setup, z):
         return z
-    damped = filtered_fit(setup, motions, z, free=confounded(setup))
-    return damped if _is_simulated(setup, motions, damped) else None
+    damped = filtered_fit(setup, z, free=confounded(setup))
+    return damped if _is_simulated(setup, damped) else None
 
 
-def _is_simulated(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> bool:
-    relative = displacement(setup, motions, z)
+def _is_simulated(setup: Estimation, z: Array) -> bool:
+    relative = displacement(setup, z)
     return not len(relative) or bool(np.min(relative) <= MOST)
 
 
-def displacement(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> Array:
+def displacement(setup: Estimation, z: Array) -> Array:
     """Return by how much torques that the model lacks displace the joints in a segment, relative to their deflection.
 
     (n,), root mean squares over all records at z (p,). Without the joints that are not measured on both sides.
@@ -170,7 +167,7 @@ def displacement(setup: Estimation, motions: Sequence[FilteredMotion], z: Array)
     links = np.mean([np.diag(arm.link_inertia(q, values).full()) for q in setup.poses], axis=0)
     inertia = np.asarray(links + p["motor_inertia"])
     moved, deflected = np.zeros(n), np.zeros(n)
-    for record, motion in zip(setup.records, motions, strict=True):
+    for record, motion in zip(setup.records, setup.motions, strict=True):
         rigid = rigid_along(setup, motion, z)
         for j in (j for j in range(n) if record.both_sides(j)):
             side = motor_side(setup, motion, rigid, z, j)
@@ -183,16 +180,14 @@ def displacement(setup: Estimation, motions: Sequence[FilteredMotion], z: Array)
     return np.sqrt(moved[deflected > 0] / deflected[deflected > 0])
 
 
-def _better_by_filter(
-    setup: Estimation, motions: Sequence[FilteredMotion], simulated: Simulation, filtered: Estimates
-) -> list[int]:
+def _better_by_filter(setup: Estimation, simulated: Simulation, filtered: Estimates) -> list[int]:
     """Return the entries of z of joints whose deflection filtered least squares explain better; rather if in doubt.
 
     Joints without a measured deflection are among them if the fit is in doubt and another joint is.
     """
     factor = WORSE if simulated.converged else DOUBTFUL
     by_motion, by_filter = (_unexplained(setup, estimates) for estimates in (simulated.estimates, filtered))
-    worse = np.fmin(by_motion, deflection_error(simulated.fits, motions)) > factor * by_filter
+    worse = np.fmin(by_motion, deflection_error(simulated.fits, setup.motions)) > factor * by_filter
     worse |= np.isnan(by_motion) & (not simulated.converged and bool(worse.any()))
     return [k for k, (name, j) in enumerate(setup.coordinates.free) if name not in PAYLOAD and worse[j]]
 
