@@ -20,7 +20,7 @@ from fjr_core.errors import FjrError
 from fjr_core.model.robot import Robot
 from fjr_design.posterior.result import DEFLECTION, UNKNOWN, WEAK
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.parameters import Options, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.page import fit_plots
 from fjr_identification.read_record import Reading, read_record
@@ -63,7 +63,7 @@ def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_o
     kr300: Robot, reading: Reading
 ) -> None:
     records = [read_record(EXAMPLE / f"record_{name}.csv.gz", AXES, kr300, reading)[0] for name in "ab"]
-    prior, options, found = Prior.of(kr300), Options(position_torque="a2"), []
+    prior, options, found = Prior.of(kr300), IdentifyOptions(position_torque="a2"), []
     for record, held_out in (records, records[::-1]):
         found.append(identify([record], kr300, prior, options))
         (fit,) = found[-1].fits

@@ -22,7 +22,15 @@ from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.multiple_shooting import Segment, compare
-from fjr_identification.estimation.parameters import KINDS, PSEUDO_INERTIA, USUAL, Coordinates, Options, Prior, size
+from fjr_identification.estimation.parameters import (
+    KINDS,
+    PSEUDO_INERTIA,
+    USUAL,
+    IdentifyOptions,
+    ParameterCoordinates,
+    Prior,
+    size,
+)
 from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 FREE = (
@@ -103,7 +111,7 @@ def test_sensitivities_equal_central_differences(name: str) -> None:
     silent = np.zeros_like(u)
     record = MotionRecord("a record", ("joint1",), dt, u, silent, silent, np.full_like(u, np.nan))
     segment = Segment(record, held(u, dt, 2), 6, 48, 6)
-    coordinates = Coordinates.of([(name, 0)], parameters(joint), dict.fromkeys(KINDS, np.ones(1)))
+    coordinates = ParameterCoordinates.of([(name, 0)], parameters(joint), dict.fromkeys(KINDS, np.ones(1)))
     arm = ElasticArm(robot, coordinates.dynamic)
     shooting, signals = Shooting(arm, coordinates.delays), (("q_l", 0), ("q_m", 0))
 
@@ -133,7 +141,9 @@ def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() ->
     robot, dt, random = three_joints(), 1e-3, np.random.default_rng(2)
     p = values(3, joint_stiffness=300.0, motor_inertia=0.1, link_damping=0.3, motor_coulomb_friction=0.2, offset=0.01)
     free = [(name, j) for name in USUAL[:7] for j in range(3)]
-    coordinates = Coordinates.of([*free, ("effort_delay", 0), ("effort_delay", 2)], p, dict.fromkeys(KINDS, np.ones(3)))
+    coordinates = ParameterCoordinates.of(
+        [*free, ("effort_delay", 0), ("effort_delay", 2)], p, dict.fromkeys(KINDS, np.ones(3))
+    )
     arm = ElasticArm(robot, coordinates.dynamic)
     shooting, effort = Shooting(arm, coordinates.delays), held(2 * random.standard_normal((30, 3)), dt, 2)
     assert coordinates.delays == (0, 2)
@@ -236,7 +246,7 @@ def test_a_heavier_link_is_found_from_the_torques_that_its_motion_needs() -> Non
     tau = np.asarray(true.links.inertial_torque(q.T, v.T, v.T, a.T) + true.links.grad_P_l(q.T)).T
     motor = q + tau / 900 + 1e-6 * np.random.default_rng(4).standard_normal(q.shape)
     record = MotionRecord("a record", ("a", "b"), dt, tau + 0.2 * a, q, motor, np.full_like(q, np.nan))
-    setup = Estimation([record], nominal, Prior.of(nominal), Options(link_inertia=True))
+    setup = Estimation([record], nominal, Prior.of(nominal), IdentifyOptions(link_inertia=True))
     z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
     p = setup.coordinates.parameters(z)
     bodies = corrected(BODIES, np.column_stack([p[name] for name in PSEUDO_INERTIA]))
@@ -276,4 +286,4 @@ def test_a_robot_without_bodies_has_no_inertia_to_correct() -> None:
     silent = np.zeros((500, 2))
     record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
     with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
-        _ = Estimation([record], robot, Prior.of(robot), Options(link_inertia=True)).start
+        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).start

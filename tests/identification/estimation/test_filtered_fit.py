@@ -25,7 +25,7 @@ from fjr_identification.estimation.filtered_fit import (
 )
 from fjr_identification.estimation.identify import MOST, displacement, identify
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import KINDS, Options, Prior
+from fjr_identification.estimation.parameters import KINDS, IdentifyOptions, Prior
 from identification.estimation.test_identify import NOISE, found_in, noisy, robot_like
 
 JOINT = ElasticJoint()
@@ -33,7 +33,7 @@ JOINT = ElasticJoint()
 
 def setup_of(noise: float = NOISE) -> Estimation:
     robot = robot_like(JOINT)
-    return Estimation([noisy(*usual_record(), 4e-3, noise=noise)], robot, Prior.of(robot), Options())
+    return Estimation([noisy(*usual_record(), 4e-3, noise=noise)], robot, Prior.of(robot), IdentifyOptions())
 
 
 def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,7 +77,7 @@ def test_derivatives_of_both_sides_equal_central_differences() -> None:
     t = 4e-3 * np.arange(300)
     q = np.column_stack([multi_sine(t, np.array([0.9, 2.1]), 0.5, seed) for seed in (1, 2)])
     record = MotionRecord("a record", ("a", "b"), 4e-3, 3 * q, q, 1.1 * q, np.full_like(q, np.nan))
-    setup = Estimation([record], robot, Prior.of(robot), Options(position_torque="b", payload=True))
+    setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions(position_torque="b", payload=True))
     names, width, motion = setup.coordinates.free, setup.coordinates.width, setup.motions[0]
     z = setup.coordinates.mean + 0.1 * width * np.random.default_rng(3).standard_normal(len(width))
     z = np.where([KINDS[name].coordinate == LOG for name, _ in names], z, np.abs(z))
@@ -119,7 +119,7 @@ def test_torques_that_the_model_lacks_are_not_simulated() -> None:
     wrong = replace(honest, u=honest.u + ripple[:, None])
     relative = []
     for record in (honest, wrong):
-        setup = Estimation([record], robot, Prior.of(robot), Options())
+        setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
         relative.append(displacement(setup, filtered_fit(setup, setup.coordinates.of_values(setup.start))))
     assert relative[0][0] < 0.1 * MOST
     assert relative[1][0] > MOST

@@ -16,7 +16,7 @@ from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, Estimate, Identific
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.intervals import inflation
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import Options, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out, predicted_deflection
 from identification import recorded_joint
 
@@ -64,7 +64,7 @@ def linear_record(frequencies: list[float], amplitude: float, link: bool, noise:
 
 def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> dict[str, Estimate]:
     robot = robot_like(joint)
-    found = identify([record], robot, Prior.of(robot), Options(**options))  # type: ignore[arg-type]
+    found = identify([record], robot, Prior.of(robot), IdentifyOptions(**options))  # type: ignore[arg-type]
     return {each.name: each for each in found.estimates}
 
 
@@ -115,7 +115,7 @@ def test_without_gravity_the_motor_side_does_not_tell_the_offset() -> None:
 def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments() -> None:
     joint, robot, (u, q_l, q_m) = ElasticJoint(), robot_like(ElasticJoint()), usual_record()
     record = noisy(u, q_l, None, 4e-3, sensed(joint, q_l, q_m), noise=2e-6)
-    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), Options(segment=0.1))
+    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), IdentifyOptions(segment=0.1))
     assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.02)
     offset = next(each for each in found.estimates if each.name == "offset")
     assert (offset.verdict, offset.value) == (UNKNOWN, 0.0)
@@ -169,7 +169,10 @@ def test_a_torque_that_depends_on_the_position_is_found() -> None:
         stiffness=25.0, motor_inertia=0.005, link_inertia=joint.M, gravity_torque=0.0, link_damping=0.0
     )
     record = noisy(u, q_l, q_m, 4e-3)
-    found = {e.name: e for e in identify([record], empty, Prior.of(empty), Options(position_torque="joint1")).estimates}
+    found = {
+        e.name: e
+        for e in identify([record], empty, Prior.of(empty), IdentifyOptions(position_torque="joint1")).estimates
+    }
     assert found["position_torque_sin1"].value == pytest.approx(joint.load, rel=0.01)
     assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.01)
 
@@ -193,7 +196,7 @@ def test_model_explains_more_of_the_deflection_than_rigid_joints_or_no_skew() ->
         estimate("link_coulomb_friction", recorded_joint.COULOMB),
     )
     found = Identification(("joint1",), true, (), (), np.zeros(0), np.zeros((0, 0)))
-    compared = hold_out(found, late_link(), robot, prior, Options())
+    compared = hold_out(found, late_link(), robot, prior, IdentifyOptions())
     assert compared.model[0] < 0.1
     assert compared.model[0] < compared.no_skew[0] / 2
     assert compared.model[0] < compared.rigid[0] / 2

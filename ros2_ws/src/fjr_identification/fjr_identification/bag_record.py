@@ -21,14 +21,14 @@ from fjr_monitor.recording.topic import BagError, Times
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr.layout import StateLayout
 
-from .estimation.motion_record import LARGEST, MotionRecord, Window, record_of_samples
+from .estimation.motion_record import LARGEST, MotionRecord, TimeWindow, record_of_samples
 from .record_map import COMMANDS, STATES, BagMap
 
 BLOCK = 4096  # messages between two looks at the window
 
 
 def record_of_bag(
-    path: Path, mapping: BagMap, joints: tuple[str, ...], window: Window
+    path: Path, mapping: BagMap, joints: tuple[str, ...], window: TimeWindow
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record of a bag from the first commanded state on, within the window, and notes on it.
 
@@ -52,7 +52,7 @@ def record_of_bag(
     return _record(path, of_states, columns.get(commands or ""), mapping, joints, window)
 
 
-def _is_full(states: _Columns, window: Window) -> bool:
+def _is_full(states: _Columns, window: TimeWindow) -> bool:
     """Return whether the states reach beyond the window, with a second for commands that answer late."""
     if len(states.numbers) > LARGEST:
         raise RecordError(f"{states.name} holds more than {LARGEST:,} numbers; expected fewer: choose a --duration")
@@ -173,7 +173,7 @@ def _record(
     commands: _States | _Efforts | None,
     mapping: BagMap,
     joints: tuple[str, ...],
-    window: Window,
+    window: TimeWindow,
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record of the states with their efforts, and notes on it."""
     n, (stamps, sent, rows) = len(joints), states.arrays()

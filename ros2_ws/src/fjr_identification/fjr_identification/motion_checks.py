@@ -28,8 +28,8 @@ from .rigid_motion import (
     SIGN,
     SKEW,
     SWAPPED,
-    Finding,
-    Line,
+    Contradiction,
+    FittedLine,
     RigidMotion,
     bounded_slope,
     fitted_line,
@@ -49,7 +49,7 @@ EXCHANGED = {"the positions": ("q_l", "q_m"), "all signals": ("u", "q_l", "q_m",
 FOLLOWS = 0.1  # unexplained share of one side's position by that of another joint
 
 
-def degrees(motion: RigidMotion) -> Iterator[Finding]:
+def degrees(motion: RigidMotion) -> Iterator[Contradiction]:
     """Find positions of both sides in degrees: as rad they leave the joints' range or contradict the efforts."""
     slides = [unit.position == "m" for unit in motion.robot.units]
     moving = [j for j in range(motion.robot.n) if motion.record.joints[j] not in motion.record.still and not slides[j]]
@@ -64,7 +64,7 @@ def degrees(motion: RigidMotion) -> Iterator[Finding]:
     if _leaves_range(motion, moving) or (2 * votes > len(moving) and largest > LEAST_DEGREES):
         joint = motion.record.joints[moving[0]] if len(moving) == 1 else ""
         sentence = f"positions reach {largest:.4g} and fit the robot as degrees only; expected rad"
-        yield Finding(DEGREES, joint, sentence)
+        yield Contradiction(DEGREES, joint, sentence)
 
 
 def _leaves_range(motion: RigidMotion, moving: list[int]) -> bool:
@@ -77,7 +77,7 @@ def _leaves_range(motion: RigidMotion, moving: list[int]) -> bool:
     return 2 * sum(outside) > len(bounded) > 0
 
 
-def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> Line:
+def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> FittedLine:
     """Fit the effort of joint `effort` (None: j) by the torque that the motion of joint j needs, with friction."""
     v_l, v_m = motion.velocity[:, j], motion.motor_velocity[:, j]
     friction = [v_l, coulomb(v_l, SMOOTHING)]
@@ -85,7 +85,7 @@ def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> Line:
     return fitted_line(motion.needed[:, j], motion.u[:, j if effort is None else effort], friction, motion.independent)
 
 
-def skews(motion: RigidMotion) -> Iterator[Finding]:
+def skews(motion: RigidMotion) -> Iterator[Contradiction]:
     """Find link encoders and torque sensors that are read too much later or earlier than the other side."""
     for j, joint in enumerate(motion.record.joints):
         v, tau = motion.velocity[:, j], motion.tau[:, j]
@@ -101,10 +101,10 @@ def skews(motion: RigidMotion) -> Iterator[Finding]:
                     f"{name} of {joint} is read {1e3 * abs(line.slope):.3g} ms {when} than the other side; "
                     f"expected at most {1e3 * LARGEST_SKEW:g} ms"
                 )
-                yield Finding(SKEW, joint, sentence)
+                yield Contradiction(SKEW, joint, sentence)
 
 
-def sides(motion: RigidMotion) -> Iterator[Finding]:
+def sides(motion: RigidMotion) -> Iterator[Contradiction]:
     """Find a side that moves against the other, in another unit or by another gear ratio, and swapped sides."""
     exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
     for j, joint in enumerate(motion.record.joints):
@@ -114,9 +114,13 @@ def sides(motion: RigidMotion) -> Iterator[Finding]:
         low, high = slopes
         middle = (low + high) / 2
         if high < 0:
-            yield Finding(SIGN, joint, f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction")
+            yield Contradiction(
+                SIGN, joint, f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction"
+            )
         elif _differs(slopes) and not _differs(_slopes(exchanged, j)) and _is_spring(exchanged, j):
-            yield Finding(SWAPPED, joint, f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped")
+            yield Contradiction(
+                SWAPPED, joint, f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped"
+            )
         elif _differs(slopes):
             yield _ratio(joint, middle)
 
@@ -137,17 +141,17 @@ def _differs(slopes: tuple[float, float] | None) -> bool:
     return slopes is not None and (slopes[1] < 1 - RATIO or slopes[0] > 1 + RATIO)
 
 
-def _ratio(joint: str, slope: float) -> Finding:
+def _ratio(joint: str, slope: float) -> Contradiction:
     for name, scale in UNITS.items():
         if any(abs(slope / ratio - 1) < 0.1 for ratio in (scale, 1 / scale)):
             kind = DEGREES if "degrees" in name else GEAR_RATIO
             sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l: {name}; expected one unit"
-            return Finding(kind, joint, sentence)
+            return Contradiction(kind, joint, sentence)
     sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l; expected 1: wrong gear ratio"
-    return Finding(GEAR_RATIO, joint, sentence)
+    return Contradiction(GEAR_RATIO, joint, sentence)
 
 
-def swapped(motion: RigidMotion) -> Iterator[Finding]:
+def swapped(motion: RigidMotion) -> Iterator[Contradiction]:
     """Find swapped sides: the motor then lags behind the torque that the spring transmits."""
     exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
     for j, joint in enumerate(motion.record.joints):
@@ -158,7 +162,7 @@ def swapped(motion: RigidMotion) -> Iterator[Finding]:
         if against and there.unexplained < 0.5 and _is_spring(exchanged, j):
             seen = f"{here.slope * motion.robot.K[j, j]:.2g} times the deflection that the motion needs"
             sentence = f"q_m - q_l of {joint} is {seen}; expected about 1: sides swapped"
-            yield Finding(SWAPPED, joint, sentence)
+            yield Contradiction(SWAPPED, joint, sentence)
 
 
 def _is_spring(motion: RigidMotion, j: int) -> bool:
@@ -167,12 +171,12 @@ def _is_spring(motion: RigidMotion, j: int) -> bool:
     return LEAST_COMPLIANCE < line.slope * motion.robot.K[j, j] < SPREAD and line.slope > 4 * line.deviation
 
 
-def _deflection_line(motion: RigidMotion, j: int) -> Line:
+def _deflection_line(motion: RigidMotion, j: int) -> FittedLine:
     """Fit the deflection of a joint by the spring torque, with a skew between the two measurements."""
     return fitted_line(motion.tau[:, j], motion.deflection[:, j], (motion.velocity[:, j],), motion.independent)
 
 
-def efforts(motion: RigidMotion) -> Iterator[Finding]:
+def efforts(motion: RigidMotion) -> Iterator[Contradiction]:
     """Find efforts and sensor torques of the wrong sign or scale."""
     for j, joint in enumerate(motion.record.joints):
         if joint in motion.record.still:
@@ -184,13 +188,13 @@ def efforts(motion: RigidMotion) -> Iterator[Finding]:
             low, high = line.slope - 5 * line.deviation, line.slope + 5 * line.deviation
             seen = f"{name} of {joint} is {line.slope:.3g} times the torque that its motion needs"
             if high < 0:
-                yield Finding(SIGN, joint, f"{seen}; expected a positive factor near 1: a sign is wrong")
+                yield Contradiction(SIGN, joint, f"{seen}; expected a positive factor near 1: a sign is wrong")
             elif high < 1 / SPREAD or low > SPREAD:
                 wrong = f"links in the robot file, gear ratio, unit of the {name}?"
-                yield Finding(SCALE, joint, f"{seen}; expected about 1: {wrong}")
+                yield Contradiction(SCALE, joint, f"{seen}; expected about 1: {wrong}")
 
 
-def turned(motion: RigidMotion) -> Iterator[Finding]:
+def turned(motion: RigidMotion) -> Iterator[Contradiction]:
     """Find joints all of whose positions have the wrong sign: with the other one their efforts fit."""
     for j, joint in _moving(motion.record):
         here = effort_line(motion, j)
@@ -199,20 +203,20 @@ def turned(motion: RigidMotion) -> Iterator[Finding]:
             there = effort_line(rigid_motion(motion.record, motion.robot, scale), j)
             if _follows(there) and there.unexplained < BETTER * here.unexplained:
                 sentence = f"the effort of {joint} fits its motion only with the other sign of its positions"
-                yield Finding(SIGN, joint, f"{sentence}; expected the direction of the robot file")
+                yield Contradiction(SIGN, joint, f"{sentence}; expected the direction of the robot file")
 
 
-def crossed_sides(record: MotionRecord) -> Iterator[Finding]:
+def crossed_sides(record: MotionRecord) -> Iterator[Contradiction]:
     """Find pairs of joints whose links are recorded in another order than their motors."""
     for (i, first), (j, second) in combinations(_moving(record), 2):
         straight = [_unexplained(record.q_l[:, k], record.q_m[:, k]) for k in (i, j)]
         across = [_unexplained(record.q_l[:, a], record.q_m[:, b]) for a, b in ((i, j), (j, i))]
         if max(across) < FOLLOWS and max(across) < BETTER * min(straight):
             sentence = f"q_m of {first} follows q_l of {second}, and the reverse; expected one order of the joints"
-            yield Finding(ORDER, first, sentence)
+            yield Contradiction(ORDER, first, sentence)
 
 
-def crossed(motion: RigidMotion) -> Iterator[Finding]:
+def crossed(motion: RigidMotion) -> Iterator[Contradiction]:
     """Find pairs of joints whose efforts, or all of whose signals, are recorded in the other order."""
     for (i, first), (j, second) in combinations(_moving(motion.record), 2):
         pairs = (i, i), (j, j), (i, j), (j, i)
@@ -225,13 +229,13 @@ def crossed(motion: RigidMotion) -> Iterator[Finding]:
         ]
         if wrong:
             sentence = f"the {wrong[0]} of {first} and {second} fit the motion of the other joint"
-            yield Finding(ORDER, first, f"{sentence}; expected one order of the joints")
+            yield Contradiction(ORDER, first, f"{sentence}; expected one order of the joints")
         elif max(line.unexplained for line in by_effort[:2]) > GOOD / 5:
             for what, names in EXCHANGED.items():
                 other = rigid_motion(_exchanged(motion.record, i, j, names), motion.robot)
                 if _all_follow(by_effort[:2], [effort_line(other, k) for k in (i, j)]):
                     sentence = f"{what} of {first} and {second} fit the robot in the other order"
-                    yield Finding(ORDER, first, f"{sentence}; expected the order of the joints in the robot file")
+                    yield Contradiction(ORDER, first, f"{sentence}; expected the order of the joints in the robot file")
                     break
 
 
@@ -248,13 +252,13 @@ def _moving(record: MotionRecord) -> list[tuple[int, str]]:
     ]
 
 
-def _follows(line: Line) -> bool:
+def _follows(line: FittedLine) -> bool:
     """Return whether an effort follows from the motion with a slope of the right order."""
     right_order = 1 / SPREAD < line.slope < SPREAD and line.slope > 5 * line.deviation
     return right_order and line.unexplained < GOOD
 
 
-def _all_follow(here: Sequence[Line], there: Sequence[Line]) -> bool:
+def _all_follow(here: Sequence[FittedLine], there: Sequence[FittedLine]) -> bool:
     """Return whether both efforts follow from the motion after a change.
 
     Each fits better, the product of the unexplained shares is below BETTER^2 of that before, and the slopes are nearer

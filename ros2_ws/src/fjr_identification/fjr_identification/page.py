@@ -103,7 +103,7 @@ def hold_out_rows(held: HoldOut) -> list[list[str]]:
 
 
 @dataclass(frozen=True)
-class Row:
+class ParameterRow:
     """Texts of one estimate, and its bar in percent of the axis; prior_at: None if it is outside.
 
     reason: number of the reason of the verdict in `reasons`, from 1 on; None without one.
@@ -127,7 +127,7 @@ def reasons(identification: Identification) -> list[str]:
     return list(dict.fromkeys(estimate.reason for estimate in identification.estimates if estimate.reason))
 
 
-def groups(identification: Identification) -> list[tuple[str, list[Row]]]:
+def groups(identification: Identification) -> list[tuple[str, list[ParameterRow]]]:
     """Return the rows by parameter, in the order of the estimates."""
     rows = {}
     for name in dict.fromkeys(estimate.name for estimate in identification.estimates):
@@ -137,7 +137,7 @@ def groups(identification: Identification) -> list[tuple[str, list[Row]]]:
     return list(rows.items())
 
 
-def _rows(estimates: Sequence[Estimate], why: Sequence[str]) -> Iterator[Row]:
+def _rows(estimates: Sequence[Estimate], why: Sequence[str]) -> Iterator[ParameterRow]:
     """Yield the rows of one parameter; all bars have one axis, logarithmic around the value or linear."""
     logarithmic = all(estimate.low > 0 for estimate in estimates)
     largest = max((abs(end) for e in estimates for end in (e.low, e.high, e.prior)), default=1.0) or 1.0
@@ -146,7 +146,7 @@ def _rows(estimates: Sequence[Estimate], why: Sequence[str]) -> Iterator[Row]:
         places = [_ratio_place(end, e.value) if logarithmic else 50.0 * (1.0 + 0.95 * end / largest) for end in ends]
         left, middle, right, prior = (round(min(100.0, max(0.0, place)), 2) for place in places)
         known = e.verdict != UNKNOWN
-        yield Row(
+        yield ParameterRow(
             e.joint or "arm",
             number(e.value, e.unit),
             interval(e.low, e.high) if known else DASH,

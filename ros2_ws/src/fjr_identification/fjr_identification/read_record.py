@@ -15,7 +15,7 @@ from fjr_core.errors import RecordError
 from fjr_core.model.robot import Robot
 
 from .bag_record import record_of_bag
-from .estimation.motion_record import MotionRecord, Window
+from .estimation.motion_record import MotionRecord, TimeWindow
 from .record_checks import findings
 from .record_map import BagMap, TableMap
 from .scale_checks import unseen
@@ -45,7 +45,7 @@ def read_record(
 
     Raises RecordError, which names the file, for a record that contradicts itself or the robot; BagError.
     """
-    window = Window(reading.start, reading.duration)
+    window = TimeWindow(reading.start, reading.duration)
     if path.name.endswith(TABLES):
         if not isinstance(reading.mapping, TableMap):
             raise RecordError(

@@ -18,7 +18,7 @@ from fjr_core.numerics.checks import Array
 
 from . import motion_checks, scale_checks
 from .estimation.motion_record import LEAST_MOTION, MotionRecord
-from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, Finding, rigid_motion
+from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, Contradiction, rigid_motion
 
 SHORTEST = 200  # samples
 CLIPPED_RUN = 3  # times as many samples in a row at the extreme value as at others
@@ -31,14 +31,14 @@ STEPS = 3.5  # of resolution; a joint that stops by itself takes smaller ones at
 SAME = 1e-9  # rad; two measurements differ by more
 
 
-def findings(record: MotionRecord, robot: Robot, accepted: Collection[str] = ()) -> tuple[Finding, ...]:
+def findings(record: MotionRecord, robot: Robot, accepted: Collection[str] = ()) -> tuple[Contradiction, ...]:
     """Return what contradicts the record, up to the first kind that is not accepted: a wrong unit causes many others.
 
     Raises RecordError for a record of another number of joints.
     """
     if len(record.joints) != robot.n:
         raise RecordError(f"{record.name} has {len(record.joints)} joints; expected {robot.n}, as the robot")
-    contradictions: list[Finding] = []
+    contradictions: list[Contradiction] = []
     for check in _checks(record, robot):
         contradictions += check
         if any(finding.kind not in accepted for finding in contradictions):
@@ -46,7 +46,7 @@ def findings(record: MotionRecord, robot: Robot, accepted: Collection[str] = ())
     return tuple(contradictions)
 
 
-def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Finding]]:
+def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Contradiction]]:
     """Yield the findings of each check, the most fundamental one first."""
     yield short(record)
     yield rest(record)
@@ -67,39 +67,39 @@ def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Finding]]:
     yield scale_checks.scales(record, robot)
 
 
-def short(record: MotionRecord) -> Iterator[Finding]:
+def short(record: MotionRecord) -> Iterator[Contradiction]:
     """Find a record of too few samples."""
     if len(record.u) < SHORTEST:
-        yield Finding(TOO_SHORT, "", f"the record has {len(record.u)} samples; expected at least {SHORTEST}")
+        yield Contradiction(TOO_SHORT, "", f"the record has {len(record.u)} samples; expected at least {SHORTEST}")
 
 
-def rest(record: MotionRecord) -> Iterator[Finding]:
+def rest(record: MotionRecord) -> Iterator[Contradiction]:
     """Find a record in which no joint moves."""
     largest = float(np.max(record.ranges))
     if largest < LEAST_MOTION:
-        yield Finding(AT_REST, "", f"no joint moves by more than {largest:.2g} rad; expected a record of motion")
+        yield Contradiction(AT_REST, "", f"no joint moves by more than {largest:.2g} rad; expected a record of motion")
 
 
-def constant(record: MotionRecord) -> Iterator[Finding]:
+def constant(record: MotionRecord) -> Iterator[Contradiction]:
     """Find columns that never change although the joint moves."""
     for j, joint in enumerate(record.joints):
         for name in ("q_l", "q_m", "torque", "u"):
             values = getattr(record, name)[:, j]
             if joint not in record.still and np.all(np.isfinite(values)) and np.ptp(values) == 0:
                 sentence = f"{name} of {joint} is {values[0]:.6g} at every sample; expected a changing signal"
-                yield Finding(CONSTANT, joint, sentence)
+                yield Contradiction(CONSTANT, joint, sentence)
 
 
-def one_column_for_both_sides(record: MotionRecord) -> Iterator[Finding]:
+def one_column_for_both_sides(record: MotionRecord) -> Iterator[Contradiction]:
     """Find one column that stands for both sides of a joint."""
     for j, joint in enumerate(record.joints):
         deflection = record.q_m[:, j] - record.q_l[:, j]
         if np.all(np.isfinite(deflection)) and np.ptp(record.q_m[:, j]) > 0 and np.ptp(deflection) < SAME:
             sentence = f"q_m - q_l of {joint} is constant at every sample; expected two measurements"
-            yield Finding(CONSTANT, joint, sentence)
+            yield Contradiction(CONSTANT, joint, sentence)
 
 
-def jumps(record: MotionRecord) -> Iterator[Finding]:
+def jumps(record: MotionRecord) -> Iterator[Contradiction]:
     """Find steps between samples that no smooth motion makes: a revolution, a spike."""
     for name, joint, x in _changing(record):
         bends = np.abs(np.diff(x, n=2))
@@ -111,10 +111,10 @@ def jumps(record: MotionRecord) -> Iterator[Finding]:
                 f"{name} of {joint} jumps by {x[at] - x[at - 1]:.4g} {SIGNALS[name]} at sample {at} "
                 f"({at * record.dt:.4g} s); expected a continuous signal"
             )
-            yield Finding(JUMP, joint, sentence)
+            yield Contradiction(JUMP, joint, sentence)
 
 
-def stuck(record: MotionRecord) -> Iterator[Finding]:
+def stuck(record: MotionRecord) -> Iterator[Contradiction]:
     """Find sensors that keep a value from one sample to the next although the joint was moving."""
     least = max(LEAST_RUN, round(RUN / record.dt))
     for name, joint, x in _changing(record):
@@ -128,11 +128,11 @@ def stuck(record: MotionRecord) -> Iterator[Finding]:
                     f"{name} of {joint} stops at {x[start]:.6g} {SIGNALS[name]} from one sample to the next, at "
                     f"{start * record.dt:.4g} s for {length * record.dt:.3g} s; expected it to slow down first"
                 )
-                yield Finding(STUCK, joint, sentence)
+                yield Contradiction(STUCK, joint, sentence)
                 break
 
 
-def clipped(record: MotionRecord) -> Iterator[Finding]:
+def clipped(record: MotionRecord) -> Iterator[Contradiction]:
     """Find efforts that stay at their extreme values for longer than a smooth peak of this resolution."""
     for j, joint in enumerate(record.joints):
         u = record.u[:, j]
@@ -152,7 +152,7 @@ def clipped(record: MotionRecord) -> Iterator[Finding]:
                     f"effort of {joint} is {extreme:.6g} N m at {np.mean(u == extreme):.1%} of the samples, up to "
                     f"{length} in a row; expected an effort that is not clipped"
                 )
-                yield Finding(CLIPPED, joint, sentence)
+                yield Contradiction(CLIPPED, joint, sentence)
 
 
 def _runs(at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

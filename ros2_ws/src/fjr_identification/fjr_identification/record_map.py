@@ -37,7 +37,7 @@ BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, lis
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table; its numbers times `factor` are SI units at the joint side."""
 
     name: str
@@ -48,8 +48,8 @@ class Column:
 class TableMap:
     """Columns of a table: time, and by signal and joint."""
 
-    time: Column
-    signals: Mapping[str, Mapping[str, Column]]
+    time: TableColumn
+    signals: Mapping[str, Mapping[str, TableColumn]]
     delimiter: str = ","
 
     @property
@@ -117,10 +117,10 @@ def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
     delimiter = document.get("delimiter", ",")
     if not isinstance(delimiter, str) or len(delimiter) != 1:
         raise ParameterError(f"delimiter is {delimiter!r}; expected one character")
-    return TableMap(Column(time["column"], scale), signals, delimiter)
+    return TableMap(TableColumn(time["column"], scale), signals, delimiter)
 
 
-def _check_efforts(signals: Mapping[str, Mapping[str, Column]], joints: Sequence[str]) -> None:
+def _check_efforts(signals: Mapping[str, Mapping[str, TableColumn]], joints: Sequence[str]) -> None:
     """Raise ParameterError for a joint without effort or without any position."""
     for joint in joints:
         if joint not in signals[EFFORT]:
@@ -129,7 +129,7 @@ def _check_efforts(signals: Mapping[str, Mapping[str, Column]], joints: Sequence
             raise ParameterError(f"joint {joint} has neither {LINK} nor {MOTOR}; expected at least one")
 
 
-def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, Column]:
+def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, TableColumn]:
     """Return the columns of a signal by joint."""
     entry = _entry(name, given, KEYS)
     listed = entry.get("joints", list(joints))
@@ -147,7 +147,9 @@ def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, Column]:
     if not set(sign) <= {-1.0, 1.0}:
         raise ParameterError(f"{name}.sign is {entry['sign']!r}; expected 1 or -1")
     factor = scale * sign * (1.0 / ratio if UNITS[name] is ANGLES else ratio)
-    return {joint: Column(column, float(to_si)) for joint, column, to_si in zip(listed, columns, factor, strict=True)}
+    return {
+        joint: TableColumn(column, float(to_si)) for joint, column, to_si in zip(listed, columns, factor, strict=True)
+    }
 
 
 def _entry(name: str, given: Any, keys: Sequence[str]) -> Mapping[str, Any]:

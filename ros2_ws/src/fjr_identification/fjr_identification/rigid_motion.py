@@ -31,7 +31,7 @@ LEAST_SHARE = 1e-6  # of a regressor's variance that the others do not explain
 
 
 @dataclass(frozen=True)
-class Finding:
+class Contradiction:
     """A contradiction of a record, with itself or with the robot: its kind, the joint ("" for all) and a sentence.
 
     The sentence says what was seen and what was expected.
@@ -114,7 +114,7 @@ def _spring_torque(robot: Robot) -> ca.Function:
 
 
 @dataclass(frozen=True)
-class Line:
+class FittedLine:
     """Slope of y over x, its standard deviation, and the share of the variance of y that the fit leaves."""
 
     slope: float
@@ -122,7 +122,7 @@ class Line:
     unexplained: float
 
 
-def fitted_line(x: Array, y: Array, others: Sequence[Array], independent: float) -> Line:
+def fitted_line(x: Array, y: Array, others: Sequence[Array], independent: float) -> FittedLine:
     """Fit y = slope x + others + constant by least squares; all are (k,), `independent` of the k samples are.
 
     A regressor that the others explain has the slope 0 with an infinite deviation.
@@ -131,12 +131,12 @@ def fitted_line(x: Array, y: Array, others: Sequence[Array], independent: float)
     x, y = _without(rest, x), _without(rest, y)
     power, total = float(x @ x), float(y @ y)
     if not power > LEAST_SHARE * len(x) * np.finfo(float).tiny or total == 0:
-        return Line(0.0, np.inf, 1.0)
+        return FittedLine(0.0, np.inf, 1.0)
     slope = float(x @ y) / power
     residual = y - slope * x
     freedom = max(1.0, independent - rest.shape[1] - 1)
     deviation = np.sqrt(float(residual @ residual) / power / freedom)
-    return Line(slope, float(deviation), float(residual @ residual) / total)
+    return FittedLine(slope, float(deviation), float(residual @ residual) / total)
 
 
 def bounded_slope(

@@ -23,7 +23,7 @@ from fjr_core.numerics.checks import Array
 
 from .estimation.elastic_arm import coulomb
 from .estimation.motion_record import SIGNALS, MotionRecord
-from .rigid_motion import GEAR_RATIO, TIME, Finding, RigidMotion, rigid_motion, spring_torques
+from .rigid_motion import GEAR_RATIO, TIME, Contradiction, RigidMotion, rigid_motion, spring_torques
 
 CUTOFF = 2.0  # Hz; well below resonances, which the rigid links do not have
 ROWS = 1000  # samples that are compared
@@ -73,7 +73,7 @@ class Scan:
         return float(missed * STEP) if missed * STEP < LARGEST else np.inf
 
 
-def scales(record: MotionRecord, robot: Robot) -> Iterator[Finding]:
+def scales(record: MotionRecord, robot: Robot) -> Iterator[Contradiction]:
     """Find gear ratios and times with which the effort of a joint of one measured side fits much better."""
     for joint, scan in _scans(record, robot).items():
         best = {what: scan.best(what) for what in scan.unexplained}
@@ -82,7 +82,7 @@ def scales(record: MotionRecord, robot: Robot) -> Iterator[Finding]:
             like = [name for name, (_, share) in best.items() if share < 2 * least]
             seen = " or ".join(WORDS[name].format(best[name][0], 1 / best[name][0]) for name in like)
             sentence = f"effort and motion of {joint} fit the links of the robot only with {seen}; expected 1 times"
-            yield Finding(TIME if what == SECONDS else GEAR_RATIO, joint, sentence)
+            yield Contradiction(TIME if what == SECONDS else GEAR_RATIO, joint, sentence)
 
 
 def unseen(record: MotionRecord, robot: Robot) -> tuple[str, ...]:

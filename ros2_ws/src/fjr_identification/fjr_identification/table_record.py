@@ -27,7 +27,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.errors import LONGEST, RecordError
 from fjr_core.numerics.checks import Array
 
-from .estimation.motion_record import MotionRecord, Window, record_of_samples
+from .estimation.motion_record import MotionRecord, TimeWindow, record_of_samples
 from .record_map import ANGLES, EFFORT, LINK, MOTOR, TORQUE, UNITS, TableMap
 
 PARQUET = ".parquet"
@@ -51,7 +51,7 @@ SENSORS = {"sensor", "measured", "ext", "jts"}
 
 
 def record_of_table(
-    path: Path, mapping: TableMap, joints: tuple[str, ...], window: Window
+    path: Path, mapping: TableMap, joints: tuple[str, ...], window: TimeWindow
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record of a table within the window, and notes on it.
 

@@ -18,7 +18,7 @@ from fjr_core.model.free_inertia import joints_without_inertia
 from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import Options, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import HoldOut, hold_out
 from fjr_identification.page import HOLD_OUT, counted, hold_out_rows, write_page
 from fjr_identification.read_record import Reading, read_record
@@ -49,7 +49,7 @@ def identify(
     """Identify a robot from records, write all files and return a table; raise FjrError.
 
     accepted: kinds of contradictions that are reported only. write_map: write the mapping file of the first record
-    instead, next to which nothing is replaced. free: joints and other Options, by which parameters are free.
+    instead, next to which nothing is replaced. free: fields of IdentifyOptions, joints among them.
     """
     if write_map:
         return _mapped(records[0], robot)
@@ -58,7 +58,7 @@ def identify(
     unknown = [kind for kind in accepted if kind not in KINDS]
     if unknown:
         raise ParameterError(f"--accept is '{unknown[0]}'; expected one of {', '.join(KINDS)}")
-    options = Options(**free)
+    options = IdentifyOptions(**free)
     nominal = nominal_robot(robot)
     _refuse_joints_without_inertia(nominal)
     reading = Reading(read_map(mapping, nominal.joints) if mapping else None, start, duration, accepted)

@@ -19,7 +19,7 @@ from .elastic_arm import ElasticArm, correctable, packed
 from .filtered_motion import FilteredMotion, filtered, start_values
 from .motion_record import MotionRecord
 from .multiple_shooting import Problem, cut, measured_signals
-from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, Coordinates, Options, Prior, size
+from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
 from .shooting import HeldEffort, Shooting
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
@@ -46,7 +46,7 @@ class Estimation:
     records: list[MotionRecord]
     robot: Robot
     prior: Prior
-    options: Options
+    options: IdentifyOptions
 
     @property
     def values(self) -> Mapping[str, Array]:
@@ -54,9 +54,11 @@ class Estimation:
         return {**self.prior.values, **self.options.friction_velocities(self.robot.n)}
 
     @cached_property
-    def coordinates(self) -> Coordinates:
+    def coordinates(self) -> ParameterCoordinates:
         """Return the coordinates of all free parameters."""
-        return Coordinates.of(free_parameters(self.records, self.robot, self.options), self.values, self.widths)
+        return ParameterCoordinates.of(
+            free_parameters(self.records, self.robot, self.options), self.values, self.widths
+        )
 
     @property
     def widths(self) -> dict[str, Array]:
@@ -88,7 +90,7 @@ class Estimation:
         z = np.clip(coordinates.of_values(guess), coordinates.mean - reach, coordinates.mean + reach)
         return coordinates.parameters(z)
 
-    def arm(self, coordinates: Coordinates) -> ElasticArm:
+    def arm(self, coordinates: ParameterCoordinates) -> ElasticArm:
         """Return the arm with derivatives by the free parameters."""
         return ElasticArm(self.robot, coordinates.dynamic, self._added_inertia)
 
@@ -112,7 +114,7 @@ class Estimation:
     def _length(self, slowest: float) -> float:
         return self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
 
-    def problem(self, coordinates: Coordinates, start: Mapping[str, Array]) -> Problem:
+    def problem(self, coordinates: ParameterCoordinates, start: Mapping[str, Array]) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
         arm = self.arm(coordinates)
         slowest, fastest, creep = _rates(arm, self.poses, start)
@@ -134,7 +136,7 @@ class Estimation:
         return Problem(segments, shooting, coordinates, signals, floor, states, width, self.options.threads)
 
 
-def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Options) -> list[tuple[str, int]]:
+def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: IdentifyOptions) -> list[tuple[str, int]]:
     """Return (name, index) of what can be free with what is measured: a skew needs two signals of its joint."""
     joints = records[0].joints
     measured = set(measured_signals(records))

@@ -37,9 +37,9 @@ from .filtered_fit import (
 from .filtered_motion import shifted
 from .intervals import spurious_information
 from .motion_record import MotionRecord
-from .multiple_shooting import Prediction
+from .multiple_shooting import PredictedSegments
 from .optimise import optimise, refine
-from .parameters import PAYLOAD, Options, Prior
+from .parameters import PAYLOAD, IdentifyOptions, Prior
 from .validation import Deflection, deflection_error, predicted_deflection, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 
@@ -61,7 +61,7 @@ def identify(
     records: Sequence[MotionRecord],
     robot: Robot,
     prior: Prior,
-    options: Options = Options(),  # noqa: B008 - immutable
+    options: IdentifyOptions = IdentifyOptions(),  # noqa: B008 - immutable
     progress: Progress = lambda what, share: None,
 ) -> Identification:
     """Return estimates of the free parameters with intervals and verdicts, from all records together.
@@ -106,7 +106,7 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
 class Simulation:
     """Estimates by simulation and the fit of each record; best: the prediction with all parameters free."""
 
-    best: Prediction
+    best: PredictedSegments
     estimates: Estimates
     fits: tuple[Fit, ...]
     converged: bool

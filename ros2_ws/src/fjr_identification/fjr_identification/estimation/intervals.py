@@ -23,7 +23,7 @@ from scipy.stats import norm, t
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import LOG, NONNEGATIVE
 
-from .multiple_shooting import RIDGE, NormalEquations, Prediction
+from .multiple_shooting import RIDGE, NormalEquations, PredictedSegments
 
 CONFIDENCE = 0.95
 LAGS = 2
@@ -33,14 +33,16 @@ CAUTION = 4.0  # factor on spurious information: noise is estimated from few dra
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class PosteriorCovariance:
     """Covariance (p, p) of z, and the standard deviations (p,) that the records alone give, inf: none."""
 
     covariance: Array
     from_records: Array
 
 
-def posterior(parts: Sequence[NormalEquations], spurious: Array, width: Array, fixed: Sequence[int] = ()) -> Posterior:
+def posterior(
+    parts: Sequence[NormalEquations], spurious: Array, width: Array, fixed: Sequence[int] = ()
+) -> PosteriorCovariance:
     """Return the covariance of z from the normal equations of the segments and the prior's width (p,).
 
     spurious (p, p): information that does not count in from_records. fixed: entries of z that keep their prior; their
@@ -59,7 +61,7 @@ def posterior(parts: Sequence[NormalEquations], spurious: Array, width: Array, f
     alone[free] = _standard_deviations(chosen - spurious[np.ix_(free, free)], width[free]) * factor
     whole = np.zeros_like(H)
     whole[np.ix_(free, free)] = covariance
-    return Posterior(whole, alone)
+    return PosteriorCovariance(whole, alone)
 
 
 def inflation(scores: Array, inverse: Array) -> Array:
@@ -103,7 +105,7 @@ def _inverse(H: Array) -> Array:
     return np.asarray(np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
-def spurious_information(best: Prediction) -> Array:
+def spurious_information(best: PredictedSegments) -> Array:
     """Return CAUTION times the information (p, p) that is due to noise in initial states, and to their prior.
 
     Noise: growth of the information under disturbances of the initial states, which have their covariance and come with
@@ -121,7 +123,7 @@ def spurious_information(best: Prediction) -> Array:
     return np.asarray(CAUTION * np.asarray(sum(by_noise)) + CAUTION * np.asarray(sum(by_prior)))
 
 
-def _growth(best: Prediction, k: int, normals: Array) -> Array:
+def _growth(best: PredictedSegments, k: int, normals: Array) -> Array:
     """Return the growth of the information of segment k by disturbances of its initial state, (draws, 4n) each."""
     x, size, information = best.x0[k], normals.shape[1], best.projected[k].H
     scale, (factor, lower) = best.compared[k].state_factor(size, 0.0)

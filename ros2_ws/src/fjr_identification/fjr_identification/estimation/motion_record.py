@@ -159,7 +159,7 @@ def _interpolated(t: Array, values: Array, grid: Array) -> Array:
 
 
 @dataclass
-class Window:
+class TimeWindow:
     """Part of a record: from `start` [s] after its first sample for `duration` [s]. ended: nothing more follows."""
 
     start: float = 0.0

@@ -27,7 +27,7 @@ from fjr_core.numerics.checks import Array
 
 from .elastic_arm import packed
 from .motion_record import SIGNALS, MotionRecord
-from .parameters import LARGEST_SKEW, Coordinates
+from .parameters import LARGEST_SKEW, ParameterCoordinates
 from .shooting import HeldEffort, Shooting
 
 SKEWS = {"q_l": "link_skew", "torque": "torque_skew"}
@@ -124,7 +124,7 @@ class Comparison:
 def compare(
     segment: Segment,
     shooting: Shooting,
-    coordinates: Coordinates,
+    coordinates: ParameterCoordinates,
     z: Array,
     x0: Array,
     signals: Sequence[tuple[str, int]],
@@ -204,7 +204,7 @@ class Problem:
 
     segments: Sequence[Segment]
     shooting: Shooting
-    coordinates: Coordinates
+    coordinates: ParameterCoordinates
     signals: tuple[tuple[str, int], ...]
     floor: Array
     filtered: Array
@@ -230,12 +230,14 @@ class Problem:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(work, range(len(self.segments))))
 
-    def evaluate(self, z: Array, x0: Array, noise: Array) -> Prediction | None:
+    def evaluate(self, z: Array, x0: Array, noise: Array) -> PredictedSegments | None:
         """Return the prediction at z from settled initial states near x0, None if one does not stay finite."""
         settled = [result for result in self.of_each(lambda k: self._settle(k, z, x0[k], noise)) if result is not None]
         if len(settled) < len(self.segments):
             return None
-        return Prediction(self, z, np.array([x for x, _ in settled]), noise, [compared for _, compared in settled])
+        return PredictedSegments(
+            self, z, np.array([x for x, _ in settled]), noise, [compared for _, compared in settled]
+        )
 
     def _settle(self, k: int, z: Array, x: Array, noise: Array) -> tuple[Array, Comparison] | None:
         """Return the most likely initial state of a segment at z, by Levenberg-Marquardt, and the comparison there."""
@@ -269,7 +271,7 @@ def _weighted(compared: Comparison, noise: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PredictedSegments:
     """All segments predicted at z (p,) from settled initial states x0 (segments, 4n), compared in units of noise."""
 
     problem: Problem
@@ -305,7 +307,7 @@ class Prediction:
         return with_prior(self.problem.coordinates, self.z, self.projected)
 
 
-def with_prior(coordinates: Coordinates, z: Array, parts: Sequence[NormalEquations]) -> tuple[Array, Array]:
+def with_prior(coordinates: ParameterCoordinates, z: Array, parts: Sequence[NormalEquations]) -> tuple[Array, Array]:
     """Return the information about z with the prior, and the gradient of log L, of segments or blocks."""
     H = np.asarray(sum(part.H for part in parts)) + np.diag(coordinates.width**-2)
     return H, np.asarray(sum(part.g for part in parts)) - (z - coordinates.mean) / coordinates.width**2

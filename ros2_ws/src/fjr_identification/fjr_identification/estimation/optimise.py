@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from fjr_core.errors import StateError
 from fjr_core.numerics.checks import Array
 
-from .multiple_shooting import SOFT, Prediction, Problem
+from .multiple_shooting import SOFT, PredictedSegments, Problem
 
 MOST_ITERATIONS = 30
 HORIZONS = (16, 4, 1)  # shares of the segments that are compared first
@@ -29,7 +29,9 @@ HARDEST = 1e3  # damping at which no step is found
 Progress = Callable[[float], None]
 
 
-def optimise(problem: Problem, z: Array, x0: Array, progress: Progress = lambda share: None) -> tuple[Prediction, bool]:
+def optimise(
+    problem: Problem, z: Array, x0: Array, progress: Progress = lambda share: None
+) -> tuple[PredictedSegments, bool]:
     """Return the prediction at the most likely z and initial states, and whether the search has converged.
 
     First on the beginnings of some segments, which are nearly linear in z and in the initial states, then on longer
@@ -51,7 +53,7 @@ def _of_stage(progress: Progress, stage: int) -> Progress:
 
 def refine(
     problem: Problem, z: Array, x0: Array, noise: Array, progress: Progress = lambda share: None
-) -> tuple[Prediction, bool]:
+) -> tuple[PredictedSegments, bool]:
     """Return the prediction at the most likely z and initial states, from start values near them; see `optimise`.
 
     noise (signals,): near theirs. The prediction is in units of the noise there, unbiased by the estimated numbers.
@@ -80,7 +82,7 @@ def descended(
     near: float,
     least: float,
     progress: Progress = lambda share: None,
-) -> tuple[Prediction, bool]:
+) -> tuple[PredictedSegments, bool]:
     """Return the end of the descent, and whether it is at the minimum; noise (signals,): expected.
 
     It ends within `near` standard deviations of the minimum, or after a step that lowers -log L by less than `least`.
@@ -99,7 +101,7 @@ def descended(
     return at, distance(at) < NEAR or _is_negligible(at)
 
 
-def _start(problem: Problem, z: Array, x0: Array, noise: Array) -> Prediction:
+def _start(problem: Problem, z: Array, x0: Array, noise: Array) -> PredictedSegments:
     """Return the prediction at z, in units of the noise there."""
     at = problem.evaluate(z, x0, noise)
     if at is not None and np.max(np.abs(np.log(at.residual / noise))) > SIMILAR:
@@ -109,7 +111,7 @@ def _start(problem: Problem, z: Array, x0: Array, noise: Array) -> Prediction:
     return at
 
 
-def _search(at: Prediction, damping: float) -> tuple[Prediction, float] | None:
+def _search(at: PredictedSegments, damping: float) -> tuple[PredictedSegments, float] | None:
     """Return a prediction of less cost, and the next damping; None if there is none.
 
     The first trial moves the initial states to their own minimum, too; a short step of z alone always lowers the cost.
@@ -125,12 +127,12 @@ def _search(at: Prediction, damping: float) -> tuple[Prediction, float] | None:
     return None
 
 
-def _is_negligible(at: Prediction) -> bool:
+def _is_negligible(at: PredictedSegments) -> bool:
     """Return whether the step to the minimum is NEGLIGIBLE."""
     return bool(np.max(np.abs(parameter_step(at, 0.0)) / at.problem.coordinates.width) < NEGLIGIBLE)
 
 
-def parameter_step(at: Prediction, damping: float) -> Array:
+def parameter_step(at: PredictedSegments, damping: float) -> Array:
     """Return the damped step of z; one beyond twice the prior's width is shortened.
 
     Friction and damping do not become negative: a motor with negative friction does not stay at rest.
@@ -140,7 +142,7 @@ def parameter_step(at: Prediction, damping: float) -> Array:
     return np.asarray(dz / max(1.0, float(np.max(np.abs(dz) / coordinates.width, initial=0.0)) / 2))
 
 
-def distance(at: Prediction) -> float:
+def distance(at: PredictedSegments) -> float:
     """Return how many standard deviations the minimum of the quadratic model is away from z."""
     H, g = at.normal_equations
     dz = bounded_step(H, g, at.z, at.problem.coordinates.nonnegative)

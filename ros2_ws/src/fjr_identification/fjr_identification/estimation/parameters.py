@@ -87,7 +87,7 @@ LARGEST_SKEW = 8e-3  # s
 
 
 @dataclass(frozen=True)
-class Options:
+class IdentifyOptions:
     """What is identified.
 
     free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload: free
@@ -177,7 +177,7 @@ def _diagonal(name: str, matrix: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Coordinates:
+class ParameterCoordinates:
     """The vector z of the free parameters (name, index), in the order of KINDS, with the normal prior of each.
 
     values: of all parameters, by name. mean, width (p,): of the prior of z. z of a positive parameter is its logarithm.
@@ -191,13 +191,13 @@ class Coordinates:
     @classmethod
     def of(
         cls, free: Sequence[tuple[str, int]], values: Mapping[str, Array], widths: Mapping[str, Array]
-    ) -> Coordinates:
+    ) -> ParameterCoordinates:
         """Return coordinates with the values as mean of the prior and the widths by name."""
         width = np.array([widths[name][i] for name, i in free], dtype=float)
         prior = cls(tuple(free), values, np.zeros(len(free)), width)
         return replace(prior, mean=prior.of_values(values))
 
-    def without(self, dropped: Sequence[int]) -> Coordinates:
+    def without(self, dropped: Sequence[int]) -> ParameterCoordinates:
         """Return the coordinates without some entries, which keep their values."""
         kept = [k for k in range(len(self.free)) if k not in dropped]
         return replace(self, free=tuple(self.free[k] for k in kept), mean=self.mean[kept], width=self.width[kept])

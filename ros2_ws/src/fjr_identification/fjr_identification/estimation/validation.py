@@ -22,8 +22,8 @@ from fjr_design.posterior.result import DEFLECTION, Fit, Identification
 from .elastic_arm import ElasticArm, coulomb, position_torque
 from .filtered_motion import FilteredMotion, decimated, filtered, inner, rigid_torque, shifted, smoothed
 from .motion_record import MotionRecord
-from .multiple_shooting import Prediction
-from .parameters import OF_LINKS, Options, Prior
+from .multiple_shooting import PredictedSegments
+from .parameters import OF_LINKS, IdentifyOptions, Prior
 
 STIFF = 1e12  # times the identified stiffness
 
@@ -69,7 +69,7 @@ def predicted_deflection(
     robot: Robot,
     prior: Prior,
     identification: Identification,
-    options: Options = Options(),  # noqa: B008
+    options: IdentifyOptions = IdentifyOptions(),  # noqa: B008
 ) -> Deflection:
     """Return the deflection of a record, predicted by an identification from other records."""
     values, joints = _parameters(robot, prior, identification, options), identification.joints
@@ -95,7 +95,9 @@ def predicted_deflection(
     return Deflection(record.name, record.joints, t, measured, predicted)
 
 
-def _parameters(robot: Robot, prior: Prior, identification: Identification, options: Options) -> Mapping[str, Array]:
+def _parameters(
+    robot: Robot, prior: Prior, identification: Identification, options: IdentifyOptions
+) -> Mapping[str, Array]:
     """Return all parameters by name: the estimates, where there is none the prior."""
     values = {name: value.copy() for name, value in prior.values.items()}
     for estimate in identification.estimates:
@@ -129,7 +131,7 @@ class HoldOut:
 
 
 def hold_out(
-    identification: Identification, record: MotionRecord, robot: Robot, prior: Prior, options: Options
+    identification: Identification, record: MotionRecord, robot: Robot, prior: Prior, options: IdentifyOptions
 ) -> HoldOut:
     """Return what models leave unexplained of a record; robot, prior, options: of the identification."""
 
@@ -146,7 +148,7 @@ def hold_out(
     return HoldOut(record.name, identification.joints, unexplained(), rigid, no_skew)
 
 
-def simulated_fits(prediction: Prediction, deviations: Array) -> tuple[Fit, ...]:
+def simulated_fits(prediction: PredictedSegments, deviations: Array) -> tuple[Fit, ...]:
     """Return the fit of each record from the prediction of its segments and the noise (signals,).
 
     Samples outside the segments are predicted by NaN.

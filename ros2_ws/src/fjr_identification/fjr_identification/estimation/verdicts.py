@@ -19,7 +19,7 @@ from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, WEAK, Estimate
 from .estimation_problem import Estimation
 from .intervals import interval, posterior
 from .motion_record import MotionRecord
-from .multiple_shooting import NormalEquations, Prediction
+from .multiple_shooting import NormalEquations, PredictedSegments
 from .optimise import bounded_step
 from .parameters import KINDS, PAYLOAD
 
@@ -61,7 +61,7 @@ def not_identifiable(
     return tuple(sorted(fixed))
 
 
-def fitted_at_prior(best: Prediction, entries: Sequence[int]) -> Prediction | None:
+def fitted_at_prior(best: PredictedSegments, entries: Sequence[int]) -> PredictedSegments | None:
     """Return the prediction with some entries of z at their prior's mean; None if the records contradict it.
 
     They do if the residuals are clearly larger there although all others adapt. Initial states are sought from where
