@@ -288,7 +288,7 @@ class PredictedSegments:
 
     @cached_property
     def cost(self) -> float:
-        """-log L at the most likely initial states: less what those of the comparisons are short of."""
+        """Return -log L at the most likely initial states: less what those of the comparisons are short of."""
         counts, squares = (sum(getattr(segment, name) for segment in self.compared) for name in ("counts", "squares"))
         coordinates = self.problem.coordinates
         prior = (self.z - coordinates.mean) / coordinates.width
