@@ -47,17 +47,13 @@ def record_of_bag(
         columns[commands] = _States(commands, joints, ("effort",)) if answers else _Efforts(commands, len(joints))
     for count, (name, message) in enumerate(in_order(path, list(columns))):
         columns[name].add(message)
-        if count % BLOCK == 0 and _is_full(of_states, window):
-            break
+        if count % BLOCK == 0:
+            if len(of_states.numbers) > LARGEST:
+                raise RecordError(f"{states} holds more than {LARGEST:,} numbers; expected fewer: choose a --duration")
+            since = (of_states.stamps[-1] - of_states.stamps[0]) * 1e-9 if of_states.stamps else 0.0
+            if since > window.start + window.duration + 1.0:  # 1 s for commands that answer late
+                break
     return _record(path, of_states, columns.get(commands or ""), mapping, joints, window)
-
-
-def _is_full(states: _Columns, window: TimeWindow) -> bool:
-    """Return whether the states reach beyond the window, with a second for commands that answer late."""
-    if len(states.numbers) > LARGEST:
-        raise RecordError(f"{states.name} holds more than {LARGEST:,} numbers; expected fewer: choose a --duration")
-    since = (states.stamps[-1] - states.stamps[0]) * 1e-9 if states.stamps else 0.0
-    return since > window.start + window.duration + 1.0
 
 
 class _Columns:

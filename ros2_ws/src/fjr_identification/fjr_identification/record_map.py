@@ -113,20 +113,15 @@ def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
         raise ParameterError(f"time.column is {time['column']!r}; expected the name of a column")
     scale = _unit("time", time, TIMES, "s")
     signals = {name: _signal(name, document[name], joints) for name in UNITS if name in document}
-    _check_efforts(signals, joints)
-    delimiter = document.get("delimiter", ",")
-    if not isinstance(delimiter, str) or len(delimiter) != 1:
-        raise ParameterError(f"delimiter is {delimiter!r}; expected one character")
-    return TableMap(TableColumn(time["column"], scale), signals, delimiter)
-
-
-def _check_efforts(signals: Mapping[str, Mapping[str, TableColumn]], joints: Sequence[str]) -> None:
-    """Raise ParameterError for a joint without effort or without any position."""
     for joint in joints:
         if joint not in signals[EFFORT]:
             raise ParameterError(f"joint {joint} has no effort; expected a column for each joint of the robot")
         if not any(joint in signals.get(name, {}) for name in (LINK, MOTOR)):
             raise ParameterError(f"joint {joint} has neither {LINK} nor {MOTOR}; expected at least one")
+    delimiter = document.get("delimiter", ",")
+    if not isinstance(delimiter, str) or len(delimiter) != 1:
+        raise ParameterError(f"delimiter is {delimiter!r}; expected one character")
+    return TableMap(TableColumn(time["column"], scale), signals, delimiter)
 
 
 def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, TableColumn]:

@@ -268,17 +268,12 @@ def described(estimate: Estimate) -> str:
     seen = f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.value:.4g} {estimate.unit}"
     if estimate.verdict == UNKNOWN:
         return f"{seen}, not identifiable from these records, as before ({estimate.reason})"
-    why = f" ({estimate.reason})" if estimate.reason else ""
-    return f"{seen}, {plain_interval(estimate)}, {estimate.verdict}{why}"
-
-
-def plain_interval(estimate: Estimate) -> str:
-    """Return an interval without superscripts, with as many digits as distinguish its ends."""
-    for digits in range(4, 9):
-        ends = f"{estimate.low:.{digits}g}", f"{estimate.high:.{digits}g}"
-        if ends[0] != ends[1]:
+    for digits in range(4, 9):  # as many as distinguish the ends
+        low, high = f"{estimate.low:.{digits}g}", f"{estimate.high:.{digits}g}"
+        if low != high:
             break
-    return f"{ends[0]} to {ends[1]}"
+    why = f" ({estimate.reason})" if estimate.reason else ""
+    return f"{seen}, {low} to {high}, {estimate.verdict}{why}"
 
 
 def significant(value: float) -> float:

@@ -60,7 +60,11 @@ def identify(
         raise ParameterError(f"--accept is '{unknown[0]}'; expected one of {', '.join(KINDS)}")
     options = IdentifyOptions(**free)
     nominal = nominal_robot(robot)
-    _refuse_joints_without_inertia(nominal)
+    for i, seen in joints_without_inertia(nominal.robot).items():  # a record would seem wrong by their factor
+        raise ParameterError(
+            f"{nominal.path}: {nominal.joints[i]} {seen}; expected the inertia of its links in the URDF, or a robot "
+            "file in which the joint is locked"
+        )
     reading = Reading(read_map(mapping, nominal.joints) if mapping else None, start, duration, accepted)
     motions, notes = _read(records, nominal, reading)
     predicted, more = _read(hold_outs, nominal, reading)
@@ -90,15 +94,6 @@ def _mapped(record: Path, robot: Path | None) -> Result:
         todo.append(f"         the robot file has the gear ratios {nominal.given[GEAR_RATIO]}")
     again = f"fjr identify {record} --map {file} --robot {robot or 'ROBOT.yaml'}"
     return Result("\n".join([f"written  {file}", *todo, f"next     {again}"]), {"map": file, "to_do": todo})
-
-
-def _refuse_joints_without_inertia(nominal: NominalRobot) -> None:
-    """Raise ParameterError, which names the robot file: a record would seem wrong by the factor of the inertia."""
-    for i, seen in joints_without_inertia(nominal.robot).items():
-        raise ParameterError(
-            f"{nominal.path}: {nominal.joints[i]} {seen}; expected the inertia of its links in the URDF, or a robot "
-            "file in which the joint is locked"
-        )
 
 
 def _read(paths: Sequence[Path], nominal: NominalRobot, reading: Reading) -> tuple[list[MotionRecord], tuple[str, ...]]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
 from fjr_core.model.free_inertia import least_free_inertia
@@ -97,7 +96,12 @@ class Estimation:
     @cached_property
     def poses(self) -> Array:
         """Return some measured positions (k, n) along all records."""
-        return np.vstack([_poses(record) for record in self.records])
+        positions = []
+        for record in self.records:
+            q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
+            complete = q[np.all(np.isfinite(q), axis=1)]
+            positions.append(complete[:: max(1, len(complete) // MOST_POSES)])
+        return np.vstack(positions)
 
     @cached_property
     def _added_inertia(self) -> tuple[float, ...]:
@@ -125,7 +129,9 @@ class Estimation:
         for record, motion in zip(self.records, self.motions, strict=True):
             steps = int(np.clip(np.ceil(record.dt * fastest), 1, MOST_PARTS))
             slow = SLOW * smoothing + PEAK * record.dt * acceleration
-            effort = HeldEffort(record.u, record.dt, steps, _parts(record.dt * near_rest), slow)
+            doublings = np.ceil(np.log2(np.maximum(record.dt * near_rest, 1.0)))
+            slow_steps = np.minimum(2.0**doublings, MOST_PARTS).astype(np.int32)
+            effort = HeldEffort(record.u, record.dt, steps, slow_steps, slow)
             pieces = cut(record, effort, self._length(slowest))
             segments += pieces
             filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]
@@ -195,19 +201,6 @@ def _state_width(motions: Sequence[FilteredMotion]) -> Array:
     deflection = np.max([np.max(np.abs(m.q_m - m.q_l), axis=0) for m in motions], axis=0)
     speed = np.max([np.max(np.abs(m.v_m), axis=0) for m in motions], axis=0)
     return np.concatenate([np.tile(WIDE + 2 * deflection, 2), np.tile(FAST + 2 * speed, 2)])
-
-
-def _poses(record: MotionRecord) -> Array:
-    """Return some measured positions (k, n) along a record."""
-    q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
-    complete = q[np.all(np.isfinite(q), axis=1)]
-    return np.asarray(complete[:: max(1, len(complete) // MOST_POSES)])
-
-
-def _parts(steps: ArrayLike) -> NDArray[np.int32]:
-    """Return the next power of 2 of steps, at most MOST_PARTS."""
-    exponent = np.ceil(np.log2(np.maximum(steps, 1.0)))
-    return np.minimum(2.0**exponent, MOST_PARTS).astype(np.int32)
 
 
 def _least_noise(records: Sequence[MotionRecord], signal: str, joint: int) -> float:

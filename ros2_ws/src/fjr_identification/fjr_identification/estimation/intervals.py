@@ -51,7 +51,9 @@ def posterior(
     H = np.asarray(sum(part.H for part in parts))
     free = [k for k in range(len(width)) if k not in fixed]
     chosen = H[np.ix_(free, free)]
-    inverse = _inverse(chosen + np.diag(width[free] ** -2.0))
+    information = chosen + np.diag(width[free] ** -2.0)
+    scale = np.sqrt(np.diag(information))
+    inverse = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
     factor = inflation(np.array([part.g[free] for part in parts]), inverse)
     covariance = inverse * np.outer(factor, factor)
     if len(fixed):
@@ -98,11 +100,6 @@ def _standard_deviations(H: Array, width: Array) -> Array:
     w, v = np.linalg.eigh(H / np.outer(scale, scale))
     least = 1e-12 * (1 + np.max(np.abs(w), initial=0.0))
     return np.asarray(np.sqrt((v**2) @ (1 / np.maximum(w, least))) / scale)
-
-
-def _inverse(H: Array) -> Array:
-    scale = np.sqrt(np.diag(H))
-    return np.asarray(np.linalg.inv(H / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def spurious_information(best: PredictedSegments) -> Array:

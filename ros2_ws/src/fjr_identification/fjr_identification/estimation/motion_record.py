@@ -100,7 +100,10 @@ def on_uniform_grid(name: str, t: Array, held: Array, sampled: Array) -> tuple[f
     grid = t[0] + dt * np.arange(index[-1] + 1)
     off = f"samples are up to {jitter * 1e3:.2g} ms off this grid, {missing} are missing"
     note = f"interpolated to {dt * 1e3:.6g} ms: {off}"
-    return dt, _means(t, held, grid, dt), _interpolated(t, sampled, grid), (note,)
+    at_grid, measured = np.full((len(grid), sampled.shape[1]), np.nan), np.isfinite(sampled).all(axis=0)
+    if measured.any():
+        at_grid[:, measured] = CubicSpline(t, sampled[:, measured])(grid)
+    return dt, _means(t, held, grid, dt), at_grid, (note,)
 
 
 def _checked_steps(name: str, t: Array) -> Array:
@@ -147,15 +150,6 @@ def _means(t: Array, values: Array, grid: Array, dt: float) -> Array:
     at = np.append(grid, grid[-1] + dt)
     integral = np.column_stack([np.interp(at, ends, column) for column in area.T]) if area.size else area
     return np.asarray(np.diff(integral, axis=0) / dt)
-
-
-def _interpolated(t: Array, values: Array, grid: Array) -> Array:
-    """Return the values at the grid (len(grid), l) by cubic splines; columns of NaN stay NaN."""
-    at_grid = np.full((len(grid), values.shape[1]), np.nan)
-    measured = np.isfinite(values).all(axis=0)
-    if measured.any():
-        at_grid[:, measured] = CubicSpline(t, values[:, measured])(grid)
-    return at_grid
 
 
 @dataclass

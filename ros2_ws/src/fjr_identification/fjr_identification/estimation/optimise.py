@@ -98,7 +98,8 @@ def descended(
         before, (at, damping) = at.cost, step
         if before - at.cost < least:
             break
-    return at, distance(at) < NEAR or _is_negligible(at)
+    negligible = np.max(np.abs(parameter_step(at, 0.0)) / problem.coordinates.width) < NEGLIGIBLE
+    return at, bool(distance(at) < NEAR or negligible)
 
 
 def _start(problem: Problem, z: Array, x0: Array, noise: Array) -> PredictedSegments:
@@ -125,11 +126,6 @@ def _search(at: PredictedSegments, damping: float) -> tuple[PredictedSegments, f
             return trial, max(damping / 100, 1e-12)
         settled, damping = np.zeros_like(settled), max(100 * damping, SOFT)
     return None
-
-
-def _is_negligible(at: PredictedSegments) -> bool:
-    """Return whether the step to the minimum is NEGLIGIBLE."""
-    return bool(np.max(np.abs(parameter_step(at, 0.0)) / at.problem.coordinates.width) < NEGLIGIBLE)
 
 
 def parameter_step(at: PredictedSegments, damping: float) -> Array:
