@@ -17,7 +17,7 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import Options, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_msgs_py.scenarios import library
 
 SHOWN = ("joint_stiffness", "motor_inertia")
@@ -35,7 +35,9 @@ def record_of(scenario: Scenario, duration: float, noise: float) -> MotionRecord
 
 def half_widths(scenario: Scenario, duration: float, noise: float) -> dict[str, Array]:
     """Return the relative half widths (n,) of the 95 % intervals by parameter."""
-    found = identify([record_of(scenario, duration, noise)], scenario.robot, Prior.of(scenario.robot), Options())
+    found = identify(
+        [record_of(scenario, duration, noise)], scenario.robot, Prior.of(scenario.robot), IdentifyOptions()
+    )
     return {
         name: np.array([(e.high - e.low) / (2 * e.value) for e in found.estimates if e.name == name]) for name in SHOWN
     }

@@ -29,7 +29,7 @@ from bench.identification_cases import MEASURED, Case, draw
 from fjr_core.errors import FjrError
 from fjr_design.posterior.result import LOG, UNKNOWN, Identification
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.parameters import KINDS, Options
+from fjr_identification.estimation.parameters import KINDS, IdentifyOptions
 
 Row = dict[str, Any]
 Key = tuple[str, int, int]
@@ -52,7 +52,7 @@ def identified(key: Key) -> Row:
     case, began = draw(n, seed, measured=measured), time.perf_counter()
     line: Row = {"code": code(), "measured": measured, "joints": n, "seed": seed}
     try:
-        rows = compared(case, identify([case.record], case.robot, case.prior, Options(threads=1)))
+        rows = compared(case, identify([case.record], case.robot, case.prior, IdentifyOptions(threads=1)))
     except FjrError as error:
         return {**line, "error": str(error), "rows": []}
     return {**line, "seconds": round(time.perf_counter() - began, 2), "rows": rows}

@@ -17,11 +17,10 @@ from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_identification.estimation.coordinates import packed
-from fjr_identification.estimation.elastic_arm import ElasticArm
-from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.elastic_arm import ElasticArm, packed
+from fjr_identification.estimation.motion_record import SIGNALS, MotionRecord
+from fjr_identification.estimation.multiple_shooting import SKEWS
 from fjr_identification.estimation.parameters import KINDS, Prior, size
-from fjr_identification.estimation.segments import SIGNALS, SKEWS
 from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 FINE = 1e-4  # s; step of the simulation, and grain of skews and delays

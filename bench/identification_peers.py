@@ -33,7 +33,7 @@ from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import Options, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 
 NAMES = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
 WRONG = {"joint_stiffness": 1.3, "motor_inertia": 0.8, "link_damping": 0.5, "motor_damping": 2.0}  # times the truth
@@ -88,7 +88,7 @@ def ours(case: Case) -> Estimated:
     """Estimate by this project."""
     prior = Prior.of(case.scenario.robot, dict(zip(NAMES, case.start, strict=True)))
     began = time.process_time()
-    found = identify([case.record], case.scenario.robot, prior, Options(free=NAMES))
+    found = identify([case.record], case.scenario.robot, prior, IdentifyOptions(free=NAMES))
     seconds = time.process_time() - began
     ends = np.array([[each.value, each.low, each.high] for each in found.estimates])
     values, low, high = ends.T.reshape(3, len(NAMES), -1)

@@ -40,7 +40,6 @@ LONGEST_FIRST = (
     "nodes/test_malformed.py",
     "system/test_identify.py",
     "system/test_identify_measurements.py",
-    "system/test_identify_refusals.py",
     "system/test_identified_kr300.py",
     "system/test_fjr_sweep.py",
     "docs/test_build.py",

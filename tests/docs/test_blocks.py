@@ -22,7 +22,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_design.studies.comparison import suite
 from fjr_design.studies.monte_carlo import sweep_file
-from fjr_identification.records.record_map import read_map
+from fjr_identification.record_map import read_map
 from system.executables import fjr_here
 from time_limits import HANG
 

@@ -48,7 +48,14 @@ LAYERS = {
         "scaffold studies",
         "cli",
     ),
-    "fjr_identification": ("estimation", "records page robot_file", "cli"),
+    "fjr_identification": (
+        "estimation",
+        "rigid_motion elastic_motion record_map page robot_file",
+        "motion_checks scale_checks excitation bag_record table_record",
+        "record_checks",
+        "read_record",
+        "cli",
+    ),
     "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "cli"),
     "fjr_bringup": ("runner services", "cli"),
 }

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, usual_record
+from core.oracles.elastic_joint import TRUTH, ElasticJoint, usual_record
 from core.oracles.elastic_two_link import ElasticTwoLink, Recorded, recorded
 from fjr_design.posterior.result import Identification
 from system.executables import fjr_here
@@ -110,28 +110,6 @@ def one_joint() -> MotionTable:
     k = np.arange(len(u))
     torque = joint.K * (motor - np.interp(k - joint.skew / 4e-3, k, link) - joint.offset)
     return _table(("joint1",), 4e-3 * k, [each[:, None] for each in (u, link, motor, torque)], joint)
-
-
-@cache
-def without_gravity() -> MotionTable:
-    """Return the motor side of a joint with a vertical axis, excited near its resonance of 15 Hz, too."""
-    return _linear([0.4, 1.1, 5.0, 15.0, 17.0], 0.15, STEP)
-
-
-@cache
-def without_resonance() -> MotionTable:
-    """Return the motor side of the same joint under slow, small efforts, with coarse encoders."""
-    return _linear([0.4, 0.9], 0.01, 100 * STEP)
-
-
-def _linear(frequencies: list[float], amplitude: float, step: float) -> MotionTable:
-    joint, dt, t = replace(ElasticJoint().linear(), skew=1.5e-3, delay=2.5e-3), 2e-3, 2e-3 * np.arange(1500)
-    u = multi_sine(t, np.array(frequencies), amplitude, 2) * np.sin(np.pi * t / t[-1]) ** 4
-    motor = exact(joint, u, dt, 5e-4)[1]
-    noise = step * np.random.default_rng(7).standard_normal(len(u))
-    truth = {name: np.array([getattr(joint, attribute)]) for name, attribute in TRUTH.items()}
-    signals = {"effort": u[:, None], "motor": step * np.round((motor + noise) / step)[:, None]}
-    return MotionTable(("joint1",), t, signals, truth, "      gravity_torque: [0.0]\n")
 
 
 @cache

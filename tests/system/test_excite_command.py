@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_identification.estimation import excitation
+from fjr_identification import excitation
 from fjr_msgs_py.console.exit_codes import Exit
 from system.executables import fjr_here, scenario
 

@@ -13,12 +13,10 @@ import pytest
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_design.posterior.result import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
-from fjr_identification.cli.command import unconfirmed
-from fjr_identification.estimation.hold_out import HoldOut
-from fjr_identification.page.page_figures import autocorrelation
-from fjr_identification.page.page_rows import groups
-from fjr_identification.robot_file.nominal_robot import identified_values, nominal_robot
-from fjr_identification.robot_file.robot_yaml import robot_file
+from fjr_identification.cli.identify import unconfirmed
+from fjr_identification.estimation.validation import HoldOut
+from fjr_identification.page import autocorrelation, groups
+from fjr_identification.robot_file import IdentifiedRobot, nominal_robot
 from system.browser import Browser
 from system.executables import fjr_here
 from system.shared_runs import shared_run
@@ -49,13 +47,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     (folder / "out" / "said").write_text(said)
     return folder / "out"
-
-
-def test_the_name_of_a_robot_is_that_of_its_urdf_or_its_file(tmp_path: Path) -> None:
-    (tmp_path / "joint_robot.yaml").write_text(GUESSED)
-    assert nominal_robot(tmp_path / "joint_robot.yaml").name == "joint"
-    found = nominal_robot(KR300 / "kr300.yaml")
-    assert found.name == ElementTree.parse(KR300 / "kr300.urdf").getroot().get("name")
 
 
 def test_guesses_are_replaced_by_values_with_intervals(folder: Path) -> None:
@@ -91,21 +82,14 @@ def test_robot_yaml_is_a_robot_file_that_brings_friction_and_no_gains(folder: Pa
     assert values.plant_values[key] == whole.plant_values[key]
 
 
-def test_posterior_is_read_back_from_json(folder: Path) -> None:
+def test_json_has_the_posterior_and_names_records_robot_and_hold_out(folder: Path) -> None:
     values = json.loads((folder / "identification.json").read_text())
     found = Identification.from_dict(values)
     assert found.value("joint_stiffness") == pytest.approx([31.0], rel=1e-3)
     assert found.draws(5, seed=1).shape == (5, len(found.estimates))
-
-
-def test_json_names_records_robot_and_hold_out(folder: Path) -> None:
-    values = json.loads((folder / "identification.json").read_text())
     assert values["robot"].endswith("joint.yaml")
     assert [Path(each).name for each in values["records"]] == ["paper_k31"]
     assert 0 <= values["hold_out"]["paper_k31"][0][0] < 0.01
-
-
-def test_command_prints_intervals_hold_out_and_what_comes_next(folder: Path) -> None:
     said = (folder / "said").read_text()
     assert "parameters identified" in said
     assert "share of the deflection that a model leaves unexplained" in said
@@ -167,9 +151,10 @@ def made() -> Identification:
 
 
 def test_file_keeps_the_prior_and_the_guess_of_what_is_not_identifiable(tmp_path: Path, made: Identification) -> None:
-    (tmp_path / "arm.yaml").write_text(ARM)
-    nominal = nominal_robot(tmp_path / "arm.yaml")
-    file = robot_file(nominal, made, identified_values(nominal, made, tmp_path), ["a.csv"], "robot.yaml")
+    (tmp_path / "arm_robot.yaml").write_text(ARM)
+    nominal = nominal_robot(tmp_path / "arm_robot.yaml")
+    assert nominal.name == "arm"
+    file = IdentifiedRobot(nominal, made).file(tmp_path, ["a.csv"], "robot.yaml")
     values = ros_yaml.values_for("fjr_plant", ros_yaml.parse(file.text))
     assert values["robot.joint_stiffness"] == [41.0, 40.0]
     assert values["robot.guesses.joint_stiffness"] == [0.0, 40.0]
@@ -189,10 +174,10 @@ def test_file_keeps_the_prior_and_the_guess_of_what_is_not_identifiable(tmp_path
 
 
 def test_reflected_inertia_replaces_the_gear_ratio(tmp_path: Path, made: Identification) -> None:
-    urdf = Path(__file__).parents[2] / "examples/kr300/kr300.yaml"
-    nominal = nominal_robot(urdf)
+    nominal = nominal_robot(KR300 / "kr300.yaml")
+    assert nominal.name == ElementTree.parse(KR300 / "kr300.urdf").getroot().get("name")
     none = Identification(nominal.joints, (), (), (), np.zeros(0), np.zeros((0, 0)))
-    values = identified_values(nominal, none, tmp_path)
+    values = IdentifiedRobot(nominal, none).values(tmp_path)
     assert "robot.gear_ratio" not in values
     assert values["robot.motor_inertia"] == pytest.approx(np.diag(nominal.robot.M_m), rel=1e-5)
     assert (tmp_path / str(values["robot.urdf"])).is_file()
@@ -218,12 +203,7 @@ def test_autocorrelation_of_coloured_noise_with_gaps_is_its_closed_form() -> Non
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("a.csv", "--robot", "arm.yaml"), "a.csv is a table; expected --map FILE with its columns and units"),
         (("a.csv", "--robot", "none.yaml"), "cannot read robot file none.yaml: No such file or directory"),
-        (
-            ("a.csv", "--robot", "arm.yaml", "--map", "map.yaml"),
-            "column t is missing; expected it once (the header is x)",
-        ),
         (("none.csv", "--robot", "arm.yaml", "--map", "map.yaml"), "none.csv is not a table of numbers"),
         (("a.csv", "--robot", "arm.yaml", "--accept", "all"), "--accept is 'all'; expected one of too_short, at_rest"),
         (("nowhere", "--robot", "arm.yaml"), "nowhere"),

@@ -91,11 +91,6 @@ ONE_FAULT: Mapping[str, tuple[tuple[str, ...], Change, str]] = {
     ),
     "a time of half the length, motors alone": (MOTOR, lambda t: replace(t, t=t.t / 2), "with a time 2 times as long"),
     "a time of twice the length, links": (LINK, lambda t: replace(t, t=2 * t.t), "with a time 0.5 times as long"),
-    "milliseconds as seconds": (BOTH, lambda t: replace(t, t=1e3 * t.t), "is the unit of the time right?"),
-    "row numbers as time": (BOTH, lambda t: replace(t, t=np.arange(len(t.t), dtype=float)), "unit of the time right?"),
-    "a row twice": (BOTH, lambda t: t.rows([*range(500), 499, *range(500, 900)]), "time stands still at sample 500"),
-    "a part twice": (BOTH, lambda t: t.rows([*range(500), *range(400, 900)]), "time runs back by"),
-    "a time that jumps": (BOTH, lambda t: t.rows([*range(500), *range(600, 900)]), "time jumps by 0.404 s"),
     "every tenth row lost": (BOTH, lambda t: t.rows([k for k in range(1000) if k % 10]), "of the steps are longer"),
 }
 

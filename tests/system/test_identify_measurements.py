@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr identify` with each kind of measurement finds the parameters of records that other code made."""
+"""`fjr identify` with each kind of measurement finds the parameters of records that other code made.
+
+What a record cannot reveal is not guessed: robot.yaml keeps the prior and says which motion would reveal it.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,16 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.posterior.result import UNKNOWN, Identification
+from fjr_design.posterior.result import UNKNOWN, Estimate
 from system.executables import fjr_here
-from system.motion_tables import MotionTable, one_joint, two_joints
+from system.motion_tables import (
+    PRIOR,
+    MotionTable,
+    one_joint,
+    shoulder_at_rest,
+    two_joints,
+    two_joints_without_gravity,
+)
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
@@ -25,37 +35,36 @@ EXACT = 2e-3  # error of numbers that the noise of these records would permit to
 TABLES = {"one joint": one_joint, "two joints": two_joints}
 
 
-def agrees(found: Identification, table: MotionTable) -> None:
-    """Check each estimate against the truth, and that the stiffness and the rotor inertia are known."""
-    for each in found.estimates:
-        true = float(table.truth[each.name][table.joints.index(each.joint)])
-        if each.verdict == UNKNOWN:
-            assert each.value == each.prior, each
-            assert each.name not in ("joint_stiffness", "motor_inertia"), each
-            continue
-        sd = (each.high - each.low) / 3.92
-        assert abs(each.value - true) < max(4 * sd, EXACT * abs(true)), (each, true)
-        if each.name in ("joint_stiffness", "motor_inertia"):
-            assert each.value == pytest.approx(true, rel=0.01), each
+def agreeing(table: MotionTable, folder: Path) -> tuple[Estimate, ...]:
+    """Return the estimates; no interval is wrong, and what is not identifiable keeps its prior."""
+    found, _ = table.identified(folder)
+    for estimate in found.estimates:
+        true = float(table.truth[estimate.name][table.joints.index(estimate.joint)])
+        sd = (estimate.high - estimate.low) / 3.92
+        right = abs(estimate.value - true) < max(4 * sd, EXACT * abs(true))
+        assert estimate.value == estimate.prior if estimate.verdict == UNKNOWN else right, (estimate, true)
+    return found.estimates
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("arm", TABLES)
-def test_each_kind_of_measurement_tells_the_joints_in_encoder_steps(tmp_path: Path, arm: str, kind: str) -> None:
+def test_each_kind_of_measurement_reveals_the_joints_in_encoder_steps(tmp_path: Path, arm: str, kind: str) -> None:
     table = TABLES[arm]().of(*KINDS[kind])
-    found, _ = table.identified(tmp_path)
-    agrees(found, table)
-    names = {each.name for each in found.estimates}
+    estimates = agreeing(table, tmp_path)
+    for name in ("joint_stiffness", "motor_inertia"):
+        assert [e.value for e in estimates if e.name == name] == pytest.approx(table.truth[name], rel=0.01)
+        assert UNKNOWN not in [e.verdict for e in estimates if e.name == name]
+    names = {estimate.name for estimate in estimates}
     assert ("link_skew" in names) == ({"link", "motor"} <= set(KINDS[kind]))
     assert ("torque_skew" in names) == ("torque" in KINDS[kind])
-    unknown = {each.reason for each in found.estimates if each.name == "offset" and each.verdict == UNKNOWN}
+    unknown = {estimate.reason for estimate in estimates if estimate.name == "offset" and estimate.verdict == UNKNOWN}
     assert any("measure the motor" in reason for reason in unknown) == ("motor" not in KINDS[kind])
     scenario = load_scenario(tmp_path / "out/robot.yaml")
     assert scenario.robot_warnings == ()
     assert np.diag(scenario.robot.K) == pytest.approx(table.truth["joint_stiffness"], rel=0.01)
 
 
-def test_a_bag_with_torque_sensors_in_place_of_motor_positions_tells_the_joint(
+def test_a_bag_with_torque_sensors_in_place_of_motor_positions_reveals_the_joint(
     tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
 ) -> None:
     arguments = one_joint().written(tmp_path)
@@ -65,3 +74,41 @@ def test_a_bag_with_torque_sensors_in_place_of_motor_positions_tells_the_joint(
     robot = load_scenario(tmp_path / "out/robot.yaml").robot
     assert robot.K[0, 0] == pytest.approx(31.0, rel=0.01)
     assert robot.M_m[0, 0] == pytest.approx(0.004, rel=0.01)
+
+
+def test_a_joint_that_stands_still_keeps_all_guesses(tmp_path: Path) -> None:
+    (K,), (B,) = PRIOR[1]
+    table = one_joint().of("link", "motor")
+    random = np.random.default_rng(2)
+    noise = {name: 1e-6 * random.standard_normal((400, 1)) for name in table.signals}
+    still = MotionTable(table.joints, table.t[:400], noise, table.truth)
+    found, said = still.identified(tmp_path, "--accept", "at_rest")
+    assert {e.verdict for e in found.estimates if e.name != "offset"} == {UNKNOWN}
+    assert "motor_inertia of joint1: the joint stands still" in said
+    text = (tmp_path / "out/robot.yaml").read_text()
+    assert f"joint_stiffness of joint1: {K:g} N m/rad, not identifiable from these records, as before" in text
+    robot = load_scenario(tmp_path / "out/robot.yaml")
+    assert (robot.robot.K[0, 0], robot.robot.M_m[0, 0]) == (K, B)
+    assert len(robot.robot_warnings) == 2
+
+
+@pytest.mark.parametrize("signals", [("link", "motor"), ("motor", "torque")])
+def test_a_joint_that_stands_still_next_to_one_that_moves_is_not_guessed(
+    tmp_path: Path, signals: tuple[str, ...]
+) -> None:
+    estimates = agreeing(shoulder_at_rest().of(*signals), tmp_path)
+    shoulder = {estimate.name: estimate for estimate in estimates if estimate.joint == "shoulder"}
+    for name in ("motor_damping", "effort_delay", "torque_skew" if "torque" in signals else "link_skew"):
+        assert shoulder[name].verdict == UNKNOWN
+        assert "the joint stands still" in shoulder[name].reason
+
+
+@pytest.mark.parametrize("signals", [("motor",), ("motor", "torque")])
+def test_without_gravity_and_link_the_first_of_two_offsets_is_not_revealed(
+    tmp_path: Path, signals: tuple[str, ...]
+) -> None:
+    estimates = agreeing(two_joints_without_gravity().of(*signals), tmp_path)
+    shoulder = {estimate.name: estimate for estimate in estimates if estimate.joint == "shoulder"}
+    assert shoulder["offset"].verdict == UNKNOWN
+    assert "measure the link" in shoulder["offset"].reason
+    assert shoulder["joint_stiffness"].value == pytest.approx(220.0, rel=0.01)

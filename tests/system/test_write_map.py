@@ -12,8 +12,8 @@ import pytest
 
 from docs.pages import ROOT
 from fjr_core.errors import ParameterError, RecordError
-from fjr_identification.records.header_map import FILL_IN, written_map
-from fjr_identification.records.record_map import EFFORT, LINK, MOTOR, TORQUE, TableMap, read_map
+from fjr_identification.record_map import EFFORT, LINK, MOTOR, TORQUE, TableMap, read_map
+from fjr_identification.table_record import FILL_IN, written_map
 from system.executables import fjr_here
 
 ARM = ("shoulder", "elbow")

@@ -28,7 +28,7 @@ PACKAGES = (
     "fjr_controller",
     "fjr_monitor.diagnosis",
     "fjr_design",
-    "fjr_identification.estimation",
+    "fjr_identification",
     "fjr_proofs",
 )
 CONTENTS = """fjr

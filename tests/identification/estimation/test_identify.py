@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Known joints are found again with intervals that contain the truth; what records cannot tell is said, not guessed."""
+"""Known joints are found again with intervals that contain the truth; what records cannot reveal is not guessed."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, u
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.intervals import inflation
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import Options, Prior
-from fjr_identification.estimation.posterior import inflation
-from fjr_identification.estimation.validation import predicted_deflection
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.validation import hold_out, predicted_deflection
+from identification import recorded_joint
 
 NOISE = 2e-5  # rad
 LINEAR = ElasticJoint().linear()
@@ -63,7 +64,7 @@ def linear_record(frequencies: list[float], amplitude: float, link: bool, noise:
 
 def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> dict[str, Estimate]:
     robot = robot_like(joint)
-    found = identify([record], robot, Prior.of(robot), Options(**options))  # type: ignore[arg-type]
+    found = identify([record], robot, Prior.of(robot), IdentifyOptions(**options))  # type: ignore[arg-type]
     return {each.name: each for each in found.estimates}
 
 
@@ -114,29 +115,11 @@ def test_without_gravity_the_motor_side_does_not_tell_the_offset() -> None:
 def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments() -> None:
     joint, robot, (u, q_l, q_m) = ElasticJoint(), robot_like(ElasticJoint()), usual_record()
     record = noisy(u, q_l, None, 4e-3, sensed(joint, q_l, q_m), noise=2e-6)
-    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), Options(segment=0.1))
+    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), IdentifyOptions(segment=0.1))
     assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.02)
     offset = next(each for each in found.estimates if each.name == "offset")
     assert (offset.verdict, offset.value) == (UNKNOWN, 0.0)
     assert "measure the motor" in offset.reason
-
-
-def test_a_joint_that_stands_still_keeps_its_prior() -> None:
-    k = 500
-    found = found_in(noisy(np.zeros(k), np.zeros(k), np.zeros(k), 2e-3), LINEAR)
-    for name in ("motor_inertia", "link_damping", "motor_damping", "link_coulomb_friction", "link_skew"):
-        assert found[name].verdict == UNKNOWN
-        assert found[name].value == found[name].prior
-        assert "stands still" in found[name].reason
-    assert found["joint_stiffness"].verdict == UNKNOWN
-
-
-def test_a_torque_sensor_replaces_the_link_encoder() -> None:
-    u, q_l, q_m = usual_record()
-    joint = ElasticJoint()
-    found = found_in(noisy(u, None, q_m, 4e-3, sensed(joint, q_l, q_m)), joint)
-    assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.02)
-    assert found["motor_inertia"].value == pytest.approx(joint.B, rel=0.02)
 
 
 def test_correlated_scores_widen_the_intervals_and_white_ones_do_not() -> None:
@@ -186,6 +169,37 @@ def test_a_torque_that_depends_on_the_position_is_found() -> None:
         stiffness=25.0, motor_inertia=0.005, link_inertia=joint.M, gravity_torque=0.0, link_damping=0.0
     )
     record = noisy(u, q_l, q_m, 4e-3)
-    found = {e.name: e for e in identify([record], empty, Prior.of(empty), Options(position_torque="joint1")).estimates}
+    found = {
+        e.name: e
+        for e in identify([record], empty, Prior.of(empty), IdentifyOptions(position_torque="joint1")).estimates
+    }
     assert found["position_torque_sin1"].value == pytest.approx(joint.load, rel=0.01)
     assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.01)
+
+
+LATE = 2  # samples by which the link encoder is read late
+
+
+def late_link() -> MotionRecord:
+    whole = recorded_joint.record()
+    return replace(whole, q_l=np.vstack([whole.q_l[:LATE], whole.q_l[: len(whole.q_l) - LATE]]))
+
+
+def estimate(name: str, value: float) -> Estimate:
+    return Estimate(name, "joint1", "", value, value, value, value, IDENTIFIED)
+
+
+def test_model_explains_more_of_the_deflection_than_rigid_joints_or_no_skew() -> None:
+    robot, prior = recorded_joint.robot(), Prior.of(recorded_joint.robot())
+    true = (
+        estimate("link_skew", -LATE * recorded_joint.DT),
+        estimate("link_coulomb_friction", recorded_joint.COULOMB),
+    )
+    found = Identification(("joint1",), true, (), (), np.zeros(0), np.zeros((0, 0)))
+    compared = hold_out(found, late_link(), robot, prior, IdentifyOptions())
+    assert compared.model[0] < 0.1
+    assert compared.model[0] < compared.no_skew[0] / 2
+    assert compared.model[0] < compared.rigid[0] / 2
+    record = late_link()
+    skewed = np.std(record.q_m - record.q_l)
+    assert compared.rigid[0] == pytest.approx(np.std(record.q_m[:-LATE] - record.q_l[LATE:]) / skewed, rel=0.1)

@@ -17,9 +17,8 @@ from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import rest_position
 from fjr_design.scaffold.first_scenario import first_values
-from fjr_identification.estimation.excitation import Excitation, design
-from fjr_identification.estimation.information import PARAMETERS, JointNoise, encoder_noise
-from fjr_identification.estimation.motion_envelope import MotionEnvelope, motion_envelope
+from fjr_identification.elastic_motion import PARAMETERS, JointNoise, encoder_noise, motion_envelope
+from fjr_identification.excitation import Excitation, design
 from fjr_msgs_py.console.formatting import plural
 from fjr_msgs_py.console.progress import phase
 from fjr_msgs_py.console.result import Result
@@ -41,7 +40,7 @@ def excite(
     output: Path | None,
     force: bool,
 ) -> Result:
-    """Write a scenario whose reference of `duration` [s] tells stiffness, inertia and friction of the joints best.
+    """Write a scenario whose reference of `duration` [s] reveals stiffness, inertia and friction of the joints best.
 
     scenario: also a robot file, which gets a first motion and, along the new one, gains. noise [rad]: of encoders that
     the scenario has without errors. Raises FjrError.
@@ -55,34 +54,43 @@ def excite(
     if library.is_robot_file(path):
         changes = {**first_values(loaded), **changes}
         loaded = library.as_run(path, changes)[1]
-    limits = _limits(loaded, duration)
-    with phase(f"{loaded.name}: designing {duration:g} s of motion for {plural(loaded.robot.n, 'joint')}"):
-        found = design(
-            loaded.robot, limits, _noise(loaded, limits, noise), loaded.reference, duration, loaded.sample_period, seed
-        )
-    write_text(target, _text(path, loaded, found, changes))
+    excitation = _designed(loaded, duration, noise, seed)
+    write_text(target, _text(path, loaded, excitation, changes))
     library.load(str(target))  # a file that cannot be read back must not look finished
-    return Result(_table(loaded, found, target), _values(loaded, found, target))
+    half, was = (
+        {name: HALF_WIDTH * deviations[:, PARAMETERS.index(name)] for name in SHOWN}
+        for deviations in (excitation.deviations, excitation.before)
+    )
+    values = {
+        "scenario_file": target,
+        "duration_s": excitation.duration,
+        "period_s": excitation.period,
+        "joints": loaded.joints,
+        "relative_half_width": half,
+        "relative_half_width_before": was,
+    }
+    return Result(_table(loaded, excitation, target, half, was), values)
 
 
-def _limits(scenario: Scenario, duration: float) -> MotionEnvelope:
-    """Return the limits of the motion: SHARE of those of the controller and the robot."""
-    values, robot = scenario.controller_values, scenario.robot
-    acceleration = vector(values, "limits.acceleration", robot.n)
-    return motion_envelope(robot, safety(values, robot), acceleration, scenario.reference, SHARE, duration)
+def _designed(scenario: Scenario, duration: float, least: float, seed: int) -> Excitation:
+    """Design a motion that uses SHARE of the limits of the controller and the robot.
 
-
-def _noise(scenario: Scenario, limits: MotionEnvelope, least: float) -> JointNoise:
-    """Return the noise of the simulated sensors, at least `least` [rad], and EFFORT_NOISE of the effort limits."""
-    sensors = sensor_errors(scenario.plant_values, scenario.robot.n)
+    Noise is that of the simulated sensors, at least `least` [rad], and EFFORT_NOISE of the effort limits.
+    """
+    robot, reference = scenario.robot, scenario.reference
+    acceleration = vector(scenario.controller_values, "limits.acceleration", robot.n)
+    limits = motion_envelope(robot, safety(scenario.controller_values, robot), acceleration, reference, SHARE, duration)
+    sensors = sensor_errors(scenario.plant_values, robot.n)
     link = encoder_noise(np.asarray(sensors.bits_l), np.asarray(sensors.position_l), least)
     motor = encoder_noise(np.asarray(sensors.bits_m), np.asarray(sensors.position_m), least)
-    return JointNoise(link, motor, EFFORT_NOISE * limits.upper[-1] / SHARE)
+    noise = JointNoise(link, motor, EFFORT_NOISE * limits.upper[-1] / SHARE)
+    with phase(f"{scenario.name}: designing {duration:g} s of motion for {plural(robot.n, 'joint')}"):
+        return design(robot, limits, noise, reference, duration, scenario.sample_period, seed)
 
 
-def _text(path: Path, scenario: Scenario, found: Excitation, changes: Mapping[str, Any]) -> str:
+def _text(path: Path, scenario: Scenario, excitation: Excitation, changes: Mapping[str, Any]) -> str:
     """Return the scenario of the file with the changes, the reference, and the plant at rest at its start."""
-    motion, robot = found.reference, scenario.plant.robot
+    motion, robot = excitation.reference, scenario.plant.robot
     position = rest_position(robot, np.asarray(motion.jets(0.0))[0])
     rows = {name: _numbers(getattr(motion, name)) for name in ("amplitude", "frequency", "phase")}
     values = {
@@ -98,9 +106,9 @@ def _text(path: Path, scenario: Scenario, found: Excitation, changes: Mapping[st
     text = library.as_run(path, values)[0]
     settings = text[text.index("\n/**:") + 1 :]
     return (
-        f"# Excitation of {scenario.name}: {found.duration:g} s that reveal stiffness, inertia and friction of its\n"
-        f"# joints, at rest at 0 s and every {found.period:g} s. Run and record it:\n"
-        f"#   fjr run THIS_FILE --duration {found.duration:g}\n{settings}"
+        f"# Excitation of {scenario.name}: {excitation.duration:g} s that reveal stiffness, inertia and friction of "
+        f"its\n# joints, at rest at 0 s and every {excitation.period:g} s. Run and record it:\n"
+        f"#   fjr run THIS_FILE --duration {excitation.duration:g}\n{settings}"
     )
 
 
@@ -108,41 +116,24 @@ def _numbers(array: Any) -> list[float]:
     return [float(value) for value in np.ravel(array)]
 
 
-def _table(scenario: Scenario, found: Excitation, target: Path) -> str:
-    """Return the expected intervals of each joint, and those along the reference of the scenario."""
-    frequencies = np.asarray(found.reference.frequency) / (2 * np.pi)
-    joints = scenario.joints
-    width = max(len("joint"), *(len(joint) for joint in joints))
+def _table(
+    scenario: Scenario, excitation: Excitation, target: Path, half: Mapping[str, Array], was: Mapping[str, Array]
+) -> str:
+    """Return the expected half widths of the intervals of each joint, and those along the reference of the scenario."""
+    frequencies = np.asarray(excitation.reference.frequency) / (2 * np.pi)
+    width = max(len(joint) for joint in ("joint", *scenario.joints))
     lines = [
         f"scenario   {target}",
-        f"reference  multi_sine, {frequencies.min():.3g} to {frequencies.max():.3g} Hz, {found.duration:g} s, at rest "
-        f"every {found.period:g} s",
+        f"reference  multi_sine, {frequencies.min():.3g} to {frequencies.max():.3g} Hz, {excitation.duration:g} s, at "
+        f"rest every {excitation.period:g} s",
         f"expected 95 % intervals (Cramer-Rao bound), and those along the reference of {scenario.name}:",
-        f"  {'joint'.ljust(width)}  {'stiffness'.rjust(20)}  {'motor inertia'.rjust(20)}",
+        f"  {'joint'.ljust(width)}  {'  '.join(words.rjust(20) for words in SHOWN.values())}",
     ]
-    half, was = (_half_widths(deviations) for deviations in (found.deviations, found.before))
-    for j, joint in enumerate(joints):
+    for j, joint in enumerate(scenario.joints):
         cells = [f"{_percent(half[name][j])} ({_percent(was[name][j])})".rjust(20) for name in SHOWN]
         lines.append(f"  {joint.ljust(width)}  {'  '.join(cells)}")
     return "\n".join(lines)
 
 
-def _half_widths(deviations: Array) -> dict[str, Array]:
-    return {name: HALF_WIDTH * deviations[:, PARAMETERS.index(name)] for name in SHOWN}
-
-
 def _percent(share: float) -> str:
     return f"+-{100 * share:.2g} %" if share < 1 else "unknown"
-
-
-def _values(scenario: Scenario, found: Excitation, target: Path) -> dict[str, object]:
-    """Return the result as JSON values."""
-    half, was = (_half_widths(deviations) for deviations in (found.deviations, found.before))
-    return {
-        "scenario_file": target,
-        "duration_s": found.duration,
-        "period_s": found.period,
-        "joints": scenario.joints,
-        "relative_half_width": half,
-        "relative_half_width_before": was,
-    }

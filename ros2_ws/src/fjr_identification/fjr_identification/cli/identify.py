@@ -1,22 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr identify`: a robot file with intervals from recorded motion."""
+"""`fjr identify`: read records, identify the robot, write robot.yaml, identification.json and the page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from click import UsageError
 
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
-from fjr_identification.cli.command import Request, identify_robot
-from fjr_identification.estimation.finding import KINDS
-from fjr_identification.estimation.parameters import Options
-from fjr_identification.records.header_map import written_map
-from fjr_identification.records.read_record import Reading
-from fjr_identification.robot_file.nominal_robot import GEAR_RATIO, nominal_robot
-from fjr_msgs_py.console.result import Result
+from fjr_core.urdf.typical_joints import joints_without_inertia
+from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, WEAK, Identification
+from fjr_identification.estimation.identify import identify as identification_of
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.validation import HoldOut, hold_out
+from fjr_identification.page import HOLD_OUT, counted, hold_out_rows, write_page
+from fjr_identification.read_record import Reading, read_record
+from fjr_identification.record_map import read_map
+from fjr_identification.rigid_motion import KINDS
+from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
+from fjr_identification.table_record import written_map
+from fjr_msgs_py.console.formatting import interval, number, plural
+from fjr_msgs_py.console.progress import progress_bar
+from fjr_msgs_py.console.result import Result, json_text
+
+ROBOT, VALUES, PAGE = "robot.yaml", "identification.json", "identification.html"
+PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
 
 
 def identify(
@@ -25,19 +40,16 @@ def identify(
     hold_outs: Sequence[Path],
     mapping: Path | None,
     write_map: bool,
-    joints: tuple[str, ...],
     start: float,
     duration: float,
     accepted: Sequence[str],
-    payload: bool,
-    link_inertia: bool,
-    static_friction: bool,
-    position_torque: str,
     output: Path,
+    **free: Any,
 ) -> Result:
-    """Identify a robot from records; accepted: kinds of contradictions that are reported only.
+    """Identify a robot from records, write all files and return a table; raise FjrError.
 
-    write_map: write the mapping file of the first record instead, next to which nothing is replaced.
+    accepted: kinds of contradictions that are reported only. write_map: write the mapping file of the first record
+    instead, next to which nothing is replaced. free: fields of IdentifyOptions, joints among them.
     """
     if write_map:
         return _mapped(records[0], robot)
@@ -46,15 +58,28 @@ def identify(
     unknown = [kind for kind in accepted if kind not in KINDS]
     if unknown:
         raise ParameterError(f"--accept is '{unknown[0]}'; expected one of {', '.join(KINDS)}")
-    options = Options(
-        joints=joints,
-        payload=payload,
-        link_inertia=link_inertia,
-        static_friction=static_friction,
-        position_torque=position_torque,
-    )
-    reading = Reading(start=start, duration=duration, accepted=accepted)
-    return identify_robot(Request(records, hold_outs, robot, mapping, reading, options, output))
+    options = IdentifyOptions(**free)
+    nominal = nominal_robot(robot)
+    for i, seen in joints_without_inertia(nominal.robot).items():  # a record would seem wrong by their factor
+        raise ParameterError(
+            f"{nominal.path}: {nominal.joints[i]} {seen}; expected the inertia of its links in the URDF, or a robot "
+            "file in which the joint is locked"
+        )
+    reading = Reading(read_map(mapping, nominal.joints) if mapping else None, start, duration, accepted)
+    motions, notes = _read(records, nominal, reading)
+    predicted, more = _read(hold_outs, nominal, reading)
+    prior = Prior.of(nominal.robot)
+    with _progress() as progress:
+        identification = identification_of(motions, nominal.robot, prior, options, progress)
+    compared = [hold_out(identification, record, nominal.robot, prior, options) for record in predicted]
+    notes = (*notes, *more, *unconfirmed(compared))
+    shares = {held.record: held.shares for held in compared}
+    inputs = {"robot": robot, "records": records, "hold_out": shares, "notes": notes}
+    values = {**identification.as_dict(), **inputs}
+    file = _write(output, nominal, identification, motions, compared, values)
+    paths = [output / name for name in (ROBOT, VALUES, PAGE)]
+    lines = [*table(identification), *_hold_out_lines(compared), *_last_lines(paths, file)]
+    return Result("\n".join(lines), {**values, "files": paths})
 
 
 def _mapped(record: Path, robot: Path | None) -> Result:
@@ -69,3 +94,109 @@ def _mapped(record: Path, robot: Path | None) -> Result:
         todo.append(f"         the robot file has the gear ratios {nominal.given[GEAR_RATIO]}")
     again = f"fjr identify {record} --map {file} --robot {robot or 'ROBOT.yaml'}"
     return Result("\n".join([f"written  {file}", *todo, f"next     {again}"]), {"map": file, "to_do": todo})
+
+
+def _read(paths: Sequence[Path], nominal: NominalRobot, reading: Reading) -> tuple[list[MotionRecord], tuple[str, ...]]:
+    """Return the records and print what is remarkable about them."""
+    pairs = [read_record(path, nominal.joints, nominal.robot, reading) for path in paths]
+    notes = tuple(note for _, of_record in pairs for note in of_record)
+    for note in notes:
+        print(f"fjr: {note}", file=sys.stderr)
+    return [record for record, _ in pairs], notes
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """Show a bar, on a terminal, or a line for each step of the identification elsewhere."""
+    shown = ""
+    with progress_bar("identifying", PROGRESS, total=1.0, desc="identifying") as bar:
+
+        def progress(what: str, share: float) -> None:
+            nonlocal shown
+            if what != shown and bar.disable:
+                print(what, file=sys.stderr, flush=True)
+            shown = what
+            bar.set_description(what, refresh=False)
+            bar.n = min(1.0, share)
+            bar.refresh()
+
+        yield progress
+
+
+def _write(
+    folder: Path,
+    nominal: NominalRobot,
+    identification: Identification,
+    records: Sequence[MotionRecord],
+    compared: Sequence[HoldOut],
+    values: Mapping[str, Any],
+) -> RobotFile:
+    """Write robot.yaml, the URDF of corrected links, identification.json with the values, and the page."""
+    folder.mkdir(parents=True, exist_ok=True)
+    robot = IdentifiedRobot(nominal, identification)
+    file = robot.file(folder, [record.name for record in records], ROBOT)
+    write_text(folder / ROBOT, file.text)
+    if robot.corrected_urdf:
+        write_text(folder / CORRECTED, robot.corrected_urdf)
+    write_text(folder / VALUES, json_text(values, indent=1) + "\n")
+    seconds = sum(record.dt * len(record.u) for record in records)
+    notes = [*values["notes"], *([f"robot.yaml has no gains: {file.reason}"] if file.reason else [])]
+    write_page(folder / PAGE, nominal.name, identification, compared, notes, seconds)
+    return file
+
+
+def table(identification: Identification) -> list[str]:
+    """Return a line for each estimate, below a headline."""
+    counts = counted(identification)
+    cells = [("parameter", "joint", "value", "95 % interval", "verdict")]
+    reasons = []
+    for estimate in identification.estimates:
+        ends = "" if estimate.verdict == UNKNOWN else interval(estimate.low, estimate.high)
+        value = number(estimate.value, estimate.unit)
+        cells.append((estimate.name, estimate.joint, value, ends, estimate.verdict))
+        if estimate.verdict == UNKNOWN:
+            reasons.append(f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.reason}")
+    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
+    others = f"{counts[WEAK]} weakly, {counts[UNKNOWN]} not identifiable"
+    headline = f"{plural(counts[IDENTIFIED], 'parameter')} identified, {others}"
+    return [
+        headline,
+        "",
+        *lines,
+        *(["", "not identifiable from these records, as before:", *reasons] if reasons else []),
+    ]
+
+
+def unconfirmed(compared: Sequence[HoldOut]) -> list[str]:
+    """Return a sentence for each hold-out that joints without elasticity or without skew explain better."""
+    sentences = []
+    for held in compared:
+        better = np.fmin(held.rigid, held.no_skew) < held.model
+        if better.any():
+            joints = ", ".join(joint for joint, wrong in zip(held.joints, better, strict=True) if wrong)
+            sentences.append(
+                f"hold-out {held.record}: the deflection of {joints} is predicted better by rigid joints or no skew; "
+                "the record does not confirm these stiffnesses"
+            )
+    for sentence in sentences:
+        print(f"fjr: {sentence}", file=sys.stderr)
+    return sentences
+
+
+def _hold_out_lines(compared: Sequence[HoldOut]) -> list[str]:
+    """Return the tables of unexplained deflections as text."""
+    lines: list[str] = []
+    for held in compared:
+        cells = [("unexplained", *HOLD_OUT[1:]), *hold_out_rows(held)]
+        lines += ["", f"hold-out {held.record}: share of the deflection that a model leaves unexplained"]
+        lines += ["  ".join(cell.ljust(14) for cell in row).rstrip() for row in cells]
+    return lines
+
+
+def _last_lines(paths: Sequence[Path], file: RobotFile) -> list[str]:
+    """Return where the results are and what comes next."""
+    lines = ["", f"written    {', '.join(map(str, paths))}"]
+    if file.reason:
+        return [*lines, f"no gains   {file.reason}"]
+    return [*lines, f"next       fjr check {paths[0]}", f"           fjr run {paths[0]} --lockstep"]

@@ -5,41 +5,51 @@
     B dv_m = B_m u - tau - D_m v_m - F_m(v_m)
 
 F_l and F_m are the friction of simulation.nonideal_plant, T is an optional torque of the position of one joint.
+
+The inertia of the links may be corrected. The pseudo-inertia P of a link stays positive definite, hence physically
+consistent, with log-Cholesky parameters theta = (alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3) about that of the robot
+file, P_0, at theta = 0:
+
+    P = L U U' L',  P_0 = L L',  U = e^alpha [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]]
+
+Gaussian theta are a prior that is free of units (C. Rucker, P. Wensing, IEEE RA-L 7(2), 2022).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from fjr_core.model.newton_euler import InertialArm
-from fjr_core.model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
+from fjr_core.model.newton_euler import InertialArm, pseudo_inertia
+from fjr_core.model.rigid_arm import ArmDynamics, Body, PayloadArm, RigidArm
 from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function, directional, solve, sparse, symbols
 from fjr_core.simulation.nonideal_plant import friction
+from fjr_design.posterior.result import Identification
 
-from .parameters import KINDS, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, TIMING, size
-from .pseudo_inertia import corrected_arm
+from .parameters import DYNAMIC, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
 
-DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
-"""Parameters of the equations of motion."""
+LEAST = 1e-9  # of the trace; eigenvalue that is added to a link without extension, so that it has a factor
+ENTRIES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of s12, s23, s13, t1, t2, t3 in U
 
 
 @dataclass(frozen=True, eq=False)
 class ElasticArm:
     """Equations of motion in (q_l, q_m, v_l, v_m) with symbolic parameters.
 
-    free: entries of the packed parameters with respect to which derivatives are taken. added_inertia [kg m^2]: of each
+    free: (name, index) of the parameters with respect to which derivatives are taken. added_inertia [kg m^2]: of each
     link, for links so light that their resonance is too fast for the record; () for none.
     """
 
     robot: Robot
-    free: tuple[int, ...]
+    free: tuple[tuple[str, int], ...]
     added_inertia: tuple[float, ...] = ()
 
     @cached_property
@@ -66,23 +76,21 @@ class ElasticArm:
     @cached_property
     def link_torque(self) -> ca.Function:
         """Return the function (q, v, a, parameters) -> M_l a + C v + grad P_l (n,) [N m]."""
-        n = self.robot.n
-        s = symbols(q=n, v=n, a=n, parameters=self.layout.size)
-        q, v, a, parameters = s.values()
-        links = self._links(self.layout.named(parameters))
-        return dense_function("link_torque", s, {"torque": self._rigid(links, q, v, a)}, cse=True)
+        s, torque = self._link_torque()
+        return dense_function("link_torque", s, {"torque": torque}, cse=True)
 
     @cached_property
     def link_torque_slopes(self) -> ca.Function:
         """Return the function (q, v, a, parameters) -> derivatives (n, m) of link_torque by its m free parameters."""
+        s, torque = self._link_torque()
+        slopes = ca.jacobian(torque, s["parameters"])[:, self._entries(OF_LINKS)]
+        return dense_function("link_torque_slopes", s, {"slopes": ca.vec(ca.densify(slopes))}, cse=True)
+
+    def _link_torque(self) -> tuple[dict[str, ca.SX], ca.SX]:
         n = self.robot.n
         s = symbols(q=n, v=n, a=n, parameters=self.layout.size)
         *motion, parameters = s.values()
-        torque = self._rigid(self._links(self.layout.named(parameters)), *motion)
-        of_links = set(free_entries(self.layout, [(name, i) for name in OF_LINKS for i in range(size(name, n))]))
-        free = [i for i in self.free if i in of_links]
-        slopes = ca.jacobian(torque, parameters)[:, free]
-        return dense_function("link_torque_slopes", s, {"slopes": ca.vec(ca.densify(slopes))}, cse=True)
+        return s, _rigid(self._links(self.layout.named(parameters)), *motion)
 
     @cached_property
     def link_inertia(self) -> ca.Function:
@@ -106,20 +114,13 @@ class ElasticArm:
         on_links = tau - p.link_damping * v_l - F_l - position_torque(p, q_l)
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
         M_l = links.M_l(q_l) + self._added
-        dv_l = solve(M_l, on_links - self._rigid(links, q_l, v_l, ca.SX.zeros(n)))
+        dv_l = solve(M_l, on_links - _rigid(links, q_l, v_l, ca.SX.zeros(n)))
         dv_m = on_motors / p.motor_inertia
-        z = ca.vertcat(x, *[parameters[i] for i in self.free], u)
-        balance = on_links - self._rigid(links, q_l, v_l, a_l) - self._added @ a_l
+        z = ca.vertcat(x, *[parameters[i] for i in self._entries(DYNAMIC)], u)
+        balance = on_links - _rigid(links, q_l, v_l, a_l) - self._added @ a_l
         D_l = ca.substitute(ca.jacobian(balance, z), a_l, dv_l)
         D_l = ca.sparsify(solve(M_l, ca.SX.eye(n)) @ D_l)
         return s, ca.vertcat(dv_l, dv_m), ca.vertcat(D_l, ca.jacobian(dv_m, z))
-
-    def _rigid(self, links: RigidArm, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
-        """Return M_l a + C v + grad P_l, C v = dM_l v - grad T."""
-        if isinstance(links, (ArmDynamics, InertialArm)):
-            return links.inertial_torque(q, v, v, a) + links.grad_P_l(q)
-        dM = directional(links.M_l(q) @ v, q, v)
-        return links.M_l(q) @ a + dM - links.grad_T(q, v) + links.grad_P_l(q)
 
     @property
     def _added(self) -> ca.SX:
@@ -128,19 +129,38 @@ class ElasticArm:
     def _links(self, p: SimpleNamespace) -> RigidArm:
         """Return the links of the robot, with a payload or with corrected inertias if one is free."""
         links: RigidArm = self.robot.links
-        if self._is_free(PSEUDO_INERTIA):
+        if self._entries(PSEUDO_INERTIA):
             theta = ca.horzcat(*(getattr(p, name) for name in PSEUDO_INERTIA))
             links = corrected_arm(self.robot.links, [theta[i, :] for i in range(self.robot.n)])
         end_effector = self.robot.links.end_effector
-        if end_effector is None or not self._is_free(PAYLOAD):
+        if end_effector is None or not self._entries(PAYLOAD):
             return links
         position = ca.vertcat(p.payload_position_x, p.payload_position_y, p.payload_position_z)
         return PayloadArm(links, end_effector, p.payload_mass, position)
 
-    def _is_free(self, names: Sequence[str]) -> bool:
-        """Return whether an entry of a parameter with one of these names is free."""
-        entries = [(name, i) for name in names for i in range(size(name, self.robot.n))]
-        return not set(free_entries(self.layout, entries)).isdisjoint(self.free)
+    def _entries(self, names: Sequence[str]) -> list[int]:
+        """Return the entries of the packed parameters of the free ones with these names."""
+        widths = list(self.layout.sizes.values())
+        starts = {name: sum(widths[:k]) for k, name in enumerate(self.layout.sizes)}
+        return [starts[name] + index for name, index in self.free if name in names]
+
+
+def packed(arm: ElasticArm, parameters: Mapping[str, Array]) -> Array:
+    """Return the parameters of the arm as one vector."""
+    return np.concatenate([np.atleast_1d(parameters[name]) for name in arm.layout.sizes])
+
+
+def _rigid(links: RigidArm, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
+    """Return M_l a + C v + grad P_l, C v = dM_l v - grad T."""
+    if isinstance(links, (ArmDynamics, InertialArm)):
+        return links.inertial_torque(q, v, v, a) + links.grad_P_l(q)
+    dM = directional(links.M_l(q) @ v, q, v)
+    return links.M_l(q) @ a + dM - links.grad_T(q, v) + links.grad_P_l(q)
+
+
+def coulomb(v: Array, smoothing: Array | float) -> Array:
+    """Return Coulomb friction at velocities v per unit of its level, as `friction` of the plant: it turns over v_0."""
+    return np.tanh(v / smoothing)
 
 
 def position_torque(p: SimpleNamespace, q: ca.SX, f: Any = ca) -> ca.SX:
@@ -153,9 +173,46 @@ def position_terms(q: Any, f: Any = ca) -> tuple[Any, ...]:
     return f.sin(q), f.cos(q), f.sin(2 * q), f.cos(2 * q)
 
 
-def free_entries(layout: PackedVector, free: Sequence[tuple[str, int]]) -> tuple[int, ...]:
-    """Return the entries of the packed parameters for (name, index) of each free one."""
-    starts, at = {}, 0
-    for name, width in layout.sizes.items():
-        starts[name], at = at, at + width
-    return tuple(starts[name] + index for name, index in free if name in starts)
+def correctable(links: ArmDynamics) -> bool:
+    """Return whether the links consist of bodies in the order of the joints, as from a URDF, unlike a closed form."""
+    return links.M_l_vertices is None and bool(links.bodies) and links.order == tuple(range(links.n))
+
+
+def corrected_arm(links: ArmDynamics, theta: Sequence[Any]) -> InertialArm:
+    """Return the links with expressions theta, ten for each link, as in PSEUDO_INERTIA."""
+    assert links.end_effector is not None  # every serial chain has one
+    inertias = [
+        _corrected(body, of_body, ca.SX.eye(4), ca.exp) for body, of_body in zip(links.bodies, theta, strict=True)
+    ]
+    return InertialArm(links.bodies, inertias, links.end_effector.gravity)
+
+
+def corrected_body(body: Body, theta: Array) -> Body:
+    """Return a body with the correction theta (10,)."""
+    P = np.asarray(_corrected(body, theta, np.eye(4), np.exp))
+    mass, com = float(P[3, 3]), P[:3, 3] / P[3, 3]
+    second = P[:3, :3] - mass * np.outer(com, com)
+    return replace(body, mass=mass, com=com, inertia=np.trace(second) * np.eye(3) - second)
+
+
+def corrected_bodies(links: ArmDynamics, joints: Sequence[str], identification: Identification) -> tuple[Body, ...]:
+    """Return the bodies of the links with the identified corrections, () without any."""
+    theta = np.zeros((links.n, len(PSEUDO_INERTIA)))
+    for estimate in identification.estimates:
+        if estimate.name in PSEUDO_INERTIA:
+            theta[joints.index(estimate.joint), PSEUDO_INERTIA.index(estimate.name)] = estimate.value
+    if not np.any(theta):
+        return ()
+    return tuple(corrected_body(body, of_body) for body, of_body in zip(links.bodies, theta, strict=True))
+
+
+def _corrected(body: Body, theta: Any, U: Any, exp: Any) -> Any:
+    """Return P (4, 4); U: a unit matrix, which is filled."""
+    P = pseudo_inertia(body)
+    L = np.linalg.cholesky(P + LEAST * np.trace(P) * np.eye(4))
+    for k in range(3):
+        U[k, k] = exp(theta[1 + k])
+    for k, (row, column) in enumerate(ENTRIES):
+        U[row, column] = theta[4 + k]
+    factor = L @ (exp(theta[0]) * U)
+    return factor @ factor.T

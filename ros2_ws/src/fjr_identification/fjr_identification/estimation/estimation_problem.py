@@ -8,22 +8,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
-from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 from fjr_core.urdf.typical_joints import least_free_inertia
 
-from .coordinates import Coordinates, packed
-from .elastic_arm import ElasticArm, free_entries
-from .initial_guess import FilteredMotion, filtered, start_values
+from .elastic_arm import ElasticArm, correctable, packed
+from .filtered_motion import FilteredMotion, filtered, start_values
 from .motion_record import MotionRecord
-from .multiple_shooting import Problem
-from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, Options, Prior, size
-from .pseudo_inertia import correctable
-from .segments import cut, measured_signals
+from .multiple_shooting import Problem, cut, measured_signals
+from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
 from .shooting import HeldEffort, Shooting
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
@@ -43,9 +38,6 @@ HARMONICS = {"1": 3.0, "2": 0.1}
 MOST_POSES = 20  # samples of a record at which resonances are computed
 
 
-VELOCITIES = ("smoothing", "stribeck")
-
-
 @dataclass(frozen=True, eq=False)
 class Estimation:
     """Records, robot, prior and options, and the optimisation problem that follows from them."""
@@ -53,19 +45,19 @@ class Estimation:
     records: list[MotionRecord]
     robot: Robot
     prior: Prior
-    options: Options
+    options: IdentifyOptions
 
     @property
     def values(self) -> Mapping[str, Array]:
         """Return all parameters by name at the prior, with the velocities of the friction model."""
-        n = self.robot.n
-        velocities = {name: checks.vector(name, getattr(self.options, name), n, StateError) for name in VELOCITIES}
-        return {**self.prior.values, **velocities}
+        return {**self.prior.values, **self.options.friction_velocities(self.robot.n)}
 
-    @property
-    def coordinates(self) -> Coordinates:
+    @cached_property
+    def coordinates(self) -> ParameterCoordinates:
         """Return the coordinates of all free parameters."""
-        return Coordinates.of(free_parameters(self.records, self.robot, self.options), self.values, self.widths)
+        return ParameterCoordinates.of(
+            free_parameters(self.records, self.robot, self.options), self.values, self.widths
+        )
 
     @property
     def widths(self) -> dict[str, Array]:
@@ -74,75 +66,83 @@ class Estimation:
         measured = np.max([np.sqrt(np.mean(r.u**2, axis=0)) for r in self.records], axis=0)
         effort = np.maximum(measured, LEAST_DEFLECTION * values["joint_stiffness"])
         damping = 0.1 * np.sqrt(values["joint_stiffness"] * values["motor_inertia"])
-        found: dict[str, Array] = {
+        widths: dict[str, Array] = {
             name: np.full(size(name, n), kind.width) for name, kind in KINDS.items() if kind.width is not None
         }
-        found |= dict.fromkeys(("link_damping", "motor_damping"), damping)
-        found |= {name: 0.3 * effort for name in KINDS if name.endswith("friction")}
-        found |= {name: HARMONICS[name[-1]] * effort for name in POSITION_TORQUE}
-        found |= {"payload_mass": np.array([10.0])}
-        return {**found, **self.prior.widths}
+        widths |= dict.fromkeys(("link_damping", "motor_damping"), damping)
+        widths |= {name: 0.3 * effort for name in KINDS if name.endswith("friction")}
+        widths |= {name: HARMONICS[name[-1]] * effort for name in POSITION_TORQUE}
+        return {**widths, "payload_mass": np.array([10.0]), **self.prior.widths}
 
-    def start(self) -> tuple[list[FilteredMotion], dict[str, Array]]:
-        """Return the filtered motions and the start values of all parameters."""
+    @cached_property
+    def motions(self) -> list[FilteredMotion]:
+        """Return the filtered motion of each record."""
         arm, values = self.arm(self.coordinates), self.values
-        motions = [filtered(record, arm, values) for record in self.records]
-        found = start_values(self.records, motions, self.robot.B_m, self.prior, values["smoothing"])
-        z = self.coordinates.of_values(found)
-        mean, reach = self.coordinates.mean, FARTHEST * self.coordinates.width
-        return motions, self.coordinates.parameters(np.clip(z, mean - reach, mean + reach))
+        return [filtered(record, arm, values) for record in self.records]
 
-    def arm(self, coordinates: Coordinates) -> ElasticArm:
+    @cached_property
+    def start(self) -> dict[str, Array]:
+        """Return the start values of all parameters."""
+        coordinates, smoothing = self.coordinates, self.values["smoothing"]
+        guess = start_values(self.records, self.motions, self.robot.B_m, self.prior, smoothing)
+        reach = FARTHEST * coordinates.width
+        z = np.clip(coordinates.of_values(guess), coordinates.mean - reach, coordinates.mean + reach)
+        return coordinates.parameters(z)
+
+    def arm(self, coordinates: ParameterCoordinates) -> ElasticArm:
         """Return the arm with derivatives by the free parameters."""
-        layout = ElasticArm(self.robot, ()).layout
-        return ElasticArm(self.robot, free_entries(layout, coordinates.dynamic), self._added_inertia)
+        return ElasticArm(self.robot, coordinates.dynamic, self._added_inertia)
+
+    @cached_property
+    def poses(self) -> Array:
+        """Return some measured positions (k, n) along all records."""
+        positions = []
+        for record in self.records:
+            q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
+            complete = q[np.all(np.isfinite(q), axis=1)]
+            positions.append(complete[:: max(1, len(complete) // MOST_POSES)])
+        return np.vstack(positions)
 
     @cached_property
     def _added_inertia(self) -> tuple[float, ...]:
         """Return the inertia [kg m^2] that lowers the resonance of each link to the fastest one that is integrated."""
-        where = np.vstack([poses(record) for record in self.records])
-        least = least_free_inertia([self.robot.M_l(q) for q in where])
+        least = least_free_inertia([self.robot.M_l(q) for q in self.poses])
         fastest = ACCURATE * RESONANT_PARTS / max(record.dt for record in self.records)
         needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
         return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
 
     def segment_length(self, start: Mapping[str, Array]) -> float:
         """Return the length [s] of the segments that follows from start values."""
-        return self._length(_rates(self.arm(self.coordinates), self.records, start)[0])
+        return self._length(_rates(self.arm(self.coordinates), self.poses, start)[0])
 
     def _length(self, slowest: float) -> float:
         return self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
 
-    def problem(
-        self, coordinates: Coordinates, start: Mapping[str, Array], motions: Sequence[FilteredMotion]
-    ) -> Problem:
+    def problem(self, coordinates: ParameterCoordinates, start: Mapping[str, Array]) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
         arm = self.arm(coordinates)
-        slowest, fastest, creep = _rates(arm, self.records, start)
-        length = self._length(slowest)
+        slowest, fastest, creep = _rates(arm, self.poses, start)
         smoothing = np.tile(start["smoothing"], 2)
-        acceleration = _reversals(motions, SLOW * smoothing)
+        acceleration = _reversals(self.motions, SLOW * smoothing)
         near_rest = np.maximum(creep, acceleration / smoothing / PASSAGE)
-        efforts = [
-            HeldEffort(
-                r.u,
-                r.dt,
-                int(np.clip(np.ceil(r.dt * fastest), 1, MOST_PARTS)),
-                _parts(r.dt * near_rest),
-                SLOW * smoothing + PEAK * r.dt * acceleration,
-            )
-            for r in self.records
-        ]
-        segments = [s for r, effort in zip(self.records, efforts, strict=True) for s in cut(r, effort, length)]
+        segments, filtered_states = [], []
+        for record, motion in zip(self.records, self.motions, strict=True):
+            steps = int(np.clip(np.ceil(record.dt * fastest), 1, MOST_PARTS))
+            slow = SLOW * smoothing + PEAK * record.dt * acceleration
+            doublings = np.ceil(np.log2(np.maximum(record.dt * near_rest, 1.0)))
+            slow_steps = np.minimum(2.0**doublings, MOST_PARTS).astype(np.int32)
+            effort = HeldEffort(record.u, record.dt, steps, slow_steps, slow)
+            pieces = cut(record, effort, self._length(slowest))
+            segments += pieces
+            filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]
         signals = measured_signals(self.records)
-        floor = np.array([_least_noise(self.records, *each) for each in signals])
-        of_record = dict(zip(map(id, self.records), motions, strict=True))
-        states = np.array([of_record[id(each.record)].state(each.first - each.pad) for each in segments])
-        shooting, width = Shooting(arm, coordinates.delays), _state_width(motions)
+        floor = np.array([_least_noise(self.records, *signal) for signal in signals])
+        states, width = np.array(filtered_states), _state_width(self.motions)
+        shooting = Shooting(arm, coordinates.delays)
         return Problem(segments, shooting, coordinates, signals, floor, states, width, self.options.threads)
 
 
-def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Options) -> list[tuple[str, int]]:
+def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: IdentifyOptions) -> list[tuple[str, int]]:
     """Return (name, index) of what can be free with what is measured: a skew needs two signals of its joint."""
     joints = records[0].joints
     measured = set(measured_signals(records))
@@ -157,7 +157,7 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Opti
     unknown = [joint for joint in options.joints if joint not in joints]
     if unknown:
         raise StateError(f"joint {unknown[0]!r} is to be identified; expected some of {', '.join(joints)}")
-    found = []
+    free = []
     for name in options.names:
         for j in range(size(name, robot.n)):
             other = name in POSITION_TORQUE and joints[j] != options.position_torque
@@ -165,11 +165,11 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Opti
             no_link = name == "link_skew" and not {("q_l", j), ("q_m", j)} <= measured
             no_torque = name == "torque_skew" and ("torque", j) not in measured
             if not (other or no_link or no_torque):
-                found.append((name, j))
-    return found
+                free.append((name, j))
+    return free
 
 
-def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Array]) -> tuple[float, float, Array]:
+def _rates(arm: ElasticArm, poses: Array, p: Mapping[str, Array]) -> tuple[float, float, Array]:
     """Return the slowest resonance [rad/s], and the integration steps needed per second, of resonances and creep (2n,).
 
     Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest. Each side is given the
@@ -177,12 +177,11 @@ def _rates(arm: ElasticArm, records: Sequence[MotionRecord], p: Mapping[str, Arr
     """
     K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
     slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
-    for record in records:
-        for sample in poses(record):
-            inverse = np.linalg.inv(arm.link_inertia(sample, values).full())
-            resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
-            slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
-            mobility = np.maximum(mobility, np.diag(inverse))
+    for q in poses:
+        inverse = np.linalg.inv(arm.link_inertia(q, values).full())
+        resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
+        slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
+        mobility = np.maximum(mobility, np.diag(inverse))
     friction = sum(
         np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")
     )
@@ -204,27 +203,12 @@ def _state_width(motions: Sequence[FilteredMotion]) -> Array:
     return np.concatenate([np.tile(WIDE + 2 * deflection, 2), np.tile(FAST + 2 * speed, 2)])
 
 
-def poses(record: MotionRecord) -> Array:
-    """Return some measured positions (k, n) along a record."""
-    q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
-    known = q[np.all(np.isfinite(q), axis=1)]
-    return np.asarray(known[:: max(1, len(known) // MOST_POSES)])
-
-
-def _parts(steps: ArrayLike) -> NDArray[np.int32]:
-    """Return the next power of 2 of steps, at most MOST_PARTS."""
-    exponent = np.ceil(np.log2(np.maximum(steps, 1.0)))
-    return np.minimum(2.0**exponent, MOST_PARTS).astype(np.int32)
-
-
 def _least_noise(records: Sequence[MotionRecord], signal: str, joint: int) -> float:
     """Return the noise of the steps in which a signal is measured, or of its floating-point numbers."""
-    signals = [getattr(record, signal)[:, joint] for record in records]
-    steps = np.abs(np.concatenate([np.diff(each[np.isfinite(each)]) for each in signals]))
-    largest = max(float(np.nanmax(np.abs(each), initial=0.0, where=np.isfinite(each))) for each in signals)
+    columns = [getattr(record, signal)[:, joint] for record in records]
+    measured = [column[np.isfinite(column)] for column in columns]
+    steps = np.abs(np.concatenate([np.diff(column) for column in measured]))
+    largest = max(float(np.max(np.abs(column), initial=0.0)) for column in measured)
     digits = 1e-9 * max(largest, 1e-3)
-    return (
-        max(float(np.min(steps[steps > digits], initial=np.inf)) / np.sqrt(12), digits)
-        if np.any(steps > digits)
-        else digits
-    )
+    step = float(np.min(steps[steps > digits], initial=np.inf))
+    return max(step / np.sqrt(12), digits) if np.isfinite(step) else digits

@@ -1,26 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit all parameters to the errors of the filtered equations, by Gauss-Newton: start and fallback of the simulation.
+"""Fit all parameters to the errors of the equations along filtered motions: start and fallback of the simulation.
+
+    link side    r = q_m - q_l - offset - tau / K
+    motor side   r = u(t - delay) - tau - B a_m - D_m v_m - F_m tanh(v_m / v_0)
+    torque       tau = M_l a + C v + grad P_l + D_l v_l + F_l tanh(v_l / v_0) + T(q_l)
+
+The motor side counts only while the motor moves, because friction at rest takes any value up to static friction. These
+errors need no simulation, so that torques which the model lacks do not add up over time. They are compared within the
+bandwidth of the motion, because the noise of an acceleration would bias the stiffness (M. Gautier, ICRA 1997: filtered
+and decimated regressors).
 
 Errors of both sides and of all joints count together, each in units of its deviation, which is estimated with the
-parameters. They are coloured; blocks of the record have scores of their own, from which `posterior` widens the
-intervals.
+parameters (Gauss-Newton). They are coloured; blocks of the record have scores of their own, from which `intervals`
+widens the intervals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from fjr_core.numerics.checks import Array
 
-from .bounded_step import bounded_step
-from .equation_error import equation_error
+from .elastic_arm import coulomb, packed, position_terms
 from .estimation_problem import Estimation
-from .initial_guess import FilteredMotion, both_sides, decimated, shared
-from .judgement import Judgement, judge
-from .verdict import not_identifiable
+from .filtered_motion import FilteredMotion, decimated, inner, shifted
+from .multiple_shooting import NormalEquations, with_prior
+from .optimise import bounded_step
+from .parameters import OF_LINKS, POSITION_TORQUE
+from .verdicts import Estimates, estimates_at, not_identifiable
 
+BLOCK = 1.0  # s; longer than the correlation of the errors
+FEWEST_BLOCKS = 4
+LEAST_ERROR = 1e-3  # of the deflection or the effort; no model is better
+MOVING = 2.0  # smoothing velocities; a slower motor may be at rest
 MOST_ITERATIONS = 12
 LARGEST_STEP = 1.0  # of the prior's width
 CONVERGED = 1e-3  # of the prior's width
@@ -30,10 +45,123 @@ NOT_SIMULATED = (
     "by more than the interval"
 )
 
+Columns = dict[tuple[str, int], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """Errors r (k,) of an equation of a joint, and -dr/dp of each column (k,) by (name, index) of p.
+
+    p of positive parameters is the logarithm. used (k,): samples that count. Every `stride`-th one is independent.
+    measured: standard deviation of the deflection or the effort.
+    """
+
+    errors: Array
+    columns: Columns
+    used: Array
+    stride: int
+    measured: float
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTorque:
+    """Torque (k, n) of the rigid links along a motion, and its derivatives (k, n) by the free parameters of links."""
+
+    torque: Array
+    slopes: Columns
+
+
+def rigid_along(setup: Estimation, motion: FilteredMotion, z: Array) -> RigidTorque:
+    """Return the torque of the rigid links along a motion at z (p,), with derivatives by the free ones of OF_LINKS."""
+    free = [(name, i) for name, i in setup.coordinates.free if name in OF_LINKS]
+    if not free:
+        return RigidTorque(motion.rigid, {})
+    arm = setup.arm(setup.coordinates)
+    values = packed(arm, setup.coordinates.parameters(z))
+    n, arguments = setup.robot.n, (motion.q_l.T, motion.v_l.T, motion.a_l.T)
+    torque = np.asarray(arm.link_torque(*arguments, values)).T
+    slopes = np.asarray(arm.link_torque_slopes(*arguments, values)).reshape(n * len(free), -1)
+    return RigidTorque(torque, {parameter: slopes[k * n : (k + 1) * n].T for k, parameter in enumerate(free)})
+
+
+def link_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Array, j: int) -> Side:
+    """Return the errors [rad] of the equation of link j."""
+    p = setup.coordinates.parameters(z)
+    tau, columns, q = _spring_torque(m, rigid, p, j)
+    K, deflection = p["joint_stiffness"][j], m.q_m[:, j] - q
+    columns = {name: column / K for name, column in columns.items()}
+    columns[("joint_stiffness", j)] = -tau / K
+    columns[("offset", j)] = np.ones(len(q))
+    columns[("link_skew", j)] -= np.gradient(q, m.dt)
+    return _side(m, deflection, deflection - p["offset"][j] - tau / K, columns, np.ones(len(q), dtype=bool))
+
+
+def motor_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Array, j: int) -> Side:
+    """Return the errors [N m] of the equation of motor j."""
+    p = setup.coordinates.parameters(z)
+    tau, columns, _ = _spring_torque(m, rigid, p, j)
+    u = shifted((m.u @ setup.robot.B_m.T)[:, j], m.dt, p["effort_delay"][j] + m.dt / 2)
+    B, v, friction = p["motor_inertia"][j], m.v_m[:, j], coulomb(m.v_m[:, j], p["smoothing"][j])
+    columns[("motor_inertia", j)] = B * m.a_m[:, j]
+    columns[("motor_damping", j)] = v
+    columns[("motor_coulomb_friction", j)] = friction
+    columns[("effort_delay", j)] = np.gradient(u, m.dt)
+    explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + p["motor_coulomb_friction"][j] * friction
+    return _side(m, u, u - explained, columns, np.abs(v) > MOVING * p["smoothing"][j])
+
+
+def _spring_torque(
+    m: FilteredMotion, rigid: RigidTorque, p: Mapping[str, Array], j: int
+) -> tuple[Array, Columns, Array]:
+    """Return tau (k,) of joint j, its derivatives, and the position of the link, at the link's skew."""
+    skew = p["link_skew"][j]
+    q, v, tau = (shifted(signal[:, j], m.dt, skew) for signal in (m.q_l, m.v_l, rigid.torque))
+    friction, terms = coulomb(v, p["smoothing"][j]), position_terms(q, np)
+    columns = {(name, j): term for name, term in zip(POSITION_TORQUE, terms, strict=True)}
+    columns |= {("link_damping", j): v, ("link_coulomb_friction", j): friction}
+    tau = tau + sum(p[name][i] * column for (name, i), column in columns.items())
+    columns |= {name: shifted(slope[:, j], m.dt, skew) for name, slope in rigid.slopes.items()}
+    columns[("link_skew", j)] = -np.gradient(tau, m.dt)
+    return tau, columns, q
+
+
+def _side(m: FilteredMotion, measured: Array, errors: Array, columns: Columns, used: Array) -> Side:
+    inside = {name: inner(column, m.dt) for name, column in columns.items()}
+    return Side(inner(errors, m.dt), inside, inner(used, m.dt), m.stride, float(np.std(measured)))
+
+
+def equation_error(setup: Estimation, z: Array) -> list[NormalEquations]:
+    """Return the normal equations by z (p,) of each block of the records, in units of the errors' deviation at z."""
+    free, size = setup.coordinates.free, len(z)
+    counts = [max(FEWEST_BLOCKS, round(len(motion.u) * motion.dt / BLOCK)) for motion in setup.motions]
+    blocks = [[NormalEquations(np.zeros((size, size)), np.zeros(size)) for _ in range(count)] for count in counts]
+    rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
+    for j in range(setup.robot.n):
+        for side in (link_side, motor_side):
+            used = [k for k, record in enumerate(setup.records) if side is motor_side or record.both_sides(j)]
+            equations = [side(setup, setup.motions[k], rigid[k], z, j) for k in used]
+            scale = _deviation(equations)
+            for k, equation in zip(used, equations, strict=True):
+                entries = [i for i, name in enumerate(free) if name in equation.columns]
+                J_and_r = np.column_stack([*(equation.columns[free[i]] for i in entries), equation.errors])
+                slow = decimated(J_and_r * equation.used[:, None], equation.stride)
+                for block, rows in zip(blocks[k], np.array_split(slow, counts[k]), strict=True):
+                    J, r = rows[:, :-1], rows[:, -1]
+                    block.H[np.ix_(entries, entries)] += J.T @ J / scale**2
+                    block.g[entries] += J.T @ r / scale**2
+    return [block for of_record in blocks for block in of_record]
+
+
+def _deviation(sides: Sequence[Side]) -> float:
+    """Return the root mean square error of the samples that count, at least a part of what is measured."""
+    squares = sum(float(np.sum(decimated(side.errors * side.used, side.stride) ** 2)) for side in sides)
+    shares = sum(float(np.sum(decimated(side.used.astype(float), side.stride) ** 2)) for side in sides)
+    least = LEAST_ERROR * max((side.measured for side in sides), default=0.0)
+    return max(float(np.sqrt(squares / shares)) if shares > 0 else 0.0, least) or 1.0
+
 
 def filtered_fit(
     setup: Estimation,
-    motions: Sequence[FilteredMotion],
     z: Array,
     fixed: Collection[int] = (),
     free: Collection[int] = (),
@@ -42,17 +170,14 @@ def filtered_fit(
 
     fixed: entries that keep their prior; so do those that `undetermined` lists, other than `free`.
     """
-    fixed = {*fixed, *undetermined(setup, motions)} - {*free}
-    z = np.where([k in fixed for k in range(len(z))], setup.coordinates.mean, z)
-    mean, width = setup.coordinates.mean, setup.coordinates.width
-    bounded = setup.coordinates.nonnegative
+    fixed = {*fixed, *undetermined(setup)} - {*free}
+    coordinates, width = setup.coordinates, setup.coordinates.width
+    z = np.where([k in fixed for k in range(len(z))], coordinates.mean, z)
     fitted = np.array([k for k in range(len(z)) if k not in fixed], dtype=int)
     for _ in range(MOST_ITERATIONS if len(fitted) else 0):
-        parts = equation_error(setup, motions, z)
-        H = np.asarray(sum(part.H for part in parts)) + np.diag(width**-2.0)
-        g = np.asarray(sum(part.g for part in parts)) - (z - mean) / width**2
+        H, g = with_prior(coordinates, z, equation_error(setup, z))
         step = np.zeros(len(z))
-        step[fitted] = bounded_step(H[np.ix_(fitted, fitted)], g[fitted], z[fitted], bounded[fitted])
+        step[fitted] = bounded_step(H[np.ix_(fitted, fitted)], g[fitted], z[fitted], coordinates.nonnegative[fitted])
         largest = float(np.max(np.abs(step) / width))
         z = z + step / max(1.0, largest / LARGEST_STEP)
         if largest < CONVERGED:
@@ -60,35 +185,46 @@ def filtered_fit(
     return z
 
 
-def filtered_judgement(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> Judgement:
-    """Return the judgement of a fit z (p,); what is not identifiable keeps its prior. At best weakly identified."""
+def filtered_estimates(setup: Estimation, z: Array) -> Estimates:
+    """Return the estimates of a fit z (p,); what is not identifiable keeps its prior. At best weakly identified."""
     nothing = np.zeros((len(z), len(z)))
-    parts = equation_error(setup, motions, z)
-    fixed = not_identifiable(parts, nothing, setup.coordinates.width, undetermined(setup, motions))
-    again = filtered_fit(setup, motions, z, fixed)
-    return judge(setup, equation_error(setup, motions, again), nothing, fixed, again, NOT_SIMULATED)
+    parts = equation_error(setup, z)
+    fixed = not_identifiable(parts, nothing, setup.coordinates.width, undetermined(setup))
+    again = filtered_fit(setup, z, fixed)
+    return estimates_at(setup, equation_error(setup, again), nothing, fixed, again, NOT_SIMULATED)
 
 
-def simulation_start(setup: Estimation, z: Array) -> dict[str, Array]:
-    """Return the start values of a simulation from a fit z (p,)."""
-    joints = [setup.coordinates.free[k][1] for k in confounded(setup)]
-    return shared(setup.coordinates.parameters(z), joints)
-
-
-def undetermined(setup: Estimation, motions: Sequence[FilteredMotion]) -> tuple[int, ...]:
+def undetermined(setup: Estimation) -> tuple[int, ...]:
     """Return the entries that are not fitted: `confounded`, and stiffnesses whose deflection is within its noise."""
-    told = [False] * setup.robot.n
-    for record, motion in zip(setup.records, motions, strict=True):
-        for j in (j for j in range(setup.robot.n) if both_sides(record, j)):
+    deflected = [False] * setup.robot.n
+    for record, motion in zip(setup.records, setup.motions, strict=True):
+        for j in (j for j in range(setup.robot.n) if record.both_sides(j)):
             slow = decimated(motion.q_m[:, j] - motion.q_l[:, j], motion.stride)
             steps = np.diff(record.q_m[:, j] - record.q_l[:, j])
             noise = np.sqrt(np.nanmean(steps**2) / 2 / motion.stride)
-            told[j] |= bool(np.std(slow) > LEAST_DEFLECTION * noise)
-    names = enumerate(setup.coordinates.free)
-    return (*confounded(setup), *(k for k, (name, j) in names if name == "joint_stiffness" and not told[j]))
+            deflected[j] |= bool(np.std(slow) > LEAST_DEFLECTION * noise)
+    free = enumerate(setup.coordinates.free)
+    return (*confounded(setup), *(k for k, (name, j) in free if name == "joint_stiffness" and not deflected[j]))
 
 
 def confounded(setup: Estimation) -> tuple[int, ...]:
     """Return the entries of link dampings with a free skew: both change a slow deflection alike."""
     free = setup.coordinates.free
     return tuple(k for k, (name, j) in enumerate(free) if name == "link_damping" and ("link_skew", j) in free)
+
+
+def simulation_start(setup: Estimation, z: Array) -> dict[str, Array]:
+    """Return the start values of a simulation from a fit z (p,): damping and friction divided evenly between the sides.
+
+    Only their sums are known well. A descent that starts with all friction on one side may end in a local minimum.
+    Where the skew is free, link damping D_l acts like a skew and a delay of D_l / K.
+    """
+    values = setup.coordinates.parameters(z)
+    halves: dict[str, Array] = {}
+    for kind in ("damping", "coulomb_friction"):
+        half = (values[f"link_{kind}"] + values[f"motor_{kind}"]) / 2
+        halves |= {f"link_{kind}": half, f"motor_{kind}": half}
+    with_skew = np.isin(np.arange(setup.robot.n), [setup.coordinates.free[k][1] for k in confounded(setup)])
+    added = halves["link_damping"] - values["link_damping"]
+    late = np.where(with_skew, added / values["joint_stiffness"], 0.0)
+    return {**values, **halves, **{name: values[name] + late for name in ("link_skew", "effort_delay")}}

@@ -1,28 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identify an elastic arm from records: start values, maximum likelihood over segments, intervals and verdicts."""
+"""Identify an elastic arm from records: filtered least squares, maximum likelihood over segments, intervals, verdicts.
+
+A simulation predicts the deflection of a spring only if the torques that the model lacks displace the motion less than
+it deflects; they add up twice over the time of a segment:
+
+    d = integral integral r_m / (B + M_jj) less the line of a free initial state,   r_m: error of the motor's equation
+
+Friction of large gears and a counterbalance easily move a simulated motor by a hundred times the deflection. Joints
+that a simulation does not explain keep the values of filtered least squares.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import detrend
 
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import Identification
+from fjr_design.posterior.result import Fit, Identification
 
+from .elastic_arm import packed
 from .estimation_problem import SHORTEST, Estimation
-from .filtered_fit import confounded, filtered_fit, filtered_judgement, simulation_start
-from .fit import deflection_error, fits, fits_at, motion_fits
-from .initial_guess import FilteredMotion
-from .judgement import Judgement, judge
+from .filtered_fit import (
+    confounded,
+    filtered_estimates,
+    filtered_fit,
+    motor_side,
+    rigid_along,
+    simulation_start,
+)
+from .filtered_motion import shifted
+from .intervals import spurious_information
 from .motion_record import MotionRecord
-from .parameters import PAYLOAD, Options, Prior
-from .simulated_fit import simulated_fit
-from .unmodelled_torque import is_simulated
-from .validation import predicted_deflection
+from .multiple_shooting import PredictedSegments
+from .optimise import optimise, refine
+from .parameters import PAYLOAD, IdentifyOptions, Prior
+from .validation import Deflection, deflection_error, predicted_deflection, simulated_fits
+from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 
 NOT_CONVERGED = (
     "the fit did not reach a minimum, so that the interval may be too narrow; check signs, units and the prior"
@@ -32,14 +51,18 @@ WORSE, DOUBTFUL = 1.5, 1.1
 
 The first one is for a fit that has converged, the second one for one that has not.
 """
+MOST = 1.0
+"""Displacement, relative to the deflection, beyond which a simulation does not predict it."""
+
+Progress = Callable[[str, float], None]
 
 
 def identify(
     records: Sequence[MotionRecord],
     robot: Robot,
     prior: Prior,
-    options: Options = Options(),  # noqa: B008 - immutable
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    options: IdentifyOptions = IdentifyOptions(),  # noqa: B008 - immutable
+    progress: Progress = lambda what, share: None,
 ) -> Identification:
     """Return estimates of the free parameters with intervals and verdicts, from all records together.
 
@@ -47,38 +70,22 @@ def identify(
     done and its share. Raises StateError for records that do not fit the robot, CompilerError without a C compiler.
     """
     _check(records, robot)
-    setup = Estimation(list(records), robot, prior, options)
+    setup, joints = Estimation(list(records), robot, prior, options), records[0].joints
     progress("filtered least squares", 0.0)
-    motions, start = setup.start()
-    z = filtered_fit(setup, motions, setup.coordinates.of_values(start))
-    filtered = filtered_judgement(setup, motions, z)
-    simulated_from = _simulated_from(setup, motions, z)
-    if simulated_from is None:
-        found = filtered.identification(records[0].joints)
-        return replace(found, fits=motion_fits(setup, found))
-    start = simulation_start(setup, simulated_from)
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    filtered = filtered_estimates(setup, z)
+    z_start = _start_of_simulation(setup, z)
+    if z_start is None:
+        by_filter = filtered.identification(joints)
+        return replace(by_filter, fits=tuple(deflection.fit for deflection in _deflections(setup, by_filter)))
     progress("compilation", 0.0)
-    fit = simulated_fit(setup, motions, start, progress)
+    simulated = simulated_fit(setup, simulation_start(setup, z_start), progress)
     progress("intervals", 1.0)
-    doubt = "" if fit.optimum.converged else NOT_CONVERGED
-    simulated = judge(setup, fit.whole.projected, fit.chance, fit.fixed, fit.z, doubt)
-    predicted = fits(*fit.last)
-    residual = deflection_error(predicted, motions)
-    replaced = _not_simulated(setup, simulated, filtered, fit.optimum.converged, residual)
-    chosen = simulated.with_entries_of(filtered, replaced)
-    other = fits_at(fit.problem, chosen.mean, fit.whole.x0) if replaced else ()
-    return chosen.identification(records[0].joints, other or predicted)
-
-
-def _simulated_from(setup: Estimation, motions: Sequence[FilteredMotion], z: Array) -> Array | None:
-    """Return the fit from which the motion can be simulated, None without one.
-
-    z (p,): the fit with link dampings at their prior. A wrong prior displaces the motion; free dampings may not.
-    """
-    for found in (z, filtered_fit(setup, motions, z, free=confounded(setup))):
-        if is_simulated(setup, motions, found):
-            return found
-    return None
+    entries = _better_by_filter(setup, simulated, filtered)
+    if not entries:
+        return simulated.estimates.identification(joints, simulated.fits)
+    mixed = simulated.estimates.with_entries_of(filtered, entries)
+    return mixed.identification(joints, simulated.fits_at(mixed.mean) or simulated.fits)
 
 
 def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
@@ -95,23 +102,106 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
             )
 
 
-def _not_simulated(
-    setup: Estimation, simulated: Judgement, filtered: Judgement, converged: bool, residual: Array
-) -> list[int]:
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """Estimates by simulation and the fit of each record; best: the prediction with all parameters free."""
+
+    best: PredictedSegments
+    estimates: Estimates
+    fits: tuple[Fit, ...]
+    converged: bool
+
+    def fits_at(self, z: Array) -> tuple[Fit, ...]:
+        """Return the fit of each record at other z (p,); () if the prediction does not stay finite."""
+        other = self.best.problem.evaluate(z, self.best.x0, self.best.problem.rough_noise)
+        return () if other is None else simulated_fits(other, other.residual)
+
+
+def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
+    """Return the most likely parameters by simulation, without those that the records do not determine."""
+    coordinates = setup.coordinates
+    problem, z = setup.problem(coordinates, start), coordinates.of_values(start)
+    best, converged = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
+    progress("intervals", 0.0)
+    spurious = spurious_information(best)
+    unknown = not_identifiable(best.projected, spurious, coordinates.width)
+    fixed = tuple(k for k in unknown if fitted_at_prior(best, (k,)) is not None)
+    last, z = best, best.z
+    if fixed:
+        free = [k for k in range(len(z)) if k not in fixed]
+        near = fitted_at_prior(best, fixed) or best
+        fewer = setup.problem(coordinates.without(fixed), start)
+        last, converged = refine(
+            fewer, near.z[free], near.x0, best.noise, lambda share: progress("prediction error again", share)
+        )
+        z = coordinates.mean.copy()
+        z[free] = last.z
+    doubt = "" if converged else NOT_CONVERGED
+    estimates = estimates_at(setup, best.projected, spurious, fixed, z, doubt)
+    return Simulation(best, estimates, simulated_fits(last, last.noise), converged)
+
+
+def _start_of_simulation(setup: Estimation, z: Array) -> Array | None:
+    """Return the fit from which the deflection of some joint can be simulated, None without one.
+
+    z (p,): the fit with link dampings at their prior. A wrong prior displaces the motion; free dampings may not.
+    """
+    if _is_simulated(setup, z):
+        return z
+    damped = filtered_fit(setup, z, free=confounded(setup))
+    return damped if _is_simulated(setup, damped) else None
+
+
+def _is_simulated(setup: Estimation, z: Array) -> bool:
+    relative = displacement(setup, z)
+    return not len(relative) or bool(np.min(relative) <= MOST)
+
+
+def displacement(setup: Estimation, z: Array) -> Array:
+    """Return by how much torques that the model lacks displace the joints in a segment, relative to their deflection.
+
+    (n,), root mean squares over all records at z (p,). Without the joints that are not measured on both sides.
+    """
+    n, p, arm = setup.robot.n, setup.coordinates.parameters(z), setup.arm(setup.coordinates)
+    length, values = setup.segment_length(p), packed(arm, p)
+    links = np.mean([np.diag(arm.link_inertia(q, values).full()) for q in setup.poses], axis=0)
+    inertia = np.asarray(links + p["motor_inertia"])
+    moved, deflected = np.zeros(n), np.zeros(n)
+    for record, motion in zip(setup.records, setup.motions, strict=True):
+        rigid = rigid_along(setup, motion, z)
+        for j in (j for j in range(n) if record.both_sides(j)):
+            side = motor_side(setup, motion, rigid, z, j)
+            acceleration = np.where(side.used, side.errors, 0.0) / inertia[j]
+            for piece in np.array_split(acceleration, max(1, round(len(acceleration) * motion.dt / length))):
+                velocity = cumulative_trapezoid(piece, dx=motion.dt, initial=0.0)
+                moved[j] += np.sum(detrend(cumulative_trapezoid(velocity, dx=motion.dt, initial=0.0)) ** 2)
+            deflection = motion.q_m[:, j] - shifted(motion.q_l[:, j], motion.dt, p["link_skew"][j])
+            deflected[j] += np.sum((deflection - np.mean(deflection)) ** 2)
+    return np.sqrt(moved[deflected > 0] / deflected[deflected > 0])
+
+
+def _better_by_filter(setup: Estimation, simulated: Simulation, filtered: Estimates) -> list[int]:
     """Return the entries of z of joints whose deflection filtered least squares explain better; rather if in doubt.
 
-    residual (n,) [rad]: what the simulation leaves of the deflection. Joints without a measured deflection are among
-    them if the fit is in doubt and another joint is.
+    Joints without a measured deflection are among them if the fit is in doubt and another joint is.
     """
-    factor, own = WORSE if converged else DOUBTFUL, _unexplained(setup, simulated)
-    worse = np.fmin(own, residual) > factor * _unexplained(setup, filtered)
-    worse |= np.isnan(own) & (not converged and bool(worse.any()))
+    factor = WORSE if simulated.converged else DOUBTFUL
+    by_motion, by_filter = (_unexplained(setup, estimates) for estimates in (simulated.estimates, filtered))
+    worse = np.fmin(by_motion, deflection_error(simulated.fits, setup.motions)) > factor * by_filter
+    worse |= np.isnan(by_motion) & (not simulated.converged and bool(worse.any()))
     return [k for k, (name, j) in enumerate(setup.coordinates.free) if name not in PAYLOAD and worse[j]]
 
 
-def _unexplained(setup: Estimation, judgement: Judgement) -> Array:
+def _unexplained(setup: Estimation, estimates: Estimates) -> Array:
     """Return the root mean square (n,) of the deflections that are not explained, NaN: not measured."""
-    found = judgement.identification(setup.records[0].joints)
-    seen = [predicted_deflection(each, setup.robot, setup.prior, found, setup.options) for each in setup.records]
-    count = sum(len(each.t) for each in seen)
-    return np.asarray(np.sqrt(sum(len(each.t) * each.elastic**2 for each in seen) / count))
+    seen = _deflections(setup, estimates.identification(setup.records[0].joints))
+    count = sum(len(deflection.t) for deflection in seen)
+    return np.asarray(np.sqrt(sum(len(deflection.t) * deflection.elastic**2 for deflection in seen) / count))
+
+
+def _deflections(setup: Estimation, identification: Identification) -> list[Deflection]:
+    """Return the deflection of each record, predicted from its motion."""
+    return [
+        predicted_deflection(record, setup.robot, setup.prior, identification, setup.options)
+        for record in setup.records
+    ]

@@ -1,29 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The likelihood of z over all segments, each simulated from its own initial state (H. G. Bock, multiple shooting).
+"""The likelihood of z over all segments of the records, each simulated from its own initial state (H. G. Bock).
 
 -log L = sum_i (N_i log s_i^2 + sum r_i^2 / s_i^2) / 2 + ((z - z_prior) / width)^2 / 2
          + sum_k ((x_k - filtered_k) / state_width)^2 / 2
 
 s_i: root mean square of the residuals r_i of signal i, but at least the noise of its steps. x_k: initial state of
-segment k.
+segment k. A segment starts and ends some samples outside what is compared: signals with a skew are evaluated there.
+
+The normal equations of Gauss-Newton of a segment, by its initial state x and by z, are reduced to those of z by their
+Schur complement, dx = a - B dz (variable projection; G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10(2), 1973).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from fjr_core.numerics.checks import Array
 
-from .coordinates import Coordinates
-from .segments import Comparison, Segment, compare
-from .shooting import Shooting
-from .variable_projection import state_step
+from .elastic_arm import packed
+from .motion_record import SIGNALS, MotionRecord
+from .parameters import LARGEST_SKEW, ParameterCoordinates
+from .shooting import HeldEffort, Shooting
 
+SKEWS = {"q_l": "link_skew", "torque": "torque_skew"}
+RIDGE = 1e-10  # of the scaled Hessian of an initial state, so that it can be factored
 FEWEST = 25  # samples that are compared of a segment
 SOFT = 1e-6  # damping of the first step
 SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
@@ -32,6 +40,158 @@ MOST_SETTLING = 8
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
 
 Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Samples first .. first + count - 1 of a record, integrated from `pad` samples before to as many after."""
+
+    record: MotionRecord
+    effort: HeldEffort
+    first: int
+    count: int
+    pad: int
+
+    def measured(self, signal: str, joint: int) -> Array:
+        """Return the measurements (count,) of a signal of a joint, NaN: none."""
+        return np.asarray(getattr(self.record, signal)[self.first : self.first + self.count, joint])
+
+
+def cut(record: MotionRecord, effort: HeldEffort, length: float) -> list[Segment]:
+    """Return segments of about `length` [s], all of the same number of samples but the last ones."""
+    pad = int(np.ceil(LARGEST_SKEW / record.dt)) + 1
+    usable = len(record.u) - 2 * pad - 1
+    number = max(1, round(usable * record.dt / length))
+    edges = pad + np.round(np.linspace(0, usable, number + 1)).astype(int)
+    return [Segment(record, effort, int(a), int(b - a), pad) for a, b in pairwise(edges)]
+
+
+def measured_signals(records: Sequence[MotionRecord]) -> tuple[tuple[str, int], ...]:
+    """Return (signal, joint) of all that is measured in some record."""
+    pairs = [(signal, j) for signal in SIGNALS for j in range(len(records[0].joints))]
+    return tuple((s, j) for s, j in pairs if any(np.any(np.isfinite(getattr(r, s)[:, j])) for r in records))
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """H dz = g, H (p, p), g (p,), of the step of z to the most likely one; a state follows by dx = a - B dz, if any."""
+
+    H: Array
+    g: Array
+    a: Array = field(default_factory=lambda: np.zeros(0))
+    B: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Prediction of a segment: predicted (signals, count), and with residuals in units of their noise, J = d predicted.
+
+    squares, counts (signals,): sum of squared residuals in units of the signals, and their number. H = J'J, g = J'r by
+    the initial state (4n) and z. penalty: what the prior of the initial state adds to the sum of squares; unsettled:
+    by how much the most likely initial state would lower it.
+    """
+
+    predicted: Array
+    squares: Array
+    counts: Array
+    H: Array
+    g: Array
+    penalty: float = 0.0
+    unsettled: float = 0.0
+
+    def projected(self, size: int) -> NormalEquations:
+        """Return the normal equations of z, without the initial state (size,)."""
+        scale, factor = self.state_factor(size, 0.0)
+        across = self.H[:size, size:]
+        B = cho_solve(factor, across / scale[:, None]) / scale[:, None]
+        a = cho_solve(factor, self.g[:size] / scale) / scale
+        return NormalEquations(self.H[size:, size:] - across.T @ B, self.g[size:] - across.T @ a, a, B)
+
+    def state_step(self, size: int, damping: float) -> tuple[Array, float]:
+        """Return the damped step of the initial state (size,), and by how much it lowers the sum of squares."""
+        scale, factor = self.state_factor(size, damping)
+        dx = cho_solve(factor, self.g[:size] / scale) / scale
+        return dx, float(dx @ self.g[:size])
+
+    def state_factor(self, size: int, damping: float) -> tuple[Array, Any]:
+        """Return the scale (size,) of the initial state, and the Cholesky factor of its scaled and damped Hessian."""
+        scale = np.sqrt(np.diag(self.H)[:size])
+        scale = np.where(scale > 0, scale, 1.0)
+        H = self.H[:size, :size] / np.outer(scale, scale)
+        return scale, cho_factor(H + (RIDGE + damping) * np.eye(size))
+
+
+def compare(
+    segment: Segment,
+    shooting: Shooting,
+    coordinates: ParameterCoordinates,
+    z: Array,
+    x0: Array,
+    signals: Sequence[tuple[str, int]],
+    noise: Array,
+) -> Comparison | None:
+    """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,)."""
+    p = coordinates.parameters(z)
+    start, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
+    motion = shooting(x0, segment.effort, start, samples, packed(shooting.arm, p), p["effort_delay"])
+    if motion is None:
+        return None
+    n = len(segment.record.joints)
+    J = np.zeros((len(signals), segment.count, 4 * n + len(z)))
+    predicted = np.empty((len(signals), segment.count))
+    for k, (signal, joint) in enumerate(signals):
+        predicted[k], dy, J[k, :, : shooting.columns] = _output(segment, signal, joint, p, *motion)
+        measuring = {SKEWS.get(signal, ""): dy}  # derivatives by parameters of the measurement
+        if signal == "torque":
+            K = p["joint_stiffness"][joint]
+            measuring |= {"joint_stiffness": predicted[k] / K, "offset": np.full(len(dy), -K)}
+        for column, (name, i) in enumerate(coordinates.free, start=4 * n):
+            if i == joint and name in measuring:
+                J[k, :, column] += measuring[name]
+    J[:, :, 4 * n :] *= coordinates.scale(z)
+    residual = np.array([segment.measured(*signal) for signal in signals]) - predicted
+    known = np.isfinite(residual)
+    residual[~known] = 0.0
+    J[~known] = 0.0
+    J /= noise[:, None, None]
+    H, g = shooting.normal_equations(J.reshape(-1, J.shape[2]), (residual / noise[:, None]).ravel())
+    return Comparison(predicted, np.sum(residual**2, axis=1), known.sum(axis=1), H, g)
+
+
+def _output(segment: Segment, signal: str, joint: int, p: Mapping[str, Array], X: Array, S: Array) -> tuple[Array, ...]:
+    """Return a signal (count,), its derivative by its skew, and its sensitivities (count, columns)."""
+    n, dt = len(segment.record.joints), segment.record.dt
+    skew = np.clip(p[SKEWS[signal]][joint], -LARGEST_SKEW, LARGEST_SKEW) / dt if signal in SKEWS else 0.0
+    late = int(np.floor(skew))
+    first = segment.pad + late
+    samples = [slice(first + k, first + k + segment.count) for k in (0, 1)]
+    weights, slopes = _hermite(skew - late, dt)
+    values = [_position(signal, joint, n, X[at, part:]) for at in samples for part in (0, 2 * n)]
+    y, dy = (sum(w * value for w, value in zip(factors, values, strict=True)) for factors in (weights, slopes))
+    if skew == late:
+        sensitivities = _position(signal, joint, n, S[samples[0]])
+    else:
+        columns = [_position(signal, joint, n, S[at, part:]) for at in samples for part in (0, 2 * n)]
+        sensitivities = sum(w * column for w, column in zip(weights, columns, strict=True))
+    if signal == "torque":
+        K = p["joint_stiffness"][joint]
+        return K * (y - p["offset"][joint]), K * dy, K * sensitivities
+    return y, dy, sensitivities
+
+
+def _position(signal: str, joint: int, n: int, states: Array) -> Array:
+    """Return the position, or deflection, of a joint from states (k, 2n or 4n, ...); of velocities, the velocity."""
+    link, motor = states[:, joint], states[:, n + joint]
+    if signal == "torque":
+        return motor - link
+    return link if signal == "q_l" else motor
+
+
+def _hermite(f: float, dt: float) -> tuple[Array, Array]:
+    """Return the weights of (y_0, dy_0, y_1, dy_1) in cubic Hermite interpolation at f dt, and in its derivative."""
+    weights = [(1 + 2 * f) * (1 - f) ** 2, dt * f * (1 - f) ** 2, f**2 * (3 - 2 * f), dt * f**2 * (f - 1)]
+    slopes = [6 * f * (f - 1) / dt, (1 - f) * (1 - 3 * f), 6 * f * (1 - f) / dt, f * (3 * f - 2)]
+    return np.array(weights), np.array(slopes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,17 +204,24 @@ class Problem:
 
     segments: Sequence[Segment]
     shooting: Shooting
-    coordinates: Coordinates
+    coordinates: ParameterCoordinates
     signals: tuple[tuple[str, int], ...]
     floor: Array
     filtered: Array
     state_width: Array
     threads: int = 2
 
+    @property
+    def rough_noise(self) -> Array:
+        """Return the noise (signals,) that is assumed before residuals are known."""
+        return np.maximum(self.floor, ROUGH)
+
     def part(self, stride: int, share: int) -> Problem:
         """Return the problem of the first 1 / share, at least FEWEST samples, of every `stride`-th segment."""
-        counts = [max(each.count // share, min(each.count, FEWEST)) for each in self.segments[::stride]]
-        segments = [each.shortened(count) for each, count in zip(self.segments[::stride], counts, strict=True)]
+        segments = [
+            replace(segment, count=max(segment.count // share, min(segment.count, FEWEST)))
+            for segment in self.segments[::stride]
+        ]
         return replace(self, segments=segments, filtered=self.filtered[::stride])
 
     def of_each(self, work: Callable[[int], Result]) -> list[Result]:
@@ -63,13 +230,14 @@ class Problem:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(work, range(len(self.segments))))
 
-    def evaluate(self, z: Array, x0: Array, noise: Array) -> tuple[Array, list[Comparison]] | None:
-        """Return settled initial states and the comparison of each segment, None if one does not stay finite."""
-        found = self.of_each(lambda k: self._settle(k, z, x0[k], noise))
-        complete = [each for each in found if each is not None]
-        if len(complete) < len(found):
+    def evaluate(self, z: Array, x0: Array, noise: Array) -> PredictedSegments | None:
+        """Return the prediction at z from settled initial states near x0, None if one does not stay finite."""
+        settled = [result for result in self.of_each(lambda k: self._settle(k, z, x0[k], noise)) if result is not None]
+        if len(settled) < len(self.segments):
             return None
-        return np.array([x for x, _ in complete]), [compared for _, compared in complete]
+        return PredictedSegments(
+            self, z, np.array([x for x, _ in settled]), noise, [compared for _, compared in settled]
+        )
 
     def _settle(self, k: int, z: Array, x: Array, noise: Array) -> tuple[Array, Comparison] | None:
         """Return the most likely initial state of a segment at z, by Levenberg-Marquardt, and the comparison there."""
@@ -77,7 +245,7 @@ class Problem:
         for _ in range(MOST_SETTLING):
             if compared is None:
                 return None
-            dx, decrease = state_step(compared, size, damping)
+            dx, decrease = compared.state_step(size, damping)
             if decrease < max(SETTLED, SHARE * _weighted(compared, noise)):
                 return x, replace(compared, unsettled=decrease)
             trial, before = self.compare(k, z, x + dx, noise), _weighted(compared, noise)
@@ -89,27 +257,57 @@ class Problem:
 
     def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
         """Return the comparison of segment k at z and the initial state x (4n,)."""
-        found = compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
-        if found is None or not np.isfinite(found.H).all():
+        compared = compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
+        if compared is None or not np.isfinite(compared.H).all():
             return None
         size, away = len(x), (x - self.filtered[k]) / self.state_width
-        found.H[range(size), range(size)] += self.state_width**-2
-        found.g[:size] -= away / self.state_width
-        return replace(found, penalty=float(away @ away))
-
-    def noise(self, compared: Sequence[Comparison]) -> Array:
-        """Return the root mean square residual of each signal (signals,)."""
-        squares, counts = (sum(getattr(each, name) for each in compared) for name in ("squares", "counts"))
-        return np.asarray(np.maximum(np.sqrt(squares / np.maximum(counts, 1)), self.floor))
-
-    def cost(self, compared: Sequence[Comparison], z: Array) -> float:
-        """Return -log L at the most likely initial states: less what those of the comparisons are short of."""
-        counts, squares = (sum(getattr(each, name) for each in compared) for name in ("counts", "squares"))
-        noise = self.noise(compared)
-        prior = (z - self.coordinates.mean) / self.coordinates.width
-        states = sum(each.penalty - each.unsettled for each in compared)
-        return float(counts @ np.log(noise) + (np.sum(squares / noise**2) + prior @ prior + states) / 2)
+        compared.H[range(size), range(size)] += self.state_width**-2
+        compared.g[:size] -= away / self.state_width
+        return replace(compared, penalty=float(away @ away))
 
 
 def _weighted(compared: Comparison, noise: Array) -> float:
     return float(np.sum(compared.squares / noise**2)) + compared.penalty
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedSegments:
+    """All segments predicted at z (p,) from settled initial states x0 (segments, 4n), compared in units of noise."""
+
+    problem: Problem
+    z: Array
+    x0: Array
+    noise: Array
+    compared: Sequence[Comparison]
+
+    @cached_property
+    def residual(self) -> Array:
+        """Root mean square residual of each signal (signals,), at least the noise of its steps."""
+        squares, counts = (sum(getattr(segment, name) for segment in self.compared) for name in ("squares", "counts"))
+        return np.asarray(np.maximum(np.sqrt(squares / np.maximum(counts, 1)), self.problem.floor))
+
+    @cached_property
+    def cost(self) -> float:
+        """Return -log L at the most likely initial states: less what those of the comparisons are short of."""
+        counts, squares = (sum(getattr(segment, name) for segment in self.compared) for name in ("counts", "squares"))
+        coordinates = self.problem.coordinates
+        prior = (self.z - coordinates.mean) / coordinates.width
+        states = sum(segment.penalty - segment.unsettled for segment in self.compared)
+        squares = np.sum(squares / self.residual**2)
+        return float(counts @ np.log(self.residual) + (squares + prior @ prior + states) / 2)
+
+    @cached_property
+    def projected(self) -> list[NormalEquations]:
+        """Normal equations of each segment, without its initial state."""
+        return [segment.projected(self.x0.shape[1]) for segment in self.compared]
+
+    @cached_property
+    def normal_equations(self) -> tuple[Array, Array]:
+        """Information about z with the prior (p, p), and the gradient of log L (p,)."""
+        return with_prior(self.problem.coordinates, self.z, self.projected)
+
+
+def with_prior(coordinates: ParameterCoordinates, z: Array, parts: Sequence[NormalEquations]) -> tuple[Array, Array]:
+    """Return the information about z with the prior, and the gradient of log L, of segments or blocks."""
+    H = np.asarray(sum(part.H for part in parts)) + np.diag(coordinates.width**-2)
+    return H, np.asarray(sum(part.g for part in parts)) - (z - coordinates.mean) / coordinates.width**2

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that can be identified: their units, coordinates, prior values, and which of them are free."""
+"""Parameters that can be identified: units, prior values, and the coordinates z in which is optimised.
+
+A parameter is one line of KINDS; the equations that it enters are in `elastic_arm` and `filtered_fit`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.errors import ParameterError
+from fjr_core.errors import ParameterError, StateError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
@@ -18,53 +21,73 @@ from fjr_design.posterior.result import LINEAR, LOG, NONNEGATIVE
 
 @dataclass(frozen=True)
 class Kind:
-    """Unit of a parameter of a revolute joint, its coordinate, and the width of its prior where it has a fixed one."""
+    """Unit of a parameter of a revolute joint, its coordinate, what reveals it, and the width of its prior.
+
+    revealed_by: what is missing in records that do not determine it. width: None: of the efforts and velocities of the
+    records (`Estimation.widths`).
+    """
 
     unit: str
     coordinate: str
+    revealed_by: str
     width: float | None = None
 
 
+REVERSALS = "needs reversals of the {0}; move to and fro, slowly, too"
+NEAR_ZERO = "needs motion at velocities near zero; reverse slowly"
+POSES = "needs poses in which its weight pulls elsewhere"
+RANGE = "needs a larger range of the joint"
+TORQUES = "the torques of the motion do not depend on it enough; use other poses, faster motion"
 LOG_CHOLESKY = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
 KINDS = {
-    "joint_stiffness": Kind("N m/rad", LOG, 0.7),
-    "motor_inertia": Kind("kg m^2", LOG, 0.5),
-    "link_damping": Kind("N m s/rad", NONNEGATIVE),
-    "motor_damping": Kind("N m s/rad", NONNEGATIVE),
-    "link_coulomb_friction": Kind("N m", NONNEGATIVE),
-    "motor_coulomb_friction": Kind("N m", NONNEGATIVE),
-    "link_static_friction": Kind("N m", NONNEGATIVE),
-    "motor_static_friction": Kind("N m", NONNEGATIVE),
-    "offset": Kind("rad", LINEAR, 0.02),
-    "payload_mass": Kind("kg", NONNEGATIVE),
-    "payload_position_x": Kind("m", LINEAR, 0.2),
-    "payload_position_y": Kind("m", LINEAR, 0.2),
-    "payload_position_z": Kind("m", LINEAR, 0.2),
-    "position_torque_sin1": Kind("N m", LINEAR),
-    "position_torque_cos1": Kind("N m", LINEAR),
-    "position_torque_sin2": Kind("N m", LINEAR),
-    "position_torque_cos2": Kind("N m", LINEAR),
-    **{f"pseudo_inertia_{name}": Kind("", LINEAR, 0.1) for name in LOG_CHOLESKY},
-    "effort_delay": Kind("s", LINEAR, 3e-3),
-    "link_skew": Kind("s", LINEAR, 3e-3),
-    "torque_skew": Kind("s", LINEAR, 3e-3),
+    "joint_stiffness": Kind(
+        "N m/rad", LOG, "the spring deflects too little against the noise; use larger loads or accelerations", 0.7
+    ),
+    "motor_inertia": Kind("kg m^2", LOG, "the motor accelerates too little; use faster reversals", 0.5),
+    "link_damping": Kind(
+        "N m s/rad",
+        NONNEGATIVE,
+        "needs link velocities with a known link skew; use faster motion that excites the resonance",
+    ),
+    "motor_damping": Kind("N m s/rad", NONNEGATIVE, "needs a range of velocities; move at several speeds"),
+    "link_coulomb_friction": Kind("N m", NONNEGATIVE, REVERSALS.format("link")),
+    "motor_coulomb_friction": Kind("N m", NONNEGATIVE, REVERSALS.format("motor")),
+    "link_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
+    "motor_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
+    "offset": Kind(
+        "rad", LINEAR, "needs spring torques of both signs, or a known one; change the load of the joint", 0.02
+    ),
+    "payload_mass": Kind("kg", NONNEGATIVE, "the payload changes the torques too little; move the joints that lift it"),
+    "payload_position_x": Kind("m", LINEAR, POSES, 0.2),
+    "payload_position_y": Kind("m", LINEAR, POSES, 0.2),
+    "payload_position_z": Kind("m", LINEAR, POSES, 0.2),
+    "position_torque_sin1": Kind("N m", LINEAR, RANGE),
+    "position_torque_cos1": Kind("N m", LINEAR, RANGE),
+    "position_torque_sin2": Kind("N m", LINEAR, RANGE),
+    "position_torque_cos2": Kind("N m", LINEAR, RANGE),
+    **{f"pseudo_inertia_{name}": Kind("", LINEAR, TORQUES, 0.1) for name in LOG_CHOLESKY},
+    "effort_delay": Kind("s", LINEAR, "needs efforts that change quickly; use faster reversals", 3e-3),
+    "link_skew": Kind("s", LINEAR, "needs velocities that change; move faster", 3e-3),
+    "torque_skew": Kind("s", LINEAR, "needs spring torques that change quickly; use faster reversals", 3e-3),
 }
-"""All parameters by name. A width of None follows from the efforts and velocities of the records."""
+"""All parameters by name."""
 PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
 PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
-"""Correction of the mass and inertia of each link (estimation.pseudo_inertia); 0 is the robot file's."""
+"""Correction of the mass and inertia of each link (elastic_arm.corrected_arm); 0 is the robot file's."""
 OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)
 """Parameters that the torques of the rigid links depend on."""
 POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
 STATIC = ("link_static_friction", "motor_static_friction")
 TIMING = ("effort_delay", "link_skew", "torque_skew")
+DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
+"""Parameters of the equations of motion."""
 USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC))
 """Parameters that are free by default."""
 LARGEST_SKEW = 8e-3  # s
 
 
 @dataclass(frozen=True)
-class Options:
+class IdentifyOptions:
     """What is identified.
 
     free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload: free
@@ -101,6 +124,10 @@ class Options:
         chosen += POSITION_TORQUE if self.position_torque else ()
         return tuple(name for name in KINDS if name in chosen)
 
+    def friction_velocities(self, n: int) -> dict[str, Array]:
+        """Return the velocities (n,) of the friction model by name."""
+        return {name: checks.vector(name, getattr(self, name), n, StateError) for name in ("smoothing", "stribeck")}
+
 
 @dataclass(frozen=True, eq=False)
 class Prior:
@@ -121,15 +148,14 @@ class Prior:
 
         Raises ParameterError.
         """
-        own: dict[str, ArrayLike] = {
+        of_robot: dict[str, ArrayLike] = {
             "joint_stiffness": _diagonal("K", robot.K),
             "motor_inertia": _diagonal("M_m", robot.M_m),
             "link_damping": _diagonal("D_l", robot.D_l),
             "motor_damping": _diagonal("D_m", robot.D_m),
         }
-        return cls(
-            _shaped({**dict.fromkeys(KINDS, 0.0), **own, **(values or {})}, robot.n), _shaped(widths or {}, robot.n)
-        )
+        complete = {**dict.fromkeys(KINDS, 0.0), **of_robot, **(values or {})}
+        return cls(_shaped(complete, robot.n), _shaped(widths or {}, robot.n))
 
 
 def size(name: str, n: int) -> int:
@@ -148,3 +174,65 @@ def _diagonal(name: str, matrix: Array) -> Array:
     if np.any(matrix - np.diag(np.diag(matrix))):
         raise ParameterError(f"{name} is not diagonal; expected one number per joint")
     return np.diag(matrix).copy()
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterCoordinates:
+    """The vector z of the free parameters (name, index), in the order of KINDS, with the normal prior of each.
+
+    values: of all parameters, by name. mean, width (p,): of the prior of z. z of a positive parameter is its logarithm.
+    """
+
+    free: tuple[tuple[str, int], ...]
+    values: Mapping[str, Array]
+    mean: Array
+    width: Array
+
+    @classmethod
+    def of(
+        cls, free: Sequence[tuple[str, int]], values: Mapping[str, Array], widths: Mapping[str, Array]
+    ) -> ParameterCoordinates:
+        """Return coordinates with the values as mean of the prior and the widths by name."""
+        width = np.array([widths[name][i] for name, i in free], dtype=float)
+        prior = cls(tuple(free), values, np.zeros(len(free)), width)
+        return replace(prior, mean=prior.of_values(values))
+
+    def without(self, dropped: Sequence[int]) -> ParameterCoordinates:
+        """Return the coordinates without some entries, which keep their values."""
+        kept = [k for k in range(len(self.free)) if k not in dropped]
+        return replace(self, free=tuple(self.free[k] for k in kept), mean=self.mean[kept], width=self.width[kept])
+
+    def parameters(self, z: Array) -> dict[str, Array]:
+        """Return all parameters by name at z (p,)."""
+        values = {name: np.array(value, dtype=float) for name, value in self.values.items()}
+        for (name, i), value in zip(self.free, z, strict=True):
+            values[name][i] = np.exp(value) if KINDS[name].coordinate == LOG else value
+        return values
+
+    def of_values(self, values: Mapping[str, Array]) -> Array:
+        """Return z (p,) of parameters by name."""
+        free = [(KINDS[name].coordinate, float(values[name][i])) for name, i in self.free]
+        return np.array([float(np.log(value)) if kind == LOG else value for kind, value in free])
+
+    def scale(self, z: Array) -> Array:
+        """Return d parameter / d z (p,) at z."""
+        logarithmic = self._are(LOG)
+        return np.where(logarithmic, np.exp(np.where(logarithmic, z, 0.0)), 1.0)
+
+    @property
+    def nonnegative(self) -> Array:
+        """Return which entries (p,) of z are not negative."""
+        return self._are(NONNEGATIVE)
+
+    @property
+    def dynamic(self) -> tuple[tuple[str, int], ...]:
+        """Return the free parameters of the equations of motion."""
+        return tuple((name, i) for name, i in self.free if name in DYNAMIC)
+
+    @property
+    def delays(self) -> tuple[int, ...]:
+        """Return the joints whose effort delay is free."""
+        return tuple(i for name, i in self.free if name == "effort_delay")
+
+    def _are(self, coordinate: str) -> Array:
+        return np.array([KINDS[name].coordinate == coordinate for name, _ in self.free], dtype=bool)

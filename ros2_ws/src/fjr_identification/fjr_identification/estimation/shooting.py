@@ -37,11 +37,10 @@ class HeldEffort:
     def struct(self, ffi: Any, first: int, delay: Array) -> tuple[Any, ...]:
         """Return the structure of C, and what it refers to."""
         parts = np.array([self.parts, *self.slow_parts], dtype=np.int32)
-        u, slow, late = (np.ascontiguousarray(each, dtype=float) for each in (self.u, self.slow, delay / self.dt))
+        u, slow, late = (np.ascontiguousarray(row, dtype=float) for row in (self.u, self.slow, delay / self.dt))
         numbers = {"u": u, "delay": late, "slow": slow}
-        fields = {name: ffi.from_buffer("double[]", array) for name, array in numbers.items()}
-        fields["parts"] = ffi.from_buffer("int32_t[]", parts)
-        values = {**fields, "count": len(u), "first": first, "dt": self.dt}
+        values = {name: ffi.from_buffer("double[]", array) for name, array in numbers.items()}
+        values |= {"parts": ffi.from_buffer("int32_t[]", parts), "count": len(u), "first": first, "dt": self.dt}
         return ffi.new("struct fjr_input *", values), values
 
 
@@ -83,7 +82,7 @@ class Shooting:
         X[0], S[0] = x0, np.eye(4 * n, self.padded)
         ffi, lib = self.library
         held = effort.struct(ffi, first, delay)
-        arrays = [ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(parameters), X, S)]
+        arrays = [ffi.from_buffer("double[]", array) for array in (np.ascontiguousarray(parameters), X, S)]
         failed = lib.fjr_shoot(self._memory.arm, held[0], arrays[0], samples, *arrays[1:])
         return None if failed else (X, S[:, :, :columns])
 
@@ -92,15 +91,14 @@ class Shooting:
         ffi, lib = self.library
         rows, columns = J.shape
         H, g = np.zeros((columns, columns)), np.zeros(columns)
-        of_J, of_r, of_H, of_g = (ffi.from_buffer("double[]", each) for each in (J, r, H, g))
+        of_J, of_r, of_H, of_g = (ffi.from_buffer("double[]", array) for array in (J, r, H, g))
         lib.fjr_normal_equations(of_J, of_r, rows, columns, of_H, of_g)
         return H, g
 
     @cached_property
     def library(self) -> tuple[Any, Any]:
         """Return cffi's types and the compiled loop."""
-        sizes = {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors}
-        return c_library(__file__, sizes)
+        return c_library(__file__, {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors})
 
     @cached_property
     def function(self) -> Any:
@@ -132,7 +130,7 @@ class _Memory:
             "iw": ffi.new("long long[]", max(1, f.sz_iw())),
             "w": ffi.new("double[]", max(1, f.sz_w())),
             "nonzeros": ffi.new("double[]", 4 * len(shooting.arm.pattern[0])),
-            **{name: ffi.new("int32_t[]", list(map(int, each))) for name, each in _indices(shooting).items()},
+            **{name: ffi.new("int32_t[]", list(map(int, places))) for name, places in _indices(shooting).items()},
         }
         for name, value in self.held.items():
             setattr(self.arm, name, value)
@@ -146,7 +144,8 @@ def _indices(shooting: Shooting) -> dict[str, Any]:
     rows, columns = map(np.array, shooting.arm.pattern)
     first_effort = 4 * n + len(shooting.arm.free)
     joints = np.where(columns < first_effort, -1, columns - first_effort)
-    targets = np.array([_target(column, first_effort, shooting.delays) for column in columns])
+    delayed = {first_effort + joint: first_effort + k for k, joint in enumerate(shooting.delays)}
+    targets = np.array([column if column < first_effort else delayed.get(column, -1) for column in columns])
     of_state = np.flatnonzero(columns < 4 * n)
     of_state = of_state[np.argsort(rows[of_state], kind="stable")]
     forced = np.flatnonzero((columns >= 4 * n) & (targets >= 0))
@@ -162,11 +161,3 @@ def _indices(shooting: Shooting) -> dict[str, Any]:
         "forced_column": targets[forced],
         "forced_joint": joints[forced],
     }
-
-
-def _target(column: int, first_effort: int, delays: tuple[int, ...]) -> int:
-    """Return the column of the sensitivities that a column of the Jacobian adds to, -1: none."""
-    if column < first_effort:
-        return column
-    joint = column - first_effort
-    return first_effort + delays.index(joint) if joint in delays else -1

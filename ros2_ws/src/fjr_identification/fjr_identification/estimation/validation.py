@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predict the deflection in a record that was not fitted: does the identified arm explain it better than a rigid one?
+"""How much of a record the identified arm explains: deflections predicted from the motion, simulated fits, hold-outs.
 
     q_m - q_l(t + skew) = offset + (M_l a + C v + grad P_l + D_l v + F_l(v) + T(q)) / K - skew v
 
@@ -9,22 +9,23 @@ without skew has a constant deflection.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 
-from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
-from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import Identification
+from fjr_design.posterior.result import DEFLECTION, Fit, Identification
 
-from .elastic_arm import ElasticArm, free_entries, position_torque
-from .initial_guess import decimated, filtered, inner, rigid_torque, shifted, smoothed
+from .elastic_arm import ElasticArm, coulomb, position_torque
+from .filtered_motion import FilteredMotion, decimated, filtered, inner, rigid_torque, shifted, smoothed
 from .motion_record import MotionRecord
-from .parameters import OF_LINKS, Options, Prior
+from .multiple_shooting import PredictedSegments
+from .parameters import OF_LINKS, IdentifyOptions, Prior
+
+STIFF = 1e12  # times the identified stiffness
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,45 +57,145 @@ class Deflection:
         """Return elastic relative to rigid (n,)."""
         return self.elastic / self.rigid
 
+    @property
+    def fit(self) -> Fit:
+        """Return the fit of a record that is not simulated."""
+        measured, predicted = {DEFLECTION: self.measured}, {DEFLECTION: self.predicted}
+        return Fit(self.record, self.t, measured, predicted, {DEFLECTION: self.elastic}, 1 - self.unexplained**2)
+
 
 def predicted_deflection(
     record: MotionRecord,
     robot: Robot,
     prior: Prior,
-    found: Identification,
-    options: Options = Options(),  # noqa: B008
+    identification: Identification,
+    options: IdentifyOptions = IdentifyOptions(),  # noqa: B008
 ) -> Deflection:
     """Return the deflection of a record, predicted by an identification from other records."""
-    values = parameters_of(robot, prior, found, options)
+    values, joints = _parameters(robot, prior, identification, options), identification.joints
     of_links = [
-        (each.name, found.joints.index(each.joint) if each.joint else 0)
-        for each in found.estimates
-        if each.name in OF_LINKS
+        (estimate.name, joints.index(estimate.joint) if estimate.joint else 0)
+        for estimate in identification.estimates
+        if estimate.name in OF_LINKS
     ]
-    arm = ElasticArm(robot, free_entries(ElasticArm(robot, ()).layout, of_links))
+    arm = ElasticArm(robot, tuple(of_links))
     motion = filtered(record, arm, values)
-    q, v, a = motion.q_l, motion.v_l, motion.a_l
     skew = values["link_skew"]
-    q, v, a = (np.column_stack([shifted(x[:, j], record.dt, s) for j, s in enumerate(skew)]) for x in (q, v, a))
+    q, v, a = (
+        np.column_stack([shifted(side[:, j], record.dt, late) for j, late in enumerate(skew)])
+        for side in (motion.q_l, motion.v_l, motion.a_l)
+    )
     torque = rigid_torque(arm, values, q, v, a) + values["link_damping"] * v
-    torque += values["link_coulomb_friction"] * np.tanh(v / values["smoothing"])
+    torque += values["link_coulomb_friction"] * coulomb(v, values["smoothing"])
     torque += np.asarray(position_torque(SimpleNamespace(**values), q, np))
-    measured = smoothed(record.q_m - record.q_l, record.dt)
-    predicted = torque / values["joint_stiffness"] - skew * v
-    measured, predicted = (inner(each, record.dt) for each in (measured, predicted))
-    measured, predicted = (decimated(each - np.mean(each, axis=0), motion.stride) for each in (measured, predicted))
+    sides = smoothed(record.q_m - record.q_l, record.dt), torque / values["joint_stiffness"] - skew * v
+    measured, predicted = (inner(side, record.dt) for side in sides)
+    measured, predicted = (decimated(side - np.mean(side, axis=0), motion.stride) for side in (measured, predicted))
     t = record.dt * inner(np.arange(len(q), dtype=float), record.dt)[:: motion.stride]
     return Deflection(record.name, record.joints, t, measured, predicted)
 
 
-def parameters_of(robot: Robot, prior: Prior, found: Identification, options: Options) -> Mapping[str, Array]:
+def _parameters(
+    robot: Robot, prior: Prior, identification: Identification, options: IdentifyOptions
+) -> Mapping[str, Array]:
     """Return all parameters by name: the estimates, where there is none the prior."""
     values = {name: value.copy() for name, value in prior.values.items()}
-    for each in found.estimates:
-        values[each.name][found.joints.index(each.joint) if each.joint else 0] = each.value
-    velocities = {name: getattr(options, name) for name in ("smoothing", "stribeck")}
-    return {**values, **{name: checks.vector(name, v, robot.n, StateError) for name, v in velocities.items()}}
+    for estimate in identification.estimates:
+        j = identification.joints.index(estimate.joint) if estimate.joint else 0
+        values[estimate.name][j] = estimate.value
+    return {**values, **options.friction_velocities(robot.n)}
 
 
 def _rms(signal: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(signal**2, axis=0)))
+
+
+@dataclass(frozen=True, eq=False)
+class HoldOut:
+    """Root mean square of the deflection q_m - q_l that models leave unexplained, relative to all of it, (n,) each.
+
+    model: the identified one. rigid: no deflection, with the identified skew between the sides. no_skew: the identified
+    stiffness without skew. NaN where a side is not measured. A rigid joint without skew explains nothing: 1.
+    """
+
+    record: str
+    joints: tuple[str, ...]
+    model: Array
+    rigid: Array
+    no_skew: Array
+
+    @property
+    def shares(self) -> Array:
+        """Return model, rigid and no_skew (n, 3)."""
+        return np.column_stack([self.model, self.rigid, self.no_skew])
+
+
+def hold_out(
+    identification: Identification, record: MotionRecord, robot: Robot, prior: Prior, options: IdentifyOptions
+) -> HoldOut:
+    """Return what models leave unexplained of a record; robot, prior, options: of the identification."""
+
+    def unexplained(name: str = "", factor: float = 1.0) -> Array:
+        changed = replace(prior, values={**prior.values, **({name: factor * prior.values[name]} if name else {})})
+        estimates = tuple(
+            replace(estimate, value=factor * estimate.value) if estimate.name == name else estimate
+            for estimate in identification.estimates
+        )
+        model = replace(identification, estimates=estimates)
+        return predicted_deflection(record, robot, changed, model, options).unexplained
+
+    rigid, no_skew = unexplained("joint_stiffness", STIFF), unexplained("link_skew", 0.0)
+    return HoldOut(record.name, identification.joints, unexplained(), rigid, no_skew)
+
+
+def simulated_fits(prediction: PredictedSegments, deviations: Array) -> tuple[Fit, ...]:
+    """Return the fit of each record from the prediction of its segments and the noise (signals,).
+
+    Samples outside the segments are predicted by NaN.
+    """
+    problem = prediction.problem
+    records = {id(segment.record): segment.record for segment in problem.segments}
+    fits = []
+    for record in records.values():
+        names = sorted({signal for signal, _ in problem.signals})
+        predicted = {name: np.full(record.u.shape, np.nan) for name in names}
+        noise = {name: np.full(record.u.shape[1], np.nan) for name in names}
+        for k, (signal, joint) in enumerate(problem.signals):
+            noise[signal][joint] = deviations[k]
+            for segment, compared in zip(problem.segments, prediction.compared, strict=True):
+                if segment.record is record:
+                    at = slice(segment.first, segment.first + segment.count)
+                    predicted[signal][at, joint] = compared.predicted[k]
+        measured = {name: np.asarray(getattr(record, name)) for name in names}
+        t: Array = record.dt * np.arange(len(record.u), dtype=float)
+        fits.append(Fit(record.name, t, measured, predicted, noise, _explained(measured, predicted)))
+    return tuple(fits)
+
+
+def _explained(measured: Mapping[str, Array], predicted: Mapping[str, Array]) -> Array:
+    """Return the share (n,) of the variance of q_m - q_l that is predicted, NaN where a side is not measured."""
+    if not {"q_l", "q_m"} <= set(measured):
+        return np.full(next(iter(measured.values())).shape[1], np.nan)
+    seen, model = (sides["q_m"] - sides["q_l"] for sides in (measured, predicted))
+    known = np.isfinite(seen) & np.isfinite(model)
+    shares = [
+        1 - np.var((seen - model)[known[:, j], j]) / np.var(seen[known[:, j], j]) if known[:, j].any() else np.nan
+        for j in range(seen.shape[1])
+    ]
+    return np.array(shares)
+
+
+def deflection_error(fits: Sequence[Fit], motions: Sequence[FilteredMotion]) -> Array:
+    """Return the root mean square (n,) [rad] of the deflections that fits leave, within the bandwidth of the motions.
+
+    NaN where a side is not measured.
+    """
+    slow = []
+    for fit, motion in zip(fits, motions, strict=True):
+        if not {"q_l", "q_m"} <= set(fit.measured):
+            return np.full(motion.u.shape[1], np.nan)
+        error = {name: fit.measured[name] - fit.predicted[name] for name in ("q_l", "q_m")}
+        deflection = error["q_m"] - error["q_l"]
+        known = ~np.all(np.isnan(deflection), axis=0)
+        slow.append(np.where(known, decimated(np.nan_to_num(deflection), motion.stride), np.nan))
+    return np.asarray(np.sqrt(np.mean(np.vstack(slow) ** 2, axis=0)))

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Intervals: the covariance of the estimate from coloured residuals, and what the records alone say of each parameter.
+
+Residuals of a wrong model are correlated over time. Segments have initial states of their own, so their scores
+g_s = J_s' r_s are nearly independent, and the sandwich H^-1 (sum g_s g_s') H^-1 measures what the correlation does
+(K.-Y. Liang, S. L. Zeger, Biometrika 73(1), 1986). Its standard deviations, where larger, replace those of H^-1; its
+correlations do not, because it has the rank of the number of segments. The quantile is Student's.
+
+Part of the information about z in the normal equations is spurious: the records do not determine what it says. Initial
+states fit noise: a spring at rest seems to swing, at a frequency that seems to reveal its stiffness. And initial states
+have a prior: without a motor encoder the offset of a spring only shifts the motor, away from this prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import norm, t
+
+from fjr_core.numerics.checks import Array
+from fjr_design.posterior.result import LOG, NONNEGATIVE
+
+from .multiple_shooting import RIDGE, NormalEquations, PredictedSegments
+
+CONFIDENCE = 0.95
+LAGS = 2
+"""Segments over which scores are taken to be correlated, with the weights of Bartlett (W. Newey, K. West, 1987)."""
+LEAST_DRAWS = 24  # of all segments together
+CAUTION = 4.0  # factor on spurious information: noise is estimated from few draws, the prior's share to first order
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorCovariance:
+    """Covariance (p, p) of z, and the standard deviations (p,) that the records alone give, inf: none."""
+
+    covariance: Array
+    from_records: Array
+
+
+def posterior(
+    parts: Sequence[NormalEquations], spurious: Array, width: Array, fixed: Sequence[int] = ()
+) -> PosteriorCovariance:
+    """Return the covariance of z from the normal equations of the segments and the prior's width (p,).
+
+    spurious (p, p): information that does not count in from_records. fixed: entries of z that keep their prior; their
+    uncertainty is that of the prior and acts on the others, and their own entries in from_records are inf.
+    """
+    H = np.asarray(sum(part.H for part in parts))
+    free = [k for k in range(len(width)) if k not in fixed]
+    chosen = H[np.ix_(free, free)]
+    information = chosen + np.diag(width[free] ** -2.0)
+    scale = np.sqrt(np.diag(information))
+    inverse = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    factor = inflation(np.array([part.g[free] for part in parts]), inverse)
+    covariance = inverse * np.outer(factor, factor)
+    if len(fixed):
+        by_prior = inverse @ H[np.ix_(free, list(fixed))] * width[list(fixed)]
+        covariance = covariance + by_prior @ by_prior.T
+    alone = np.full(len(width), np.inf)
+    alone[free] = _standard_deviations(chosen - spurious[np.ix_(free, free)], width[free]) * factor
+    whole = np.zeros_like(H)
+    whole[np.ix_(free, free)] = covariance
+    return PosteriorCovariance(whole, alone)
+
+
+def inflation(scores: Array, inverse: Array) -> Array:
+    """Return by what factor (p,) standard deviations exceed those of white residuals, with Student's quantile.
+
+    scores (segments, p), inverse (p, p): of the information. The factor is at least that of the quantile.
+    """
+    count = len(scores)
+    scores = scores - scores.mean(axis=0)
+    meat = scores.T @ scores
+    for lag in range(1, min(LAGS, count - 1) + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        meat = meat + (1 - lag / (LAGS + 1)) * (product + product.T)
+    sandwich = np.diag(inverse @ meat @ inverse) * count / max(count - 1, 1)
+    ratio = np.sqrt(np.maximum(sandwich / np.diag(inverse), 1.0))
+    quantile = (1 + CONFIDENCE) / 2
+    return np.asarray(ratio * t.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
+
+
+def interval(coordinate: str, z: float, sd: float) -> tuple[float, float, float]:
+    """Return the value of a parameter and the ends of its interval, from z and its standard deviation."""
+    ends = np.array([z, z - 1.96 * sd, z + 1.96 * sd])
+    if coordinate == LOG:
+        ends = np.exp(ends)
+    elif coordinate == NONNEGATIVE:
+        ends = np.maximum(ends, 0.0)
+    value, low, high = ends.tolist()
+    return value, low, high
+
+
+def _standard_deviations(H: Array, width: Array) -> Array:
+    """Return the standard deviations that the information H gives, large but finite where it is not definite."""
+    scale = np.sqrt(np.maximum(np.diag(H), width**-2.0))
+    w, v = np.linalg.eigh(H / np.outer(scale, scale))
+    least = 1e-12 * (1 + np.max(np.abs(w), initial=0.0))
+    return np.asarray(np.sqrt((v**2) @ (1 / np.maximum(w, least))) / scale)
+
+
+def spurious_information(best: PredictedSegments) -> Array:
+    """Return CAUTION times the information (p, p) that is due to noise in initial states, and to their prior.
+
+    Noise: growth of the information under disturbances of the initial states, which have their covariance and come with
+    both signs, so that what is linear in them cancels. No segment loses more than it contains, before CAUTION. Prior
+    and ridge: initial states follow z by -B dz, away from their prior: sum_s B' diag(1 / width^2 + ridge) B.
+    """
+    segments, size = best.x0.shape
+    draws = max(1, LEAST_DRAWS // segments)
+    normals = np.random.default_rng(0).standard_normal((segments, draws, size))
+    by_noise = best.problem.of_each(lambda k: _growth(best, k, normals[k]))
+    by_prior = []
+    for compared, part in zip(best.compared, best.projected, strict=True):
+        weight = best.problem.state_width**-2 + RIDGE * np.diag(compared.H)[:size]
+        by_prior.append(part.B.T @ (weight[:, None] * part.B))
+    return np.asarray(CAUTION * np.asarray(sum(by_noise)) + CAUTION * np.asarray(sum(by_prior)))
+
+
+def _growth(best: PredictedSegments, k: int, normals: Array) -> Array:
+    """Return the growth of the information of segment k by disturbances of its initial state, (draws, 4n) each."""
+    x, size, information = best.x0[k], normals.shape[1], best.projected[k].H
+    scale, (factor, lower) = best.compared[k].state_factor(size, 0.0)
+    growth = np.zeros_like(information)
+    for normal in normals:
+        dx = solve_triangular(factor, normal, trans=1 if lower else 0, lower=lower) / scale
+        pair = [best.problem.compare(k, best.z, x + sign * dx, best.noise) for sign in (1, -1)]
+        complete = [compared.projected(size).H for compared in pair if compared is not None]
+        if len(complete) == len(pair):
+            growth += (sum(complete) / 2 - information) / len(normals)
+    contained, grown = np.maximum(np.diag(information), 0.0), np.diag(growth)
+    limit = np.sqrt(np.where(grown > contained, contained / np.where(grown > 0, grown, 1.0), 1.0))
+    return np.asarray(growth * np.outer(limit, limit))

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Design the motion of a record from which the parameters of elastic joints are known best: D-optimal, within limits.
+
+The reference is a finite Fourier series in each joint, at rest at the start and the end of each period. Its free
+coefficients maximise log det of the Fisher information (`elastic_motion`) of stiffness, offset, rotor inertia, friction
+and damping over the record, along the inverse dynamics of the flexible-joint robot, by L-BFGS-B with exact gradients
+from a few random starts, of which the one with the largest least gain in stiffness is kept. Limits enter as a quadratic
+penalty; the result is then scaled about its offset until it keeps them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fjr_core.errors import TrajectoryError
+from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import inverse_dynamics
+from fjr_core.motions.reference import JETS, Reference
+from fjr_core.motions.sine import FEWEST, MultiSine, RestingSeries, logarithmic_harmonics
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import compiled
+
+from .elastic_motion import InformationModel, JointNoise, MotionEnvelope, elastic_motion
+
+LONGEST_PERIOD = 10.0  # s
+HARMONICS = 10
+BELOW_RESONANCE = 0.7  # highest frequency, as a fraction of the lowest spring resonance
+SAMPLES_PER_CYCLE = 25.0  # least samples of the loop per cycle of the highest frequency
+INSTANTS_PER_CYCLE = 4  # of the highest frequency, at which a motion is evaluated in the search
+FEWEST_INSTANTS = 256
+STARTS = 3
+PENALTIES, FINAL_PENALTY = (1e3, 1e4), 1e5  # weights of the excess in the search from each start, and from the best
+STEPS = 80  # of L-BFGS-B per weight
+ROUNDS = 3  # of the search from the best motion, with more emphasis on the joints whose stiffness gains least
+START = 0.1  # of the acceleration that random coefficients may ask for
+FINE = 8  # times as many instants when limits are checked
+HALVINGS = 40
+POSES = 64  # configurations whose mean link inertia counts
+EMPHASIS = 4.0
+"""Weight of the stiffness beyond its share in log det F: the law depends on it most, and it is known least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A designed reference of `duration` [s], which rests at 0 and at each multiple of `period` [s].
+
+    deviations, before (n, 7): Cramer-Rao bounds of the standard deviations of elastic_motion.PARAMETERS, of this motion
+    and of the reference it was compared with; those of stiffness and motor inertia are relative.
+    """
+
+    reference: MultiSine
+    duration: float
+    period: float
+    deviations: Array
+    before: Array
+
+
+def design(
+    robot: Robot,
+    limits: MotionEnvelope,
+    noise: JointNoise,
+    before: Reference,
+    duration: float,
+    sample_period: float,
+    seed: int = 0,
+) -> Excitation:
+    """Return the motion of `duration` [s] within the limits that determines the parameters of the joints best.
+
+    before: reference whose information is compared, over the same duration and with the same noise. seed: of the random
+    starts. Raises TrajectoryError if no motion keeps the limits.
+    """
+    task = ExcitationDesign(robot, limits, noise, duration, sample_period)
+    bounds, rng = task.deviations(before), np.random.default_rng(seed)
+    best, most = None, 0.0
+    for _ in range(STARTS):
+        c = task.start(rng)
+        for weight in PENALTIES:
+            c = task.improved(c, weight)
+        if (gain := task.least_gain(c, bounds)) > most:
+            best, most = c, gain
+    if best is None:
+        raise TrajectoryError(
+            f"no motion of {STARTS} random starts keeps the limits; expected wider limits or a lighter arm"
+        )
+    for _ in range(ROUNDS):
+        gains = task.gains(best, bounds)
+        refined = task.improved(best, FINAL_PENALTY, EMPHASIS * gains.max() / gains)
+        if (least := task.least_gain(refined, bounds)) <= most:
+            break
+        best, most = refined, least
+    reference = task.series.reference(task.within(best))
+    return Excitation(reference, duration, task.series.period, task.deviations(reference), bounds)
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationDesign:
+    """Search of the free coefficients c (size, n) of a RestingSeries in each joint."""
+
+    robot: Robot
+    limits: MotionEnvelope
+    noise: JointNoise
+    duration: float
+    sample_period: float
+
+    @cached_property
+    def series(self) -> RestingSeries:
+        """Harmonics on a logarithmic scale up to the highest frequency that springs and loop permit.
+
+        Raises TrajectoryError if the record is too short for three of them.
+        """
+        period = self.duration / max(1, np.ceil(self.duration / LONGEST_PERIOD))
+        resonance = BELOW_RESONANCE * float(np.sqrt(np.diag(self.robot.K) * (1 / self._M_l + 1 / self._M_m)).min())
+        highest = min(resonance / (2 * np.pi), 1 / (SAMPLES_PER_CYCLE * self.sample_period))
+        if highest * period < FEWEST:
+            raise TrajectoryError(
+                f"the record lasts {self.duration:g} s; expected at least {FEWEST / highest:.3g} s, {FEWEST} cycles of "
+                f"the highest frequency of {highest:.3g} Hz"
+            )
+        return RestingSeries(period, logarithmic_harmonics(int(highest * period), HARMONICS))
+
+    @cached_property
+    def model(self) -> InformationModel:
+        """Information of the whole record, from the instants of one period."""
+        K, samples = np.diag(self.robot.K), round(self.duration / self.sample_period)
+        return InformationModel(K, self._M_m, self._M_l, self.noise, self.series.period, samples)
+
+    @cached_property
+    def _M_m(self) -> Array:
+        return np.diag(self.robot.M_m).copy()
+
+    @cached_property
+    def _M_l(self) -> Array:
+        """Mean diagonal of the link inertia at positions spread evenly within the limits."""
+        low, high = self.limits.lower[0], self.limits.upper[0]
+        poses = np.random.default_rng(0).uniform(low, high, (POSES, self.robot.n))
+        return np.mean([np.diag(self.robot.M_l(q_l)) for q_l in poses], axis=0)
+
+    @cached_property
+    def _instants(self) -> Array:
+        k = max(FEWEST_INSTANTS, INSTANTS_PER_CYCLE * self.series.harmonics[-1])
+        return np.arange(k) * self.series.period / k
+
+    @cached_property
+    def _basis(self) -> Array:
+        return self.series.jet_basis(self._instants)
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """Return random coefficients of small accelerations about a random position in the middle half of the range."""
+        c = START * self._scale() * rng.standard_normal((self.series.size, self.robot.n))
+        c[-1] = self.limits.middle[0] + 0.5 * self._scale()[-1] * rng.uniform(-1, 1, self.robot.n)
+        return c
+
+    def improved(self, coefficients: Array, weight: float, emphasis: ArrayLike = EMPHASIS) -> Array:
+        """Return coefficients of a locally largest criterion minus weight times the mean squared excess.
+
+        emphasis: scalar or (n,), on the stiffness of each joint.
+        """
+        from scipy.optimize import minimize  # loaded on use: see law/gains.py
+
+        scale, emphasised = self._scale(), np.broadcast_to(np.asarray(emphasis, float), self.robot.n)
+
+        def loss(x: Array) -> tuple[float, Array]:
+            value, slope = self._loss(x.reshape(coefficients.shape) * scale, weight, emphasised)
+            return value, (slope * scale).ravel()
+
+        options = {"maxiter": STEPS, "maxcor": 30}
+        best = minimize(loss, (coefficients / scale).ravel(), jac=True, method="L-BFGS-B", options=options)
+        return np.asarray(best.x.reshape(coefficients.shape) * scale)
+
+    def _scale(self) -> Array:
+        """Return the size (size, n) of coefficients: an acceleration, and for the offset half the range."""
+        peak = np.minimum(self.limits.upper[2], self.limits.upper[1] * 2 * np.pi)
+        scale = np.tile(peak / np.sqrt(self.series.size), (self.series.size, 1))
+        scale[-1] = (self.limits.upper[0] - self.limits.lower[0]) / 2
+        return scale
+
+    def _loss(self, c: Array, weight: float, emphasis: Array) -> tuple[float, Array]:
+        """Return the loss of coefficients and its gradient (size, n)."""
+        jets = np.einsum("rks,sn->krn", self._basis, c)
+        motion = elastic_motion(self.robot, jets, self._inverse_dynamics)
+        information, rate = self.model.criterion(motion, emphasis)
+        ratios, k = self.limits.ratios(motion.stacked), len(jets)
+        over = np.sign(ratios) * np.maximum(np.abs(ratios) - 1.0, 0.0)
+        loss = -information + weight * float((over**2).sum()) / k
+        slope = 2 * weight / k * over * self.limits.slope - rate
+        return loss, np.einsum("rks,krn->sn", self._basis, self._pulled_back(jets, slope))
+
+    def _pulled_back(self, jets: Array, slope: Array) -> Array:
+        """Return the derivative (k, 5, n) in the jets of a function with derivative (8, k, n) in the motion."""
+        torque = slope[7] @ np.linalg.inv(self.robot.B_m)
+        bars = (slope[3], slope[4], slope[5], slope[6], torque)
+        given = [jets[:, row].T for row in range(JETS)] + [bar.T for bar in bars]
+        pulled = [rows.full().T for rows in self._adjoint(*given)]
+        return np.stack([*(pulled[row] + slope[row] for row in range(3)), *pulled[3:]], axis=1)
+
+    @cached_property
+    def _inverse_dynamics(self) -> ca.Function:
+        return compiled(inverse_dynamics(self.robot)).map(len(self._instants))
+
+    @cached_property
+    def _adjoint(self) -> ca.Function:
+        """Build (q .. d4q, adjoints of the fields of MotorMotion) -> adjoints of q .. d4q, at all instants."""
+        n, forward = self.robot.n, inverse_dynamics(self.robot)
+        motion = [ca.SX.sym(name, n) for name in forward.name_in()]
+        bars = [ca.SX.sym(f"bar{i}", n) for i in range(forward.n_out())]
+        total = ca.vertcat(*(ca.densify(value) for value in forward(*motion)))
+        adjoint = ca.jtimes(total, ca.vertcat(*motion), ca.vertcat(*bars), True)
+        parts = ca.vertsplit(ca.densify(adjoint), n)
+        function = ca.Function("inverse_dynamics_adjoint", [*motion, *bars], parts, {"cse": True})
+        return compiled(function).map(len(self._instants))
+
+    def least_gain(self, c: Array, bounds: Array) -> float:
+        """Return the least of the gains, 0 if the limits leave no room for the motion."""
+        try:
+            return float(self.gains(c, bounds).min())
+        except TrajectoryError:
+            return 0.0
+
+    def gains(self, c: Array, bounds: Array) -> Array:
+        """Return the factors (n,) by which the deviations of K of the motion within the limits are below bounds (n, 7).
+
+        Raises TrajectoryError if the limits leave no room for it.
+        """
+        return bounds[:, 0] / self.deviations(self.series.reference(self.within(c)))[:, 0]
+
+    def within(self, c: Array) -> Array:
+        """Return the coefficients scaled about the offset until the motion keeps all limits.
+
+        Raises TrajectoryError if even the offset does not.
+        """
+        k = FINE * len(self._instants)
+        basis = self.series.jet_basis(np.arange(k) * self.series.period / k)
+
+        def scaled(factor: float) -> Array:
+            return np.vstack([factor * c[:-1], c[-1:]])
+
+        def keeps(factor: float) -> bool:
+            jets = np.einsum("rks,sn->krn", basis, scaled(factor))
+            return self.limits.keeps(elastic_motion(self.robot, jets))
+
+        if keeps(1.0):
+            return c
+        low, high = 0.0, 1.0
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if keeps(middle) else (low, middle)
+        if not low > 0:
+            raise TrajectoryError(
+                "the limits leave no room for a motion about its best position; expected wider limits or a lighter arm"
+            )
+        return scaled(low)
+
+    def deviations(self, reference: Reference) -> Array:
+        """Return the Cramer-Rao bounds (n, 7) of a reference over the whole record; see Excitation."""
+        k = int(np.ceil(len(self._instants) * self.duration / self.series.period))
+        motion = elastic_motion(self.robot, np.asarray(reference.jets(np.arange(k) * self.duration / k)))
+        return replace(self.model, period=self.duration).deviations(motion)

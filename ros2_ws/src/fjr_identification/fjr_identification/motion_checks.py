@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare the motion of a record with the nominal robot: units, signs, gear ratios, sides, order of joints, efforts.
+
+The nominal robot needs to be right within a factor of SPREAD only. Each check compares two measured signals, or one
+with the torque tau = M_l ddq_l + C dq_l + grad P_l that the measured motion needs, below a cut-off frequency. Which
+joint a signal belongs to, and its sign where no other side shows it, is the better of two hypotheses: a changed record
+is believed if the efforts of the joints that it concerns then follow from the motion, and did not before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from fjr_core.numerics.checks import Array
+
+from .estimation.elastic_arm import coulomb
+from .estimation.motion_record import MotionRecord
+from .estimation.parameters import LARGEST_SKEW
+from .rigid_motion import (
+    DEGREES,
+    GEAR_RATIO,
+    ORDER,
+    SCALE,
+    SIGN,
+    SKEW,
+    SWAPPED,
+    Contradiction,
+    FittedLine,
+    RigidMotion,
+    bounded_slope,
+    fitted_line,
+    rigid_motion,
+)
+
+LEAST_DEGREES = 3.0  # rad; larger positions may be degrees
+RATIO = 0.005  # relative error of a gear ratio that is found
+SPREAD = 10.0  # factor by which stiffness and inertia may differ from those of the robot file
+LEAST_COMPLIANCE = 1 / 3  # of the nominal one; less may be hysteresis or a skew that changes
+UNITS = {"degrees against rad": np.degrees(1.0), "turns against rad": 1.0 / (2.0 * np.pi)}
+SMOOTHING = 0.01  # rad/s; of the friction regressors
+POOR, GOOD = 0.5, 0.25  # unexplained share of an effort without and with a change
+BETTER = 0.5  # unexplained with a change, relative to without
+NEAR = 1.25  # factor; a slope within it is right
+EXCHANGED = {"the positions": ("q_l", "q_m"), "all signals": ("u", "q_l", "q_m", "torque")}
+FOLLOWS = 0.1  # unexplained share of one side's position by that of another joint
+
+
+def degrees(motion: RigidMotion) -> Iterator[Contradiction]:
+    """Find positions of both sides in degrees: as rad they leave the joints' range or contradict the efforts."""
+    slides = [unit.position == "m" for unit in motion.robot.units]
+    moving = [j for j in range(motion.robot.n) if motion.record.joints[j] not in motion.record.still and not slides[j]]
+    if not moving:
+        return
+    largest = float(np.max(np.nanmax(np.abs(motion.position[:, moving]), axis=0)))
+    scaled, votes = rigid_motion(motion.record, motion.robot, np.where(slides, 1.0, np.radians(1.0))), 0
+    for j in moving:
+        here, there = effort_line(motion, j), effort_line(scaled, j)
+        plausible = 1 / SPREAD < there.slope < SPREAD and there.slope > 3 * there.deviation
+        votes += plausible and there.unexplained < 0.5 * here.unexplained
+    if _leaves_range(motion, moving) or (2 * votes > len(moving) and largest > LEAST_DEGREES):
+        joint = motion.record.joints[moving[0]] if len(moving) == 1 else ""
+        sentence = f"positions reach {largest:.4g} and fit the robot as degrees only; expected rad"
+        yield Contradiction(DEGREES, joint, sentence)
+
+
+def _leaves_range(motion: RigidMotion, moving: list[int]) -> bool:
+    """Return whether positions are outside twice the range of most joints."""
+    if motion.robot.limits is None:
+        return False
+    low, high = np.asarray(motion.robot.limits.lower), np.asarray(motion.robot.limits.upper)
+    bounded = [j for j in moving if np.isfinite(high[j] - low[j])]
+    outside = [np.max(np.abs(motion.position[:, j] - (low + high)[j] / 2)) > (high - low)[j] for j in bounded]
+    return 2 * sum(outside) > len(bounded) > 0
+
+
+def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> FittedLine:
+    """Fit the effort of joint `effort` (None: j) by the torque that the motion of joint j needs, with friction."""
+    v_l, v_m = motion.velocity[:, j], motion.motor_velocity[:, j]
+    friction = [v_l, coulomb(v_l, SMOOTHING)]
+    friction += [] if np.array_equal(v_l, v_m) else [v_m, coulomb(v_m, SMOOTHING)]
+    return fitted_line(motion.needed[:, j], motion.u[:, j if effort is None else effort], friction, motion.independent)
+
+
+def skews(motion: RigidMotion) -> Iterator[Contradiction]:
+    """Find link encoders and torque sensors that are read too much later or earlier than the other side."""
+    for j, joint in enumerate(motion.record.joints):
+        v, tau = motion.velocity[:, j], motion.tau[:, j]
+        lines, count = {}, motion.independent
+        if motion.both[j]:
+            lines["q_l"] = fitted_line(v, motion.deflection[:, j], (tau, coulomb(v, SMOOTHING)), count)
+        if np.all(np.isfinite(motion.torque[:, j])):
+            lines["torque"] = fitted_line(-np.gradient(tau, motion.dt), motion.torque[:, j], (tau, v), count)
+        for name, line in lines.items():
+            if abs(line.slope) - 5 * line.deviation > LARGEST_SKEW:
+                when = "later" if line.slope > 0 else "earlier"
+                sentence = (
+                    f"{name} of {joint} is read {1e3 * abs(line.slope):.3g} ms {when} than the other side; "
+                    f"expected at most {1e3 * LARGEST_SKEW:g} ms"
+                )
+                yield Contradiction(SKEW, joint, sentence)
+
+
+def sides(motion: RigidMotion) -> Iterator[Contradiction]:
+    """Find a side that moves against the other, in another unit or by another gear ratio, and swapped sides."""
+    exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
+    for j, joint in enumerate(motion.record.joints):
+        slopes = _slopes(motion, j)
+        if slopes is None:
+            continue
+        low, high = slopes
+        middle = (low + high) / 2
+        if high < 0:
+            yield Contradiction(
+                SIGN, joint, f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction"
+            )
+        elif _differs(slopes) and not _differs(_slopes(exchanged, j)) and _is_spring(exchanged, j):
+            yield Contradiction(
+                SWAPPED, joint, f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped"
+            )
+        elif _differs(slopes):
+            yield _ratio(joint, middle)
+
+
+def _slopes(motion: RigidMotion, j: int) -> tuple[float, float] | None:
+    """Return the range of the ratio of q_m to q_l without the deflection; None if it is not known."""
+    if not motion.both[j]:
+        return None
+    compliances = 1.0 / motion.robot.K[j, j] / SPREAD, 1.0 / motion.robot.K[j, j] * SPREAD
+    v = motion.velocity[:, j]
+    skew_and_friction = (v, coulomb(v, SMOOTHING))
+    q_l, q_m, tau = motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j]
+    return bounded_slope(q_l, q_m, tau, skew_and_friction, compliances, motion.independent)
+
+
+def _differs(slopes: tuple[float, float] | None) -> bool:
+    """Return whether a ratio is known and not 1."""
+    return slopes is not None and (slopes[1] < 1 - RATIO or slopes[0] > 1 + RATIO)
+
+
+def _ratio(joint: str, slope: float) -> Contradiction:
+    for name, scale in UNITS.items():
+        if any(abs(slope / ratio - 1) < 0.1 for ratio in (scale, 1 / scale)):
+            kind = DEGREES if "degrees" in name else GEAR_RATIO
+            sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l: {name}; expected one unit"
+            return Contradiction(kind, joint, sentence)
+    sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l; expected 1: wrong gear ratio"
+    return Contradiction(GEAR_RATIO, joint, sentence)
+
+
+def swapped(motion: RigidMotion) -> Iterator[Contradiction]:
+    """Find swapped sides: the motor then lags behind the torque that the spring transmits."""
+    exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
+    for j, joint in enumerate(motion.record.joints):
+        if not motion.both[j]:
+            continue
+        here, there = _deflection_line(motion, j), _deflection_line(exchanged, j)
+        against = here.slope < -4 * here.deviation or here.unexplained > 4 * there.unexplained
+        if against and there.unexplained < 0.5 and _is_spring(exchanged, j):
+            seen = f"{here.slope * motion.robot.K[j, j]:.2g} times the deflection that the motion needs"
+            sentence = f"q_m - q_l of {joint} is {seen}; expected about 1: sides swapped"
+            yield Contradiction(SWAPPED, joint, sentence)
+
+
+def _is_spring(motion: RigidMotion, j: int) -> bool:
+    """Return whether the deflection rises with the spring torque by a plausible compliance."""
+    line = _deflection_line(motion, j)
+    return LEAST_COMPLIANCE < line.slope * motion.robot.K[j, j] < SPREAD and line.slope > 4 * line.deviation
+
+
+def _deflection_line(motion: RigidMotion, j: int) -> FittedLine:
+    """Fit the deflection of a joint by the spring torque, with a skew between the two measurements."""
+    return fitted_line(motion.tau[:, j], motion.deflection[:, j], (motion.velocity[:, j],), motion.independent)
+
+
+def efforts(motion: RigidMotion) -> Iterator[Contradiction]:
+    """Find efforts and sensor torques of the wrong sign or scale."""
+    for j, joint in enumerate(motion.record.joints):
+        if joint in motion.record.still:
+            continue
+        lines = {"effort": effort_line(motion, j)}
+        if np.all(np.isfinite(motion.torque[:, j])):
+            lines["torque"] = fitted_line(motion.tau[:, j], motion.torque[:, j], (), motion.independent)
+        for name, line in lines.items():
+            low, high = line.slope - 5 * line.deviation, line.slope + 5 * line.deviation
+            seen = f"{name} of {joint} is {line.slope:.3g} times the torque that its motion needs"
+            if high < 0:
+                yield Contradiction(SIGN, joint, f"{seen}; expected a positive factor near 1: a sign is wrong")
+            elif high < 1 / SPREAD or low > SPREAD:
+                wrong = f"links in the robot file, gear ratio, unit of the {name}?"
+                yield Contradiction(SCALE, joint, f"{seen}; expected about 1: {wrong}")
+
+
+def turned(motion: RigidMotion) -> Iterator[Contradiction]:
+    """Find joints all of whose positions have the wrong sign: with the other one their efforts fit."""
+    for j, joint in _moving(motion.record):
+        here = effort_line(motion, j)
+        if here.unexplained > POOR:
+            scale = np.where(np.arange(motion.robot.n) == j, -1.0, 1.0)
+            there = effort_line(rigid_motion(motion.record, motion.robot, scale), j)
+            if _follows(there) and there.unexplained < BETTER * here.unexplained:
+                sentence = f"the effort of {joint} fits its motion only with the other sign of its positions"
+                yield Contradiction(SIGN, joint, f"{sentence}; expected the direction of the robot file")
+
+
+def crossed_sides(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find pairs of joints whose links are recorded in another order than their motors."""
+    for (i, first), (j, second) in combinations(_moving(record), 2):
+        straight = [_unexplained(record.q_l[:, k], record.q_m[:, k]) for k in (i, j)]
+        across = [_unexplained(record.q_l[:, a], record.q_m[:, b]) for a, b in ((i, j), (j, i))]
+        if max(across) < FOLLOWS and max(across) < BETTER * min(straight):
+            sentence = f"q_m of {first} follows q_l of {second}, and the reverse; expected one order of the joints"
+            yield Contradiction(ORDER, first, sentence)
+
+
+def crossed(motion: RigidMotion) -> Iterator[Contradiction]:
+    """Find pairs of joints whose efforts, or all of whose signals, are recorded in the other order."""
+    for (i, first), (j, second) in combinations(_moving(motion.record), 2):
+        pairs = (i, i), (j, j), (i, j), (j, i)
+        by_effort = [effort_line(motion, *pair) for pair in pairs]
+        by_sensor = [fitted_line(motion.tau[:, k], motion.torque[:, of], (), motion.independent) for k, of in pairs]
+        wrong = [
+            name
+            for name, lines in (("efforts", by_effort), ("torques", by_sensor))
+            if _all_follow(lines[:2], lines[2:])
+        ]
+        if wrong:
+            sentence = f"the {wrong[0]} of {first} and {second} fit the motion of the other joint"
+            yield Contradiction(ORDER, first, f"{sentence}; expected one order of the joints")
+        elif max(line.unexplained for line in by_effort[:2]) > GOOD / 5:
+            for what, names in EXCHANGED.items():
+                other = rigid_motion(_exchanged(motion.record, i, j, names), motion.robot)
+                if _all_follow(by_effort[:2], [effort_line(other, k) for k in (i, j)]):
+                    sentence = f"{what} of {first} and {second} fit the robot in the other order"
+                    yield Contradiction(ORDER, first, f"{sentence}; expected the order of the joints in the robot file")
+                    break
+
+
+def _exchanged(record: MotionRecord, i: int, j: int, names: Sequence[str]) -> MotionRecord:
+    """Return the record with some signals of two joints exchanged."""
+    order = np.arange(len(record.joints))
+    order[[i, j]] = order[[j, i]]
+    return replace(record, **{name: getattr(record, name)[:, order] for name in names})
+
+
+def _moving(record: MotionRecord) -> list[tuple[int, str]]:
+    return [
+        (j, name) for j, name in enumerate(record.joints) if name not in record.still and np.ptp(record.u[:, j]) > 0
+    ]
+
+
+def _follows(line: FittedLine) -> bool:
+    """Return whether an effort follows from the motion with a slope of the right order."""
+    right_order = 1 / SPREAD < line.slope < SPREAD and line.slope > 5 * line.deviation
+    return right_order and line.unexplained < GOOD
+
+
+def _all_follow(here: Sequence[FittedLine], there: Sequence[FittedLine]) -> bool:
+    """Return whether both efforts follow from the motion after a change.
+
+    Each fits better, the product of the unexplained shares is below BETTER^2 of that before, and the slopes are nearer
+    to 1, or within NEAR of it.
+    """
+    pairs = list(zip(here, there, strict=True))
+    together = np.prod([b.unexplained for _, b in pairs]) < np.prod([BETTER * a.unexplained for a, _ in pairs])
+    return bool(together) and all(
+        _follows(b)
+        and b.unexplained < a.unexplained
+        and (a.slope <= 0 or abs(np.log(b.slope)) < max(abs(np.log(a.slope)), np.log(NEAR)))
+        for a, b in pairs
+    )
+
+
+def _unexplained(x: Array, y: Array) -> float:
+    """Return the share of the variance of y (k,) that a line over x (k,) leaves; inf if one is not measured."""
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y)) and np.ptp(x) > 0 and np.ptp(y) > 0):
+        return np.inf
+    return float(1 - np.corrcoef(x, y)[0, 1] ** 2)

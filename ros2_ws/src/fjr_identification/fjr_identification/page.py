@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HTML page of an identification: parameters with their intervals as bars, hold-out, fit over time, residuals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fjr_core.numerics.checks import Array
+from fjr_design.posterior.result import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Estimate, Fit, Identification
+from fjr_monitor.plotting.figure import Line, Plot, colour
+from fjr_monitor.report import html
+from fjr_msgs_py.console.formatting import DASH, interval, number, percent, plural
+
+from .estimation.validation import HoldOut
+
+HOLD_OUT = ("", "this model", "rigid joints", "without skew")
+HOLD_OUT_TEXT = (
+    "Root mean square of the deflection q_m - q_l that a model leaves unexplained, relative to all of it, on a record "
+    "from which nothing was identified. Rigid joints: no deflection, the skew alone. Without skew: the springs alone."
+)
+TEXT = (
+    "Bars: 95 % interval, value as a line, prior dotted. Positive parameters have a logarithmic axis from a quarter to "
+    "four times the value, others a linear one. A parameter that is not identifiable keeps its prior. Numbers refer to "
+    "the reasons below."
+)
+FOOTER = (
+    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. robot.yaml and "
+    "identification.json are in the same folder. Needs no network."
+)
+BY_SEGMENTS = (
+    "Each segment of the record is predicted from its first state; the states of all segments are identified, too."
+)
+BY_MOTION = (
+    "Torques that the model lacks move the joints too far for a simulation. The deflections follow from the filtered "
+    "motion of the record and the identified parameters; nothing is simulated."
+)
+COLOURS = {IDENTIFIED: "ok", WEAK: "maybe", UNKNOWN: "no"}
+WIDEST = 4.0  # factor between the value and each end of the axis of a positive parameter
+BAR_HEAD = "interval, value, prior"
+LONGEST_LAG = 1.0  # s
+MOST_LAGS = 1000
+TITLES = {"q_l": "links", "q_m": "motors", "torque": "torque sensors", DEFLECTION: "deflections"}
+PREDICTED_BY_SIMULATION = "predicted from the effort and the state at the start of each segment"
+PREDICTED_BY_MOTION = "predicted from the motion of the record"
+
+
+def write_page(
+    path: Path,
+    name: str,
+    identification: Identification,
+    hold_outs: Sequence[HoldOut],
+    notes: Sequence[str],
+    seconds: float,
+) -> Path:
+    """Write the page as one self-contained file. seconds: length of all records. Raises AssetError."""
+    joints, fits = identification.joints, identification.fits
+    places = [f"record-{i}" for i in range(len(fits))]
+    pairs = list(zip(places, fits, strict=True))
+    counts = counted(identification)
+    html.write_page(
+        path,
+        "identification.html",
+        f"{name}: {counts[IDENTIFIED]} of {len(identification.estimates)} parameters identified",
+        [plot for place, fit in pairs for plot in fit_plots(fit, joints, place)],
+        kicker=f"Identification of {plural(len(joints), 'joint')} from {plural(len(fits), 'record')}",
+        notes=notes,
+        tiles=[
+            (str(counts[IDENTIFIED]), "parameters identified"),
+            (str(counts[WEAK]), "weakly identified: read their intervals"),
+            (str(counts[UNKNOWN]), "not identifiable from these records: as before"),
+            (f"{seconds:.3g} s", "of motion"),
+        ],
+        groups=groups(identification),
+        reasons=reasons(identification),
+        parameters_text=TEXT,
+        bar_head=BAR_HEAD,
+        hold_outs=[(f"Hold-out: {held.record}", hold_out_rows(held), HOLD_OUT_TEXT) for held in hold_outs],
+        hold_out_head=HOLD_OUT,
+        sections=[
+            (place, fit.record, BY_MOTION if DEFLECTION in fit.measured else BY_SEGMENTS) for place, fit in pairs
+        ],
+        json=html.as_json(identification.as_dict()),
+        footer=FOOTER,
+    )
+    return path
+
+
+def counted(identification: Identification) -> dict[str, int]:
+    """Return the number of estimates of each verdict."""
+    verdicts = [estimate.verdict for estimate in identification.estimates]
+    return {verdict: verdicts.count(verdict) for verdict in (IDENTIFIED, WEAK, UNKNOWN)}
+
+
+def hold_out_rows(held: HoldOut) -> list[list[str]]:
+    """Return the rows of a hold-out table, of the joints whose both sides are measured."""
+    rows = zip(held.joints, held.shares, strict=True)
+    return [[joint, *(percent(share, 1) for share in row)] for joint, row in rows if np.isfinite(row[0])]
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """Texts of one estimate, and its bar in percent of the axis; prior_at: None if it is outside.
+
+    reason: number of the reason of the verdict in `reasons`, from 1 on; None without one.
+    """
+
+    joint: str
+    value: str
+    interval: str
+    prior: str
+    verdict: str
+    reason: int | None
+    colour: str
+    left: float
+    width: float
+    middle: float
+    prior_at: float | None
+
+
+def reasons(identification: Identification) -> list[str]:
+    """Return the reasons of all verdicts, each once, in the order of the estimates."""
+    return list(dict.fromkeys(estimate.reason for estimate in identification.estimates if estimate.reason))
+
+
+def groups(identification: Identification) -> list[tuple[str, list[ParameterRow]]]:
+    """Return the rows by parameter, in the order of the estimates."""
+    rows = {}
+    for name in dict.fromkeys(estimate.name for estimate in identification.estimates):
+        words = name.replace("_", " ").replace("coulomb", "Coulomb")
+        estimates = [estimate for estimate in identification.estimates if estimate.name == name]
+        rows[words[:1].upper() + words[1:]] = list(_rows(estimates, reasons(identification)))
+    return list(rows.items())
+
+
+def _rows(estimates: Sequence[Estimate], why: Sequence[str]) -> Iterator[ParameterRow]:
+    """Yield the rows of one parameter; all bars have one axis, logarithmic around the value or linear."""
+    logarithmic = all(estimate.low > 0 for estimate in estimates)
+    largest = max((abs(end) for e in estimates for end in (e.low, e.high, e.prior)), default=1.0) or 1.0
+    for e in estimates:
+        ends = [e.low, e.value, e.high, e.prior]
+        places = [_ratio_place(end, e.value) if logarithmic else 50.0 * (1.0 + 0.95 * end / largest) for end in ends]
+        left, middle, right, prior = (round(min(100.0, max(0.0, place)), 2) for place in places)
+        known = e.verdict != UNKNOWN
+        yield ParameterRow(
+            e.joint or "arm",
+            number(e.value, e.unit),
+            interval(e.low, e.high) if known else DASH,
+            number(e.prior),
+            e.verdict,
+            why.index(e.reason) + 1 if e.reason else None,
+            COLOURS[e.verdict],
+            left if known else 0.0,
+            round(right - left, 2) if known else 0.0,
+            middle,
+            prior if 0.0 <= places[3] <= 100.0 else None,
+        )
+
+
+def _ratio_place(value: float, middle: float) -> float:
+    """Return the place in percent on a logarithmic axis around a value; -1 for a value that has none."""
+    return 50.0 * (1.0 + math.log(value / middle) / math.log(WIDEST)) if value > 0 and middle > 0 else -1.0
+
+
+def fit_plots(fit: Fit, joints: tuple[str, ...], place: str) -> list[Plot]:
+    """Return the plots of one record: a fit for each joint, residuals and autocorrelations of each signal."""
+    drawn = [*_fits(fit, joints, place), *_residuals(fit, joints, place), *_autocorrelations(fit, joints, place)]
+    return [plot for plot in drawn if not plot.is_empty]
+
+
+def _fits(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
+    """Yield measured and predicted deflection of each joint; torque or motor position where a side is missing."""
+    by = PREDICTED_BY_MOTION if DEFLECTION in fit.measured else PREDICTED_BY_SIMULATION
+    for j, joint in enumerate(joints):
+        what, measured, predicted = _compared(fit, j)
+        if not np.isfinite(measured).any():
+            continue
+        lines = [Line("measured", measured, "grey", 1.2), Line("predicted", predicted, colour(j), 1.5)]
+        title, share = f"{joint}: {what}", np.sqrt(np.maximum(1 - fit.explained[j], 0.0))
+        if np.isfinite(share):
+            title = f"{joint}: {share:.1%} of the deflection unexplained (root mean square)"
+        yield Plot(f"{place}-fit-{j}", title, f"{what}; {by}.", fit.t, lines, y_label=what, place=place)
+
+
+def _compared(fit: Fit, j: int) -> tuple[str, Array, Array]:
+    """Return what a plot compares, measured and predicted (k,)."""
+    seen = [name for name, values in fit.measured.items() if np.isfinite(values[:, j]).any()]
+    if DEFLECTION in fit.measured:
+        measured, predicted = (side[DEFLECTION][:, j] * 1e3 for side in (fit.measured, fit.predicted))
+        return "q_m - q_l [mrad]", measured, predicted
+    if {"q_l", "q_m"} <= set(seen):
+        measured, predicted = ((side["q_m"] - side["q_l"])[:, j] * 1e3 for side in (fit.measured, fit.predicted))
+        return "q_m - q_l [mrad]", measured, predicted
+    name = next(name for name in ("torque", "q_l", "q_m") if name in seen)
+    unit = "N m" if name == "torque" else "rad"
+    return f"{name} [{unit}]", fit.measured[name][:, j], fit.predicted[name][:, j]
+
+
+def _scaled_residuals(fit: Fit, name: str) -> tuple[Array, list[int]]:
+    """Return the residuals (k, n) of a signal in standard deviations of its noise, and which joints have some."""
+    residuals = np.asarray((fit.measured[name] - fit.predicted[name]) / fit.noise[name])
+    return residuals, np.flatnonzero(np.isfinite(residuals).any(axis=0)).tolist()
+
+
+def _residuals(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
+    for name in fit.measured:
+        values, measured = _scaled_residuals(fit, name)
+        lines = [Line(joints[j], values[:, j], colour(j), 1.0) for j in measured]
+        caption = "Measured minus predicted, in standard deviations of the noise."
+        title = f"Residuals of the {TITLES[name]}"
+        yield Plot(f"{place}-residual-{name}", title, caption, fit.t, lines, y_label="residual [1]", place=place)
+
+
+def _autocorrelations(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
+    dt = float(fit.t[1] - fit.t[0])
+    lags = min(MOST_LAGS, int(LONGEST_LAG / dt), len(fit.t) // 4)
+    for name in fit.measured:
+        values, measured = _scaled_residuals(fit, name)
+        lines = [Line(joints[j], autocorrelation(values[:, j], lags), colour(j), 1.3) for j in measured]
+        fewest = int(np.isfinite(values[:, measured]).sum(axis=0).min(initial=len(values)))
+        band = np.full(lags + 1, 1.96 / np.sqrt(max(1, fewest)))
+        bounds = [Line("95 % of white noise", band, "grey", 1.0, (4, 4)), Line("", -band, "grey", 1.0, (4, 4))]
+        yield Plot(
+            f"{place}-autocorrelation-{name}",
+            f"Autocorrelation of the residuals of the {TITLES[name]}",
+            "Far outside the dashed band residuals are coloured: the intervals take this into account.",
+            dt * np.arange(lags + 1, dtype=float),
+            [*lines, *bounds],
+            x_label="lag [s]",
+            y_label="autocorrelation [1]",
+            time=False,
+            place=place,
+        )
+
+
+def autocorrelation(values: Array, lags: int) -> Array:
+    """Return the autocorrelation (lags + 1,) of a series with mean 0; pairs with a NaN are left out."""
+    known = np.isfinite(values)
+    series = np.where(known, values, 0.0)
+    size = 2 ** int(np.ceil(np.log2(len(values) + lags + 1)))
+    power, count = (
+        np.fft.irfft(np.abs(np.fft.rfft(rows, size)) ** 2, size)[: lags + 1] for rows in (series, known.astype(float))
+    )
+    mean = power / np.maximum(count, 0.5)
+    return np.asarray(mean / mean[0]) if mean[0] > 0 else np.zeros(lags + 1)

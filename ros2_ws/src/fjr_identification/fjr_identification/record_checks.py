@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find what contradicts a record, the most fundamental first: here what its signals show by themselves.
+
+Length, motion, constant columns, jumps, sensors that are stuck, clipped efforts. `motion_checks` compares signals with
+each other and with the robot, `scale_checks` those of joints with one measured side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.errors import RecordError
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+
+from . import motion_checks, scale_checks
+from .estimation.motion_record import LEAST_MOTION, MotionRecord
+from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, Contradiction, rigid_motion
+
+SHORTEST = 200  # samples
+CLIPPED_RUN = 3  # times as many samples in a row at the extreme value as at others
+PEAK = 50  # steps of resolution; a parabola falls by 9 where it has left its peak for as long as it stayed there
+SIGNALS = {"q_l": "rad", "q_m": "rad", "torque": "N m"}
+BEND, LEAST_JUMP = 20.0, 0.01  # times the usual change of a step, and share of the signal's range
+RUN, LEAST_RUN = 0.05, 10  # s and samples of a sensor that is stuck
+LEAST_LOST = 0.1  # way at the speed before, relative to the signal's range
+STEPS = 3.5  # of resolution; a joint that stops by itself takes smaller ones at last
+SAME = 1e-9  # rad; two measurements differ by more
+
+
+def findings(record: MotionRecord, robot: Robot, accepted: Collection[str] = ()) -> tuple[Contradiction, ...]:
+    """Return what contradicts the record, up to the first kind that is not accepted: a wrong unit causes many others.
+
+    Raises RecordError for a record of another number of joints.
+    """
+    if len(record.joints) != robot.n:
+        raise RecordError(f"{record.name} has {len(record.joints)} joints; expected {robot.n}, as the robot")
+    contradictions: list[Contradiction] = []
+    for check in _checks(record, robot):
+        contradictions += check
+        if any(finding.kind not in accepted for finding in contradictions):
+            break
+    return tuple(contradictions)
+
+
+def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Contradiction]]:
+    """Yield the findings of each check, the most fundamental one first."""
+    yield short(record)
+    yield rest(record)
+    yield constant(record)
+    yield one_column_for_both_sides(record)
+    yield jumps(record)
+    yield stuck(record)
+    yield motion_checks.crossed_sides(record)
+    motion = rigid_motion(record, robot)
+    yield motion_checks.degrees(motion)
+    yield motion_checks.skews(motion)
+    yield motion_checks.sides(motion)
+    yield motion_checks.swapped(motion)
+    yield motion_checks.crossed(motion)
+    yield motion_checks.efforts(motion)
+    yield motion_checks.turned(motion)
+    yield clipped(record)
+    yield scale_checks.scales(record, robot)
+
+
+def short(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find a record of too few samples."""
+    if len(record.u) < SHORTEST:
+        yield Contradiction(TOO_SHORT, "", f"the record has {len(record.u)} samples; expected at least {SHORTEST}")
+
+
+def rest(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find a record in which no joint moves."""
+    largest = float(np.max(record.ranges))
+    if largest < LEAST_MOTION:
+        yield Contradiction(AT_REST, "", f"no joint moves by more than {largest:.2g} rad; expected a record of motion")
+
+
+def constant(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find columns that never change although the joint moves."""
+    for j, joint in enumerate(record.joints):
+        for name in ("q_l", "q_m", "torque", "u"):
+            values = getattr(record, name)[:, j]
+            if joint not in record.still and np.all(np.isfinite(values)) and np.ptp(values) == 0:
+                sentence = f"{name} of {joint} is {values[0]:.6g} at every sample; expected a changing signal"
+                yield Contradiction(CONSTANT, joint, sentence)
+
+
+def one_column_for_both_sides(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find one column that stands for both sides of a joint."""
+    for j, joint in enumerate(record.joints):
+        deflection = record.q_m[:, j] - record.q_l[:, j]
+        if np.all(np.isfinite(deflection)) and np.ptp(record.q_m[:, j]) > 0 and np.ptp(deflection) < SAME:
+            sentence = f"q_m - q_l of {joint} is constant at every sample; expected two measurements"
+            yield Contradiction(CONSTANT, joint, sentence)
+
+
+def jumps(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find steps between samples that no smooth motion makes: a revolution, a spike."""
+    for name, joint, x in _changing(record):
+        bends = np.abs(np.diff(x, n=2))
+        limit = max(BEND * (float(np.quantile(bends, 0.99)) + 2 * _resolution(x)), LEAST_JUMP * float(np.ptp(x)))
+        i = int(np.argmax(bends))
+        if bends[i] > limit:
+            at = i + 1 + int(np.argmax(np.abs(np.diff(x[i : i + 3]))))
+            sentence = (
+                f"{name} of {joint} jumps by {x[at] - x[at - 1]:.4g} {SIGNALS[name]} at sample {at} "
+                f"({at * record.dt:.4g} s); expected a continuous signal"
+            )
+            yield Contradiction(JUMP, joint, sentence)
+
+
+def stuck(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find sensors that keep a value from one sample to the next although the joint was moving."""
+    least = max(LEAST_RUN, round(RUN / record.dt))
+    for name, joint, x in _changing(record):
+        steps = np.abs(np.diff(x))
+        for start, length in zip(*_runs(steps == 0), strict=True):
+            before = steps[max(0, start - LEAST_RUN) : start]
+            if length < least or not len(before) or before.mean() * length < LEAST_LOST * np.ptp(x):
+                continue
+            if before[-1] > max(STEPS * _resolution(x), 0.3 * before.mean()):
+                sentence = (
+                    f"{name} of {joint} stops at {x[start]:.6g} {SIGNALS[name]} from one sample to the next, at "
+                    f"{start * record.dt:.4g} s for {length * record.dt:.3g} s; expected it to slow down first"
+                )
+                yield Contradiction(STUCK, joint, sentence)
+                break
+
+
+def clipped(record: MotionRecord) -> Iterator[Contradiction]:
+    """Find efforts that stay at their extreme values for longer than a smooth peak of this resolution."""
+    for j, joint in enumerate(record.joints):
+        u = record.u[:, j]
+        if not np.ptp(u):
+            continue
+        changes = np.flatnonzero(np.diff(u)) + 1
+        usual = float(np.median(np.diff(np.concatenate([[0], changes, [len(u)]]))))
+        steps = np.abs(np.diff(u))
+        resolution = float(np.min(steps[steps > 0]))
+        for extreme in (np.max(u), np.min(u)):
+            starts, lengths = _runs(u == extreme)
+            start, length = int(starts[np.argmax(lengths)]), int(np.max(lengths))
+            apart = [u[i] for i in (start - length, start + 2 * length - 1) if 0 <= i < len(u)]
+            drop = max((abs(extreme - value) for value in apart), default=0.0)
+            if length >= CLIPPED_RUN * usual and drop > PEAK * resolution:
+                sentence = (
+                    f"effort of {joint} is {extreme:.6g} N m at {np.mean(u == extreme):.1%} of the samples, up to "
+                    f"{length} in a row; expected an effort that is not clipped"
+                )
+                yield Contradiction(CLIPPED, joint, sentence)
+
+
+def _runs(at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return starts and lengths of the runs of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]])))
+    return edges[::2], edges[1::2] - edges[::2]
+
+
+def _changing(record: MotionRecord) -> Iterator[tuple[str, str, Array]]:
+    """Yield the name, joint and values (k,) of each complete signal that changes."""
+    for name in SIGNALS:
+        for j, joint in enumerate(record.joints):
+            x = getattr(record, name)[:, j]
+            if np.all(np.isfinite(x)) and np.ptp(x) > 0:
+                yield name, joint, x
+
+
+def _resolution(x: Array) -> float:
+    """Return the smallest step of a signal."""
+    steps = np.abs(np.diff(x))
+    return float(np.min(steps[steps > 1e-12 * np.max(np.abs(x))], initial=np.inf))

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot of a robot file or a scenario before its identification, and robot.yaml after it.
+
+robot.yaml has the identified robot, its friction and delay, and a loop that tracks a first motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from fjr_core.config import builders, ros_yaml
+from fjr_core.config.builders import gain_values
+from fjr_core.config.guesses import GUESSED, GUESSES, guessed_joints
+from fjr_core.config.parameter import complete, names, refuse_unknown
+from fjr_core.config.robot import FILE, robot_parameters
+from fjr_core.config.robot_file import URDF, is_xml, merged
+from fjr_core.config.scenario import CONTROLLER
+from fjr_core.errors import GainsError, ParameterError, TrajectoryError
+from fjr_core.files.text_file import read_text
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
+from fjr_core.urdf.tree import parse_xml
+from fjr_core.urdf.writing import with_inertias
+from fjr_design.posterior.drawn_plants import MATRICES
+from fjr_design.posterior.result import UNKNOWN, Estimate, Identification
+from fjr_design.scaffold.files import path_from
+from fjr_design.scaffold.proposal import RATE, Proposal, proposal_of
+from fjr_msgs_py.scenarios.gains_block import gain_lines
+
+from .estimation.elastic_arm import corrected_bodies
+from .estimation.parameters import PAYLOAD, PSEUDO_INERTIA
+
+GEAR_RATIO = "robot.gear_ratio"
+CORRECTED = "robot.urdf"
+FRICTION = {
+    "link_coulomb_friction": "coulomb_l",
+    "motor_coulomb_friction": "coulomb_m",
+    "link_static_friction": "static_l",
+    "motor_static_friction": "static_m",
+}
+MOTION = ("amplitude", "frequency", "offset", "phase")
+STABLE_STEP = 2.0  # friction rate times inner step; Runge-Kutta 4 is stable below 2.78
+MOST_STEPS = 200
+HEAD = """\
+# {name}, identified from {records}. Written by `fjr identify`.
+# A scenario: fjr check {file}, fjr run {file} --lockstep. As `robot.file` of another one it gives joints, robot and
+# imperfections. Intervals are of 95 %; identification.json has them all, identification.html shows the fit.
+/**:
+  ros__parameters:
+"""
+LOOP = """\
+/**/fjr_plant:   # the simulated arm: at rest next to the reference
+  ros__parameters:
+    publish_rate: {rate}          # Hz
+    inner_steps: {steps}
+    initial_link_position: {q_l}
+    initial_motor_position: {q_m}
+/**/fjr_controller:
+  ros__parameters:
+    gains:   # beta {beta:g} 1/s {where}; others: fjr gains {file} --write --beta RATE
+{gains}
+    reference:
+      type: sine
+      amplitude: {amplitude}
+      frequency: {frequency}   # rad/s
+      offset: {offset}
+      phase: {phase}
+    on_stop: gravity_hold
+    start: {{ramp_time: 0.1}}       # s
+    state_timeout: 0.2            # s
+"""
+
+
+@dataclass(frozen=True)
+class NominalRobot:
+    """Values joints and robot.* of a file, with absolute paths, the robot they describe, and which are guesses."""
+
+    path: Path
+    given: Mapping[str, object]
+    joints: tuple[str, ...]
+    robot: Robot
+    guessed: Mapping[str, tuple[str, ...]]
+
+    @property
+    def name(self) -> str:
+        """The name of the robot in its URDF, else of its file."""
+        urdf = str(self.given.get(URDF, ""))
+        named = parse_xml(urdf if is_xml(urdf) else read_text(Path(urdf))).get("name") if urdf else ""
+        return named or self.path.stem.removesuffix("_robot")
+
+
+def nominal_robot(path: Path) -> NominalRobot:
+    """Return the robot of a robot file or scenario; raise ParameterError, which names the file."""
+    document = ros_yaml.read(path, "robot file")
+    try:
+        entries = merged(ros_yaml.values_for(CONTROLLER, document), CONTROLLER, path.parent)
+        given = {
+            name: value
+            for name, value in entries.items()
+            if name == "joints" or (name.startswith("robot.") and name != FILE.name)
+        }
+        parameters = robot_parameters(given)
+        refuse_unknown([parameter.name for parameter in parameters], given)
+        values = complete(parameters, given)
+        robot = builders.robot(values)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+    return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values))
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """Text of robot.yaml, and why it has no loop: "" if it has one."""
+
+    text: str
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class IdentifiedRobot:
+    """A nominal robot with what was identified of it."""
+
+    nominal: NominalRobot
+    identification: Identification
+
+    @cached_property
+    def corrected_urdf(self) -> str:
+        """The text of the URDF with the identified masses and inertias of the links, "" if none is corrected."""
+        joints = self.nominal.joints
+        bodies = corrected_bodies(self.nominal.robot.links, joints, self.identification)
+        return with_inertias(str(self.nominal.given[URDF]), joints, bodies) if bodies else ""
+
+    @property
+    def effort_delay(self) -> float:
+        """The largest identified delay of the efforts [s], 0 if no interval is above 0."""
+        estimates = self._of("effort_delay")
+        return max((estimate.value for estimate in estimates if estimate.low > 0), default=0.0)
+
+    def values(self, folder: Path) -> dict[str, object]:
+        """Return joints and robot.* with the identified values, for a file in this folder.
+
+        Motor inertias are reflected to the joint side. robot.guesses.* remain where the records do not determine the
+        value.
+        """
+        given = self.nominal.given
+        changed = {name: value for name, value in given.items() if not name.startswith("robot.guesses.")}
+        urdf = changed.get(URDF)
+        if self.corrected_urdf:
+            changed[URDF] = CORRECTED
+        elif isinstance(urdf, str) and not is_xml(urdf):
+            changed[URDF] = path_from(folder, Path(urdf))
+        reflected = changed.pop(GEAR_RATIO, None) is not None
+        for name, symbol in MATRICES.items():
+            before = np.diag(getattr(self.nominal.robot, symbol))
+            values = self._of_joints(name, before)
+            if not np.array_equal(values, before) or (reflected and name == "motor_inertia"):
+                changed[f"robot.{name}"] = [significant(value) for value in values]
+        for name in GUESSED:
+            guesses = [self._guess(changed, name, j) for j in range(len(self.nominal.joints))]
+            if any(guesses):
+                changed[GUESSES[name].name] = guesses
+        return changed
+
+    def file(self, folder: Path, records: Sequence[str], name: str) -> RobotFile:
+        """Return the robot file of this name for a folder; without a loop if no gains are found."""
+        values, joints, title = self.values(folder), self.nominal.joints, self.nominal.name
+        urdf = self.corrected_urdf or self.nominal.given.get(URDF)
+        absolute = {**values, **({} if urdf is None else {URDF: urdf})}
+        robot = builders.robot(complete(robot_parameters(absolute), absolute))
+        head = HEAD.format(name=title, records=", ".join(records), file=name)
+        body = [head, *self._robot_lines(values), *self._imperfection_lines(), *self._left_out()]
+        text = "\n".join(line.rstrip("\n") for line in body) + "\n"
+        try:
+            proposal = proposal_of(robot, joints, title, self.effort_delay)
+        except (GainsError, TrajectoryError) as error:
+            return RobotFile(text, str(error))
+        return RobotFile(text + self._loop(robot, proposal, name))
+
+    def _of(self, name: str) -> list[Estimate]:
+        return [estimate for estimate in self.identification.estimates if estimate.name == name]
+
+    def _of_joints(self, name: str, default: Array | float) -> Array:
+        """Return a parameter of all joints (n,), the default where it was not estimated."""
+        joints = self.nominal.joints
+        values = np.array(np.broadcast_to(default, len(joints)), dtype=float)
+        for estimate in self._of(name):
+            if estimate.joint in joints:
+                values[joints.index(estimate.joint)] = estimate.value
+        return values
+
+    def _guess(self, changed: Mapping[str, object], name: str, j: int) -> float:
+        """Return the value of a joint if it is still a guess, else 0."""
+        joint, n = self.nominal.joints[j], len(self.nominal.joints)
+        determined = any(estimate.joint == joint and estimate.verdict != UNKNOWN for estimate in self._of(name))
+        if determined or joint not in self.nominal.guessed.get(name, ()):
+            return 0.0
+        values = np.asarray(changed[f"robot.{name}"], dtype=float)
+        return float(values[j] if values.size == n else np.diag(values.reshape(n, -1))[j])
+
+    def _robot_lines(self, values: Mapping[str, object]) -> Iterator[str]:
+        yield f"    joints: {_list(values['joints'])}"
+        yield "    robot:"
+        tree = ros_yaml.tree_of({name: value for name, value in values.items() if name != "joints"})["robot"]
+        for key, value in tree.items():
+            yield from self._comments(key)
+            if isinstance(value, dict):
+                yield f"      {key}:   # reported until they are replaced"
+                yield from (f"        {name}: {_value(entry)}" for name, entry in value.items())
+            else:
+                yield f"      {key}: {_value(value)}"
+
+    def _imperfection_lines(self) -> list[str]:
+        """Return friction, payload and delay for the simulated arm."""
+        lines: list[str] = []
+        for name in FRICTION:
+            if self._of(name):
+                levels = [significant(max(0.0, level)) for level in self._of_joints(name, 0.0)]
+                lines += [*self._comments(name), f"      {name}: {_list(levels)}"]
+        if self._of(PAYLOAD[0]):
+            mass, *place = (significant(self._of(name)[0].value) for name in PAYLOAD)
+            lines += [line for name in PAYLOAD for line in self._comments(name)]
+            lines += [f"      payload_mass: {significant(max(0.0, mass))}", f"      payload_position: {_list(place)}"]
+        if self._of("effort_delay"):
+            delay = significant(max(0.0, self.effort_delay))
+            lines += self._comments("effort_delay")
+            lines.append(f"      command_delay: {delay}   # s, the largest of all joints")
+        return ["    imperfections:   # of the simulated arm", *lines] if lines else []
+
+    def _left_out(self) -> list[str]:
+        """Return comments on what no parameter of a scenario expresses."""
+        placed = {*MATRICES, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+        estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
+        others = [f"    #   {described(estimate)}" for estimate in estimates if estimate.name not in placed]
+        return ["    # Without a parameter here; correct these in the driver:", *others] if others else []
+
+    def _comments(self, name: str) -> list[str]:
+        """Return a line for each joint with interval and verdict of a parameter."""
+        return [f"      # {described(estimate)}" for estimate in self._of(name)]
+
+    def _loop(self, robot: Robot, proposal: Proposal, file: str) -> str:
+        """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
+        motion, gains, n = proposal.motion, proposal.gains, robot.n
+        levels = {field: np.maximum(0.0, self._of_joints(name, 0.0)) for name, field in FRICTION.items()}
+        rate = friction_rate(Nonidealities(n, **levels), robot.M_l(proposal.q_l), robot.M_m)
+        entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
+        return LOOP.format(
+            rate=RATE,
+            steps=min(MOST_STEPS, max(proposal.inner_steps, math.ceil(rate / RATE / STABLE_STEP))),
+            q_l=_list(map(significant, proposal.q_l)),
+            q_m=_list(map(significant, proposal.q_m)),
+            beta=gains.beta,
+            where=gains.where,
+            file=file,
+            gains="\n".join(gain_lines(entries, n, indent=6)),
+            **{name: _list(map(significant, np.atleast_1d(getattr(motion, name)))) for name in MOTION},
+        )
+
+
+def described(estimate: Estimate) -> str:
+    """Return name, joint, value, interval, unit and verdict of an estimate."""
+    seen = f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.value:.4g} {estimate.unit}"
+    if estimate.verdict == UNKNOWN:
+        return f"{seen}, not identifiable from these records, as before ({estimate.reason})"
+    for digits in range(4, 9):  # as many as distinguish the ends
+        low, high = f"{estimate.low:.{digits}g}", f"{estimate.high:.{digits}g}"
+        if low != high:
+            break
+    why = f" ({estimate.reason})" if estimate.reason else ""
+    return f"{seen}, {low} to {high}, {estimate.verdict}{why}"
+
+
+def significant(value: float) -> float:
+    """Return a number with six significant digits."""
+    return float(f"{value:.6g}")
+
+
+def _list(values: object) -> str:
+    return ros_yaml.dump(list(values)).strip()  # type: ignore[call-overload]
+
+
+def _value(value: object) -> str:
+    """Return a value of a parameter in YAML, on one line."""
+    return ros_yaml.dump([value]).strip()[1:-1]

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check gear ratio and time of joints of which one side only is measured: no second side contradicts them there.
+
+    u / e = tau(g q, g dq / s, g ddq / s^2) + B g ddq / s^2 + D dq + F tanh(dq / v0) + constant
+
+tau: torque that the links of the robot file need, with all of their weight and inertia. B is free within a factor of
+TRUST about that of the file, D, F and the constant are free. Three hypotheses are tried: positions wrong by g (e = 1),
+positions and effort wrong by a gear ratio (e = g), and time wrong by s. One is found if it leaves less than BETTER of
+the variance that is unexplained without it, by five standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+
+from .estimation.elastic_arm import coulomb
+from .estimation.motion_record import SIGNALS, MotionRecord
+from .rigid_motion import GEAR_RATIO, TIME, Contradiction, RigidMotion, rigid_motion, spring_torques
+
+CUTOFF = 2.0  # Hz; well below resonances, which the rigid links do not have
+ROWS = 1000  # samples that are compared
+TRUST = 3.0  # factor by which the motor inertia may differ from that of the robot file
+BETTER = 1 / 3  # unexplained with the scale, relative to without
+DEVIATIONS = 5.0
+LARGEST, STEP = 128.0, 2 ** (1 / 3)  # scales that are tried, from 1 / LARGEST on
+SMALLEST = 1.25  # factor; less is an error of the links
+SHORTEST, LONGEST = 1.0, 60.0  # s of a record that are compared; rows of longer ones are too far apart
+SETTLING = 15  # rows that the filter needs at an end
+SMOOTHING = 0.01  # rad/s; v0
+PARAMETERS = 5  # B, D, F, constant and the scale
+POSITION, RATIO, SECONDS = "position", "ratio", "time"
+WORDS = {
+    POSITION: "positions {0:.3g} times as large",
+    RATIO: "positions {0:.3g} times and efforts {1:.3g} times as large",
+    SECONDS: "a time {0:.3g} times as long",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Share (k,) of an effort's variance that is unexplained at the scales (k,), for each hypothesis.
+
+    here: without any scale. freedom: number of independent samples less that of the parameters.
+    """
+
+    scales: Array
+    unexplained: dict[str, Array]
+    here: float
+    freedom: float
+
+    def best(self, what: str) -> tuple[float, float]:
+        """Return the best scale of a hypothesis and its unexplained share."""
+        k = int(np.argmin(self.unexplained[what]))
+        return float(self.scales[k]), float(self.unexplained[what][k])
+
+    def differs(self, scale: float, other: float, here: float) -> bool:
+        """Return whether a scale with the unexplained share `other` is found where the share is `here` without it."""
+        significant = (here - other) * max(self.freedom, 1.0) > DEVIATIONS**2 * other
+        return significant and other < BETTER * here and abs(np.log(scale)) > np.log(SMALLEST)
+
+    def least_found(self, what: str) -> float:
+        """Return the factor from which on errors of a right record would be found; inf: none would."""
+        seen = [self.differs(s, self.here, u) for s, u in zip(self.scales, self.unexplained[what], strict=True)]
+        missed = np.max(np.exp(np.abs(np.log(self.scales[~np.array(seen)]))), initial=1.0)
+        return float(missed * STEP) if missed * STEP < LARGEST else np.inf
+
+
+def scales(record: MotionRecord, robot: Robot) -> Iterator[Contradiction]:
+    """Find gear ratios and times with which the effort of a joint of one measured side fits much better."""
+    for joint, scan in _scans(record, robot).items():
+        best = {what: scan.best(what) for what in scan.unexplained}
+        what, (scale, least) = min(best.items(), key=lambda item: item[1][1])
+        if scan.differs(scale, least, scan.here):
+            like = [name for name, (_, share) in best.items() if share < 2 * least]
+            seen = " or ".join(WORDS[name].format(best[name][0], 1 / best[name][0]) for name in like)
+            sentence = f"effort and motion of {joint} fit the links of the robot only with {seen}; expected 1 times"
+            yield Contradiction(TIME if what == SECONDS else GEAR_RATIO, joint, sentence)
+
+
+def unseen(record: MotionRecord, robot: Robot) -> tuple[str, ...]:
+    """Return a sentence on the errors of gear ratios and times that could not be found; none for two-sided joints."""
+    sentences = []
+    for joint, scan in _scans(record, robot).items():
+        factors = (max(scan.least_found(what) for what in (POSITION, RATIO)), scan.least_found(SECONDS))
+        ratio, time = (f"up to {factor:.3g} times" if np.isfinite(factor) else "any" for factor in factors)
+        side = "link" if np.isfinite(record.q_m[:, record.joints.index(joint)]).all() else "motor"
+        sentences.append(
+            f"{joint} has no {side} encoder: a wrong gear ratio ({ratio}) or time scale ({time}) would not be noticed "
+            "and would bias motor inertia, stiffness and friction"
+        )
+    return tuple(sentences)
+
+
+@lru_cache(maxsize=2)
+def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
+    """Return the scan of each moving joint of one measured side, by name; none for a short or incomplete record."""
+    if np.isfinite(record.q_l).all() and np.isfinite(record.q_m).all():
+        return {}
+    record = _most_moving(record)
+    motion = rigid_motion(record, robot)
+    short = len(record.u) * record.dt < SHORTEST or len(motion.u) <= SETTLING
+    if short or not np.all(np.isfinite(motion.position)):
+        return {}
+    moving = [j for j, name in enumerate(record.joints) if name not in record.still and np.ptp(record.u[:, j]) > 0]
+    one_sided = [j for j in moving if not motion.both[j]]
+    count = round(np.log(LARGEST) / np.log(STEP))
+    tried = STEP ** np.arange(-count, count + 1, dtype=float)
+    late = [_terms(motion, time=s) for s in tried] if one_sided else []
+    return {record.joints[j]: _scan(motion, j, tried, late) for j in one_sided}
+
+
+def _most_moving(record: MotionRecord) -> MotionRecord:
+    """Return the LONGEST seconds of a record in which the joints move farthest."""
+    count, q = int(LONGEST / record.dt), np.where(np.isfinite(record.q_m), record.q_m, record.q_l)
+    if len(q) <= count or not np.all(np.isfinite(q)):
+        return record
+    path = np.append(0.0, np.cumsum(np.sum(np.abs(np.diff(q, axis=0)), axis=1)))
+    first = int(np.argmax(path[count - 1 :] - path[: len(path) - count + 1]))
+    return replace(record, **{name: getattr(record, name)[first : first + count] for name in ("u", *SIGNALS)})
+
+
+def _scan(motion: RigidMotion, j: int, tried: Array, late: list[Terms]) -> Scan:
+    """Return the scan of joint j; late: terms at the times tried."""
+    here = _terms(motion)
+    moved = [_terms(motion, np.where(np.arange(motion.robot.n) == j, g, 1.0)) for g in tried]
+    unexplained = {
+        POSITION: np.array([terms.unexplained(j) for terms in moved]),
+        RATIO: np.array([terms.unexplained(j, g) for terms, g in zip(moved, tried, strict=True)]),
+        SECONDS: np.array([terms.unexplained(j) for terms in late]),
+    }
+    return Scan(tried, unexplained, here.unexplained(j), here.independent - PARAMETERS)
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """Filtered terms of the equation, (k, n) each: tau, inertia B ddq with the file's B, dq, tanh(dq / v0), effort."""
+
+    links: Array
+    inertia: Array
+    velocity: Array
+    sign: Array
+    effort: Array
+    independent: float
+
+    def unexplained(self, j: int, effort: float = 1.0) -> float:
+        """Return the share of the variance of joint j's effort, divided by a scale, that the equation leaves."""
+        u = self.effort[:, j] / effort
+        y, inertia = u - self.links[:, j], self.inertia[:, j]
+        free = [inertia, self.velocity[:, j], self.sign[:, j]]
+        factor = _fitted(free, y)[1][0]
+        if not 1 / TRUST <= factor <= TRUST:
+            y = y - np.clip(factor, 1 / TRUST, TRUST) * inertia
+            free = free[1:]
+        residual = y - _fitted(free, y)[0]
+        return float(np.sum(residual**2) / max(np.sum((u - np.mean(u)) ** 2), 1e-300))
+
+
+def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -> Terms:
+    """Return the terms with positions at a scale (n,) and time at another one."""
+    rows = slice(None, None, max(1, len(motion.u) // ROWS))
+    q, v = motion.position * scale, motion.velocity * scale / time
+    a = np.gradient(v, motion.dt * time, axis=0)
+    links = spring_torques(motion.robot, q[rows], v[rows], a[rows])
+    terms = (
+        links,
+        (a @ motion.robot.M_m.T)[rows],
+        v[rows],
+        coulomb(v[rows], SMOOTHING),
+        motion.u[rows] @ motion.robot.B_m.T,
+    )
+    dt = motion.dt * (rows.step or 1)
+    edge = int(0.3 / CUTOFF / dt)
+    sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
+    slow = [sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms]
+    return Terms(slow[0], slow[1], slow[2], slow[3], slow[4], min(2 * CUTOFF * dt, 1.0) * len(slow[0]))
+
+
+def _fitted(columns: list[Array], y: Array) -> tuple[Array, Array]:
+    """Return the best sum (k,) of columns and a constant, and the factors of the columns."""
+    A = np.column_stack([*columns, np.ones_like(y)])
+    size = np.maximum(np.abs(A).max(axis=0), 1e-300)
+    x = np.linalg.lstsq(A / size, y, rcond=1e-9)[0] / size
+    return A @ x, x[:-1]

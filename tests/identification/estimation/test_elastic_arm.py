@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The predicted motion is that of SciPy's integrator, its sensitivities those of differences; corrected links exist."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import PlanarTwoLink
+from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine
+from fjr_core.model.newton_euler import serial_chain
+from fjr_core.model.rigid_arm import Body
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+from fjr_core.urdf.writing import with_inertias
+from fjr_identification.estimation.elastic_arm import ElasticArm, corrected_arm, corrected_body, packed
+from fjr_identification.estimation.estimation_problem import Estimation
+from fjr_identification.estimation.filtered_fit import filtered_fit
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.multiple_shooting import Segment, compare
+from fjr_identification.estimation.parameters import (
+    KINDS,
+    PSEUDO_INERTIA,
+    USUAL,
+    IdentifyOptions,
+    ParameterCoordinates,
+    Prior,
+    size,
+)
+from fjr_identification.estimation.shooting import HeldEffort, Shooting
+
+FREE = (
+    "joint_stiffness",
+    "motor_inertia",
+    "link_damping",
+    "motor_coulomb_friction",
+    "offset",
+    "effort_delay",
+    "link_skew",
+)
+
+
+def held(u: Array, dt: float, parts: int) -> HeldEffort:
+    n = u.shape[1]
+    return HeldEffort(u, dt, parts, np.full(2 * n, parts, dtype=np.int32), np.zeros(2 * n))
+
+
+def values(n: int, **given: float) -> dict[str, Array]:
+    zeros = {name: np.zeros(size(name, n)) for name in KINDS}
+    return {**zeros, **{name: np.full(n, value) for name, value in given.items()}, **friction_velocities(n)}
+
+
+def friction_velocities(n: int) -> dict[str, Array]:
+    return {"smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)}
+
+
+def parameters(joint: ElasticJoint) -> dict[str, Array]:
+    return values(
+        1,
+        joint_stiffness=joint.K,
+        motor_inertia=joint.B,
+        link_damping=joint.D_l,
+        motor_damping=joint.D_m,
+        link_coulomb_friction=joint.F_l,
+        motor_coulomb_friction=joint.F_m,
+        offset=joint.offset,
+        effort_delay=joint.delay,
+        link_skew=joint.skew,
+    )
+
+
+def test_prediction_equals_the_integral_of_scipy() -> None:
+    joint, dt = ElasticJoint(skew=0.0), 2e-3
+    u = multi_sine(np.arange(200) * dt, np.array([0.9, 4.0, 12.0]), 0.5, 3)
+    link, motor = integrated(joint, u, dt)
+    arm = ElasticArm(fjr.single_link(link_inertia=joint.M, gravity_torque=joint.load), ())
+    p, start = parameters(joint), np.array([0.0, joint.offset, 0.0, 0.0])
+    errors = []
+    for parts in (16, 32):
+        found = Shooting(arm, ())(start, held(u[:, None], dt, parts), 0, len(u) - 1, packed(arm, p), p["effort_delay"])
+        assert found is not None
+        errors.append(np.max(np.abs(found[0][:, :2] - np.column_stack([link, motor]))))
+    assert errors[1] < 2e-7
+    assert errors[1] < errors[0] / 8
+
+
+def test_accelerations_of_two_links_equal_the_closed_form() -> None:
+    joints, links = [0.3, 0.25], PlanarTwoLink([1.2, 0.8], 0.3, [0.15, 0.12], [0.010, 0.005])
+    robot = fjr.planar_two_link(link_length=joints)
+    p = values(2, link_damping=0.2, motor_damping=0.1, offset=0.01, link_coulomb_friction=0.3)
+    p |= {"joint_stiffness": np.array([40.0, 25.0]), "motor_inertia": np.array([0.02, 0.01])}
+    arm, random = ElasticArm(robot, ()), np.random.default_rng(5)
+    for _ in range(5):
+        q_l, q_m, v_l, v_m, u = random.normal(size=(5, 2))
+        found = arm.accelerations(np.concatenate([q_l, q_m, v_l, v_m]), u, packed(arm, p))[0].full().ravel()
+        tau = p["joint_stiffness"] * (q_m - q_l - 0.01)
+        on_links = tau - links.C(q_l, v_l) @ v_l - links.grad_P(q_l) - 0.2 * v_l - 0.3 * np.tanh(v_l / 0.01)
+        expected = [np.linalg.solve(links.M(q_l), on_links), (u - tau - 0.1 * v_m) / p["motor_inertia"]]
+        np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_sensitivities_equal_central_differences(name: str) -> None:
+    joint, dt = ElasticJoint(delay=2.6e-3, skew=1.3e-3), 2e-3
+    robot = fjr.single_link(link_inertia=joint.M, gravity_torque=joint.load)
+    u = multi_sine(np.arange(60) * dt, np.array([3.0, 11.0]), 0.8, 1)[:, None]
+    silent = np.zeros_like(u)
+    record = MotionRecord("a record", ("joint1",), dt, u, silent, silent, np.full_like(u, np.nan))
+    segment = Segment(record, held(u, dt, 2), 6, 48, 6)
+    coordinates = ParameterCoordinates.of([(name, 0)], parameters(joint), dict.fromkeys(KINDS, np.ones(1)))
+    arm = ElasticArm(robot, coordinates.dynamic)
+    shooting, signals = Shooting(arm, coordinates.delays), (("q_l", 0), ("q_m", 0))
+
+    def predicted(z: Array) -> Array:
+        found = compare(segment, shooting, coordinates, z, np.array([0.2, 0.21, 0.5, 0.4]), signals, np.ones(2))
+        assert found is not None
+        return found.predicted
+
+    z, step = coordinates.mean, 1e-5 * max(abs(coordinates.mean[0]), 1e-2)
+    found = compare(segment, shooting, coordinates, z, np.array([0.2, 0.21, 0.5, 0.4]), signals, np.ones(2))
+    assert found is not None
+    difference = (predicted(z + step) - predicted(z - step)) / (2 * step)
+    residual = -predicted(z)
+    assert found.H[4, 4] == pytest.approx(np.sum(difference**2), rel=1e-4)
+    assert found.g[4] == pytest.approx(np.sum(difference * residual), rel=1e-4)
+
+
+def three_joints() -> Robot:
+    """Return an arm whose sensitivities with all usual parameters are more than a block of columns."""
+    body = Body(np.eye(3), np.array([0.0, 0.0, 0.3]), np.array([0.0, 1.0, 0.0]), 2.0, np.zeros(3), 0.02 * np.eye(3))
+    turned = replace(body, axis=np.array([0.0, 0.0, 1.0]), com=np.array([0.05, 0.02, 0.1]))
+    one, none = np.eye(3), np.zeros((3, 3))
+    return Robot(serial_chain([body, turned, body]), M_m=0.1 * one, K=300 * one, D_l=none, D_m=none, B_m=one)
+
+
+def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() -> None:
+    robot, dt, random = three_joints(), 1e-3, np.random.default_rng(2)
+    p = values(3, joint_stiffness=300.0, motor_inertia=0.1, link_damping=0.3, motor_coulomb_friction=0.2, offset=0.01)
+    free = [(name, j) for name in USUAL[:7] for j in range(3)]
+    coordinates = ParameterCoordinates.of(
+        [*free, ("effort_delay", 0), ("effort_delay", 2)], p, dict.fromkeys(KINDS, np.ones(3))
+    )
+    arm = ElasticArm(robot, coordinates.dynamic)
+    shooting, effort = Shooting(arm, coordinates.delays), held(2 * random.standard_normal((30, 3)), dt, 2)
+    assert coordinates.delays == (0, 2)
+    assert shooting.padded > 8 * shooting.vectors
+    x0, z = 0.5 * random.standard_normal(12), np.concatenate([coordinates.mean[:-2], [3.3e-3, 2.6e-3]])
+    direction = random.standard_normal(shooting.columns) * np.concatenate([np.ones(33), [1e-3, 1e-3]])
+
+    def moved(step: float) -> tuple[Array, Array]:
+        at = coordinates.parameters(z + step * direction[12:])
+        found = shooting(x0 + step * direction[:12], effort, 6, 20, packed(arm, at), at["effort_delay"])
+        assert found is not None
+        return found
+
+    S = moved(0.0)[1] * np.concatenate([np.ones(12), coordinates.scale(z)])
+    difference = (moved(1e-5)[0] - moved(-1e-5)[0]) / 2e-5
+    np.testing.assert_allclose(S @ direction, difference, rtol=0, atol=1e-6 * np.max(np.abs(difference)))
+
+
+@pytest.mark.parametrize("rows", [3, 21])
+def test_normal_equations_are_products_of_the_jacobian(rows: int) -> None:
+    random, shooting = np.random.default_rng(rows), Shooting(ElasticArm(fjr.single_link(), ()), ())
+    J, r = random.standard_normal((rows, 5)), random.standard_normal(rows)
+    H, g = shooting.normal_equations(J, r)
+    np.testing.assert_allclose(H, J.T @ J, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(g, J.T @ r, rtol=0, atol=1e-13)
+
+
+def test_prior_of_a_robot_holds_its_values_and_those_that_are_given() -> None:
+    robot = fjr.planar_two_link()
+    prior = Prior.of(robot, {"joint_stiffness": [50.0, 20.0]})
+    np.testing.assert_array_equal(prior.values["joint_stiffness"], [50.0, 20.0])
+    np.testing.assert_array_equal(prior.values["motor_inertia"], np.diag(robot.M_m))
+    with pytest.raises(fjr.FjrError, match="K is not diagonal; expected one number per joint"):
+        Prior.of(replace(robot, K=np.array([[40.0, 1.0], [1.0, 25.0]])))
+
+
+BODIES = (
+    Body(np.eye(3), [0, 0, 0.1], [0, 1, 0], 3.0, [0.02, 0.01, 0.2], np.diag([0.03, 0.02, 0.01])),
+    Body(np.eye(3), [0, 0, 0.4], [1, 0, 0], 2.0, [0.0, 0.03, 0.15], np.diag([0.02, 0.01, 0.02])),
+)
+
+
+def robot_of(bodies: tuple[Body, ...]) -> Robot:
+    one, none = np.eye(2), np.zeros((2, 2))
+    return Robot(serial_chain(bodies), M_m=0.2 * one, K=900 * one, D_l=none, D_m=none, B_m=one)
+
+
+def corrected(bodies: tuple[Body, ...], theta: np.ndarray) -> tuple[Body, ...]:
+    """Return the bodies in the frames of the chain, whose axes are z, with corrections (n, 10)."""
+    return tuple(corrected_body(body, each) for body, each in zip(serial_chain(bodies).bodies, theta, strict=True))
+
+
+def test_links_without_a_correction_are_those_of_the_robot() -> None:
+    links, random = serial_chain(BODIES), np.random.default_rng(1)
+    arm = corrected_arm(links, np.zeros((2, 10)))
+    q, v, a = random.normal(size=(3, 2))
+    for found, expected in (
+        (arm.M_l(q), links.M_l(q)),
+        (arm.P_l(q), links.P_l(q)),
+        (arm.grad_P_l(q), links.grad_P_l(q)),
+        (arm.grad_T(q, v), links.grad_T(q, v)),
+        (arm.inertial_torque(q, v, v, a), links.inertial_torque(q, v, v, a)),
+    ):
+        np.testing.assert_allclose(ca.DM(found).full(), expected.full(), rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.1, 3.0])
+def test_every_correction_is_a_body_that_can_exist(size: float) -> None:
+    random = np.random.default_rng(2)
+    for _ in range(20):
+        body = corrected_body(BODIES[0], size * random.standard_normal(10))
+        moments = np.linalg.eigvalsh(np.asarray(body.inertia))
+        assert body.mass > 0
+        assert moments[0] > 0
+        assert moments[2] <= (moments[0] + moments[1]) * (1 + 1e-9)  # triangle inequality
+
+
+def test_torques_of_the_corrected_arm_are_those_of_the_corrected_bodies() -> None:
+    random, robot = np.random.default_rng(3), robot_of(BODIES)
+    theta = 0.2 * random.standard_normal((2, 10))
+    p = values(2, joint_stiffness=900.0, motor_inertia=0.2)
+    p |= {name: theta[:, k] for k, name in enumerate(PSEUDO_INERTIA)}
+    arm = ElasticArm(robot, ((PSEUDO_INERTIA[0], 0),))
+    other = ElasticArm(robot_of(corrected(BODIES, theta)), ())
+    for _ in range(3):
+        x, u = random.normal(size=8), random.normal(size=2)
+        found, expected = (each.accelerations(x, u, packed(each, p))[0].full() for each in (arm, other))
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_a_heavier_link_is_found_from_the_torques_that_its_motion_needs() -> None:
+    theta = np.zeros((2, 10))
+    theta[1, 0] = 0.1  # mass and inertia 22 % larger
+    true, nominal = robot_of(corrected(BODIES, theta)), robot_of(BODIES)
+    dt, f = 2e-3, np.array([0.4, 1.1])
+    t = dt * np.arange(4000)
+    phases = 2 * np.pi * (f * t[:, None])
+    q, v = 0.8 * np.sin(phases), 0.8 * 2 * np.pi * f * np.cos(phases)
+    a = -((2 * np.pi * f) ** 2) * q
+    tau = np.asarray(true.links.inertial_torque(q.T, v.T, v.T, a.T) + true.links.grad_P_l(q.T)).T
+    motor = q + tau / 900 + 1e-6 * np.random.default_rng(4).standard_normal(q.shape)
+    record = MotionRecord("a record", ("a", "b"), dt, tau + 0.2 * a, q, motor, np.full_like(q, np.nan))
+    setup = Estimation([record], nominal, Prior.of(nominal), IdentifyOptions(link_inertia=True))
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    p = setup.coordinates.parameters(z)
+    bodies = corrected(BODIES, np.column_stack([p[name] for name in PSEUDO_INERTIA]))
+    found = robot_of(bodies)
+    assert p["joint_stiffness"] == pytest.approx([900, 900], rel=0.04)
+    for each in (np.array([0.3, 0.5]), np.array([-0.4, 0.7])):
+        load, expected, before = (np.asarray(robot.grad_P_l(each)) for robot in (found, true, nominal))
+        assert np.linalg.norm(load - expected) < 0.25 * np.linalg.norm(before - expected)
+
+
+URDF = """\
+<robot name="arm">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0.01 0 0.2" rpy="0.3 0 0"/><mass value="3"/>
+    <inertia ixx="0.03" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tool"><inertial><mass value="1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="upper"/><origin rpy="0.2 0 0.4"/>
+    <axis xyz="0 0.6 0.8"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint>
+  <joint name="flange" type="fixed"><parent link="upper"/><child link="tool"/><origin xyz="0 0 0.4"/></joint>
+</robot>"""
+
+
+def test_corrected_links_are_written_into_the_urdf() -> None:
+    before = fjr.robot_from_urdf(URDF, ["a"], 100.0, 0.1)
+    bodies = corrected(before.links.bodies, np.linspace(-0.2, 0.2, 10)[None])
+    after = fjr.robot_from_urdf(with_inertias(URDF, ["a"], bodies), ["a"], 100.0, 0.1)
+    expected = serial_chain(bodies)
+    for q in (np.array([0.0]), np.array([0.7])):
+        np.testing.assert_allclose(after.M_l(q), expected.M_l(q).full(), rtol=1e-7)
+        np.testing.assert_allclose(after.grad_P_l(q), expected.grad_P_l(q).full().ravel(), rtol=1e-7)
+    assert after.M_l(np.zeros(1)) != pytest.approx(before.M_l(np.zeros(1)), rel=1e-3)
+
+
+def test_a_robot_without_bodies_has_no_inertia_to_correct() -> None:
+    robot = fjr.planar_two_link()
+    silent = np.zeros((500, 2))
+    record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
+    with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
+        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).start

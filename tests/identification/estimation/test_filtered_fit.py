@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the filtered equations, their fit, and where it replaces a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.elastic_joint import ElasticJoint, multi_sine, usual_record
+from fjr_core.numerics.checks import Array
+from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, WEAK
+from fjr_identification.estimation import optimise
+from fjr_identification.estimation.estimation_problem import Estimation
+from fjr_identification.estimation.filtered_fit import (
+    confounded,
+    equation_error,
+    filtered_fit,
+    link_side,
+    motor_side,
+    rigid_along,
+    simulation_start,
+)
+from fjr_identification.estimation.identify import MOST, displacement, identify
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.parameters import KINDS, IdentifyOptions, Prior
+from identification.estimation.test_identify import NOISE, found_in, noisy, robot_like
+
+JOINT = ElasticJoint()
+
+
+def setup_of(noise: float = NOISE) -> Estimation:
+    robot = robot_like(JOINT)
+    return Estimation([noisy(*usual_record(), 4e-3, noise=noise)], robot, Prior.of(robot), IdentifyOptions())
+
+
+def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(optimise, "MOST_ITERATIONS", 0)
+    start = setup_of().prior.values
+    monkeypatch.setattr(f"{identify.__module__}.simulation_start", lambda setup, z: {**setup.values, **start})
+    found = found_in(noisy(*usual_record(), 4e-3), JOINT)
+    assert {each.verdict for each in found.values()} <= {WEAK, UNKNOWN}
+    stiffness = found["joint_stiffness"]
+    assert stiffness.verdict == WEAK
+    assert "filtered least squares" in stiffness.reason
+    assert stiffness.low < JOINT.K < stiffness.high
+    assert stiffness.value == pytest.approx(JOINT.K, rel=0.05)
+
+
+def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() -> None:
+    setup = setup_of()
+    parts = []
+    for link, motor in ((0.1, 0.0), (0.0, 0.1)):
+        values = {**setup.start, "link_coulomb_friction": np.array([link]), "motor_coulomb_friction": np.array([motor])}
+        parts.append(setup.problem(setup.coordinates, values).segments[0].effort.slow_parts)
+    np.testing.assert_array_equal(*parts)
+    assert np.all(parts[0] > 1)
+
+
+def test_the_fit_and_the_share_of_each_side_are_near_the_truth() -> None:
+    setup = setup_of()
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    assert np.all(z[list(confounded(setup))] == 0.0)
+    fitted, shared = setup.coordinates.parameters(z), simulation_start(setup, z)
+    assert fitted["joint_stiffness"][0] == pytest.approx(JOINT.K, rel=0.02)
+    assert fitted["motor_inertia"][0] == pytest.approx(JOINT.B, rel=0.05)
+    assert fitted["motor_damping"][0] == pytest.approx(JOINT.D_l + JOINT.D_m, rel=0.2)
+    late = JOINT.D_l / JOINT.K
+    assert fitted["link_skew"][0] == pytest.approx(JOINT.skew - late, abs=5e-4)
+    assert shared["link_skew"][0] == pytest.approx(JOINT.skew, abs=5e-4)
+
+
+def test_derivatives_of_both_sides_equal_central_differences() -> None:
+    robot = fjr.planar_two_link()
+    t = 4e-3 * np.arange(300)
+    q = np.column_stack([multi_sine(t, np.array([0.9, 2.1]), 0.5, seed) for seed in (1, 2)])
+    record = MotionRecord("a record", ("a", "b"), 4e-3, 3 * q, q, 1.1 * q, np.full_like(q, np.nan))
+    setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions(position_torque="b", payload=True))
+    names, width, motion = setup.coordinates.free, setup.coordinates.width, setup.motions[0]
+    z = setup.coordinates.mean + 0.1 * width * np.random.default_rng(3).standard_normal(len(width))
+    z = np.where([KINDS[name].coordinate == LOG for name, _ in names], z, np.abs(z))
+
+    def sides(at: Array) -> list[Array]:
+        rigid = rigid_along(setup, motion, at)
+        return [side(setup, motion, rigid, at, j).errors for j in range(2) for side in (link_side, motor_side)]
+
+    rigid = rigid_along(setup, motion, z)
+    found = [side(setup, motion, rigid, z, j) for j in range(2) for side in (link_side, motor_side)]
+    for k, name in enumerate(names):
+        step = 1e-4 * width[k] * np.eye(len(z))[k]
+        differences = [
+            (before - after) / (2 * step[k]) for before, after in zip(sides(z - step), sides(z + step), strict=True)
+        ]
+        for side, difference in zip(found, differences, strict=True):
+            error = side.columns.get(name, np.zeros_like(difference)) - difference
+            tolerance = 0.2 if name[0] in ("link_skew", "effort_delay") else 1e-5
+            assert np.linalg.norm(error) <= 1e-9 + tolerance * np.linalg.norm(difference), name
+
+
+def test_blocks_add_up_to_the_information_of_the_record() -> None:
+    setup = setup_of()
+    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    parts = equation_error(setup, z)
+    H, g = sum(part.H for part in parts), sum(part.g for part in parts)
+    assert len(parts) == 4
+    assert np.all(np.diag(H) > 0)
+    fitted = [k for k in range(len(z)) if k not in confounded(setup)]
+    step = np.linalg.solve(H[np.ix_(fitted, fitted)] + np.diag(setup.coordinates.width[fitted] ** -2.0), g[fitted])
+    away = (setup.coordinates.mean - z)[fitted] / setup.coordinates.width[fitted]
+    assert np.all(np.abs(step) < setup.coordinates.width[fitted] * (0.01 + np.abs(away)))
+
+
+def test_torques_that_the_model_lacks_are_not_simulated() -> None:
+    robot, (u, q_l, q_m) = robot_like(JOINT), usual_record()
+    honest = noisy(u, q_l, q_m, 4e-3)
+    ripple = 0.3 * np.std(u) * multi_sine(4e-3 * np.arange(len(u)), np.array([0.7, 1.3]), 1.0, 5)
+    wrong = replace(honest, u=honest.u + ripple[:, None])
+    relative = []
+    for record in (honest, wrong):
+        setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
+        relative.append(displacement(setup, filtered_fit(setup, setup.coordinates.of_values(setup.start))))
+    assert relative[0][0] < 0.1 * MOST
+    assert relative[1][0] > MOST
+    found = {each.name: each for each in identify([wrong], robot, Prior.of(robot)).estimates}
+    assert found["joint_stiffness"].value == pytest.approx(JOINT.K, rel=0.05)
+    assert "filtered least squares" in found["joint_stiffness"].reason
+
+
+def test_a_link_damping_four_times_too_large_does_not_keep_the_motion_from_being_simulated() -> None:
+    robot = fjr.single_link(stiffness=25.0, motor_inertia=0.005, link_damping=4 * JOINT.D_l)
+    found = {each.name: each for each in identify([noisy(*usual_record(), 4e-3)], robot, Prior.of(robot)).estimates}
+    for name, true in (("joint_stiffness", JOINT.K), ("motor_inertia", JOINT.B), ("link_damping", JOINT.D_l)):
+        assert found[name].verdict == IDENTIFIED
+        assert found[name].value == pytest.approx(true, rel=5e-3)

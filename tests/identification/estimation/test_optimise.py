@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The descent ends at least as near to the record as the truth; its steps are those of non-negative least squares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from core.oracles.elastic_joint import TRUTH
+from fjr_core.numerics.checks import Array
+from fjr_identification.estimation.multiple_shooting import FEWEST, Problem
+from fjr_identification.estimation.optimise import bounded_step, optimise
+from identification.estimation.test_filtered_fit import JOINT, NOISE, setup_of
+
+
+def problem_at_truth() -> tuple[Problem, Array]:
+    """Return segments of a record of the joint, with the parameters z that made it."""
+    setup = setup_of()
+    true = {**setup.start, **{name: np.array([getattr(JOINT, field)]) for name, field in TRUTH.items()}}
+    return setup.problem(setup.coordinates, true), setup.coordinates.of_values(true)
+
+
+def test_a_part_has_the_beginnings_of_some_segments() -> None:
+    problem, z = problem_at_truth()
+    part = problem.part(2, 4)
+    assert [each.first for each in part.segments] == [each.first for each in problem.segments[::2]]
+    assert [each.count for each in part.segments] == [max(FEWEST, each.count // 4) for each in problem.segments[::2]]
+    found, whole = (each.compare(0, z, each.filtered[0], np.full(2, NOISE)) for each in (part, problem))
+    assert found is not None
+    assert whole is not None
+    np.testing.assert_array_equal(found.predicted, whole.predicted[:, : found.predicted.shape[1]])
+
+
+def wrong_start(problem: Problem, z: Array) -> Array:
+    start = z + 0.3 * problem.coordinates.width * np.random.default_rng(4).standard_normal(len(z))
+    return np.where(np.abs(z) > 1, z + 0.1, np.clip(start, 0.0, None))
+
+
+def test_residuals_below_the_steps_of_the_encoders_lead_to_the_minimum_too() -> None:
+    problem, z = problem_at_truth()
+    coarse = replace(problem, floor=np.full(2, 3 * NOISE))
+    found, converged = optimise(coarse, wrong_start(problem, z), problem.filtered)
+    assert converged
+    assert np.all(found.noise < 1.1 * coarse.floor)
+    stiffness = [name for name, _ in problem.coordinates.free].index("joint_stiffness")
+    assert abs(found.z[stiffness] - z[stiffness]) < 1e-3
+
+
+def test_the_optimum_fits_as_well_as_the_truth() -> None:
+    problem, z = problem_at_truth()
+    found, converged = optimise(problem, wrong_start(problem, z), problem.filtered)
+    true = problem.evaluate(z, problem.filtered, problem.rough_noise)
+    assert true is not None
+    assert converged
+    assert found.cost < true.cost
+    assert np.all(found.noise < 1.5 * NOISE)
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_the_step_ends_at_the_nonnegative_least_squares_of_scipy(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    J, r, z = random.standard_normal((12, 4)), random.standard_normal(12), np.full(4, 0.2)
+    expected, _ = nnls(J, r)
+    step = bounded_step(J.T @ J, J.T @ (r - J @ z), z, np.ones(4, dtype=bool))
+    np.testing.assert_allclose(z + step, expected, atol=1e-6)
+
+
+def test_entries_without_a_bound_may_become_negative() -> None:
+    H, g = np.diag([4.0, 1.0]), np.array([-8.0, -3.0])
+    np.testing.assert_allclose(bounded_step(H, g, np.ones(2), np.array([False, True])), [-2.0, -1.0])
+
+
+def test_damping_shortens_each_entry_by_its_own_curvature() -> None:
+    step = bounded_step(
+        np.diag([4.0, 100.0]), np.array([4.0, 100.0]), np.zeros(2), np.zeros(2, dtype=bool), damping=1.0
+    )
+    np.testing.assert_allclose(step, [0.5, 0.5])
