@@ -24,10 +24,10 @@ from fjr_core.motions.reference import Reference
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_design.baselines.singular_perturbation import CompositeGains
 from fjr_proofs.error_bound import ErrorBound, bound_errors
+from fjr_proofs.error_bound.cells import cells_of
 from fjr_proofs.error_bound.deviation_model import FACTORS, DeviationModel
-from fjr_proofs.error_bound.error_bound import TORQUES
-from fjr_proofs.error_bound.reference_cells import cells_of
-from fjr_proofs.error_bound.steady_motion import steady_motion
+from fjr_proofs.error_bound.search import TORQUES
+from fjr_proofs.error_bound.tube import steady_motion
 
 T = 1e-3
 SWING = fjr.Sine(1.0, 1.0)

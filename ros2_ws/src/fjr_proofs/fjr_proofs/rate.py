@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove the rate of a scenario over the joint range; keep the proof in the cache of compiled code."""
+"""Prove a convergence rate on a domain of joint positions, write its certificate, keep the proof (docs/proof.md).
+
+The block of sigma_l has the rate beta if D_l + K_ld - beta M_l(q_l) >= 0 for every q_l of the domain, i.e. for
+M_l(q_l) <= (D_l + K_ld) / beta. The other blocks have closed forms. The certificate is numbers and lists that another
+program can check. The proof of a scenario over its joint range is kept in the cache of compiled code.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -20,22 +26,111 @@ from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, RobotError
 from fjr_core.files.atomic_file import write_text
+from fjr_core.law.vdpbc.convergence_rate import Rate, rate_with
+from fjr_core.law.vdpbc.gains import CheckedGains, Gains
 from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.model.configuration_sampling import bounds_of, sample_configurations
-from fjr_core.model.domain import GOAL, Domain
+from fjr_core.model.domain import GOAL, MOST_BOXES, Domain, joint_range
+from fjr_core.model.robot import Robot
 from fjr_core.motions.tube import tube
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.code_cache import code_folder
 from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.numerics.one_line import at_least
-from fjr_msgs_py.console.progress import heartbeat
-from fjr_proofs.rate.proof_of_rate import proof_of_rate
-from fjr_proofs.rate.rate_certificate import digest, rate_certificate
-from fjr_proofs.verification.inertia_bounds import is_provable
 
-PACKAGE = Path(__file__).parents[1]
+from .verification.inertia_bounds import ProofBox, ProvableArm, RelativeInertia, Watch, is_provable, unwatched
+
+FORMAT = "rate certificate 1"
+MARGIN = 1e-5
+"""Relative distance of the rate in a certificate from the proven one; it gives other bounds room for rounding."""
+LEAF = 0
+PACKAGE = Path(__file__).parent
 SAMPLES = 512
 DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
+SHARE = 40
+"""The largest inertia, for eq. (50) only, takes at most 1 / SHARE of the boxes."""
+
+
+@dataclass(frozen=True, eq=False)
+class RateProof:
+    """A proven rate, its domain, and the bound M_l(q_l) <= inertia.bound (D_l + K_ld) with its boxes."""
+
+    rate: Rate
+    domain: Domain
+    inertia: RelativeInertia
+
+
+def proof_of_rate(
+    robot: Robot,
+    gains: CheckedGains,
+    domain: Domain | None = None,
+    goal: float = GOAL,
+    most_boxes: int = MOST_BOXES,
+    samples: Array | tuple[()] = (),
+    watch: Watch = unwatched,
+) -> RateProof:
+    """Return the proven rate of a robot on a domain, by default the joint range; see TrackingLaw.proven_rate.
+
+    samples (k, n) [rad, m]: configurations of small rates, if known. watch: see verification.inertia_bounds.
+    """
+    arm, domain = ProvableArm(robot), domain or joint_range(robot)
+    inertia = arm.largest_inertia(robot.D_l + gains.K_ld, domain, goal, most_boxes, samples, watch)
+    largest = arm.largest_inertia(1.0, domain, goal, 1 + most_boxes // SHARE, samples)
+    return RateProof(rate_with(robot, gains, inertia.bound, inertia.attained, largest.bound), domain, inertia)
+
+
+def rate_certificate(robot: Robot, gains: CheckedGains, proof: RateProof, joints: Sequence[str]) -> dict[str, Any]:
+    """Return the certificate of a rate on a box of joint positions; all joints in the order of the chain.
+
+    joints: names in the order of the robot. sha256: of the other entries, as digest() computes it.
+    """
+    at = np.argsort(robot.links.order)
+    square = np.ix_(at, at)
+
+    def matrix(value: Array) -> list[list[float]]:
+        return value[square].tolist()
+
+    content = {
+        "format": FORMAT,
+        "joints": [joints[k] for k in at],
+        "bodies": [
+            {
+                "prismatic": body.prismatic,
+                "rotation": np.asarray(body.rotation).tolist(),
+                "translation": np.asarray(body.translation).tolist(),
+                "mass": float(body.mass),
+                "com": np.asarray(body.com).tolist(),
+                "inertia": np.asarray(body.inertia).tolist(),
+            }
+            for body in robot.links.bodies
+        ],
+        **{name: matrix(getattr(robot, name)) for name in ("M_m", "D_l", "D_m")},
+        **{field.name: matrix(getattr(gains, field.name)) for field in fields(Gains)},
+        "lower": proof.inertia.lower[at].tolist(),
+        "upper": proof.inertia.upper[at].tolist(),
+        "beta": proof.rate.beta * (1 - MARGIN),
+        "boxes": _preorder(proof.inertia.root),
+    }
+    return {**content, "sha256": digest(content)}
+
+
+def digest(content: dict[str, Any]) -> str:
+    """Return the SHA-256 digest of the entries as JSON with sorted keys and without white space."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def _preorder(root: ProofBox) -> list[Any]:
+    """Return the boxes as a tree in preorder: LEAF, or [joint, cut, ..] of a split, followed by its parts.
+
+    Joints count from 0 at the base.
+    """
+    entries: list[Any] = []
+    left = [root]
+    while left:
+        box = left.pop()
+        entries.append(LEAF if box.axis is None else [box.axis + 1, *box.cuts])
+        left += reversed(box.parts)
+    return entries
 
 
 class ProofError(FjrError):
@@ -105,24 +200,26 @@ def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
     known = cached_rate(scenario)
     if known is not None and known.complete:
         return known
-    found = _prove(scenario, law, seconds)
+    rate = _proven_within(scenario, law, seconds)
     with suppress(OSError):
         name = _name(scenario)
-        code_folder().write(name, json.dumps(_sealed({"inputs": name, **vars(found)})).encode())
-    return found
+        code_folder().write(name, json.dumps(_sealed({"inputs": name, **vars(rate)})).encode())
+    return rate
 
 
-def write_certificate(found: ProvenRate, path: Path) -> None:
+def write_certificate(rate: ProvenRate, path: Path) -> None:
     """Write the certificate. Raises ProofError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(found.certificate) + "\n")
+        write_text(path, json.dumps(rate.certificate) + "\n")
     except OSError as error:
         raise ProofError(f"{path} cannot be written ({error.strerror}); expected a file in a writable folder") from None
 
 
-def _prove(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
+def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
     """Prove the rate; report the number that is proven so far on standard error."""
+    from fjr_msgs_py.console.progress import heartbeat  # of commands only; law.proven_rate does without
+
     robot, state = scenario.robot, {"text": "proving a rate over the joint range"}
     end = time.monotonic() + seconds
 
@@ -162,26 +259,26 @@ def _is_sealed(content: Any) -> bool:
 
 def _read(content: bytes, name: str, n: int) -> ProvenRate:
     """Return the proof of n joints that a file of this name holds. Raises ValueError if it is another or changed."""
-    found = json.loads(content)
-    if not _is_sealed(found):
+    values = json.loads(content)
+    if not _is_sealed(values):
         raise _DamagedError("changed or damaged")
-    del found["sha256"]
-    if found.pop("inputs", None) != name:
+    del values["sha256"]
+    if values.pop("inputs", None) != name:
         raise _DamagedError("that of another robot or law")
-    if set(found) != {field.name for field in fields(ProvenRate)} or not _has_kinds(found, n):
+    if set(values) != {field.name for field in fields(ProvenRate)} or not _has_kinds(values, n):
         raise _DamagedError("not of the kind that this program writes")
-    return ProvenRate(**found)
+    return ProvenRate(**values)
 
 
-def _has_kinds(found: dict[str, Any], n: int) -> bool:
+def _has_kinds(values: dict[str, Any], n: int) -> bool:
     """Return whether the values of a ProvenRate of n joints are of the right kinds, finite and in their order."""
-    at, rates = found["at"], [found[name] for name in ("beta_paper", "beta", "attained")]
+    at, rates = values["at"], [values[name] for name in ("beta_paper", "beta", "attained")]
     numbers = [*rates, *(at if isinstance(at, list) else [])]
     if len(numbers) != 3 + n or not all(type(value) is float and math.isfinite(value) for value in numbers):
         return False
     ordered = all(0 < low <= high * (1 + 1e-9) for low, high in pairwise(rates))
-    kinds = type(found["boxes"]) is int and type(found["complete"]) is bool
-    return ordered and kinds and _is_sealed(found["certificate"])
+    kinds = type(values["boxes"]) is int and type(values["complete"]) is bool
+    return ordered and kinds and _is_sealed(values["certificate"])
 
 
 def _name(scenario: Scenario) -> str:
