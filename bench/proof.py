@@ -16,7 +16,7 @@ from bench.measure import one_core
 from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
 from fjr_core.model.domain import Domain
 from fjr_core.motions.tube import tube
-from fjr_proofs import rate as proof_of_rate
+from fjr_proofs.rate import proof_of_rate
 
 RADIUS, WIDER = 1e-3, 0.05  # rad, of the tubes
 LONGEST = 120.0  # s

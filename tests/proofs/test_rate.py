@@ -32,9 +32,7 @@ from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.model.domain import Domain
 from fjr_core.model.joint_limits import JointLimits
 from fjr_core.motions.tube import tube
-from fjr_proofs import rate as proof_of_rate
-from fjr_proofs import rate as rate_certificate
-from fjr_proofs.rate import digest
+from fjr_proofs.rate import digest, proof_of_rate, rate_certificate
 
 CHECKER = ROOT / "tools" / "check_certificate.py"
 Certificate = dict[str, Any]

@@ -17,7 +17,7 @@ from fjr_core.stability.one_sample_map import split
 
 from ..verification.taylor_models import Shape, TaylorModels, taylor_function
 from .cells import Cells, Window
-from .deviation_model import FACTORS, CentreMotion, DeviationModel
+from .deviation_model import FACTORS
 from .linear_loop import KnownErrors, LinearLoop
 from .peak_gains import ROUNDING
 
@@ -131,59 +131,60 @@ class Mismatch:
 class Ranges:
     """Ranges of the deviation model's functions about a centre motion, for factors from low to high (7,).
 
-    They are found by Taylor models on verified cells, else at random corners. blocks: cells of the sums of the gains.
-    delay [s].
+    They are found by Taylor models on verified cells, else at random corners. linear: model about the centre motion.
+    blocks: cells of the sums of the gains.
     """
 
-    model: DeviationModel
-    centre: CentreMotion
+    linear: LinearLoop
     low: Array
     high: Array
     blocks: int
-    delay: float
 
     def known_errors(self) -> KnownErrors:
         """Return known torques and efforts: of the centre motion, by each uncertain factor, by each torque term."""
         cells, uncertain = self._cells, self._half > 0
-        c = np.repeat(self.centre.factors[:, None], cells.count, axis=1)
-        defect, _ = columnwise(self.model.defect, self._path.columns(cells.sampled), cells.columns(cells.sampled), c)
+        c = np.repeat(self.linear.centre.factors[:, None], cells.count, axis=1)
+        defect, _ = columnwise(
+            self.linear.model.defect, self._path.columns(cells.sampled), cells.columns(cells.sampled), c
+        )
         acting = cells.acting(self.blocks, self._whole)[0].middle
-        _, rate = columnwise(self.model.defect, self._path.columns(acting), cells.columns(acting), c)
+        _, rate = columnwise(self.linear.model.defect, self._path.columns(acting), cells.columns(acting), c)
         slopes, _, second = self._coefficients
         by_factor = (self._terms @ (slopes * self._half))[:, :, uncertain]
         by_term = (self._terms * second)[:, :, second > 0]
         torque = _after_zeros(np.concatenate([by_factor, by_term], axis=2))
-        aging = np.concatenate([np.zeros_like(rate), -rate / self.centre.factors[INERTIA]]).T
-        effort = np.zeros((len(torque), self.model.n, torque.shape[2]))
+        aging = np.concatenate([np.zeros_like(rate), -rate / self.linear.centre.factors[INERTIA]]).T
+        effort = np.zeros((len(torque), self.linear.n, torque.shape[2]))
         effort[:, :, 0] = defect.T
         return KnownErrors(torque, aging, effort)
 
     def unknown_errors(self, known: KnownErrors) -> Array:
         """Return bounds (4n,) of torques, accelerations and defects along the centre motion beside the known ones."""
-        n, age = self.model.n, self.delay + self._cells.sample_period
-        (terms,) = self._range(self.model.torque_terms, self._cells.windows(self.blocks))
+        n, age = self.linear.n, self.linear.delay + self._cells.sample_period
+        (terms,) = self._range(self.linear.model.torque_terms, self._cells.windows(self.blocks))
         apart = self._apart(terms, self._terms.swapaxes(1, 2).reshape(self._cells.count, -1))
         torque = self._coefficients[1] @ apart.reshape(-1, 2 * n)
         acting, share = self._cells.acting(self.blocks, self._whole)
-        rate = [models.mean_within(share) for models in self._range(self.model.defect, acting)[1]]
+        rate = [models.mean_within(share) for models in self._range(self.linear.model.defect, acting)[1]]
         inertias = self.low[INERTIA], self.high[INERTIA]
         torque[n:] += age * np.max([self._apart(rate, -f * known.aging[:, n:]) / f for f in inertias], axis=0)
-        defect, _ = self._range(self.model.defect, self._cells.sampling(self.blocks))
+        defect, _ = self._range(self.linear.model.defect, self._cells.sampling(self.blocks))
         return np.concatenate([torque, np.zeros(n), self._apart(defect, known.effort[:, :, 0])])
 
-    def mismatch(self, linear: LinearLoop, bounds: Array, unknown: Array, lines: Array) -> Mismatch | None:
+    def mismatch(self, bounds: Array, unknown: Array, lines: Array) -> Mismatch | None:
         """Return the differences from the linear model; None if they cannot be enclosed.
 
         The deviation at the start of a cell is a sum of its `lines` (c, 4n, u), each times -1 to 1, and of one within
         the bounds (4n,).
         """
-        S, n, windows = linear.coordinates, self.model.n, self._cells.windows(self.blocks)
+        linear, n, windows = self.linear, self.linear.n, self._cells.windows(self.blocks)
+        S = linear.coordinates
         z = Tube(S.S_inverse * bounds, S.S_inverse @ lines)
         G_middle, B_middle = (np.broadcast_to(X, (self._cells.count, *X.shape)) for X in (linear.G, linear.B))
         try:
-            H, M = self._range(self.model.link_slope, windows, z)
-            (F,) = self._range(self.model.law_slope, self._cells.sampling(self.blocks), z)
-            G, B = self._range(self.model.motor_slope, windows, z)
+            H, M = self._range(self.linear.model.link_slope, windows, z)
+            (F,) = self._range(self.linear.model.law_slope, self._cells.sampling(self.blocks), z)
+            G, B = self._range(self.linear.model.motor_slope, windows, z)
         except ZeroDivisionError:
             return None
         links = self._matrices_apart(H, linear.H, S.torque, S.S_inverse).mean_from_zero(z)
@@ -200,15 +201,15 @@ class Ranges:
             F=efforts.largest,
         )
 
-    def second_order(self, linear: LinearLoop, lines: Array) -> KnownErrors:
+    def second_order(self, lines: Array) -> KnownErrors:
         """Return the torques on the links and the efforts of second order in the factors, to which z follows `lines`.
 
         Its k columns are those of the products of two factors; the first, of none, is zero.
         """
-        S, n = linear.coordinates, self.model.n
+        linear, n, S = self.linear, self.linear.n, self.linear.coordinates
         z = Tube(np.zeros((4 * n, 0)), S.S_inverse @ lines)
-        H, _ = self._range(self.model.link_slope, self._cells.windows(self.blocks), z)
-        (F,) = self._range(self.model.law_slope, self._cells.sampling(self.blocks), z)
+        H, _ = self._range(self.linear.model.link_slope, self._cells.windows(self.blocks), z)
+        (F,) = self._range(self.linear.model.law_slope, self._cells.sampling(self.blocks), z)
         links, efforts = (
             self._matrices_apart(X, middle, np.eye(n), S.S_inverse).mean_from_zero(z).products(lines)
             for X, middle in ((H, linear.H), (F, linear.F))
@@ -218,12 +219,12 @@ class Ranges:
 
     def storage(self, tube: Tube) -> float:
         """Return the largest V [J] of the law in a tube; nan if the law has none, inf if it cannot be enclosed."""
-        if not self.model.has_storage:
+        if not self.linear.model.has_storage:
             return np.nan
         if not self._cells.verified:
             return self._sampled_storage(tube)
         try:
-            ((V,),) = self._range(self.model.storage, self._cells.windows(self.blocks), tube)
+            ((V,),) = self._range(self.linear.model.storage, self._cells.windows(self.blocks), tube)
         except (ZeroDivisionError, StateError):
             return np.inf
         return float(V.magnitude.max())
@@ -233,23 +234,23 @@ class Ranges:
         largest, arguments = -np.inf, self._along(self._cells.sampling(self.blocks))
         share: Array = np.full((tube.symbols, len(arguments["c"].T)), 0.5)
         for _ in range(CLIMBS):
-            V, slope = _called(self.model.storage_slope, arguments | {"z": tube.corners(share)})
+            V, slope = _called(self.linear.model.storage_slope, arguments | {"z": tube.corners(share)})
             largest = max(largest, float(V.max()))
             share = np.where(tube.directions.T @ slope > 0, 1.0, 0.0)
         return largest
 
     @property
     def _cells(self) -> Cells:
-        return self.centre.cells
+        return self.linear.centre.cells
 
     @cached_property
     def _path(self) -> Cells:
-        return self.centre.path
+        return self.linear.centre.path
 
     @property
     def _whole(self) -> int:
         """Whole samples of the delay."""
-        return split(self.delay, self._cells.sample_period)[0]
+        return split(self.linear.delay, self._cells.sample_period)[0]
 
     @property
     def _half(self) -> Array:
@@ -258,18 +259,18 @@ class Ranges:
     @cached_property
     def _terms(self) -> Array:
         """Torque terms (c, 2n, 6) in the middle of the cells."""
-        factors = np.repeat(self.centre.factors[:, None], self._cells.count, axis=1)
-        (terms,) = columnwise(self.model.torque_terms, self._path.columns(self._cells.middle), factors)
-        return np.asarray(terms.T.reshape(self._cells.count, -1, 2 * self.model.n).swapaxes(1, 2))
+        factors = np.repeat(self.linear.centre.factors[:, None], self._cells.count, axis=1)
+        (terms,) = columnwise(self.linear.model.torque_terms, self._path.columns(self._cells.middle), factors)
+        return np.asarray(terms.T.reshape(self._cells.count, -1, 2 * self.linear.n).swapaxes(1, 2))
 
     @cached_property
     def _coefficients(self) -> tuple[Array, Array, Array]:
         """Derivatives (6, 7) of the coefficients of the torque terms, their largest values and second order (6,)."""
-        c, half = self.centre.factors[:, None], self._half
-        middle = self.model.coefficients(c, c).full()
+        c, half = self.linear.centre.factors[:, None], self._half
+        middle = self.linear.model.coefficients(c, c).full()
         shape = Shape(np.count_nonzero(half), order=1, mixed=1)
         factors = TaylorModels.exact(c, shape), TaylorModels.boxes(c, half[:, None], 0, shape)
-        (models,) = taylor_function(self.model.coefficients)(*factors)
+        (models,) = taylor_function(self.linear.model.coefficients)(*factors)
         apart = models.minus(middle.T.reshape(-1, 1))
         largest, differences = (X.magnitude.reshape(len(half), -1).T for X in (models, apart))
         return middle, largest @ half, differences @ half
@@ -295,9 +296,9 @@ class Ranges:
                 yield TaylorModels.linear(tube.slopes, shape)
             elif name == "f" and tube is not None:
                 half = np.outer(self._half, k)
-                yield TaylorModels.boxes(np.outer(self.centre.factors, k), half, tube.symbols, shape)
+                yield TaylorModels.boxes(np.outer(self.linear.centre.factors, k), half, tube.symbols, shape)
             else:
-                yield TaylorModels.exact(np.outer(self.centre.factors, k), shape)
+                yield TaylorModels.exact(np.outer(self.linear.centre.factors, k), shape)
 
     def _points(self, window: Window, tube: Tube | None) -> Iterator[dict[str, Array]]:
         """Yield arguments at three instants of windows: the middles and random corners of tube and factors."""
@@ -314,7 +315,7 @@ class Ranges:
     def _along(self, window: Window) -> dict[str, Array]:
         """Return the arguments along the centre motion at three instants of the sampled windows."""
         t = (window.middle[self._at] + window.radius * np.array(INSTANTS)[:, None]).ravel()
-        c = np.repeat(self.centre.factors[:, None], len(t), axis=1)
+        c = np.repeat(self.linear.centre.factors[:, None], len(t), axis=1)
         return {"path": self._path.columns(t), "jets": self._cells.columns(t), "c": c}
 
     def _apart(self, enclosure: Enclosure, known: Array) -> Array:

@@ -259,9 +259,8 @@ class Search:
         gains = peak_gains(linear.models, self.cells, self.T, blocks, self._finals)
         if not np.all(np.isfinite(gains)):
             return box
-        ranges = Ranges(self.model, centre, low, high, blocks, self.delay)
         try:
-            return _with_bounds(box, TubeProblem(linear, gains, ranges, self.disturbing))
+            return _with_bounds(box, TubeProblem(Ranges(linear, low, high, blocks), gains, self.disturbing))
         except ZeroDivisionError:  # a divisor may be zero: the part is too wide
             return box
 

@@ -52,7 +52,7 @@ def steady_motion(
     if linear.spectral_radius >= 1:
         return centre
     for _ in range(STEPS):
-        errors = Ranges(model, centre, factors, factors, 1, delay).known_errors()
+        errors = Ranges(replace(linear, centre=centre), factors, factors, 1).known_errors()
         y = steady_response(linear, errors).Z[:, : 4 * model.n, 0]
         centre = centre.moved(y @ linear.coordinates.S_inverse[: model.n].T)
     return centre
@@ -118,15 +118,19 @@ def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: R
 
 @dataclass(frozen=True, eq=False)
 class TubeProblem:
-    """Linear model about a centre motion, gains of its sums, and ranges in a box of factors.
+    """Ranges about a centre motion in a box of factors, and gains of the sums of the linear model.
 
     disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors.
     """
 
-    linear: LinearLoop
-    gains: Array
     ranges: Ranges
+    gains: Array
     disturbing: Array
+
+    @property
+    def linear(self) -> LinearLoop:
+        """Linear model about the centre motion."""
+        return self.ranges.linear
 
     @cached_property
     def tube(self) -> DeviationBounds | None:
@@ -159,7 +163,7 @@ class TubeProblem:
         """Steady response to what is known: to first order in the factors, and along the lines to second order."""
         errors = self._known_errors
         if self.lines.shape[2]:
-            errors = errors.extended(self.ranges.second_order(self.linear, self.lines))
+            errors = errors.extended(self.ranges.second_order(self.lines))
         return steady_response(self.linear, errors, self.ranges.blocks)
 
     @cached_property
@@ -240,7 +244,7 @@ class TubeProblem:
 
     def _bounds_within(self, tube: Array, rest: Response) -> DeviationBounds | None:
         """Return bounds of the deviations that hold while these stay within a tube (4n,); None without any."""
-        mismatch = self.ranges.mismatch(self.linear, tube, self._unknown, self.lines)
+        mismatch = self.ranges.mismatch(tube, self._unknown, self.lines)
         return None if mismatch is None else fixed_point(self.linear, self.gains, mismatch, rest)
 
     def _without_lines(self, known: Response) -> Response:

@@ -31,21 +31,21 @@ def matmul(A: Interval, B: Interval) -> Interval:
 
 def exponential(A: Array, t: float) -> Interval:
     """Return exp(A[k] t) for a stack A (k, m, m), t >= 0 [s]; the norms of A t must be below 1 in some scaling."""
-    one = Interval.exact(np.broadcast_to(np.eye(A.shape[-1]), A.shape))
-    X, total = Interval.exact(A) * Interval.exact(t), one
-    for i in range(TERMS, 0, -1):
-        total = matmul(X, total) / Interval.exact(float(i)) + one
-    return Interval(total.mid, UP * (total.rad + remainder(np.abs(A), t)))
+    return _exponential_series(A, t, 0)
 
 
 def exponential_integral(A: Array, t: float) -> Interval:
     """Return the integral of exp(A[k] s) over s from 0 to t [s]; see exponential."""
+    return _exponential_series(A, t, 1) * Interval.exact(t)
+
+
+def _exponential_series(A: Array, t: float, missing: int) -> Interval:
+    """Return the sum of (A t)^i missing! / (i + missing)!, missing = 0 or 1."""
     one = Interval.exact(np.broadcast_to(np.eye(A.shape[-1]), A.shape))
     X, total = Interval.exact(A) * Interval.exact(t), one
-    for i in range(TERMS + 1, 1, -1):
+    for i in range(TERMS + missing, missing, -1):
         total = matmul(X, total) / Interval.exact(float(i)) + one
-    total = Interval(total.mid, UP * (total.rad + remainder(np.abs(A), t)))
-    return total * Interval.exact(t)
+    return Interval(total.mid, UP * (total.rad + remainder(np.abs(A), t)))
 
 
 def growth(A: Array, t: float) -> Array:
