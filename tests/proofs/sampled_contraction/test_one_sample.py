@@ -41,7 +41,7 @@ def test_field_is_the_derivative_of_the_errors_along_the_plant(name: str) -> Non
             for y, jets in zip(moved, reference.jets(np.array([t - STEP, t + STEP])), strict=True)
         ]
         expected = (ends[1] - ends[0]) / (2 * STEP)
-        found = system.field(chi, derivatives(reference, t)).full().ravel()
+        found = system.field.function(chi, derivatives(reference, t)).full().ravel()
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
 
 
@@ -59,7 +59,9 @@ def test_jacobian_and_curvature_enclose_differences_of_the_field(name: str) -> N
     def slope(at: np.ndarray, when: float) -> np.ndarray:
         d = 1e-6 * np.eye(m)
         at_jets = derivatives(reference, when)
-        columns = [system.field(at + e, at_jets).full() - system.field(at - e, at_jets).full() for e in d]
+        columns = [
+            system.field.function(at + e, at_jets).full() - system.field.function(at - e, at_jets).full() for e in d
+        ]
         return np.hstack(columns)[system.pattern] / 2e-6
 
     for _ in range(10):

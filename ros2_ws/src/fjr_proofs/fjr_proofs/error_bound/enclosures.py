@@ -16,7 +16,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.stability.one_sample_map import split
 
 from ..verification.taylor_models import Shape, TaylorModels, taylor_function
-from .cells import Cells, Window
+from .cells import Window
 from .deviation_model import FACTORS
 from .linear_loop import KnownErrors, LinearLoop
 from .peak_gains import ROUNDING
@@ -49,12 +49,6 @@ class Tube:
     def box(self) -> Array:
         """Bounds (4n,) of |z|."""
         return np.asarray(np.abs(self.directions).sum(axis=1) + np.abs(self.lines).sum(axis=2).max(axis=0))
-
-    @property
-    def slopes(self) -> Array:
-        """Slopes (4n, m + u, c) of z in the symbols."""
-        everywhere = np.broadcast_to(self.directions, (len(self.lines), *self.directions.shape))
-        return np.concatenate([everywhere, self.lines], axis=2).transpose(1, 2, 0)
 
     def corners(self, share: Array) -> Array:
         """Return points (4n, k) of a tube without lines at shares (m, k) of its width."""
@@ -127,7 +121,6 @@ class Mismatch:
     F: Array
 
 
-@dataclass(frozen=True, eq=False)
 class Ranges:
     """Ranges of the deviation model's functions about a centre motion, for factors from low to high (7,).
 
@@ -135,20 +128,21 @@ class Ranges:
     blocks: cells of the sums of the gains.
     """
 
-    linear: LinearLoop
-    low: Array
-    high: Array
-    blocks: int
+    def __init__(self, linear: LinearLoop, low: Array, high: Array, blocks: int) -> None:
+        self.linear, self.low, self.high, self.blocks = linear, low, high, blocks
+        self._half: Array = (high - low) / 2
+        self._model, self._cells, self._path = linear.model, linear.centre.cells, linear.centre.path
+        self._whole = split(linear.delay, linear.sample_period)[0]  # samples of the delay
+        count = self._cells.count if self._cells.verified else min(SAMPLED, self._cells.count)
+        self._at = np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))  # cells of the ranges
 
     def known_errors(self) -> KnownErrors:
         """Return known torques and efforts: of the centre motion, by each uncertain factor, by each torque term."""
         cells, uncertain = self._cells, self._half > 0
         c = np.repeat(self.linear.centre.factors[:, None], cells.count, axis=1)
-        defect, _ = columnwise(
-            self.linear.model.defect, self._path.columns(cells.sampled), cells.columns(cells.sampled), c
-        )
+        defect, _ = columnwise(self._model.defect, self._path.columns(cells.sampled), cells.columns(cells.sampled), c)
         acting = cells.acting(self.blocks, self._whole)[0].middle
-        _, rate = columnwise(self.linear.model.defect, self._path.columns(acting), cells.columns(acting), c)
+        _, rate = columnwise(self._model.defect, self._path.columns(acting), cells.columns(acting), c)
         slopes, _, second = self._coefficients
         by_factor = (self._terms @ (slopes * self._half))[:, :, uncertain]
         by_term = (self._terms * second)[:, :, second > 0]
@@ -161,14 +155,14 @@ class Ranges:
     def unknown_errors(self, known: KnownErrors) -> Array:
         """Return bounds (4n,) of torques, accelerations and defects along the centre motion beside the known ones."""
         n, age = self.linear.n, self.linear.delay + self._cells.sample_period
-        (terms,) = self._range(self.linear.model.torque_terms, self._cells.windows(self.blocks))
+        (terms,) = self._range(self._model.torque_terms, self._cells.windows(self.blocks))
         apart = self._apart(terms, self._terms.swapaxes(1, 2).reshape(self._cells.count, -1))
         torque = self._coefficients[1] @ apart.reshape(-1, 2 * n)
         acting, share = self._cells.acting(self.blocks, self._whole)
-        rate = [models.mean_within(share) for models in self._range(self.linear.model.defect, acting)[1]]
+        rate = [models.mean_within(share) for models in self._range(self._model.defect, acting)[1]]
         inertias = self.low[INERTIA], self.high[INERTIA]
         torque[n:] += age * np.max([self._apart(rate, -f * known.aging[:, n:]) / f for f in inertias], axis=0)
-        defect, _ = self._range(self.linear.model.defect, self._cells.sampling(self.blocks))
+        defect, _ = self._range(self._model.defect, self._cells.sampling(self.blocks))
         return np.concatenate([torque, np.zeros(n), self._apart(defect, known.effort[:, :, 0])])
 
     def mismatch(self, bounds: Array, unknown: Array, lines: Array) -> Mismatch | None:
@@ -182,9 +176,9 @@ class Ranges:
         z = Tube(S.S_inverse * bounds, S.S_inverse @ lines)
         G_middle, B_middle = (np.broadcast_to(X, (self._cells.count, *X.shape)) for X in (linear.G, linear.B))
         try:
-            H, M = self._range(self.linear.model.link_slope, windows, z)
-            (F,) = self._range(self.linear.model.law_slope, self._cells.sampling(self.blocks), z)
-            G, B = self._range(self.linear.model.motor_slope, windows, z)
+            H, M = self._range(self._model.link_slope, windows, z)
+            (F,) = self._range(self._model.law_slope, self._cells.sampling(self.blocks), z)
+            G, B = self._range(self._model.motor_slope, windows, z)
         except ZeroDivisionError:
             return None
         links = self._matrices_apart(H, linear.H, S.torque, S.S_inverse).mean_from_zero(z)
@@ -208,8 +202,8 @@ class Ranges:
         """
         linear, n, S = self.linear, self.linear.n, self.linear.coordinates
         z = Tube(np.zeros((4 * n, 0)), S.S_inverse @ lines)
-        H, _ = self._range(self.linear.model.link_slope, self._cells.windows(self.blocks), z)
-        (F,) = self._range(self.linear.model.law_slope, self._cells.sampling(self.blocks), z)
+        H, _ = self._range(self._model.link_slope, self._cells.windows(self.blocks), z)
+        (F,) = self._range(self._model.law_slope, self._cells.sampling(self.blocks), z)
         links, efforts = (
             self._matrices_apart(X, middle, np.eye(n), S.S_inverse).mean_from_zero(z).products(lines)
             for X, middle in ((H, linear.H), (F, linear.F))
@@ -219,12 +213,12 @@ class Ranges:
 
     def storage(self, tube: Tube) -> float:
         """Return the largest V [J] of the law in a tube; nan if the law has none, inf if it cannot be enclosed."""
-        if not self.linear.model.has_storage:
+        if not self._model.has_storage:
             return np.nan
         if not self._cells.verified:
             return self._sampled_storage(tube)
         try:
-            ((V,),) = self._range(self.linear.model.storage, self._cells.windows(self.blocks), tube)
+            ((V,),) = self._range(self._model.storage, self._cells.windows(self.blocks), tube)
         except (ZeroDivisionError, StateError):
             return np.inf
         return float(V.magnitude.max())
@@ -234,43 +228,26 @@ class Ranges:
         largest, arguments = -np.inf, self._along(self._cells.sampling(self.blocks))
         share: Array = np.full((tube.symbols, len(arguments["c"].T)), 0.5)
         for _ in range(CLIMBS):
-            V, slope = _called(self.linear.model.storage_slope, arguments | {"z": tube.corners(share)})
+            V, slope = _called(self._model.storage_slope, arguments | {"z": tube.corners(share)})
             largest = max(largest, float(V.max()))
             share = np.where(tube.directions.T @ slope > 0, 1.0, 0.0)
         return largest
-
-    @property
-    def _cells(self) -> Cells:
-        return self.linear.centre.cells
-
-    @cached_property
-    def _path(self) -> Cells:
-        return self.linear.centre.path
-
-    @property
-    def _whole(self) -> int:
-        """Whole samples of the delay."""
-        return split(self.linear.delay, self._cells.sample_period)[0]
-
-    @property
-    def _half(self) -> Array:
-        return (self.high - self.low) / 2
 
     @cached_property
     def _terms(self) -> Array:
         """Torque terms (c, 2n, 6) in the middle of the cells."""
         factors = np.repeat(self.linear.centre.factors[:, None], self._cells.count, axis=1)
-        (terms,) = columnwise(self.linear.model.torque_terms, self._path.columns(self._cells.middle), factors)
+        (terms,) = columnwise(self._model.torque_terms, self._path.columns(self._cells.middle), factors)
         return np.asarray(terms.T.reshape(self._cells.count, -1, 2 * self.linear.n).swapaxes(1, 2))
 
     @cached_property
     def _coefficients(self) -> tuple[Array, Array, Array]:
         """Derivatives (6, 7) of the coefficients of the torque terms, their largest values and second order (6,)."""
         c, half = self.linear.centre.factors[:, None], self._half
-        middle = self.linear.model.coefficients(c, c).full()
+        middle = self._model.coefficients(c, c).full()
         shape = Shape(np.count_nonzero(half), order=1, mixed=1)
         factors = TaylorModels.exact(c, shape), TaylorModels.boxes(c, half[:, None], 0, shape)
-        (models,) = taylor_function(self.linear.model.coefficients)(*factors)
+        (models,) = taylor_function(self._model.coefficients)(*factors)
         apart = models.minus(middle.T.reshape(-1, 1))
         largest, differences = (X.magnitude.reshape(len(half), -1).T for X in (models, apart))
         return middle, largest @ half, differences @ half
@@ -293,7 +270,9 @@ class Ranges:
             if name in ("path", "jets"):
                 yield (self._path if name == "path" else self._cells).models(window, shape)
             elif name == "z" and tube is not None:
-                yield TaylorModels.linear(tube.slopes, shape)
+                directions = np.broadcast_to(tube.directions, (len(tube.lines), *tube.directions.shape))
+                slopes = np.concatenate([directions, tube.lines], axis=2)
+                yield TaylorModels.linear(slopes.transpose(1, 2, 0), shape)
             elif name == "f" and tube is not None:
                 half = np.outer(self._half, k)
                 yield TaylorModels.boxes(np.outer(self.linear.centre.factors, k), half, tube.symbols, shape)
@@ -337,12 +316,6 @@ class Ranges:
             matrices = apart.reshape(len(apart), columns, rows, -1).transpose(0, 3, 2, 1)
             values.append(MatrixModels(matrices, models.shape).between(left, right).values)
         return MatrixModels(np.concatenate(values), enclosure[0].shape)
-
-    @cached_property
-    def _at(self) -> Array:
-        """Cells at which ranges are evaluated."""
-        count = self._cells.count if self._cells.verified else min(SAMPLED, self._cells.count)
-        return np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))
 
     def _at_points(self, of_cells: Array) -> Array:
         """Return values (c, ..) of the cells at the instants of the ranges."""

@@ -215,8 +215,8 @@ class TubeProblem:
     def _has_tube(self, share: float) -> bool:
         """Return whether a box about the factors of the centre motion, of a share of this width, has a tube."""
         ranges, c = self.ranges, self.linear.centre.factors
-        box = replace(ranges, low=c + share * (ranges.low - c), high=c + share * (ranges.high - c))
-        return replace(self, ranges=box)._steady_tube is not None
+        low, high = (c + share * (end - c) for end in (ranges.low, ranges.high))
+        return replace(self, ranges=Ranges(self.linear, low, high, ranges.blocks))._steady_tube is not None
 
     def _grown(self, known: Response) -> DeviationBounds | None:
         """Return bounds that lie within their tube, which grows from the known response; None if none are found."""

@@ -58,16 +58,14 @@ class ErrorSystem:
         return ca.SX.sym("chi", 5 * self.n), ca.SX.sym("jets", self.n, DERIVATIVES)
 
     @cached_property
-    def field(self) -> ca.Function:
-        """The CasADi function (chi, jets) -> d chi/dt."""
-        return ca.Function("field", list(self.symbols), [self._field], {"cse": True})
+    def field(self) -> TaylorFunction:
+        """The function (chi, jets) -> d chi/dt, enclosed."""
+        return TaylorFunction(ca.Function("field", list(self.symbols), [self._field], {"cse": True}))
 
     @cached_property
     def state(self) -> ca.Function:
-        """The CasADi function (chi, jets) -> position and velocity (2n,) each, u (n,), M_l (n, n)."""
-        position, velocity, u = self._measured
-        M_l = self.law.robot.links.M_l(position[: self.n])
-        return ca.Function("state", list(self.symbols), [position, velocity, u, M_l], {"cse": True})
+        """The CasADi function (chi, jets) -> position and velocity (2n,) of a state with these errors."""
+        return ca.Function("state", list(self.symbols), list(self._measured[:2]), {"cse": True})
 
     @cached_property
     def pattern(self) -> tuple[list[int], list[int]]:
@@ -107,11 +105,6 @@ class ErrorSystem:
         by_time = ca.jtimes(ca.vertcat(*entries), ca.vec(jets), ca.vec(self._jet_rates))
         outputs = [ca.densify(ca.vertcat(*parts)), ca.densify(by_time)]
         return TaylorFunction(ca.Function("curvature", [chi, jets], outputs, {"cse": True})), places
-
-    @cached_property
-    def enclosed_field(self) -> TaylorFunction:
-        """The field on intervals."""
-        return TaylorFunction(self.field)
 
     @cached_property
     def by_time(self) -> TaylorFunction:
@@ -219,7 +212,7 @@ def _step(system: ErrorSystem, centre: Array, jets: Interval, reached: Array, st
     """Return bounds of |chi - c| and of the field over a step [s] from |chi - c| <= reached; infinite without."""
     box = reached
     for _ in range(TRIALS):
-        rates = system.enclosed_field.on_intervals(Interval(centre, box), jets)[0].magnitude
+        rates = system.field.on_intervals(Interval(centre, box), jets)[0].magnitude
         end = reached + ABOVE * step * rates
         if np.all(end <= box):
             return box, rates

@@ -118,7 +118,7 @@ class OneSample:
         """Return the pieces with centres (k, m)."""
         point, jets = Interval.exact(centre.T), self.jets(index, 0.0)
         C = self.system.jacobian.on_intervals(point, jets)[0]
-        rate = self.system.enclosed_field.on_intervals(point, jets)[0]
+        rate = self.system.field.on_intervals(point, jets)[0]
         return Pieces(index, centre, self._dense(C), Interval(rate.mid.T, rate.rad.T))
 
     def on_centre(self, pieces: Pieces) -> tuple[Array, Array]:
