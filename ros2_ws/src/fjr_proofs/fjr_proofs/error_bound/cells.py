@@ -64,7 +64,7 @@ class Cells:
     ) -> None:
         self.reference, self.sample_period, self.periodic = reference, sample_period, periodic
         self.samples, self.count, self.length = samples, count, length
-        self.starts: Array = length * np.arange(count)
+        self.starts: Array = np.asarray(length * np.arange(count), dtype=float)
         self.ends: Array = self.starts + length
         self.middle: Array = self.starts + length / 2
         self.sampled: Array = self.starts + (samples - 1) * sample_period / 2

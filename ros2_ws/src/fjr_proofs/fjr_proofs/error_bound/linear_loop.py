@@ -43,7 +43,7 @@ class Coordinates:
         self.torque: Array = self.acceleration.T
         self.torques: Array = block_diag(self.torque, self.torque)
         self.effort: Array = self.torque @ robot.B_m
-        self.effort_inverse: Array = np.linalg.inv(self.effort)
+        self.effort_inverse: Array = np.asarray(np.linalg.inv(self.effort), dtype=float)
         self.S: Array = block_diag(self.R, self.torque @ robot.K, self.R, self.R)
         self.S_inverse: Array = np.linalg.inv(self.S)
 
