@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -16,9 +14,9 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import fjr_core as fjr
+from bench.error_bound import Observed, largest_errors, on_reference
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
-from fjr_core.law.inverse_dynamics import inverse_dynamics
 from fjr_core.law.registry import LAWS
 from fjr_core.law.sampled_law import AsSampledLaw
 from fjr_core.motions.reference import Reference
@@ -54,32 +52,6 @@ def paper(delay: float, **errors: float) -> ErrorBound:
     return bound_errors(joint(), SWING, T, delay, errors)
 
 
-def on_reference(robot: fjr.Robot, reference: Reference) -> np.ndarray:
-    """Return the state (4n,) of the robot that keeps its links on the reference at time 0."""
-    q, dq, *more = reference.jets(0.0)
-    _, q_m, dq_m, _, _ = (part.full().ravel() for part in inverse_dynamics(robot)(q, dq, *more))
-    return robot.state(q, q_m, dq, dq_m)
-
-
-def largest_errors(
-    law: fjr.TrackingLaw, reference: Reference, delay: float, errors: Mapping[str, float], runs: int, duration: float
-) -> np.ndarray:
-    """Return the largest |q_l - q_ld| (n,) after 1 s in runs drawn within the errors, which start at the corners."""
-    rng, half = np.random.default_rng(0), np.array(list(errors.values()))
-    share = rng.uniform(-1, 1, (runs, len(half)))
-    corners = list(product((-1, 1), repeat=len(half)))
-    share[: len(corners)] = corners
-    factors = dict(zip(errors, (1 + share * half).T, strict=True))
-    payload = factors.pop("payload", None)
-    if payload is not None:
-        factors |= {"link_inertia": payload, "gravity": payload}
-    x0 = on_reference(law.robot, reference)
-    loop = ClosedLoop(law.robot, AsSampledLaw(law), reference, x0, duration, T, settle_after=1.0)
-    outcomes = loop.run(Draws(runs, **factors, delay=delay))
-    assert outcomes.stable.all()
-    return np.asarray(outcomes.peak.max(axis=0))
-
-
 CASES = [
     (joint, SWING, 0.0, {}),
     (joint, SWING, T, {"payload": 0.2}),
@@ -98,7 +70,8 @@ def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_
 ) -> None:
     made = law()
     bound = bound_errors(made, reference, T, delay, errors)
-    seen = largest_errors(made, reference, delay, errors, 40 if errors else 1, 4.0)
+    runs = 40 if errors else 1
+    seen = largest_errors(made, reference, (T, delay), errors, runs, Observed(1.0, 4.0)).max(axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert np.all(bound.position <= bound.from_start)
@@ -117,7 +90,7 @@ def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_
 def test_ten_thousand_runs_stay_within_the_bound(law, reference, errors) -> None:
     made = law()
     bound = bound_errors(made, reference, T, T, errors)
-    seen = largest_errors(made, reference, T, errors, 10_000, 7.5)
+    seen = largest_errors(made, reference, (T, T), errors, 10_000, Observed(1.0, 7.5)).max(axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert np.all(bound.position <= 2 * seen)
@@ -129,7 +102,8 @@ def test_runs_of_seven_joints_stay_within_the_proven_bound(errors: dict[str, flo
     made = load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(made.robot, made.gains, compile=True)
     bound = bound_errors(law, made.reference, T, T, errors, prove=True)
-    seen = largest_errors(law, made.reference, T, errors, 50 if errors else 1, 3.0)
+    runs = 50 if errors else 1
+    seen = largest_errors(law, made.reference, (T, T), errors, runs, Observed(1.0, 3.0)).max(axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert largest_storage(law, made.reference, errors.get("payload", 0.0)) <= bound.storage
