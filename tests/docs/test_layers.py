@@ -48,7 +48,7 @@ LAYERS = {
         "cli",
     ),
     "fjr_identification": ("estimation", "records page robot_file", "cli"),
-    "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "check_rows"),
+    "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "kept_rate check_rows"),
     "fjr_bringup": ("runner services", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""

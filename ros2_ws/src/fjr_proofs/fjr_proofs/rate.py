@@ -1,52 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove a convergence rate on a domain of joint positions, write its certificate, keep the proof (docs/proof.md).
+"""Prove a convergence rate on a domain of joint positions, and write its certificate (docs/proof.md).
 
 The block of sigma_l has the rate beta if D_l + K_ld - beta M_l(q_l) >= 0 for every q_l of the domain, i.e. for
 M_l(q_l) <= (D_l + K_ld) / beta. The other blocks have closed forms. The certificate is numbers and lists that another
-program can check. The proof of a scenario over its joint range is kept in the cache of compiled code.
+program can check.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
-import sys
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, fields
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fjr_core.config.safety import safety
-from fjr_core.config.scenario import Scenario
-from fjr_core.errors import FjrError, RobotError
-from fjr_core.files.atomic_file import write_text
 from fjr_core.law.vdpbc.convergence_rate import Rate, rate_with
 from fjr_core.law.vdpbc.gains import CheckedGains, Gains
-from fjr_core.law.vdpbc.law import TrackingLaw
-from fjr_core.model.configuration_sampling import bounds_of, sample_configurations
 from fjr_core.model.domain import GOAL, MOST_BOXES, Domain, joint_range
 from fjr_core.model.robot import Robot
-from fjr_core.motions.tube import tube
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.code_cache import code_folder
-from fjr_core.numerics.jit_cache import program_digest
-from fjr_core.numerics.one_line import at_least
 
-from .verification.inertia_bounds import ProofBox, ProvableArm, RelativeInertia, Watch, is_provable, unwatched
+from .verification.inertia_bounds import ProofBox, ProvableArm, RelativeInertia, Watch, unwatched
 
 FORMAT = "rate certificate 1"
 MARGIN = 1e-5
 """Relative distance of the rate in a certificate from the proven one; it gives other bounds room for rounding."""
 LEAF = 0
-PACKAGE = Path(__file__).parent
-SAMPLES = 512
-DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
 SHARE = 40
 """The largest inertia, for eq. (50) only, takes at most 1 / SHARE of the boxes."""
 
@@ -131,162 +112,3 @@ def _preorder(root: ProofBox) -> list[Any]:
         entries.append(LEAF if box.axis is None else [box.axis + 1, *box.cuts])
         left += reversed(box.parts)
     return entries
-
-
-class ProofError(FjrError):
-    """A rate that cannot be proven, or whose certificate cannot be written."""
-
-
-@dataclass(frozen=True)
-class ProvenRate:
-    """beta [1/s], proven over the joint range; attained [1/s] at the configuration `at`; boxes in the proof.
-
-    complete: beta is at least GOAL times the attained rate. certificate: see rate_certificate.
-    """
-
-    beta: float
-    beta_paper: float
-    attained: float
-    at: list[float]
-    boxes: int
-    complete: bool
-    certificate: dict[str, Any]
-
-
-def near_reference(scenario: Scenario) -> tuple[Domain, Array]:
-    """Return the tube around the reference with the largest tracking error (n,) that the controller accepts."""
-    limit = np.asarray(safety(scenario.controller_values, scenario.robot).tracking_error)
-    radius = np.where(np.isfinite(limit), limit, DEFAULT_RADIUS)
-    return tube(scenario.reference, radius), radius
-
-
-def refuse_unprovable(scenario: Scenario) -> None:
-    """Raise ProofError if nothing can be proven about the inertia of the robot."""
-    if not is_provable(scenario.robot):
-        raise ProofError(
-            f"scenario {scenario.name} has {scenario.robot.n} joints; expected at most 8 revolute joints for a proof"
-        )
-
-
-def cached_rate(scenario: Scenario) -> ProvenRate | None:
-    """Return the proven rate that an earlier command has kept for this law and robot; None if there is none.
-
-    A kept proof that is not as it was written is emptied; one sentence says that it is not used.
-    """
-    try:
-        folder, name = code_folder(), _name(scenario)
-        content = folder.read(name)
-    except OSError:
-        return None
-    if not content:
-        return None
-    try:
-        return _read(content, name, scenario.robot.n)
-    except (ValueError, RecursionError) as error:
-        with suppress(OSError):
-            folder.write(name, b"")
-        seen = error if isinstance(error, _DamagedError) else "no JSON text"
-        sentence = f"the kept proof {folder.path / name} is {seen}; expected it as written: --certificate proves again"
-        print(f"fjr: {sentence}", file=sys.stderr)
-        return None
-
-
-def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
-    """Return the proven rate, kept or proven now; after `seconds`, what is proven by then. Raises ProofError."""
-    law = scenario.law
-    if not isinstance(law, TrackingLaw):
-        raise ProofError(f"law.type is {scenario.controller_values['law.type']!r}; expected 'v_dpbc' for a certificate")
-    refuse_unprovable(scenario)
-    known = cached_rate(scenario)
-    if known is not None and known.complete:
-        return known
-    rate = _proven_within(scenario, law, seconds)
-    with suppress(OSError):
-        name = _name(scenario)
-        code_folder().write(name, json.dumps(_sealed({"inputs": name, **vars(rate)})).encode())
-    return rate
-
-
-def write_certificate(rate: ProvenRate, path: Path) -> None:
-    """Write the certificate. Raises ProofError."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(rate.certificate) + "\n")
-    except OSError as error:
-        raise ProofError(f"{path} cannot be written ({error.strerror}); expected a file in a writable folder") from None
-
-
-def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
-    """Prove the rate; report the number that is proven so far on standard error."""
-    from fjr_msgs_py.console.progress import heartbeat  # of commands only; law.proven_rate does without
-
-    robot, state = scenario.robot, {"text": "proving a rate over the joint range"}
-    end = time.monotonic() + seconds
-
-    def watch(boxes: int, bound: float, attained: float) -> bool:
-        state["text"] = f"proven {at_least(1 / bound)} of {1 / attained:.4g} 1/s for the links, {boxes} boxes"
-        return time.monotonic() < end
-
-    with heartbeat(lambda: state["text"]):
-        try:
-            proof = proof_of_rate(robot, law.gains, samples=sample_configurations(robot, SAMPLES), watch=watch)
-        except RobotError as error:
-            raise ProofError(str(error)) from None
-    attained = float(proof.rate.attained or np.nan)
-    return ProvenRate(
-        beta=proof.rate.beta,
-        beta_paper=proof.rate.beta_paper,
-        attained=attained,
-        at=proof.inertia.at.tolist(),
-        boxes=proof.inertia.boxes,
-        complete=proof.rate.beta >= GOAL * (1 - 1e-6) * attained,
-        certificate=rate_certificate(robot, law.gains, proof, scenario.joints),
-    )
-
-
-class _DamagedError(ValueError):
-    """What a kept proof is instead of what was written."""
-
-
-def _sealed(content: dict[str, Any]) -> dict[str, Any]:
-    return {**content, "sha256": digest(content)}
-
-
-def _is_sealed(content: Any) -> bool:
-    """Return whether a value is an object with the digest of its other entries."""
-    return isinstance(content, dict) and content == _sealed({k: v for k, v in content.items() if k != "sha256"})
-
-
-def _read(content: bytes, name: str, n: int) -> ProvenRate:
-    """Return the proof of n joints that a file of this name holds. Raises ValueError if it is another or changed."""
-    values = json.loads(content)
-    if not _is_sealed(values):
-        raise _DamagedError("changed or damaged")
-    del values["sha256"]
-    if values.pop("inputs", None) != name:
-        raise _DamagedError("that of another robot or law")
-    if set(values) != {field.name for field in fields(ProvenRate)} or not _has_kinds(values, n):
-        raise _DamagedError("not of the kind that this program writes")
-    return ProvenRate(**values)
-
-
-def _has_kinds(values: dict[str, Any], n: int) -> bool:
-    """Return whether the values of a ProvenRate of n joints are of the right kinds, finite and in their order."""
-    at, rates = values["at"], [values[name] for name in ("beta_paper", "beta", "attained")]
-    numbers = [*rates, *(at if isinstance(at, list) else [])]
-    if len(numbers) != 3 + n or not all(type(value) is float and math.isfinite(value) for value in numbers):
-        return False
-    ordered = all(0 < low <= high * (1 + 1e-9) for low, high in pairwise(rates))
-    kinds = type(values["boxes"]) is int and type(values["complete"]) is bool
-    return ordered and kinds and _is_sealed(values["certificate"])
-
-
-def _name(scenario: Scenario) -> str:
-    """Return the name of the kept file: a digest of program, robot, gains and joint range."""
-    inputs = hashlib.sha256(program_digest(PACKAGE).encode() + scenario.robot.fingerprint())
-    law = scenario.law
-    assert isinstance(law, TrackingLaw)
-    for array in (*law.gains.arrays().values(), *bounds_of(scenario.robot)):
-        inputs.update(np.ascontiguousarray(array).tobytes())
-    inputs.update(repr(scenario.joints).encode())
-    return f"rate-{inputs.hexdigest()[:32]}.json"

@@ -69,7 +69,7 @@ def check_scenario(
     asked = errors or prove_error or (delay is not None and not prove_sampled)
     bound = _error_bound(loaded, _once(errors), delay, prove_error) if asked else None
     if certificate is not None:
-        prover = other_package.module("fjr_proofs.rate")
+        prover = other_package.module("fjr_proofs.kept_rate")
         prover.write_certificate(prover.proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
     rows = check_rows(loaded, found) | ({} if bound is None else {"error bound": bound.sentence})
