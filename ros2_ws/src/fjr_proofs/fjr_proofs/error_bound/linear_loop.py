@@ -25,7 +25,7 @@ from .deviation_model import CentreMotion, DeviationModel
 from .peak_gains import ROUNDING, CellModels, curvature
 
 
-class Coordinates:
+class ModalCoordinates:
     """Coordinates of the deviation in which the joints act on each other less than in their own.
 
     A bound of each coordinate by itself ignores the signs of the others. In the modes of a mean inertia matrix M_l,
@@ -60,7 +60,7 @@ class LinearLoop:
     model: DeviationModel
     centre: CentreMotion
     delay: float
-    coordinates: Coordinates
+    coordinates: ModalCoordinates
     M: Array
     H: Array
     G: Array
@@ -203,7 +203,7 @@ def linear_loop(model: DeviationModel, centre: CentreMotion, delay: float) -> Li
     path, jets = centre.path.columns(cells.sampled), cells.columns(cells.sampled)
     (F,) = columnwise(model.law_slope, path, jets, zero, factors)
     inertia, slopes, law = (X.T.reshape(cells.count, -1, n).swapaxes(1, 2).copy() for X in (M, H, F))
-    coordinates = Coordinates(model.robot, inertia.mean(axis=0))
+    coordinates = ModalCoordinates(model.robot, inertia.mean(axis=0))
     return LinearLoop(model, centre, delay, coordinates, inertia, slopes, G, B, law)
 
 

@@ -173,7 +173,7 @@ class ErrorSystem:
 
 
 @dataclass(frozen=True, eq=False)
-class Flow:
+class EnclosedFlow:
     """Solutions during one sample, as deviations from the centre (m, k).
 
     start: bounds at the start. grown: bounds of the change. box: bounds throughout, infinite without a bound. jets: the
@@ -191,7 +191,7 @@ class Flow:
         return np.asarray(ABOVE * (self.start + self.grown))
 
 
-def enclosed_flow(system: ErrorSystem, centre: Array, start: Array, jets: Interval, h: float) -> Flow:
+def enclosed_flow(system: ErrorSystem, centre: Array, start: Array, jets: Interval, h: float) -> EnclosedFlow:
     """Return bounds of solutions that start with |chi - c| at most start (s, k), c = centre (m, k), during h [s].
 
     Rows s .. m of chi, the effort error w without a delay, start at c. w may drop to zero at any time.
@@ -205,7 +205,7 @@ def enclosed_flow(system: ErrorSystem, centre: Array, start: Array, jets: Interv
         reached = reached + ABOVE * h / STEPS * rates
         if not np.isfinite(reached).all():
             break
-    return Flow(first, ABOVE * (reached - first), box, jets)
+    return EnclosedFlow(first, ABOVE * (reached - first), box, jets)
 
 
 def _step(system: ErrorSystem, centre: Array, jets: Interval, reached: Array, step: float) -> tuple[Array, Array]:

@@ -33,7 +33,7 @@ from ..verification.interval_matrices import (
     spectral_norm,
 )
 from ..verification.taylor_models import NUMBER, TaylorModels
-from .error_system import DERIVATIVES, ErrorSystem, Flow, enclosed_flow
+from .error_system import DERIVATIVES, EnclosedFlow, ErrorSystem, enclosed_flow
 
 CELLS = 4
 """Cells of the delay; in each J lies between its values at the ends, up to a bounded error."""
@@ -129,7 +129,7 @@ class OneSample:
         drift = exponential_integral(C, self.h).mid @ pieces.rate.mid[:, :, None]
         return np.stack([(whole - part)[:, :s, :s] for part in late], axis=1), drift[:, :s, 0]
 
-    def flow(self, pieces: Pieces, start: Array) -> Flow:
+    def flow(self, pieces: Pieces, start: Array) -> EnclosedFlow:
         """Return bounds of solutions that start with |chi - c| at most start (k, s)."""
         return enclosed_flow(self.system, pieces.centre.T, start.T, self.jets(pieces.index, 1.0), self.h)
 
