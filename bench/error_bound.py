@@ -47,14 +47,15 @@ def of_scenario(name: str, errors: Mapping[str, float]) -> list[Figure]:
     T = scenario.sample_period
     bound = bound_errors(scenario.law, scenario.reference, T, T, errors, prove=True)
     runs = RUNS if errors else 1
-    peaks = largest_errors(scenario, SCENARIOS[name], errors, runs)
+    law = TrackingLaw(scenario.robot, scenario.gains)
+    peaks = largest_errors(law, scenario.reference, (T, T), errors, runs, SCENARIOS[name])
     beyond = np.count_nonzero(np.any(peaks > bound.position, axis=1))
     basis = "proven" if bound.proven else "sampled"
     largest = peaks.max(axis=0)
     sizes = {
         f"{what} of {joint} [mrad]": 1e3 * float(size)
-        for what, each in (("bound", bound.position), ("largest error", largest))
-        for joint, size in zip(scenario.joints, each, strict=True)
+        for what, of_joints in (("bound", bound.position), ("largest error", largest))
+        for joint, size in zip(scenario.joints, of_joints, strict=True)
     }
     ratio = float(np.max(bound.position / largest))
     return [
@@ -74,20 +75,32 @@ def drawn(errors: Mapping[str, float], runs: int) -> Draws:
     return Draws(runs, **factors | ({} if payload is None else {"link_inertia": payload, "gravity": payload}))
 
 
-def largest_errors(scenario: Scenario, observed: Observed, errors: Mapping[str, float], runs: int) -> Array:
-    """Return the largest |q_l - q_ld| (runs, n) [rad] once settled, of runs that start on the reference."""
-    law, reference, T = TrackingLaw(scenario.robot, scenario.gains), scenario.reference, scenario.sample_period
+def on_reference(robot: Robot, reference: Reference) -> Array:
+    """Return the state (4n,) of the robot that keeps its links on the reference at time 0."""
     q, dq, *more = reference.jets(0.0)
-    motors = motor_motion(scenario.robot, q, dq, *more)
-    x0 = scenario.robot.state(q, motors.theta.full().ravel(), dq, motors.dtheta.full().ravel())
-    loop = ClosedLoop(
-        scenario.robot, AsSampledLaw(law), reference, x0, observed.duration, T, settle_after=observed.settled
-    )
-    draws = replace(drawn(errors, runs), delay=T)
+    motors = motor_motion(robot, q, dq, *more)
+    return robot.state(q, motors.theta.full().ravel(), dq, motors.dtheta.full().ravel())
+
+
+def largest_errors(
+    law: TrackingLaw,
+    reference: Reference,
+    times: tuple[float, float],
+    errors: Mapping[str, float],
+    runs: int,
+    observed: Observed,
+) -> Array:
+    """Return the largest |q_l - q_ld| (runs, n) [rad] once settled, of runs that start on the reference.
+
+    times [s]: sample period and delay. The robots are drawn within the errors.
+    """
+    (T, delay), x0 = times, on_reference(law.robot, reference)
+    loop = ClosedLoop(law.robot, AsSampledLaw(law), reference, x0, observed.duration, T, settle_after=observed.settled)
+    draws = replace(drawn(errors, runs), delay=delay)
     parts = [draws.taken(slice(i, i + AT_ONCE)) for i in range(0, runs, AT_ONCE)]
-    outcomes = [loop.run(part) for part in tqdm(parts, desc=scenario.name, disable=not sys.stderr.isatty())]
+    outcomes = [loop.run(part) for part in tqdm(parts, desc="runs", disable=not sys.stderr.isatty())]
     if not all(part.stable.all() for part in outcomes):
-        raise RuntimeError(f"a run of {scenario.name} is not stable; expected all of them to be")
+        raise RuntimeError("a run is not stable; expected all of them to be")
     return np.concatenate([part.peak for part in outcomes])
 
 

@@ -15,7 +15,7 @@ from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
 from fjr_core.motions.domain import Domain, tube
-from fjr_proofs.rate.proof_of_rate import proof_of_rate
+from fjr_proofs.rate import proof_of_rate
 
 RADIUS, WIDER = 1e-3, 0.05  # rad, of the tubes
 LONGEST = 120.0  # s

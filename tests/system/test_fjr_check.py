@@ -19,8 +19,8 @@ from fjr_core.stability.sampled_loop import check
 from fjr_design.cli.preflight import StartError, refuse_start_outside
 from fjr_msgs_py.console.exit_codes import Exit
 from fjr_msgs_py.scenarios import library
-from fjr_proofs.cli.rate_proof import cached_rate
-from fjr_proofs.rate.rate_certificate import digest
+from fjr_proofs.kept_rate import cached_rate
+from fjr_proofs.rate import digest
 from system.executables import fjr_here, scenario
 from two_link_urdf import two_link_urdf
 

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from itertools import product
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -15,19 +14,19 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import fjr_core as fjr
+from bench.error_bound import Observed, largest_errors, on_reference
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import AsSampledLaw
-from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_design.baselines.singular_perturbation import CompositeGains
 from fjr_proofs.error_bound import ErrorBound, bound_errors
+from fjr_proofs.error_bound.cells import cells_of
 from fjr_proofs.error_bound.deviation_model import FACTORS, DeviationModel
-from fjr_proofs.error_bound.error_bound import TORQUES
-from fjr_proofs.error_bound.reference_cells import cells_of
-from fjr_proofs.error_bound.steady_motion import steady_motion
+from fjr_proofs.error_bound.search import TORQUES
+from fjr_proofs.error_bound.tube import steady_motion
 
 T = 1e-3
 SWING = fjr.Sine(1.0, 1.0)
@@ -53,32 +52,6 @@ def paper(delay: float, **errors: float) -> ErrorBound:
     return bound_errors(joint(), SWING, T, delay, errors)
 
 
-def on_reference(robot: fjr.Robot, reference: Reference) -> np.ndarray:
-    """Return the state (4n,) of the robot that keeps its links on the reference at time 0."""
-    q, dq, *more = reference.jets(0.0)
-    _, q_m, dq_m, _, _ = (part.full().ravel() for part in inverse_dynamics(robot)(q, dq, *more))
-    return robot.state(q, q_m, dq, dq_m)
-
-
-def largest_errors(
-    law: fjr.TrackingLaw, reference: Reference, delay: float, errors: Mapping[str, float], runs: int, duration: float
-) -> np.ndarray:
-    """Return the largest |q_l - q_ld| (n,) after 1 s in runs drawn within the errors, which start at the corners."""
-    rng, half = np.random.default_rng(0), np.array(list(errors.values()))
-    share = rng.uniform(-1, 1, (runs, len(half)))
-    corners = list(product((-1, 1), repeat=len(half)))
-    share[: len(corners)] = corners
-    factors = dict(zip(errors, (1 + share * half).T, strict=True))
-    payload = factors.pop("payload", None)
-    if payload is not None:
-        factors |= {"link_inertia": payload, "gravity": payload}
-    x0 = on_reference(law.robot, reference)
-    loop = ClosedLoop(law.robot, AsSampledLaw(law), reference, x0, duration, T, settle_after=1.0)
-    outcomes = loop.run(Draws(runs, **factors, delay=delay))
-    assert outcomes.stable.all()
-    return np.asarray(outcomes.peak.max(axis=0))
-
-
 CASES = [
     (joint, SWING, 0.0, {}),
     (joint, SWING, T, {"payload": 0.2}),
@@ -97,7 +70,8 @@ def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_
 ) -> None:
     made = law()
     bound = bound_errors(made, reference, T, delay, errors)
-    seen = largest_errors(made, reference, delay, errors, 40 if errors else 1, 4.0)
+    runs = 40 if errors else 1
+    seen = largest_errors(made, reference, (T, delay), errors, runs, Observed(1.0, 4.0)).max(axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert np.all(bound.position <= bound.from_start)
@@ -116,7 +90,7 @@ def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_
 def test_ten_thousand_runs_stay_within_the_bound(law, reference, errors) -> None:
     made = law()
     bound = bound_errors(made, reference, T, T, errors)
-    seen = largest_errors(made, reference, T, errors, 10_000, 7.5)
+    seen = largest_errors(made, reference, (T, T), errors, 10_000, Observed(1.0, 7.5)).max(axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert np.all(bound.position <= 2 * seen)
@@ -128,7 +102,8 @@ def test_runs_of_seven_joints_stay_within_the_proven_bound(errors: dict[str, flo
     made = load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(made.robot, made.gains, compile=True)
     bound = bound_errors(law, made.reference, T, T, errors, prove=True)
-    seen = largest_errors(law, made.reference, T, errors, 50 if errors else 1, 3.0)
+    runs = 50 if errors else 1
+    seen = largest_errors(law, made.reference, (T, T), errors, runs, Observed(1.0, 3.0)).max(axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert largest_storage(law, made.reference, errors.get("payload", 0.0)) <= bound.storage
@@ -302,33 +277,26 @@ def test_a_bound_of_a_law_with_other_operations_is_sampled() -> None:
     assert not found.proven
 
 
-@pytest.mark.parametrize(("period", "delay"), [(0.0, 0.0), (np.nan, 0.0), (T, -T)])
-def test_times_that_are_not_positive_are_refused(period: float, delay: float) -> None:
-    with pytest.raises(fjr.FjrError, match="expected"):
-        bound_errors(joint(), SWING, period, delay)
-
-
-@pytest.mark.parametrize(
-    ("errors", "words"),
-    [
-        ({"payloads": 0.1}, "error 'payloads' is unknown; expected some of payload, "),
-        ({"payload": -0.1}, "error 'payload' is -0.1; expected 0 to 0.9"),
-        ({"stiffness": 1.5}, "error 'stiffness' is 1.5; expected 0 to 0.9"),
-        ({"link_torque": np.nan}, "error 'link_torque' is nan; expected 0 to inf"),
-    ],
-)
-def test_errors_out_of_range_are_refused(errors: dict[str, float], words: str) -> None:
-    with pytest.raises(fjr.FjrError, match=words):
-        bound_errors(joint(), SWING, T, 0.0, errors)
-
-
 def test_a_reference_that_ends_is_bounded_from_samples() -> None:
     bound = bound_errors(joint(), fjr.Spline([0.0, 1.0, 2.0], [[0.0], [0.5], [0.0]]), T, T, {"payload": 0.05})
     assert bound.found
     assert not bound.proven
 
 
-@pytest.mark.parametrize("reference", [fjr.Sine(0.5, 0.01), fjr.MultiSine([[0.3], [0.1]], [[1.0], [np.sqrt(2)]])])
-def test_a_reference_that_cannot_be_covered_is_refused(reference: Reference) -> None:
-    with pytest.raises(fjr.FjrError, match="neither a common period nor an end within 60 s"):
-        bound_errors(joint(), reference, T)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((SWING, 0.0, 0.0), "expected"),
+        ((SWING, np.nan, 0.0), "expected"),
+        ((SWING, T, -T), "expected"),
+        ((SWING, T, 0.0, {"payloads": 0.1}), "error 'payloads' is unknown; expected some of payload, "),
+        ((SWING, T, 0.0, {"payload": -0.1}), "error 'payload' is -0.1; expected 0 to 0.9"),
+        ((SWING, T, 0.0, {"stiffness": 1.5}), "error 'stiffness' is 1.5; expected 0 to 0.9"),
+        ((SWING, T, 0.0, {"link_torque": np.nan}), "error 'link_torque' is nan; expected 0 to inf"),
+        ((fjr.Sine(0.5, 0.01), T), "neither a common period nor an end within 60 s"),
+        ((fjr.MultiSine([[0.3], [0.1]], [[1.0], [np.sqrt(2)]]), T), "neither a common period nor an end within 60 s"),
+    ],
+)
+def test_what_cannot_be_bounded_is_refused(arguments: tuple[Any, ...], words: str) -> None:
+    with pytest.raises(fjr.FjrError, match=words):
+        bound_errors(joint(), *arguments)

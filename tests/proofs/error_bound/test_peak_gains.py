@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_proofs.error_bound.cells import cells_of
 from fjr_proofs.error_bound.peak_gains import CellModels, peak_gains
-from fjr_proofs.error_bound.reference_cells import cells_of
 
 T = 0.01
 CELLS = cells_of(fjr.Sine(1.0, 2 * np.pi), T, verified=True)  # 100 cells of one sample

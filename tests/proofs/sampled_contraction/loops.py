@@ -41,7 +41,7 @@ def derivatives(reference: fjr.Sine, t: float) -> Array:
 
 def state(system: ErrorSystem, chi: Array, reference: fjr.Sine, t: float) -> Array:
     """Return the state x (4n,) that has the errors chi at time t."""
-    position, velocity, _, _ = (part.full().ravel() for part in system.state(chi, derivatives(reference, t)))
+    position, velocity = (part.full().ravel() for part in system.state(chi, derivatives(reference, t)))
     return system.law.robot.state(*np.split(position, 2), *np.split(velocity, 2))
 
 

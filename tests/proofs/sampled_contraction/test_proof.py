@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proven rates of sampled loops: below the simulated ones, absent beyond the delay margin, and wired to the gains."""
+"""Proven rates of sampled loops: below the simulated ones, absent beyond the delay margin, and wired to the gains.
+
+The pieces of a reference cover its whole period, and every sample leads from one piece to a listed one.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fjr_core as fjr
-from fjr_core.errors import StateError, TrajectoryError
-from fjr_proofs.sampled_contraction.proof import sampled_contraction
+from fjr_proofs.sampled_contraction.proof import (
+    final_radii,
+    number_of_pieces,
+    sampled_contraction,
+    transitions_of,
+    ultimate_radius,
+)
 from proofs.sampled_contraction.loops import FAST_SINE, errors, joint, two_link
 
 H = 1e-3
@@ -109,15 +119,47 @@ def test_two_links_contract_on_a_tube_about_a_short_motion() -> None:
     assert np.all((found.offset < found.tube) & (found.tube < 0.1))
 
 
-def test_what_the_proof_does_not_cover_is_refused() -> None:
-    law = joint()
-    with pytest.raises(TrajectoryError, match="expected sines"):
-        sampled_contraction(law, fjr.Spline([0.0, 1.0], [[0.0], [1.0]]), H)
-    with pytest.raises(TrajectoryError, match="expected a common period"):
-        sampled_contraction(two_link(), fjr.Sine(0.1, [1.0, np.sqrt(2)]), H)
-    with pytest.raises(TrajectoryError, match="expected 3 to 30000"):
-        sampled_contraction(law, fjr.Sine(0.1, 0.01), H)
-    with pytest.raises(TrajectoryError, match="has 2 samples in its period"):
-        sampled_contraction(law, fjr.Sine(0.1, 3500.0), H)
-    with pytest.raises(StateError, match="delay is 0.5 to 1.5 samples; expected within 0 and 1"):
-        sampled_contraction(law, FAST_SINE, H, (0.5, 1.5))
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((joint(), fjr.Spline([0.0, 1.0], [[0.0], [1.0]]), H), "expected sines"),
+        ((two_link(), fjr.Sine(0.1, [1.0, np.sqrt(2)]), H), "expected a common period"),
+        ((joint(), fjr.Sine(0.1, 0.01), H), "expected 3 to 30000"),
+        ((joint(), fjr.Sine(0.1, 3500.0), H), "has 2 samples in its period"),
+        ((joint(), FAST_SINE, H, (0.5, 1.5)), "delay is 0.5 to 1.5 samples; expected within 0 and 1"),
+    ],
+)
+def test_what_the_proof_does_not_cover_is_refused(arguments: tuple[Any, ...], words: str) -> None:
+    with pytest.raises(fjr.FjrError, match=words):
+        sampled_contraction(*arguments)
+
+
+@pytest.mark.parametrize("samples", [3, 17, 500, 29_999])
+@pytest.mark.parametrize("excess", [-1e-15, 0.0, 1e-15, 5e-13, 0.3, 0.999])
+def test_pieces_cover_the_period_in_spite_of_rounding(samples: int, excess: float) -> None:
+    period = samples * H * (1 + excess / samples if abs(excess) > 0.1 else 1 + excess)
+    pieces = number_of_pieces(period, H)
+    assert pieces * Fraction(H) >= Fraction(period)
+    assert (pieces - 2) * Fraction(H) < Fraction(period)
+
+
+@pytest.mark.parametrize("rest", [Fraction(1, 1000), Fraction(1, 2), Fraction(1)])
+def test_every_sample_of_many_periods_is_a_listed_transition(rest: Fraction) -> None:
+    pieces = 7
+    period = pieces - 1 + rest
+    visited = [int(k % period) for k in range(5000)]
+    listed = set(zip(*(each.tolist() for each in transitions_of(pieces)), strict=True))
+    assert set(zip(visited[:-1], visited[1:], strict=True)) <= listed
+
+
+def test_solutions_end_in_the_final_balls_after_periods_of_either_length() -> None:
+    rng = np.random.default_rng(0)
+    rho, displacement = rng.uniform(0.5, 0.95, 9), rng.uniform(0.0, 1.0, 9)
+    before, after = transitions_of(8)
+    radii = final_radii(rho, displacement)
+    bound, piece = 10 * ultimate_radius(rho, displacement), 0
+    for k in range(3000):
+        choices = np.flatnonzero(before == piece)
+        transition = rng.choice(choices)
+        bound, piece = rho[transition] * bound + displacement[transition], int(after[transition])
+        assert k < 500 or bound <= radii[piece] * (1 + 1e-9)

@@ -13,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_core.errors import StateError
+from fjr_core.motions.sine import MultiSine
+from fjr_core.numerics.intervals import Interval
 from fjr_proofs.verification.taylor_models import Shape, TaylorFunction, TaylorModels
 
 SHAPES = [Shape(2, 5, 2), Shape(2, 2, 1), Shape(1, 3, 3), Shape(0, 4, 2), Shape(3, 1, 1)]
@@ -89,6 +91,32 @@ def test_rounding_of_exact_numbers_is_bounded() -> None:
     (result,) = EVERY_OPERATION(*(TaylorModels.exact([[x]], Shape(0)) for x in (0.15, 0.7)))
     assert np.all(result.values[0, :4, -1] > 0)
     assert np.all(result.values[0, :, -1] < 1e-14)
+
+
+def test_values_in_intervals_lie_in_their_enclosures() -> None:
+    rng = np.random.default_rng(0)
+    boxes = [Interval(rng.uniform(-1, 1, (1, 50)), rng.choice([0.0, 1e-9, 0.2], (1, 50))) for _ in range(2)]
+    (result,) = EVERY_OPERATION.on_intervals(*boxes)
+    assert np.all(result.rad[:, np.all([box.rad[0] == 0 for box in boxes], axis=0)] < 1e-14)
+    with mp.workdps(40):
+        for share in (-1, 1, 0.3):
+            a, b = (
+                [mp.mpf(m) + share * mp.mpf(r) for m, r in zip(box.mid[0], box.rad[0], strict=True)] for box in boxes
+            )
+            for k, expected in enumerate(map(exact, a, b)):
+                for value_at, mid, rad in zip(expected, result.mid[:, k], result.rad[:, k], strict=True):
+                    assert abs(value_at - mp.mpf(mid)) <= mp.mpf(rad)
+
+
+def test_derivatives_of_sums_of_sines_are_enclosed() -> None:
+    reference = MultiSine([[0.2, 0.1], [0.3, 0.4]], [[1.0, 2.0], [3.0, -4.0]], [[0.1, 0.2], [0.3, 0.4]], [0.5, -0.5])
+    t, shape = np.linspace(0, 7, 40), Shape(0, 2, 1)
+    models = TaylorModels.sines(reference, t, 1e-3, 7, shape).values
+    for share in (0.0, 1.0, -0.4):
+        jets = reference.jets(t + share * 1e-3).reshape(len(t), 10)
+        assert np.all(np.abs(jets - models[:, :10, 0] - share * models[:, :10, 1]) <= models[:, :10, 2])
+    later, earlier = (TaylorModels.sines(reference, t + step, 0.0, 7, shape).values[..., 0] for step in (1e-5, -1e-5))
+    assert (later - earlier)[:, :12] / 2e-5 == pytest.approx(models[:, 2:, 0], abs=1e-5 * np.abs(models[..., 0]).max())
 
 
 def test_boxes_become_symbols_in_their_order() -> None:

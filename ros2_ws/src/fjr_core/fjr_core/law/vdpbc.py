@@ -156,7 +156,7 @@ class TrackingLaw(StaticLaw):
         by then is returned. Raises RobotError for a robot whose bodies are unknown or with more than 8 revolute joints,
         MissingPackageError without the package of the proofs.
         """
-        prover = importing.module("fjr_proofs.rate.proof_of_rate")
+        prover = importing.module("fjr_proofs.rate")
         rate: Rate = prover.proof_of_rate(self.robot, self.gains, domain, goal, most_boxes).rate
         return rate
 

@@ -69,7 +69,7 @@ def check_scenario(
     asked = errors or prove_error or (delay is not None and not prove_sampled)
     bound = _error_bound(loaded, _once(errors), delay, prove_error) if asked else None
     if certificate is not None:
-        prover = other_package.module("fjr_proofs.cli.rate_proof")
+        prover = other_package.module("fjr_proofs.kept_rate")
         prover.write_certificate(prover.proven_rate(loaded, seconds), certificate)
     found = checked(loaded)
     rows = check_rows(loaded, found) | ({} if bound is None else {"error bound": bound.sentence})
@@ -88,12 +88,12 @@ def check_scenario(
 
 def _error_bound(scenario: Scenario, errors: Mapping[str, float], delay: float | None, prove: bool) -> Any:
     """Return the bound of the tracking error; raise MissingPackageError without the package of the proofs."""
-    return other_package.module("fjr_proofs.cli.error_bound").errors_bounded(scenario, errors, delay, prove or None)
+    return other_package.module("fjr_proofs.check_rows").errors_bounded(scenario, errors, delay, prove or None)
 
 
 def _sampled_proof(scenario: Scenario, delay: float | None) -> Any:
     """Return the proof of the sampled loop; raise MissingPackageError without the package of the proofs."""
-    return other_package.module("fjr_proofs.cli.sampled_proof").sampled_proof(scenario, delay)
+    return other_package.module("fjr_proofs.check_rows").sampled_proof(scenario, delay)
 
 
 def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:

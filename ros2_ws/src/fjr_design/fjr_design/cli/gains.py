@@ -92,7 +92,7 @@ def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool,
 
 def _domain(scenario: Scenario, everywhere: bool) -> Domain:
     """Return the domain of a proof: the joint range or the tube around the reference."""
-    prover = other_package.module("fjr_proofs.cli.rate_proof")
+    prover = other_package.module("fjr_proofs.kept_rate")
     prover.refuse_unprovable(scenario)
     domain: Domain = joint_range(scenario.robot) if everywhere else prover.near_reference(scenario)[0]
     return domain

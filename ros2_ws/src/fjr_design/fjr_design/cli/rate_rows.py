@@ -15,7 +15,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.one_line import at_least
 from fjr_design.cli.preflight import as_list, position_unit
 
-RATE_PROOF = "fjr_proofs.cli.rate_proof"
+RATE_PROOF = "fjr_proofs.kept_rate"
 INERTIA_BOUNDS = "fjr_proofs.verification.inertia_bounds"
 OTHER_PLANT = "not proven here, the plant is not the law's model"
 

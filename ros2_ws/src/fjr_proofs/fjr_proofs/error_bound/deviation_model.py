@@ -9,10 +9,14 @@ The centre motion (index c) solves the equations of a robot with the factors c: 
 determines the springs, the motors and the effort u_c(t). The factors of the true robot are f (`FACTORS`); p multiplies
 inertia and weight of the links together. At z = 0, h is the torque error d_l of the links, which vanishes for f = c;
 likewise d_m of the motors. The law answers the centre motion by u_c + e_c, with the defect e_c.
+
+q_lc is the reference plus a Fourier series, a sum of sines with its period. The defect is small if the series is that
+of the steady motion, which `tube.steady_motion` finds. A bound holds for any series; a better one makes it smaller.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -21,7 +25,12 @@ import numpy as np
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.motions.inverse_dynamics import MotorMotion
 from fjr_core.motions.reference import JETS
+from fjr_core.motions.sine import MultiSine, Sines
+from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import directional, sparse
+
+from .cells import DERIVATIVES, Cells, cycles
+from .peak_gains import ROUNDING
 
 FACTORS = (
     "payload",
@@ -33,8 +42,80 @@ FACTORS = (
     "motor_damping",
 )
 """Factors of the true robot on the parameters of the model, 1 without an error."""
-DERIVATIVES = JETS + 1
-"""Columns of the arguments `path` and `jets`: q .. d5q; the rate of the effort needs the fifth derivative."""
+HARMONICS = 6
+"""Highest harmonic of the series, relative to the highest frequency of the reference."""
+POINTS = 8
+"""Points in a cell at which the series is evaluated for its largest value."""
+NEGLIGIBLE = 1e-6  # of the largest coefficient
+
+
+@dataclass(frozen=True, eq=False)
+class CentreMotion:
+    """Motion of the links along the reference of `cells` plus a Fourier series, of a robot with `factors` (7,).
+
+    series (k + 1, n) complex: q_lc - q_ld = sum of Re(series[i] exp(j i w t)), w the base frequency of the period.
+    """
+
+    cells: Cells
+    factors: Array
+    series: Array
+
+    @classmethod
+    def ideal(cls, cells: Cells, factors: Array) -> CentreMotion:
+        """Return the motion whose links stay on the reference."""
+        return cls(cells, factors, np.zeros((1, cells.reference.n), dtype=complex))
+
+    @property
+    def base(self) -> float:
+        """Base frequency w [rad/s]."""
+        return 2 * np.pi / (self.cells.length * self.cells.count)
+
+    @cached_property
+    def largest(self) -> Array:
+        """Bounds (2n,) of |q_lc - q_ld| [rad] and |dq_lc - dq_ld| [rad/s] at all times.
+
+        Between points a sum of sines differs from the nearer one by at most half their distance times its largest rate.
+        """
+        amplitude, frequency, _ = rows = _rows(self.series, self.base)
+        correction = MultiSine(*rows, offset=self.series[0].real)
+        apart = self.cells.length / POINTS
+        jets = correction.jets(apart * np.arange(POINTS * self.cells.count))
+        rates = np.concatenate([(amplitude * frequency**i).sum(axis=0) for i in (1, 2)])
+        return ROUNDING * (np.abs(jets[:, :2]).max(axis=0).ravel() + apart / 2 * rates)
+
+    @property
+    def path(self) -> Cells:
+        """The cells of the motion of the links."""
+        reference = self.cells.reference
+        if not np.any(self.series) or not isinstance(reference, Sines):
+            return self.cells
+        rows = zip(reference.rows, _rows(self.series, self.base), strict=True)
+        amplitude, frequency, phase = (np.concatenate(pair) for pair in rows)
+        offset = np.asarray(reference.offset) + self.series[0].real
+        return self.cells.along(MultiSine(amplitude, frequency, phase, offset))
+
+    def moved(self, q: Array) -> CentreMotion:
+        """Return the motion with deviations q (c, n) [rad] at the ends of the cells added to the series."""
+        t, highest = self.cells.ends, 0  # harmonic that the cells resolve
+        if isinstance(self.cells.reference, Sines):
+            fastest = cycles(self.cells.reference, self.cells.length * self.cells.count)
+            highest = int(min(round(HARMONICS * fastest), (self.cells.count - 1) // 4))
+        harmonics = np.arange(highest + 1)
+        added = 2 / len(t) * np.exp(-1j * self.base * np.outer(harmonics, t)) @ q
+        added[0] = added[0].real / 2
+        series = np.zeros((max(len(added), len(self.series)), q.shape[1]), dtype=complex)
+        series[: len(self.series)] = self.series
+        series[: len(added)] += added
+        series[np.abs(series) < NEGLIGIBLE * np.abs(series).max()] = 0
+        return replace(self, series=series)
+
+
+def _rows(series: Array, base: float) -> tuple[Array, Array, Array]:
+    """Return amplitude, frequency and phase (k, n) of the sines of a series; at least one."""
+    harmonics = np.append(np.flatnonzero(np.any(series[1:], axis=1)) + 1, [] if np.any(series[1:]) else 0).astype(int)
+    terms = np.where(harmonics[:, None] > 0, series[harmonics], 0)
+    frequency = base * harmonics[:, None] + np.zeros(terms.shape)
+    return np.abs(terms), frequency, np.angle(terms) + np.pi / 2
 
 
 class DeviationModel:
@@ -72,7 +153,7 @@ class DeviationModel:
     def defect(self) -> ca.Function:
         """(path, jets, c) -> defect e_c of the law (n,) [N m], and the rate of B_m u_c (n,) [N m/s]."""
         torque = self._centre.torque
-        e = self._law(ca.DM.zeros(4 * self.n)) - ca.DM(np.linalg.inv(self.robot.B_m)) @ torque
+        e = self._answer(ca.DM.zeros(4 * self.n))[0] - ca.DM(np.linalg.inv(self.robot.B_m)) @ torque
         return self._function("defect", "path jets c", e, self._rate(torque))
 
     @cached_property
@@ -104,8 +185,7 @@ class DeviationModel:
     @cached_property
     def law_slope(self) -> ca.Function:
         """(path, jets, z, c) -> du/dz (n, 4n) of the law."""
-        slope = ca.jacobian(self._law(self._z), self._z)
-        return self._function("law_slope", "path jets z c", slope)
+        return self._function("law_slope", "path jets z c", ca.jacobian(self._answer(self._z)[0], self._z))
 
     @cached_property
     def has_storage(self) -> bool:
@@ -125,16 +205,11 @@ class DeviationModel:
         _, V = self._answer(self._z)
         return self._function("storage_slope", "path jets z c", V, ca.gradient(V, self._z))
 
-    def _law(self, z: ca.SX) -> ca.SX:
-        """Return the effort (n,) of the law at the deviation z."""
-        return self._answer(z)[0]
-
     def _answer(self, z: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the effort (n,) of the law and its storage V at the deviation z."""
         q_l, zeta, dq_l, dq_m = self._moving(z)
         position, velocity = ca.vertcat(q_l, q_l + zeta), ca.vertcat(dq_l, dq_m)
-        gains = ca.DM(self.law.gain_values)
-        u, V = self.law.measured_expression(position, velocity, self._jets[:, :JETS], gains)
+        u, V = self.law.measured_expression(position, velocity, self._jets[:, :JETS], ca.DM(self.law.gain_values))
         return u, V
 
     def _moving(self, z: ca.SX) -> list[ca.SX]:
@@ -171,5 +246,5 @@ class DeviationModel:
         """Return a function of the named arguments, with dense results."""
         names = arguments.split()
         dense = [ca.densify(ca.SX(result)) for result in results]
-        outputs = [f"result{i}" for i in range(len(dense))]
-        return ca.Function(name, [getattr(self, f"_{each}") for each in names], dense, names, outputs, {"cse": True})
+        given, outputs = [getattr(self, f"_{key}") for key in names], [f"result{i}" for i in range(len(dense))]
+        return ca.Function(name, given, dense, names, outputs, {"cse": True})

@@ -24,7 +24,7 @@ from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.one_sample_map import held_maps
 
-from .reference_cells import Cells
+from .cells import Cells
 
 ROUNDING = 1 + 1e-9
 """Factor that covers the rounding of products and sums: less than 1e5 operations of relative error 2^-53 each."""
@@ -67,8 +67,8 @@ def peak_gains(models: CellModels, cells: Cells, T: float, blocks: int, finals: 
         return sums, np.abs(X)
 
     with ThreadPoolExecutor(cpu_count()) as pool:
-        found = reduce(lambda a, b: (np.maximum(a[0], b[0]), np.maximum(a[1], b[1])), pool.map(of_chain, finals))
-    rest, gains = found[1], np.hstack(found)
+        largest = reduce(lambda a, b: (np.maximum(a[0], b[0]), np.maximum(a[1], b[1])), pool.map(of_chain, finals))
+    rest, gains = largest[1], np.hstack(largest)
     if not np.all(np.isfinite(gains)) or np.abs(np.linalg.eigvals(rest[:S])).max() >= 1:
         return np.full_like(gains, np.inf)
     states = np.linalg.solve(np.eye(S) - rest[:S], gains[:S])
@@ -104,13 +104,10 @@ class _Chain:
 def _chained(models: CellModels, samples: int) -> tuple[Array, Array, Array]:
     """Return the loop over a cell, its inputs at each of its samples side by side, and their curvature."""
     inputs = np.concatenate([models.torque_early, models.torque_late, models.effort], axis=2)
-    parts, bent, power = (
-        [],
-        np.zeros_like(models.curvature),
-        np.broadcast_to(np.eye(models.loop.shape[1]), models.loop.shape),
-    )
+    beside, bent = [], np.zeros_like(models.curvature)
+    power = np.broadcast_to(np.eye(models.loop.shape[1]), models.loop.shape)
     for _ in range(samples):
-        parts.append(power @ inputs)
+        beside.append(power @ inputs)
         bent = bent + np.abs(power) @ models.curvature
         power = power @ models.loop
-    return power, np.concatenate(parts, axis=2), bent
+    return power, np.concatenate(beside, axis=2), bent

@@ -1,31 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Divide a box of factors into parts, each of which has a tube that the deviations do not leave."""
+"""Bound the tracking error of a sampled loop along a reference, for model errors, hold and delay (docs/method.md).
+
+The box of the robot's factors is divided until each part has an invariant tube about its own steady motion; the bound
+is the largest of the parts. With sines as the reference every constant is enclosed by Taylor models, and the bound is
+proven. Otherwise the ranges are those of random points of the same boxes: sampled.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fjr_core.errors import StateError
+from fjr_core.errors import ParameterError, StateError
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import one_line
+from fjr_core.stability.sampled_loop import checked_times
 
 from ..verification.taylor_models import taylor_function
-from .centre_motion import CentreMotion
-from .deviation_model import DeviationModel
-from .part import Part
+from .cells import Cells, cells_of
+from .deviation_model import FACTORS, CentreMotion, DeviationModel
+from .enclosures import Ranges
+from .linear_loop import LinearLoop, linear_loop
 from .peak_gains import peak_gains
-from .ranges import Ranges
-from .reference_cells import Cells, cells_of
-from .sampled_deviation import LinearCells, linear_cells
-from .steady_motion import spectral_radius, steady_motion
-from .tube_problem import TubeProblem
+from .tube import TubeProblem, steady_motion
 
+TORQUES = ("link_torque", "motor_torque")
+"""Names of errors in N m; the others, FACTORS, are relative."""
+SECONDS_TO_PROVE = 2  # joints
+LARGEST = 0.9  # relative error of a factor
+NARROWEST = 0.002  # width of a factor that is not divided
 MOST_PARTS = 128
 HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
 TIGHT = 1.1  # ratio of a bound to that of the known response, below which a part is not divided
@@ -37,6 +48,148 @@ COARSE = 100  # cells on which centre motions are found
 
 Progress = Callable[[float], None]
 """Called with the share of the parts found so far that have a tube, 0 to 1; falls when a part is divided."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBound:
+    """Bound of the deviations from the reference for all model errors up to `errors`.
+
+    position, velocity (n,) [rad, rad/s]: ultimate bounds of |q_l - q_ld| and |dq_l - dq_ld| in steady motion; infinite
+    if no invariant tube was found. from_start (n,) [rad]: bound of the positions at all times for a robot that starts
+    on the reference, and then ends within `position`; infinite unless proven. errors: relative errors of FACTORS, and
+    TORQUES in N m. storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
+    of the box of factors. proven: every constant is verified; otherwise the bound rests on sampled constants.
+    """
+
+    position: Array
+    velocity: Array
+    from_start: Array
+    storage: float
+    errors: Mapping[str, float]
+    sample_period: float
+    delay: float
+    parts: int
+    proven: bool
+
+    __repr__ = one_line
+
+    @property
+    def found(self) -> bool:
+        """True if the bound is finite."""
+        return bool(np.all(np.isfinite(self.position)))
+
+
+def bound_errors(
+    law: StaticLaw,
+    reference: Reference,
+    sample_period: float,
+    delay: float = 0.0,
+    errors: Mapping[str, float] = {},
+    progress: Progress = lambda share: None,
+    prove: bool | None = None,
+) -> ErrorBound:
+    """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
+
+    delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
+    factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
+    TORQUES [N m] that act at any joint with any time course. progress: see `Progress`. prove: whether a proof is
+    tried; None: where it takes seconds, with up to SECONDS_TO_PROVE joints or without an error of a factor.
+    Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
+    a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
+    CompilerError without a C compiler.
+    """
+    checked_times(sample_period, delay)
+    for name, value in errors.items():
+        if name not in (*FACTORS, *TORQUES):
+            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join((*FACTORS, *TORQUES))}")
+        limit = LARGEST if name in FACTORS else np.inf
+        if not 0 <= value <= limit or not np.isfinite(value):
+            raise ParameterError(f"error '{name}' is {value}; expected 0 to {limit}")
+    n, half = law.robot.n, np.array([errors.get(name, 0.0) for name in FACTORS])
+    disturbing = np.repeat([errors.get(name, 0.0) for name in TORQUES], n)
+    search = Search(law, reference, sample_period, delay, disturbing, verified=True)
+    if prove is None:
+        prove = n <= SECONDS_TO_PROVE or not np.any(half)
+    boxes = search.boxes(1 - half, 1 + half, progress) if prove and search.applies else []
+    proven = bool(boxes) and all(box.has_tube for box in boxes)
+    if not proven:
+        search = Search(law, reference, sample_period, delay, disturbing, verified=False)
+        boxes = search.boxes(1 - half, 1 + half, progress)
+    ultimate = np.max([box.ultimate for box in boxes], axis=0)
+    start = np.max([box.from_start for box in boxes], axis=0)
+    storage = float(np.max([box.storage for box in boxes]))
+    given = dict(errors), sample_period, delay
+    return ErrorBound(ultimate[:n], ultimate[n:], start[:n], storage, *given, len(boxes), proven)
+
+
+@dataclass(frozen=True, eq=False)
+class FactorBox:
+    """Part of the box of factors, low to high (7,), with its centre motion and the tube about it.
+
+    centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effect:
+    deviation of a position [rad] by each uncertain factor. first_order, ultimate, from_start (2n,): bounds of |q_l -
+    q_ld| and |dq_l - dq_ld|: by the known response to the factors alone; in the steady state; at all times for a
+    robot that starts on the reference. The latter two are infinite without a tube. storage: largest V [J] in the
+    steady state; nan if the law has none. share: width of parts of this one that have a tube, relative to it.
+    """
+
+    low: Array
+    high: Array
+    centre: CentreMotion
+    effect: Array
+    first_order: Array
+    ultimate: Array
+    from_start: Array
+    storage: float = np.inf
+    share: float = 0.5
+
+    @property
+    def has_tube(self) -> bool:
+        """True if the part has a tube."""
+        return bool(np.all(np.isfinite(self.ultimate)))
+
+    @property
+    def size(self) -> float:
+        """Largest bound of a position; infinite without a tube."""
+        return float(np.max(np.split(self.ultimate, 2)[0]))
+
+    @property
+    def excess(self) -> float:
+        """Ratio of the bound of the positions to that to first order in the factors; infinite without a tube."""
+        bound, least = (np.split(bounds, 2)[0] for bounds in (self.ultimate, self.first_order))
+        return float(np.max(bound / np.maximum(least, 1e-12)))
+
+    @property
+    def narrow(self) -> bool:
+        """True if no factor can be divided."""
+        return bool(np.all(self.high - self.low <= NARROWEST))
+
+    def volume(self, low: Array, high: Array) -> float:
+        """Return the share of this part in the volume of a box of factors."""
+        width = high - low
+        return float(np.prod(np.divide(self.high - self.low, width, out=np.ones_like(width), where=width > 0)))
+
+    def counts(self) -> NDArray[np.intp]:
+        """Return into how many (7,) the factors are divided, so that their effect is at most `share` of that here.
+
+        The factor with the largest effect in a box is divided first; without any effect the widest factor is halved.
+        """
+        width = self.high - self.low
+        effect, count = np.zeros_like(width), np.ones(len(width), dtype=np.intp)
+        effect[width > 0] = self.effect
+        while np.sum(effect / count) > self.share * np.sum(effect) and np.any(width / count > NARROWEST):
+            count[np.argmax(np.where(width / count > NARROWEST, effect / count, -1.0))] += 1
+        if np.all(count == 1):
+            count[np.argmax(width)] = 2
+        return count
+
+    def divided(self, counts: NDArray[np.intp]) -> list[tuple[Array, Array]]:
+        """Return boxes of equal size, of which `counts` (7,) are beside each other for each factor."""
+        width = (self.high - self.low) / counts
+        places = map(np.array, product(*(range(count) for count in counts)))
+        return [
+            (self.low + width * i, np.where(i + 1 == counts, self.high, self.low + width * (i + 1))) for i in places
+        ]
 
 
 class Search:
@@ -57,71 +210,68 @@ class Search:
         """
         if not self.cells.verifiable:
             return False
-        model = self.model
         try:
-            for function in (model.law_slope, model.defect):
+            for function in (self.model.law_slope, self.model.defect):
                 taylor_function(function)
         except StateError:
             return False
         return True
 
-    def parts(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[Part]:
+    def boxes(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[FactorBox]:
         """Divide the box until each part has a tube, then the part with the largest bound until it is tight.
 
         The division ends, with a part that has no tube, where a part is narrow or the parts are, or will be, too many.
         """
         waiting: list[tuple[Array, Array, CentreMotion | None]] = [(low, high, None)]
-        parts: list[Part] = []
+        boxes: list[FactorBox] = []
         while waiting:
-            part = self._part(*waiting.pop())
-            if part.found:
-                parts.append(part)
-                progress(len(parts) / (len(parts) + len(waiting)))
+            box = self._solved(*waiting.pop())
+            if box.has_tube:
+                boxes.append(box)
+                progress(len(boxes) / (len(boxes) + len(waiting)))
                 continue
-            counts = part.counts()
-            boxes = np.prod(counts, dtype=float)
-            if part.narrow or len(waiting) + len(parts) + boxes > MOST_PARTS or boxes > HOPELESS * part.of(low, high):
-                return [part]
-            waiting += [(*ends, part.centre) for ends in part.divided(counts)]
-        return self._tightened(parts)
-
-    def _tightened(self, parts: list[Part]) -> list[Part]:
-        while len(parts) < MOST_PARTS:
-            worst = max(parts, key=lambda part: part.size)
+            counts = box.counts()
+            parts = np.prod(counts, dtype=float)
+            many = len(waiting) + len(boxes) + parts > MOST_PARTS or parts > HOPELESS * box.volume(low, high)
+            if box.narrow or many:
+                return [box]
+            waiting += [(*ends, box.centre) for ends in box.divided(counts)]
+        while len(boxes) < MOST_PARTS:
+            worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
-            halves = [self._part(*ends, worst.centre) for ends in worst.divided(worst.counts())]
+            halves = [self._solved(*ends, worst.centre) for ends in worst.divided(worst.counts())]
             if max(half.size for half in halves) > WORTH * worst.size:
                 break
-            parts = [part for part in parts if part is not worst] + halves
-        return parts
+            boxes = [box for box in boxes if box is not worst] + halves
+        return boxes
 
-    def _part(self, low: Array, high: Array, start: CentreMotion | None) -> Part:
+    def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
         """Return the part of the box between the factors low and high (7,), with its invariant tube if there is one."""
         n, middle = self.model.n, (low + high) / 2
-        centre = steady_motion(self.model, self.coarse, middle, self.delay, start).about(self.cells, middle)
-        linear, none = linear_cells(self.model, centre, self.delay), np.full(2 * n, np.inf)
-        part = Part(low, high, centre, np.ones(np.count_nonzero(high > low)), none, none, none)
+        coarse = steady_motion(self.model, self._coarse, middle, self.delay, start)
+        centre = replace(coarse, cells=self.cells)
+        linear, none = linear_loop(self.model, centre, self.delay), np.full(2 * n, np.inf)
+        box = FactorBox(low, high, centre, np.ones(np.count_nonzero(high > low)), none, none, none)
         blocks = self._blocks(linear)
         if blocks is None:
-            return part
+            return box
         gains = peak_gains(linear.models, self.cells, self.T, blocks, self._finals)
         if not np.all(np.isfinite(gains)):
-            return part
-        ranges = Ranges(self.model, centre, low, high, blocks, self.delay)
+            return box
         try:
-            return _solved(part, TubeProblem(linear, gains, ranges, self.disturbing))
+            return _with_bounds(box, TubeProblem(Ranges(linear, low, high, blocks), gains, self.disturbing))
         except ZeroDivisionError:  # a divisor may be zero: the part is too wide
-            return part
+            return box
 
     @cached_property
-    def coarse(self) -> Cells:
+    def _coarse(self) -> Cells:
         """Cells on which centre motions are found."""
         return cells_of(self.cells.reference, self.T, self.cells.verified, COARSE)
 
-    def _blocks(self, linear: LinearCells) -> int | None:
+    def _blocks(self, linear: LinearLoop) -> int | None:
         """Return the number of cells after which a deviation has decayed to REMAINS; None for an unstable loop."""
-        radius = spectral_radius(linear.at(self._finals))
+        radius = linear.at(self._finals).spectral_radius
         if not radius < 1:
             return None
         samples = np.log(REMAINS) / np.log(radius) if radius > 0 else 1.0
@@ -133,18 +283,18 @@ class Search:
         return np.unique(np.linspace(0, self.cells.count - 1, count).round().astype(int))
 
 
-def _solved(part: Part, problem: TubeProblem) -> Part:
+def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
     """Return the part with the bounds of its problem."""
 
     def bound(z: Array) -> Array:
         q, _, dq, _ = np.split(z, 4)
-        return np.asarray(part.centre.largest + np.concatenate([q, dq]))
+        return np.asarray(box.centre.largest + np.concatenate([q, dq]))
 
-    part = replace(part, effect=problem.effect, first_order=bound(problem.in_joints()))
+    box = replace(box, effect=problem.effect, first_order=bound(problem.in_joints()))
     if problem.tube is None:
-        return replace(part, share=problem.share)
+        return replace(box, share=problem.share)
     storage = problem.ranges.storage(problem.as_tube(problem.tube))
-    part = replace(part, ultimate=bound(problem.in_joints(problem.tube)), storage=storage)
+    box = replace(box, ultimate=bound(problem.in_joints(problem.tube)), storage=storage)
     if problem.from_start is None:
-        return part
-    return replace(part, from_start=bound(problem.as_tube(problem.from_start).box))
+        return box
+    return replace(box, from_start=bound(problem.as_tube(problem.from_start).box))

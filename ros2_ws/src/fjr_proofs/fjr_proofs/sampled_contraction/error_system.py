@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop under a held effort, in error coordinates, with its first and second derivatives.
+"""The closed loop under a held effort, in error coordinates, with its derivatives and its solutions during one sample.
 
     d qt_l = s_l - phi_l(qt_l)
     M_l ds_l = -(C_l + D_l + K_ld) s_l - Pi_l qt_l + K qt_m
@@ -21,19 +21,24 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.errors import TrajectoryError
 from fjr_core.law.gains import terms
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.motions.reference import JETS
+from fjr_core.motions.reference import JETS, Reference
+from fjr_core.motions.sine import Sines, common_period
+from fjr_core.numerics.checks import Array, kind_of
 from fjr_core.numerics.intervals import Interval
 from fjr_core.numerics.symbolic import solve
 
-from ..verification.interval_function import IntervalFunction
+from ..verification.interval_matrices import ABOVE
+from ..verification.taylor_models import TaylorFunction
 
 DERIVATIVES = JETS + 2
 """Values and derivatives of the reference: the time derivative of the Jacobian of du/dt needs the sixth."""
-
-
-Places = NDArray[np.int_]
+STEPS = 4
+"""Steps of a sample, each with a box that no solution leaves."""
+TRIALS = 12
+"""Attempts to find such a box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +58,14 @@ class ErrorSystem:
         return ca.SX.sym("chi", 5 * self.n), ca.SX.sym("jets", self.n, DERIVATIVES)
 
     @cached_property
-    def field(self) -> ca.Function:
-        """The CasADi function (chi, jets) -> d chi/dt."""
-        return ca.Function("field", list(self.symbols), [self._field], {"cse": True})
+    def field(self) -> TaylorFunction:
+        """The function (chi, jets) -> d chi/dt, enclosed."""
+        return TaylorFunction(ca.Function("field", list(self.symbols), [self._field], {"cse": True}))
 
     @cached_property
     def state(self) -> ca.Function:
-        """The CasADi function (chi, jets) -> position and velocity (2n,) each, u (n,), M_l (n, n)."""
-        position, velocity, u = self._measured
-        M_l = self.law.robot.links.M_l(position[: self.n])
-        return ca.Function("state", list(self.symbols), [position, velocity, u, M_l], {"cse": True})
+        """The CasADi function (chi, jets) -> position and velocity (2n,) of a state with these errors."""
+        return ca.Function("state", list(self.symbols), list(self._measured[:2]), {"cse": True})
 
     @cached_property
     def pattern(self) -> tuple[list[int], list[int]]:
@@ -71,20 +74,20 @@ class ErrorSystem:
         return list(rows), list(columns)
 
     @cached_property
-    def jacobian(self) -> IntervalFunction:
+    def jacobian(self) -> TaylorFunction:
         """Entries of D = d(d chi/dt)/d chi in the pattern, on intervals."""
         entries = ca.vertcat(*self._jacobian.nonzeros())
-        return IntervalFunction(ca.Function("jacobian", list(self.symbols), [entries], {"cse": True}))
+        return TaylorFunction(ca.Function("jacobian", list(self.symbols), [entries], {"cse": True}))
 
     def curvature(self, chi: Interval, jets: Interval) -> tuple[Interval, Interval]:
         """Return the derivatives of these entries by chi (5n, entries, k) and by time (entries, k), on k boxes."""
         derivatives, places = self._curvature
-        by_chi, by_time = derivatives(chi, jets)
+        by_chi, by_time = derivatives.on_intervals(chi, jets)
         there = (places >= 0)[:, :, None]
         return Interval(by_chi.mid[places] * there, by_chi.rad[places] * there), by_time
 
     @cached_property
-    def _curvature(self) -> tuple[IntervalFunction, Places]:
+    def _curvature(self) -> tuple[TaylorFunction, NDArray[np.int_]]:
         """Second derivatives of the field by chi_j, chi_k, j <= k, and by time; places (5n, entries): -1 for zeros.
 
         The derivative of the entry (i, j) by chi_k is that of (i, k) by chi_j.
@@ -101,19 +104,14 @@ class ErrorSystem:
             parts.append(ca.jtimes(ca.vertcat(*(entries[at[place]] for place in chosen)), chi, direction))
         by_time = ca.jtimes(ca.vertcat(*entries), ca.vec(jets), ca.vec(self._jet_rates))
         outputs = [ca.densify(ca.vertcat(*parts)), ca.densify(by_time)]
-        return IntervalFunction(ca.Function("curvature", [chi, jets], outputs, {"cse": True})), places
+        return TaylorFunction(ca.Function("curvature", [chi, jets], outputs, {"cse": True})), places
 
     @cached_property
-    def enclosed_field(self) -> IntervalFunction:
-        """The field on intervals."""
-        return IntervalFunction(self.field)
-
-    @cached_property
-    def by_time(self) -> IntervalFunction:
+    def by_time(self) -> TaylorFunction:
         """The partial derivative of the field by time (5n,), on intervals."""
         chi, jets = self.symbols
-        found = ca.densify(ca.jtimes(self._field, ca.vec(jets), ca.vec(self._jet_rates)))
-        return IntervalFunction(ca.Function("by_time", [chi, jets], [found], {"cse": True}))
+        rate = ca.densify(ca.jtimes(self._field, ca.vec(jets), ca.vec(self._jet_rates)))
+        return TaylorFunction(ca.Function("by_time", [chi, jets], [rate], {"cse": True}))
 
     @property
     def _jet_rates(self) -> ca.SX:
@@ -172,3 +170,68 @@ class ErrorSystem:
         minus_v_mr = of_law(position, ca.vertcat(dq_l, zero), jets, gains)[1]
         velocity = ca.vertcat(dq_l, s_m - minus_v_mr)
         return position, velocity, of_law(position, velocity, jets, gains)[2]
+
+
+@dataclass(frozen=True, eq=False)
+class EnclosedFlow:
+    """Solutions during one sample, as deviations from the centre (m, k).
+
+    start: bounds at the start. grown: bounds of the change. box: bounds throughout, infinite without a bound. jets: the
+    reference over the piece and the sample after it.
+    """
+
+    start: Array
+    grown: Array
+    box: Array
+    jets: Interval
+
+    @property
+    def reached(self) -> Array:
+        """Bounds (m, k) at every instant of the sample."""
+        return np.asarray(ABOVE * (self.start + self.grown))
+
+
+def enclosed_flow(system: ErrorSystem, centre: Array, start: Array, jets: Interval, h: float) -> EnclosedFlow:
+    """Return bounds of solutions that start with |chi - c| at most start (s, k), c = centre (m, k), during h [s].
+
+    Rows s .. m of chi, the effort error w without a delay, start at c. w may drop to zero at any time.
+    """
+    first = np.zeros_like(centre)
+    first[: len(start)] = start
+    first[-system.n :] += np.abs(centre[-system.n :])  # w after the change of the effort
+    reached, box = first, first
+    for _ in range(STEPS):
+        box, rates = _step(system, centre, jets, reached, h / STEPS)
+        reached = reached + ABOVE * h / STEPS * rates
+        if not np.isfinite(reached).all():
+            break
+    return EnclosedFlow(first, ABOVE * (reached - first), box, jets)
+
+
+def _step(system: ErrorSystem, centre: Array, jets: Interval, reached: Array, step: float) -> tuple[Array, Array]:
+    """Return bounds of |chi - c| and of the field over a step [s] from |chi - c| <= reached; infinite without."""
+    box = reached
+    for _ in range(TRIALS):
+        rates = system.field.on_intervals(Interval(centre, box), jets)[0].magnitude
+        end = reached + ABOVE * step * rates
+        if np.all(end <= box):
+            return box, rates
+        box = 1.02 * end + 1e-300
+    return np.full_like(box, np.inf), np.full_like(box, np.inf)
+
+
+def period_of(reference: Reference) -> float | None:
+    """Return the period [s] of a sinusoidal reference; None if it is constant.
+
+    Raises TrajectoryError for another reference, and for sines without a common period.
+    """
+    if not isinstance(reference, Sines):
+        raise TrajectoryError(f"reference is {kind_of(reference)}; expected sines, whose derivatives are enclosed")
+    amplitude, frequency, _ = reference.rows
+    moving = frequency[amplitude != 0]
+    if not np.any(moving):
+        return None
+    period = common_period(moving)
+    if period is None:
+        raise TrajectoryError(f"reference has the frequencies {np.unique(moving).tolist()}; expected a common period")
+    return period

@@ -32,14 +32,58 @@ from ..verification.interval_matrices import (
     matmul,
     spectral_norm,
 )
-from .error_system import DERIVATIVES, ErrorSystem
-from .flow import Flow, enclosed_flow
-from .metric import Metric
-from .pieces import Pieces
-from .sine_jets import sine_jets
+from ..verification.taylor_models import NUMBER, TaylorModels
+from .error_system import DERIVATIVES, EnclosedFlow, ErrorSystem, enclosed_flow
 
 CELLS = 4
 """Cells of the delay; in each J lies between its values at the ends, up to a bounded error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Metric:
+    """Norms |W[j] chi| of the pieces j, W (N, s, s), with V close to the inverse of W.
+
+    slack (N,): |X W^-1| <= slack |X V| for every matrix X, as W^-1 = V (W V)^-1.
+    """
+
+    W: Array
+    V: Array
+    slack: Array
+
+    @staticmethod
+    def of(P: Array) -> Metric:
+        """Return the norms (chi' P chi)^(1/2) of positive definite P (N, s, s), up to rounding."""
+        W = np.ascontiguousarray(np.swapaxes(np.linalg.cholesky(P), 1, 2))
+        V = np.linalg.inv(W)
+        error = matmul(Interval.exact(W), Interval.exact(V)) - Interval.exact(np.eye(W.shape[-1]))
+        distance = ABOVE * np.sqrt(np.sum(error.magnitude**2, axis=(1, 2)))
+        return Metric(W, V, np.where(distance < 0.5, ABOVE / (1 - np.minimum(distance, 0.5)), np.inf))
+
+    def at(self, pieces: Indices) -> Metric:
+        """Return the norms of these pieces."""
+        return Metric(self.W[pieces], self.V[pieces], self.slack[pieces])
+
+    def extent(self, radius: float | Array) -> Array:
+        """Return the largest |chi_i| (N, s) in the ball of this radius."""
+        reach = np.sqrt(np.sum(self.V**2, axis=2))
+        return np.asarray(ABOVE * self.slack[:, None] * np.reshape(radius, (-1, 1)) * reach)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Pieces of the reference: piece j holds the samples at times from j h to (j + 1) h.
+
+    index (k,). centre (k, m): centre of the tube. C (k, m, m): Jacobian there at (j + 1) h. rate (k, m): the field.
+    """
+
+    index: Indices
+    centre: Array
+    C: Interval
+    rate: Interval
+
+    def at(self, chosen: Indices) -> Pieces:
+        """Return these of the pieces."""
+        return Pieces(self.index[chosen], self.centre[chosen], self.C[chosen], self.rate[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +110,15 @@ class OneSample:
     def jets(self, index: Indices, spread: float) -> Interval:
         """Return the reference over (j + 1) h +- spread h for the pieces j (k,)."""
         middle = np.asarray(self.h * (index + 1.0), dtype=float)
-        radius = ABOVE * spread * self.h + 1e-15 * middle
-        return sine_jets(self.reference, Interval(middle, radius), DERIVATIVES)
+        radius = float(ABOVE * spread * self.h + 1e-15 * middle.max())
+        models = TaylorModels.sines(self.reference, middle, radius, DERIVATIVES, NUMBER).values
+        return Interval(models[..., 0].T, models[..., 1].T)
 
     def pieces(self, index: Indices, centre: Array) -> Pieces:
         """Return the pieces with centres (k, m)."""
         point, jets = Interval.exact(centre.T), self.jets(index, 0.0)
-        C = self.system.jacobian(point, jets)[0]
-        rate = self.system.enclosed_field(point, jets)[0]
+        C = self.system.jacobian.on_intervals(point, jets)[0]
+        rate = self.system.field.on_intervals(point, jets)[0]
         return Pieces(index, centre, self._dense(C), Interval(rate.mid.T, rate.rad.T))
 
     def on_centre(self, pieces: Pieces) -> tuple[Array, Array]:
@@ -84,7 +129,7 @@ class OneSample:
         drift = exponential_integral(C, self.h).mid @ pieces.rate.mid[:, :, None]
         return np.stack([(whole - part)[:, :s, :s] for part in late], axis=1), drift[:, :s, 0]
 
-    def flow(self, pieces: Pieces, start: Array) -> Flow:
+    def flow(self, pieces: Pieces, start: Array) -> EnclosedFlow:
         """Return bounds of solutions that start with |chi - c| at most start (k, s)."""
         return enclosed_flow(self.system, pieces.centre.T, start.T, self.jets(pieces.index, 1.0), self.h)
 
@@ -98,8 +143,8 @@ class OneSample:
         if not np.isfinite(flow.box).all():
             return np.full(len(C), np.inf)
         box = Interval(pieces.centre.T, flow.box)
-        D = self._dense(self.system.jacobian(box, flow.jets)[0])
-        by_time = self.system.by_time(box, flow.jets)[0].magnitude.T[:, :, None]
+        D = self._dense(self.system.jacobian.on_intervals(box, flow.jets)[0])
+        by_time = self.system.by_time.on_intervals(box, flow.jets)[0].magnitude.T[:, :, None]
         A, R = np.abs(C), (D - Interval.exact(C)).magnitude
         held, column = (self._switch @ np.abs(pieces.centre)[:, :, None]), pieces.rate[:, :, None]
         late = excess(A, R, R, h)
@@ -216,7 +261,7 @@ class OneSample:
     def _scattered(self, entries: Array) -> Array:
         """Return matrices (k, m, m) of the entries (entries, k) of the Jacobian."""
         m = 5 * self.system.n
-        found = np.zeros((entries.shape[-1], m, m))
+        matrices = np.zeros((entries.shape[-1], m, m))
         rows, columns = self.system.pattern
-        found[:, rows, columns] = entries.T
-        return found
+        matrices[:, rows, columns] = entries.T
+        return matrices

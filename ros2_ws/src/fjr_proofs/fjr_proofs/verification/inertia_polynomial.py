@@ -16,7 +16,6 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from fjr_core.model.rigid_arm import Body, z_aligned
-from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import Interval, product, stack
 
 SIZES = {False: 5, True: 3}
@@ -57,8 +56,8 @@ def inertia_polynomial(bodies: Sequence[Body]) -> InertiaPolynomial:
     for j in reversed(range(n)):
         if j < n - 1:
             h, J = _in_parent(chain[j + 1], h, J, mass)
-            own_h, own_J, own_mass = _moments(chain[j])
-            h, J, mass = _plus(h, own_h), _plus(J, own_J), mass + own_mass
+            h_j, J_j, mass_j = _moments(chain[j])
+            h, J, mass = _plus(h, h_j), _plus(J, J_j), mass + mass_j
         for i, entry in _column(chain, j, h, J, mass):
             entries[i, j] = _extended(entry, chain[1 : i + 1])
     return InertiaPolynomial(stack([entries[pair] for pair in pairs(n)]), tuple(body.prismatic for body in chain[1:]))
@@ -82,12 +81,12 @@ def _column(chain: Sequence[Body], j: int, h: Interval, J: Interval, mass: Inter
         force, moment = stack([zero, zero, _constant(mass, zero)]), stack([h[1], -h[0], zero])
     else:
         force, moment = stack([-h[1], h[0], zero]), stack([-J[0, 2], -J[1, 2], J[0, 0] + J[1, 1]])
-    found = []
+    column = []
     for i in reversed(range(j + 1)):
-        found.append((i, (force if chain[i].prismatic else moment)[2]))
+        column.append((i, (force if chain[i].prismatic else moment)[2]))
         if i:
             force, moment = _wrench_in_parent(chain[i], force, moment)
-    return found
+    return column
 
 
 def _wrench_in_parent(body: Body, force: Interval, moment: Interval) -> tuple[Interval, Interval]:
@@ -97,7 +96,8 @@ def _wrench_in_parent(body: Body, force: Interval, moment: Interval) -> tuple[In
         force, moment = _series([force], body), _series([moment, slid], body)
     else:
         force, moment = _turned(force, body), _turned(moment, body)
-    R, cross = Interval.exact(body.rotation), Interval.exact(_skew(np.asarray(body.translation)))
+    x, y, z = np.asarray(body.translation)
+    R, cross = Interval.exact(body.rotation), Interval.exact([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     force = product(R, force)
     return force, product(R, moment) + product(cross, force)
 
@@ -107,8 +107,11 @@ def _in_parent(body: Body, h: Interval, J: Interval, mass: Interval) -> tuple[In
 
     They are polynomials in the joint of the body, too.
     """
-    if body.prismatic:
-        h, J = _slid_moments(h, J, mass, body)
+    if body.prismatic:  # h + m q z, J + q (z h' + h z') + m q^2 z z'
+        zero, m = _zeros(h[0]), _constant(mass, h[0])
+        linear = _symmetric(zero, zero, h[0], zero, h[1], h[2] + h[2])
+        square = _symmetric(zero, zero, zero, zero, zero, m)
+        h, J = _series([h, stack([zero, zero, m])], body), _series([J, linear, square], body)
     else:
         h, J = _turned(h, body), _turned_second_moment(J, body)
     R, r = Interval.exact(body.rotation), Interval.exact(body.translation)
@@ -140,14 +143,6 @@ def _turned_second_moment(J: Interval, body: Body) -> Interval:
     return _series(parts, body)
 
 
-def _slid_moments(h: Interval, J: Interval, mass: Interval, body: Body) -> tuple[Interval, Interval]:
-    """Return the moments after a slide by q along z: h + m q z, J + q (z h' + h z') + m q^2 z z'."""
-    zero, m = _zeros(h[0]), _constant(mass, h[0])
-    linear = _symmetric(zero, zero, h[0], zero, h[1], h[2] + h[2])
-    square = _symmetric(zero, zero, zero, zero, zero, m)
-    return _series([h, stack([zero, zero, m])], body), _series([J, linear, square], body)
-
-
 def _symmetric(xx: Interval, xy: Interval, xz: Interval, yy: Interval, yz: Interval, zz: Interval) -> Interval:
     return stack([stack([xx, xy, xz]), stack([xy, yy, yz]), stack([xz, yz, zz])])
 
@@ -170,12 +165,10 @@ def _constant(value: Interval, like: Interval) -> Interval:
 
 def _plus(polynomials: Interval, constants: Interval) -> Interval:
     """Return polynomials (3, ..) or (3, 3, ..) plus constants (3,) or (3, 3)."""
-    shape = constants.mid.shape
-    flat = polynomials.reshape(*shape, -1)
+    flat = polynomials.reshape(*constants.mid.shape, -1)
     mid, rad = np.zeros_like(flat.mid), np.zeros_like(flat.mid)
     mid[..., 0], rad[..., 0] = constants.mid, constants.rad
-    total = flat + Interval(mid, rad)
-    return total.reshape(*polynomials.mid.shape)
+    return (flat + Interval(mid, rad)).reshape(*polynomials.mid.shape)
 
 
 def _extended(entry: Interval, bodies: Sequence[Body]) -> Interval:
@@ -188,8 +181,3 @@ def _extended(entry: Interval, bodies: Sequence[Body]) -> Interval:
     first = (0,) * len(sizes)
     mid[first], rad[first] = entry.mid.T, entry.rad.T
     return Interval(mid, rad)
-
-
-def _skew(r: Array) -> Array:
-    """Return the matrix of r x."""
-    return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])

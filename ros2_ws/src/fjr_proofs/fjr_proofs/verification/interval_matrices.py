@@ -30,30 +30,30 @@ def matmul(A: Interval, B: Interval) -> Interval:
 
 def exponential(A: Array, t: float) -> Interval:
     """Return exp(A[k] t) for a stack A (k, m, m), t >= 0 [s]; the norms of A t must be below 1 in some scaling."""
-    one = Interval.exact(np.broadcast_to(np.eye(A.shape[-1]), A.shape))
-    X, found = Interval.exact(A) * Interval.exact(t), one
-    for i in range(TERMS, 0, -1):
-        found = matmul(X, found) / Interval.exact(float(i)) + one
-    return Interval(found.mid, UP * (found.rad + remainder(np.abs(A), t)))
+    return _exponential_series(A, t, 0)
 
 
 def exponential_integral(A: Array, t: float) -> Interval:
     """Return the integral of exp(A[k] s) over s from 0 to t [s]; see exponential."""
+    return _exponential_series(A, t, 1) * Interval.exact(t)
+
+
+def _exponential_series(A: Array, t: float, missing: int) -> Interval:
+    """Return the sum of (A t)^i missing! / (i + missing)!, missing = 0 or 1."""
     one = Interval.exact(np.broadcast_to(np.eye(A.shape[-1]), A.shape))
-    X, found = Interval.exact(A) * Interval.exact(t), one
-    for i in range(TERMS + 1, 1, -1):
-        found = matmul(X, found) / Interval.exact(float(i)) + one
-    found = Interval(found.mid, UP * (found.rad + remainder(np.abs(A), t)))
-    return found * Interval.exact(t)
+    X, total = Interval.exact(A) * Interval.exact(t), one
+    for i in range(TERMS + missing, missing, -1):
+        total = matmul(X, total) / Interval.exact(float(i)) + one
+    return Interval(total.mid, UP * (total.rad + remainder(np.abs(A), t)))
 
 
 def growth(A: Array, t: float) -> Array:
     """Return upper bounds (k, m, m) of exp(A t) - I for nonnegative A (k, m, m)."""
-    term = found = A * t
+    term = total = A * t
     for i in range(2, TERMS + 1):
         term = term @ A * (t / i)
-        found = found + term
-    return np.asarray(ABOVE * found + remainder(A, t))
+        total = total + term
+    return np.asarray(ABOVE * total + remainder(A, t))
 
 
 def excess(A: Array, R: Array, first: Array, t: float) -> Array:
@@ -62,21 +62,24 @@ def excess(A: Array, R: Array, first: Array, t: float) -> Array:
     They bound the deviation of a fundamental matrix over t, whose generator differs from a constant by at most R, from
     the exponential; of the part of first order in the deviation only `first` is counted.
     """
-    power, difference, found, factor = A, R, first * t, t
+    power, difference, total, factor = A, R, first * t, t
     for i in range(2, TERMS + 1):
         difference = (A + R) @ difference + R @ power
         power, factor = A @ power, factor * t / i
-        found = found + difference * factor
-    return np.asarray(ABOVE * found + remainder(A + R, t))
+        total = total + difference * factor
+    return np.asarray(ABOVE * total + remainder(A + R, t))
 
 
 def remainder(A: Array, t: float) -> Array:
     """Return upper bounds of the terms of exp(A t) beyond TERMS, for nonnegative A (k, m, m).
 
     With A w <= theta w for a positive vector w, A^i <= theta^i w (1 / w)'. The sum of (theta t)^i / i! beyond TERMS is
-    at most exp(theta t) times its first term.
+    at most exp(theta t) times its first term. w = (I - A / sigma)^-1 1, sigma a little more than twice the spectral
+    radius, so that A w <= sigma w up to rounding.
     """
-    w = _balanced(A)
+    sigma = 1.0 + 2 * np.abs(np.linalg.eigvals(A)).max(axis=1)
+    w = np.linalg.solve(np.eye(A.shape[-1]) - A / sigma[:, None, None], np.ones((*A.shape[:2], 1)))[:, :, 0]
+    w = np.maximum(w, 1.0)
     theta = ABOVE * t * np.max((A @ w[:, :, None])[:, :, 0] / w, axis=1)
     size = theta.copy()
     for i in range(2, TERMS + 2):
@@ -110,13 +113,3 @@ def spectral_norm(Y: Array) -> Array:
 def magnitude_norm(Y: Array) -> Array:
     """Return upper bounds (k,) of the spectral norms of all matrices that are at most Y (k, p, q) in each entry."""
     return np.asarray(ABOVE * np.sqrt(np.max(Y.sum(axis=1), axis=1) * np.max(Y.sum(axis=2), axis=1)))
-
-
-def _balanced(A: Array) -> Array:
-    """Return positive vectors w (k, m) with A w <= sigma w for nonnegative A (k, m, m), up to rounding.
-
-    sigma is a little more than twice the spectral radius, and w = (I - A / sigma)^-1 1.
-    """
-    sigma = 1.0 + 2 * np.abs(np.linalg.eigvals(A)).max(axis=1)
-    w = np.linalg.solve(np.eye(A.shape[-1]) - A / sigma[:, None, None], np.ones((*A.shape[:2], 1)))[:, :, 0]
-    return np.asarray(np.maximum(w, 1.0))

@@ -13,6 +13,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from math import factorial
 from os import cpu_count
 from typing import Any, NamedTuple
 
@@ -21,13 +22,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError, StateError
+from fjr_core.motions.sine import Sines
 from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.intervals import Interval
 
 UP = 1 + 2.0**-43
 """Factor that covers the rounding of a sum of up to 500 terms."""
 ROUNDED = 2.0**-52
 """Relative error of a number that is rounded twice."""
+SINES = 1e-11
+"""Relative error of a sum of sines."""
 OPERATIONS = (
     *(ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV),
     *(ca.OP_SIN, ca.OP_COS, ca.OP_ASSIGN, ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT),
@@ -48,8 +53,8 @@ class Shape(NamedTuple):
         return self.order + self.mixed * self.symbols + 1
 
 
-NUMBER = Shape(0, order=1)
-"""Shape of numbers with a bound of their error."""
+NUMBER = Shape(0, order=1, mixed=1)
+"""Shape of numbers with a bound of their error: intervals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +67,9 @@ class TaylorModels:
     @classmethod
     def exact(cls, numbers: ArrayLike, shape: Shape = NUMBER) -> TaylorModels:
         """Return the numbers (size, k) themselves."""
-        given = np.asarray(numbers, dtype=float).T
-        values = np.zeros((*given.shape, shape.width))
-        values[..., 0] = given
+        middle = np.asarray(numbers, dtype=float).T
+        values = np.zeros((*middle.shape, shape.width))
+        values[..., 0] = middle
         return cls(values, shape)
 
     @classmethod
@@ -84,6 +89,32 @@ class TaylorModels:
             models.values[:, i, shape.order + first + j] = half[i]
             models.values[:, i, -1] = ROUNDED * (np.abs(models.values[:, i, 0]) + half[i])
         return models
+
+    @classmethod
+    def intervals(cls, numbers: Interval) -> TaylorModels:
+        """Return intervals (size, k) as models of the shape NUMBER."""
+        return cls(np.stack([numbers.mid.T, numbers.rad.T], axis=-1), NUMBER)
+
+    @classmethod
+    def sines(cls, reference: Sines, middle: Array, radius: float, derivatives: int, shape: Shape) -> TaylorModels:
+        """Return q, dq, .. (derivatives n, k) of a reference in the time of windows, from -1 at their start to 1.
+
+        middle (k,), radius [s]: of the windows. The rounding of a sum of sines is bounded by SINES times the sum of
+        their amplitudes.
+        """
+        order = shape.order
+        amplitude, frequency, _ = reference.rows
+        largest = [np.abs(amplitude * frequency**i).sum(axis=0) for i in range(derivatives + order)]
+        largest[0] = largest[0] + np.abs(np.asarray(reference.offset))
+        scale = [radius**k / factorial(k) for k in range(order + 1)]
+        jets = [sine_derivative(reference, middle, i) for i in range(derivatives + order - 1)]
+        values = np.zeros((len(middle), derivatives, reference.n, shape.width))
+        for i in range(derivatives):
+            for k in range(order):
+                values[:, i, :, k] = scale[k] * jets[i + k]
+                values[:, i, :, -1] += SINES * scale[k] * largest[i + k]
+            values[:, i, :, -1] += (1 + SINES) * scale[order] * largest[i + order]
+        return cls(values.reshape(len(middle), -1, shape.width), shape)
 
     def minus(self, numbers: Array) -> TaylorModels:
         """Return the models less numbers (size, k)."""
@@ -137,7 +168,7 @@ class TaylorFunction:
 
     def __call__(self, *arguments: TaylorModels) -> list[TaylorModels]:
         """Return models of the results, column-major. Raises ZeroDivisionError if a divisor may be 0."""
-        inputs = np.ascontiguousarray(np.concatenate([each.values for each in arguments], axis=1))
+        inputs = np.ascontiguousarray(np.concatenate([models.values for models in arguments], axis=1))
         boxes, shape = len(inputs), arguments[0].shape
         results = np.empty((boxes, self.outputs, shape.width))
         parts = np.array_split(np.arange(boxes), cpu_count() or 1)
@@ -145,28 +176,38 @@ class TaylorFunction:
             failed = list(pool.map(lambda part: self._evaluate(inputs[part], results, part, shape), parts))
         if any(failed) or not np.all(np.isfinite(results)):
             raise ZeroDivisionError("a Taylor model that may be zero")
-        return [TaylorModels(each, shape) for each in np.split(results, self.ends, axis=1)]
+        return [TaylorModels(values, shape) for values in np.split(results, self.ends, axis=1)]
+
+    def on_intervals(self, *arguments: Interval) -> list[Interval]:
+        """Return intervals (size, k) that contain the results for all arguments in intervals (size, k)."""
+        results = self(*(TaylorModels.intervals(numbers) for numbers in arguments))
+        return [Interval(models.values[..., 0].T, models.values[..., 1].T) for models in results]
 
     def _evaluate(self, inputs: Array, results: Array, part: Any, shape: Shape) -> int:
         if not len(part):
             return 0
         ffi, library = _library(shape)
         memory = np.empty((self.function.sz_w() + 1, inputs.shape[2]))
-        found = results[part[0] : part[-1] + 1]
-        buffers = [ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(inputs), found, memory)]
-        return library.fjr_taylor_evaluate(self._tape(ffi)[0], buffers[0], len(part), *buffers[1:])
-
-    def _tape(self, ffi: Any) -> tuple[Any, Any]:
-        """Return the structure of C, and what it refers to."""
+        arrays = np.ascontiguousarray(inputs), results[part[0] : part[-1] + 1], memory
+        boxes, enclosed, work = (ffi.from_buffer("double[]", array) for array in arrays)
         lists = {"op": self._op, "out": self._out, "left": self._left, "right": self._right}
         fields = {name: ffi.from_buffer("int32_t[]", array) for name, array in lists.items()}
         fields["number"] = ffi.from_buffer("double[]", self._number)
-        values = {**fields, "count": len(self._op), "inputs": self.inputs, "outputs": self.outputs}
-        return ffi.new("struct fjr_tape *", values), values
+        sizes = {"count": len(self._op), "inputs": self.inputs, "outputs": self.outputs}
+        tape = ffi.new("struct fjr_tape *", {**fields, **sizes})
+        return library.fjr_taylor_evaluate(tape, boxes, len(part), enclosed, work)
 
 
 taylor_function = lru_cache(maxsize=16)(TaylorFunction)
 """The TaylorFunction of an SX function, kept."""
+
+
+def sine_derivative(reference: Sines, t: Array, order: int) -> Array:
+    """Return a derivative (k, n) of a sum of sines at times t (k,) [s]."""
+    amplitude, frequency, phase = reference.rows
+    angle = np.multiply.outer(t, frequency) + phase + order * np.pi / 2
+    derivative = (amplitude * frequency**order * np.sin(angle)).sum(axis=-2)
+    return np.asarray(derivative + np.asarray(reference.offset) if order == 0 else derivative)
 
 
 @lru_cache

@@ -28,11 +28,11 @@ from fjr_core.numerics.code_cache import code_folder
 from fjr_core.numerics.jit import program_digest
 from fjr_core.numerics.one_line import at_least
 from fjr_msgs_py.console.progress import heartbeat
-from fjr_proofs.rate.proof_of_rate import proof_of_rate
-from fjr_proofs.rate.rate_certificate import digest, rate_certificate
-from fjr_proofs.verification.inertia_bounds import is_provable
 
-PACKAGE = Path(__file__).parents[1]
+from .rate import digest, proof_of_rate, rate_certificate
+from .verification.inertia_bounds import is_provable
+
+PACKAGE = Path(__file__).parent
 SAMPLES = 512
 DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
 
@@ -104,23 +104,23 @@ def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
     known = cached_rate(scenario)
     if known is not None and known.complete:
         return known
-    found = _prove(scenario, law, seconds)
+    rate = _proven_within(scenario, law, seconds)
     with suppress(OSError):
         name = _name(scenario)
-        code_folder().write(name, json.dumps(_sealed({"inputs": name, **vars(found)})).encode())
-    return found
+        code_folder().write(name, json.dumps(_sealed({"inputs": name, **vars(rate)})).encode())
+    return rate
 
 
-def write_certificate(found: ProvenRate, path: Path) -> None:
+def write_certificate(rate: ProvenRate, path: Path) -> None:
     """Write the certificate. Raises ProofError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(found.certificate) + "\n")
+        write_text(path, json.dumps(rate.certificate) + "\n")
     except OSError as error:
         raise ProofError(f"{path} cannot be written ({error.strerror}); expected a file in a writable folder") from None
 
 
-def _prove(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
+def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
     """Prove the rate; report the number that is proven so far on standard error."""
     robot, state = scenario.robot, {"text": "proving a rate over the joint range"}
     end = time.monotonic() + seconds
@@ -161,26 +161,26 @@ def _is_sealed(content: Any) -> bool:
 
 def _read(content: bytes, name: str, n: int) -> ProvenRate:
     """Return the proof of n joints that a file of this name holds. Raises ValueError if it is another or changed."""
-    found = json.loads(content)
-    if not _is_sealed(found):
+    values = json.loads(content)
+    if not _is_sealed(values):
         raise _DamagedError("changed or damaged")
-    del found["sha256"]
-    if found.pop("inputs", None) != name:
+    del values["sha256"]
+    if values.pop("inputs", None) != name:
         raise _DamagedError("that of another robot or law")
-    if set(found) != {field.name for field in fields(ProvenRate)} or not _has_kinds(found, n):
+    if set(values) != {field.name for field in fields(ProvenRate)} or not _has_kinds(values, n):
         raise _DamagedError("not of the kind that this program writes")
-    return ProvenRate(**found)
+    return ProvenRate(**values)
 
 
-def _has_kinds(found: dict[str, Any], n: int) -> bool:
+def _has_kinds(values: dict[str, Any], n: int) -> bool:
     """Return whether the values of a ProvenRate of n joints are of the right kinds, finite and in their order."""
-    at, rates = found["at"], [found[name] for name in ("beta_paper", "beta", "attained")]
+    at, rates = values["at"], [values[name] for name in ("beta_paper", "beta", "attained")]
     numbers = [*rates, *(at if isinstance(at, list) else [])]
     if len(numbers) != 3 + n or not all(type(value) is float and math.isfinite(value) for value in numbers):
         return False
     ordered = all(0 < low <= high * (1 + 1e-9) for low, high in pairwise(rates))
-    kinds = type(found["boxes"]) is int and type(found["complete"]) is bool
-    return ordered and kinds and _is_sealed(found["certificate"])
+    kinds = type(values["boxes"]) is int and type(values["complete"]) is bool
+    return ordered and kinds and _is_sealed(values["certificate"])
 
 
 def _name(scenario: Scenario) -> str:

@@ -1,27 +1,63 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the proof of a rate as numbers and lists that another program can check (docs/proof.md)."""
+"""Prove a convergence rate on a domain of joint positions, and write its certificate (docs/proof.md).
+
+The block of sigma_l has the rate beta if D_l + K_ld - beta M_l(q_l) >= 0 for every q_l of the domain, i.e. for
+M_l(q_l) <= (D_l + K_ld) / beta. The other blocks have closed forms. The certificate is numbers and lists that another
+program can check.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from fjr_core.law.gains import CheckedGains, Gains
+from fjr_core.law.rate import Rate, rate_with
 from fjr_core.model.robot import Robot
+from fjr_core.motions.domain import GOAL, MOST_BOXES, Domain, joint_range
 from fjr_core.numerics.checks import Array
 
-from ..verification.branch_and_bound import Part
-from .proof_of_rate import RateProof
+from .verification.inertia_bounds import ProofBox, ProvableArm, RelativeInertia, Watch, unwatched
 
 FORMAT = "rate certificate 1"
 MARGIN = 1e-5
 """Relative distance of the rate in a certificate from the proven one; it gives other bounds room for rounding."""
 LEAF = 0
+SHARE = 40
+"""The largest inertia, for eq. (50) only, takes at most 1 / SHARE of the boxes."""
+
+
+@dataclass(frozen=True, eq=False)
+class RateProof:
+    """A proven rate, its domain, and the bound M_l(q_l) <= inertia.bound (D_l + K_ld) with its boxes."""
+
+    rate: Rate
+    domain: Domain
+    inertia: RelativeInertia
+
+
+def proof_of_rate(
+    robot: Robot,
+    gains: CheckedGains,
+    domain: Domain | None = None,
+    goal: float = GOAL,
+    most_boxes: int = MOST_BOXES,
+    samples: Array | tuple[()] = (),
+    watch: Watch = unwatched,
+) -> RateProof:
+    """Return the proven rate of a robot on a domain, by default the joint range; see TrackingLaw.proven_rate.
+
+    samples (k, n) [rad, m]: configurations of small rates, if known. watch: see verification.inertia_bounds.
+    """
+    arm, domain = ProvableArm(robot), domain or joint_range(robot)
+    inertia = arm.largest_inertia(robot.D_l + gains.K_ld, domain, goal, most_boxes, samples, watch)
+    largest = arm.largest_inertia(1.0, domain, goal, 1 + most_boxes // SHARE, samples)
+    return RateProof(rate_with(robot, gains, inertia.bound, inertia.attained, largest.bound), domain, inertia)
 
 
 def rate_certificate(robot: Robot, gains: CheckedGains, proof: RateProof, joints: Sequence[str]) -> dict[str, Any]:
@@ -54,7 +90,7 @@ def rate_certificate(robot: Robot, gains: CheckedGains, proof: RateProof, joints
         "lower": proof.inertia.lower[at].tolist(),
         "upper": proof.inertia.upper[at].tolist(),
         "beta": proof.rate.beta * (1 - MARGIN),
-        "boxes": _preorder(proof.inertia.proof.root),
+        "boxes": _preorder(proof.inertia.root),
     }
     return {**content, "sha256": digest(content)}
 
@@ -64,15 +100,15 @@ def digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def _preorder(root: Part) -> list[Any]:
+def _preorder(root: ProofBox) -> list[Any]:
     """Return the boxes as a tree in preorder: LEAF, or [joint, cut, ..] of a split, followed by its parts.
 
     Joints count from 0 at the base.
     """
-    found: list[Any] = []
+    entries: list[Any] = []
     left = [root]
     while left:
-        part = left.pop()
-        found.append(LEAF if part.axis is None else [part.axis + 1, *part.cuts])
-        left += reversed(part.parts)
-    return found
+        box = left.pop()
+        entries.append(LEAF if box.axis is None else [box.axis + 1, *box.cuts])
+        left += reversed(box.parts)
+    return entries

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `fjr check` says of the sampled loop of a scenario: the bound of its tracking error, and that it contracts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fjr_core.config.scenario import Scenario
+from fjr_core.errors import FjrError, ParameterError
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import at_least, at_most
+from fjr_core.robust.law import Robust, RobustLaw
+from fjr_msgs_py.console.progress import progress_bar
+
+from .error_bound.search import SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
+from .sampled_contraction.proof import SampledContraction, sampled_contraction
+
+PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
+COMMON = {
+    "payload": "link masses and inertias",
+    "link_inertia": "link inertias",
+    "gravity": "link weights",
+    "stiffness": "joint stiffnesses",
+    "motor_inertia": "motor inertias",
+    "link_damping": "link dampings",
+    "motor_damping": "motor dampings",
+}
+"""What one relative error multiplies."""
+
+
+@dataclass(frozen=True)
+class BoundRow:
+    """Bound of the tracking error as a sentence and as plain values."""
+
+    sentence: str
+    values: Mapping[str, Any]
+
+
+def errors_bounded(
+    scenario: Scenario, errors: Mapping[str, float], delay: float | None, prove: bool | None = None
+) -> BoundRow:
+    """Return the bound for model errors and a delay [samples], by default that of the scenario.
+
+    prove: see `bound_errors`. Raises ParameterError for an unknown error, and for a scenario that the bound does not
+    cover.
+    """
+    reasons = {
+        "robust.* is enabled": isinstance(scenario.sampled_law, RobustLaw),
+        "the law is evaluated in Python": scenario.law.in_python,
+        "velocities or motor positions are estimated": not scenario.sensing.plain,
+        "the plant is not the law's model": not scenario.plant_is_the_model,
+    }
+    for reason, given in reasons.items():
+        if given:
+            raise ParameterError(
+                f"{reason}; expected a static law with all states measured for a bound of the tracking error, and the "
+                "difference from the model as an error"
+            )
+    period = scenario.sample_period
+    late = scenario.loop_delay if delay is None else delay * period
+    loop = scenario.law, scenario.reference, period, late, errors
+    with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
+        bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove)
+    tried = prove or scenario.robot.n <= SECONDS_TO_PROVE
+    hint = "no proof was found" if tried else "--prove-error tries a proof"
+    values = {
+        "errors": dict(bound.errors),
+        "delay_samples": bound.delay / bound.sample_period,
+        "position": _by_joint(scenario, bound.position),
+        "from_start": _by_joint(scenario, bound.from_start),
+        "V_J": bound.storage if np.isfinite(bound.storage) else None,
+        "proven": bound.proven,
+        "parts": bound.parts,
+    }
+    return BoundRow(_sentence(scenario, bound, hint), values)
+
+
+def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
+    """Return the bound in words; hint: after those of a bound without a proof."""
+    samples = bound.delay / bound.sample_period
+    delay = f"{samples:.3g} samples of delay" if samples else "no delay"
+    if np.isclose(samples, 1):
+        delay = "one sample of delay"
+    conditions = ", ".join([*(_error(*error) for error in bound.errors.items()), delay])
+    if not bound.found:
+        return f"none found with {conditions}; expected smaller errors"
+    joint = int(np.argmax(bound.position))
+    unit = scenario.robot.units[joint].position
+    basis = "proven" if bound.proven else f"from sampled constants, not proven: {hint}"
+    steady = bound.proven and not np.all(np.isfinite(bound.from_start))
+    when = "in steady motion" if steady else "after the transient"
+    storage = f", V at most {at_most(1e3 * bound.storage)} mJ" if np.isfinite(bound.storage) else ""
+    largest = f"{at_most(1e3 * bound.position[joint])} m{unit} ({scenario.joints[joint]})"
+    return f"|q_l - q_ld| at most {largest}{storage} {when} along this reference, with {conditions}; {basis}"
+
+
+def _error(name: str, size: float) -> str:
+    if name in TORQUES:
+        return f"{name.replace('_', ' ')}s of up to {size:g} N m"
+    return f"all {COMMON[name]} off by one common factor of up to {100 * size:g} %"
+
+
+def _by_joint(scenario: Scenario, sizes: Array) -> dict[str, float | None]:
+    """Return the bounds of each joint; null without a bound."""
+    finite = np.isfinite(sizes).all()
+    return {joint: float(size) if finite else None for joint, size in zip(scenario.joints, sizes, strict=True)}
+
+
+@dataclass(frozen=True)
+class ContractionRows:
+    """The proof that the sampled loop contracts, or why there is none."""
+
+    found: SampledContraction | None
+    reason: str = ""
+    unit: str = "rad"
+
+    @property
+    def rows(self) -> dict[str, str]:
+        """Return the rows of `fjr check`."""
+        if self.found is None:
+            return {"sampled loop": f"NOT proven: {self.reason}"}
+        tube, offset = (1e3 * float(extent.max()) for extent in (self.found.tube, self.found.offset))
+        decay = f"contracts at {at_least(self.found.rate)} 1/s within {at_least(tube)} m{self.unit} of the reference"
+        return {
+            "sampled loop, proven": f"{decay}, {_delays(self.found.least_delay, self.found.longest_delay)}",
+            "    remaining error": f"at most {at_most(offset, 2)} m{self.unit} of a link",
+        }
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Return the numbers as JSON values."""
+        if self.found is None:
+            return {"proven": False, "reason": self.reason}
+        return {
+            "proven": True,
+            "rate": self.found.rate,
+            "tube": self.found.tube.tolist(),
+            "offset": self.found.offset.tolist(),
+            "delay_samples": [self.found.least_delay, self.found.longest_delay],
+            "sample_period_s": self.found.sample_period,
+        }
+
+
+def sampled_proof(scenario: Scenario, delay: float | None) -> ContractionRows:
+    """Prove contraction of the loop of a scenario with all delays up to `delay` samples; None: with its own delay."""
+    robust, sensing, law = getattr(scenario.sampled_law, "robust", Robust()), scenario.sensing, scenario.law
+    kind = scenario.controller_values["law.type"]
+    causes = {
+        f"law.type is {kind}; expected v_dpbc": not isinstance(law, TrackingLaw),
+        "robust.* gives the law a state; expected a law without one": robust.estimates
+        or robust.integrates
+        or robust.predicts,
+        "measurement.* adds an observer or torque sensors; expected measured states": not sensing.plain,
+        "plant and law have different robots; expected equal ones": not scenario.plant_is_the_model,
+    }
+    reason = next((sentence for sentence, applies in causes.items() if applies), "")
+    if reason or not isinstance(law, TrackingLaw):
+        return ContractionRows(None, reason)
+    period = scenario.sample_period
+    constant = scenario.loop_delay / period
+    delays = (constant, constant) if delay is None else (0.0, delay)
+    try:
+        with progress_bar("proving contraction of the sampled loop", PROGRESS, total=1.0, desc="proof") as bar:
+            loop = law, scenario.reference, period, delays
+            found = sampled_contraction(*loop, lambda share: bar.update(share - bar.n))
+    except FjrError as error:
+        return ContractionRows(None, str(error))
+    unit = " or m".join(dict.fromkeys(joint.position for joint in scenario.robot.units))
+    return ContractionRows(found, f"no tube found about the reference, {_delays(*delays)}", unit)
+
+
+def _delays(least: float, longest: float) -> str:
+    """Return delays [samples] in words."""
+    if not longest:
+        return "without delay"
+    return f"delay {'up to' if least < longest else 'of'} {longest:g} sample{'' if longest == 1 else 's'}"

@@ -1,0 +1,330 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sampled loop of the deviation, linear about a centre motion, and its response to what is known of the errors.
+
+What a robot differs from the centre motion in is, to first order, known up to the factors f, which are constant: the
+age of the acting effort, the defect of the law, and the torque errors' derivatives with respect to f. The response to
+each is computed over a period. It is not bounded, so that it keeps its signs and its course in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fjr_core.law.linearized import Indices
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.symbolic import columnwise
+from fjr_core.stability.linear_controller import static
+from fjr_core.stability.one_sample_map import held_maps, map_of_held, split
+
+from .deviation_model import CentreMotion, DeviationModel
+from .peak_gains import ROUNDING, CellModels, curvature
+
+
+class ModalCoordinates:
+    """Coordinates of the deviation in which the joints act on each other less than in their own.
+
+    A bound of each coordinate by itself ignores the signs of the others. In the modes of a mean inertia matrix M_l,
+    which the controller decouples, less is lost than in the joints:
+
+        y = S z,  S = diag(R, R^-T K, R, R),   torques R^-T w,   accelerations R dz_3,   R' R = M_l
+
+    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (2n, 2n) acts on links and motors.
+    """
+
+    def __init__(self, robot: Robot, M_l: Array) -> None:
+        eigenvalues, vectors = np.linalg.eigh(M_l)
+        self.R: Array = np.sqrt(eigenvalues)[:, None] * vectors.T
+        self.acceleration: Array = np.linalg.inv(self.R)
+        self.torque: Array = self.acceleration.T
+        self.torques: Array = block_diag(self.torque, self.torque)
+        self.effort: Array = self.torque @ robot.B_m
+        self.effort_inverse: Array = np.asarray(np.linalg.inv(self.effort), dtype=float)
+        self.S: Array = block_diag(self.R, self.torque @ robot.K, self.R, self.R)
+        self.S_inverse: Array = np.linalg.inv(self.S)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLoop:
+    """Linear model of the deviation in each of c cells about a centre motion, for a delay [s].
+
+    M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation of
+    the effort. F (c, n, 4n): v = F z at the sample. The properties are in `coordinates`: y for z, and likewise for
+    torques and efforts.
+    """
+
+    model: DeviationModel
+    centre: CentreMotion
+    delay: float
+    coordinates: ModalCoordinates
+    M: Array
+    H: Array
+    G: Array
+    B: Array
+    F: Array
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.model.n
+
+    @property
+    def sample_period(self) -> float:
+        """Sample period T [s]."""
+        return self.centre.cells.sample_period
+
+    @property
+    def between(self) -> float:
+        """Time [s] from the nearest sample that bounds cover: T / 2, or 0 for bounds at the samples."""
+        return self.sample_period / 2 if self.centre.cells.verified else 0.0
+
+    def at(self, cells: Indices) -> LinearLoop:
+        """Return the models of the selected cells."""
+        return replace(self, M=self.M[cells], H=self.H[cells], F=self.F[cells])
+
+    def shifted(self, cells: int) -> LinearLoop:
+        """Return the models of the cells a number of cells before."""
+        return self.at(np.roll(np.arange(len(self.M)), cells))
+
+    @cached_property
+    def A(self) -> Array:
+        """Matrices (c, 4n, 4n) of dy/dt = A y + .."""
+        n, one, S = self.n, np.eye(self.n), self.coordinates
+        A = np.zeros((len(self.M), 4 * n, 4 * n))
+        A[:, :n, 2 * n : 3 * n] = one
+        A[:, n : 2 * n, 2 * n :] = np.hstack([-one, one])
+        A[:, 2 * n : 3 * n] = np.linalg.solve(self.M, self.H)
+        A[:, 3 * n :] = np.linalg.solve(self.model.robot.M_m, self.G)
+        return np.asarray(S.S @ A @ S.S_inverse)
+
+    @cached_property
+    def law(self) -> Array:
+        """Slopes (c, n, 4n) of the effort of the law."""
+        return np.asarray(self.coordinates.effort @ self.F @ self.coordinates.S_inverse)
+
+    @cached_property
+    def inputs(self) -> tuple[Array, Array]:
+        """Inputs of the effort (c, 4n, n), and of the torques d_l, d_m and link accelerations (c, 4n, 3n)."""
+        n, c, S = self.n, len(self.M), self.coordinates
+        by_effort, by_torque = np.zeros((c, 4 * n, n)), np.zeros((c, 4 * n, 3 * n))
+        M_m_inverse = np.linalg.inv(self.model.robot.M_m)
+        by_effort[:, 3 * n :] = M_m_inverse @ self.B
+        by_torque[:, 2 * n : 3 * n, :n], by_torque[:, 3 * n :, n : 2 * n] = np.linalg.inv(self.M), M_m_inverse
+        by_torque[:, 2 * n : 3 * n, 2 * n :] = np.eye(n)
+        to_torques = block_diag(np.linalg.inv(S.torques), S.acceleration)
+        return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ to_torques
+
+    @cached_property
+    def jumps(self) -> tuple[Array, Array]:
+        """Largest changes (4n, 4n) and (n, 4n) of `A` and `law` from a cell to the next; zero unless aligned."""
+        if not self.centre.cells.aligned:
+            return np.zeros((4 * self.n, 4 * self.n)), np.zeros((self.n, 4 * self.n))
+        slope, law = (np.abs(np.roll(X, -1, axis=0) - X).max(axis=0) for X in (self.A, self.law))
+        return slope, law
+
+    @cached_property
+    def growth(self) -> Array:
+        """Matrix (4n, 4n) from bounds of dy/dt at the nearest sample to bounds r between samples; inf: there are none.
+
+        r = rate + between |A| r, |A| elementwise and the largest of all cells.
+        """
+        grown = self.between * np.abs(self.A).max(axis=0)
+        if np.abs(np.linalg.eigvals(grown)).max() >= 1:
+            return np.full_like(grown, np.inf)
+        return np.asarray(ROUNDING * np.linalg.inv(np.eye(len(grown)) - grown))
+
+    @property
+    def spectral_radius(self) -> float:
+        """Largest spectral radius of the sampled loops of the cells."""
+        return float(np.abs(np.linalg.eigvals(self.models.loop)).max())
+
+    @cached_property
+    def models(self) -> CellModels:
+        """The sampled loop of each cell; outputs: accelerations M^-1 H z (n,) of the links, efforts F z (n,)."""
+        n, T = self.n, self.sample_period
+        by_effort, by_torque = self.inputs
+        whole, fraction = split(self.delay, T)
+        Phi, Gamma = held_maps(self.A, by_effort, (1 - fraction) * T)
+        held = {whole: Gamma}
+        if fraction:
+            first, Gamma_late = held_maps(self.A, by_effort, fraction * T)
+            held[whole + 1] = Phi @ Gamma_late
+            Phi = Phi @ first
+        loop = map_of_held(Phi, held, static(self.law))
+        c, S = loop.shape[:2]
+
+        def padded(rows: Array) -> Array:
+            return np.concatenate([rows, np.zeros((c, S - 4 * n, rows.shape[2]))], axis=1)
+
+        effort = padded(held.get(0, np.zeros((c, 4 * n, n))))
+        effort[:, 4 * n : 5 * n] = np.eye(n)[: S - 4 * n]
+        outputs = np.zeros((c, 2 * n, S))
+        outputs[:, :n, : 4 * n], outputs[:, n:, : 4 * n] = self.A[:, 2 * n : 3 * n], self.law
+        bend = curvature(self.A, by_torque, T) if self.between else np.zeros_like(by_torque)
+        return CellModels(
+            loop,
+            torque_late=padded(by_torque),
+            torque_early=padded(Phi @ by_torque),
+            curvature=padded(bend),
+            effort=effort,
+            outputs=outputs,
+        )
+
+    def forced(self, torque: Array, aging: Array) -> Array:
+        """Return the integral of exp(A (T - s)) E (torque + aging age(s)) over a sample (c, 4n, k).
+
+        torque (c, 2n, k); aging (c, 2n) belongs to the first column. The effort that acts after s is s + whole T old,
+        and T older while s < fraction T.
+        """
+        T, (whole, fraction), E = self.sample_period, split(self.delay, self.sample_period), self.inputs[1]
+        force, slope = E[:, :, : 2 * self.n] @ torque, E[:, :, : 2 * self.n] @ aging[:, :, None]
+        force[:, :, :1] += whole * T * slope
+        c, N, k = force.shape
+        ramp, inputs = np.zeros((c, N + 1, N + 1)), np.zeros((c, N + 1, k + 1))
+        ramp[:, :N, :N], ramp[:, :N, N:], inputs[:, :N, :k], inputs[:, N, k] = self.A, slope, force, 1.0
+        integral = held_maps(ramp, inputs, T)[1][:, :N]
+        integral[:, :, 0] += integral[:, :, k]
+        if fraction:
+            older = held_maps(self.A, slope, fraction * T)[1]
+            integral[:, :, :1] += T * held_maps(self.A, slope, (1 - fraction) * T)[0] @ older
+        return np.asarray(integral[:, :, :k])
+
+
+def linear_loop(model: DeviationModel, centre: CentreMotion, delay: float) -> LinearLoop:
+    """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors."""
+    n, cells, c = model.n, centre.cells, centre.factors
+    zero, factors = np.zeros((4 * n, cells.count)), np.tile(c[:, None], cells.count)
+    H, M = columnwise(model.link_slope, centre.path.columns(cells.middle), zero, factors, factors)
+    G, B = (matrix.full() for matrix in model.motor_slope(c))
+    path, jets = centre.path.columns(cells.sampled), cells.columns(cells.sampled)
+    (F,) = columnwise(model.law_slope, path, jets, zero, factors)
+    inertia, slopes, law = (X.T.reshape(cells.count, -1, n).swapaxes(1, 2).copy() for X in (M, H, F))
+    coordinates = ModalCoordinates(model.robot, inertia.mean(axis=0))
+    return LinearLoop(model, centre, delay, coordinates, inertia, slopes, G, B, law)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownErrors:
+    """Known errors of torques and efforts in each of c cells: the first of k columns, and the others times -1 to 1.
+
+    torque (c, 2n, k) [N m], effort (c, n, k) [N m]; aging (c, 2n) [N m/s] times the age of the acting effort in the
+    first column.
+    """
+
+    torque: Array
+    aging: Array
+    effort: Array
+
+    def extended(self, other: KnownErrors) -> KnownErrors:
+        """Return the errors with the further columns of others, whose first is zero."""
+        torque = np.concatenate([self.torque, other.torque[:, :, 1:]], axis=2)
+        return KnownErrors(torque, self.aging, np.concatenate([self.effort, other.effort[:, :, 1:]], axis=2))
+
+    def shifted(self, cells: int) -> KnownErrors:
+        """Return the errors of the cells a number of cells before."""
+        return KnownErrors(*(np.roll(values, cells, axis=0) for values in (self.torque, self.aging, self.effort)))
+
+    def torque_at(self, age: float) -> Array:
+        """Return the torques (c, 2n, k) at an age [s] of the effort."""
+        torque = self.torque.copy()
+        torque[:, :, 0] += age * self.aging
+        return torque
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Response Z (c, S, k) at the end of each cell, and largest magnitudes over all cells and all columns together.
+
+    z, rate (4n,): deviation and its rate. acceleration, effort (n,). remaining (S,): of Z before the sums of the gains.
+    """
+
+    Z: Array
+    z: Array
+    rate: Array
+    acceleration: Array
+    effort: Array
+    remaining: Array
+
+    def __add__(self, other: Response) -> Response:
+        """Return the sum of the largest magnitudes; Z stays."""
+        names = ("z", "rate", "acceleration", "effort", "remaining")
+        return Response(self.Z, *(getattr(self, name) + getattr(other, name) for name in names))
+
+
+def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) -> Response:
+    """Return the steady response to known errors in each cell; from rest if the reference is not periodic.
+
+    blocks: cells of the sums of the gains. A chain that is longer than them ends `slips` cells beside the one in which
+    it is, where the samples do not divide the period.
+    """
+    models, cells, S = linear.models, linear.centre.cells, linear.coordinates
+    errors = KnownErrors(S.torques @ errors.torque, errors.aging @ S.torques.T, S.effort @ errors.effort)
+    force = models.effort @ errors.effort
+    force[:, : 4 * linear.n] += linear.forced(errors.torque, errors.aging)
+    step, pushed = np.zeros_like(models.loop) + np.eye(models.loop.shape[1]), np.zeros_like(force)
+    for _ in range(cells.samples - 1):
+        step, pushed = models.loop @ step, models.loop @ pushed + force
+    before_last, pushed_before_last = step, pushed
+    step, pushed = models.loop @ step, models.loop @ pushed + force
+    Z, ends, earlier = np.zeros(force.shape[1:]), np.zeros(force.shape), np.zeros(force.shape)
+    if cells.periodic:
+        whole: Array = np.eye(len(Z))
+        for A, b in zip(step, pushed, strict=True):
+            whole, Z = np.asarray(A @ whole), A @ Z + b
+        Z = np.asarray(np.linalg.solve(np.eye(len(Z)) - whole, Z))
+    for i in range(cells.count):
+        earlier[i] = before_last[i] @ Z + pushed_before_last[i]
+        ends[i] = Z = step[i] @ Z + pushed[i]
+    slips = np.ceil(blocks * cells.drift / cells.length) + 1 if cells.drift else 0.0
+    return _magnitudes(linear, ends, earlier, errors, slips * _largest(ends - np.roll(ends, 1, axis=0)))
+
+
+def transient(linear: LinearLoop, Z: Array, blocks: int) -> Response:
+    """Return the decay of Z (S, k) at time 0 over a number of cells."""
+    cells, n, columns = linear.centre.cells, linear.n, Z.shape[1]
+    at = np.repeat(np.arange(blocks) % cells.count, cells.samples)
+    ended = np.roll(at, 1) if cells.aligned else at
+    course = np.empty((len(at), *Z.shape))
+    for k, i in enumerate(at):
+        course[k] = Z
+        Z = linear.models.loop[i] @ Z
+    zero = np.zeros((len(at), 2 * n, columns)), np.zeros((len(at), 2 * n)), np.zeros((len(at), n, columns))
+    earlier = np.roll(course, 1, axis=0)
+    return _magnitudes(linear.at(ended), course, earlier, KnownErrors(*zero), _largest(course))
+
+
+def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownErrors, remaining: Array) -> Response:
+    """Return the response at the end of cells with its largest magnitudes.
+
+    earlier: Z one sample before; the last of its efforts acts until the sample, the torque is that of either end of it.
+    If aligned, the next cell follows: its law answers, and both have their rates.
+    """
+    n, T, z = linear.n, linear.sample_period, Z[:, : 4 * linear.n]
+    aligned = linear.centre.cells.aligned
+    following, errors_after = (linear.shifted(-1), errors.shifted(-1)) if aligned else (linear, errors)
+    efforts = [*_efforts(following, Z, errors_after), _efforts(linear, earlier, errors)[-1]]
+    rates, accelerations = [], []
+    for loop, acting in ((linear, errors), (following, errors_after)):
+        by_effort, by_torque = loop.inputs
+        for age in (linear.delay, linear.delay + T):
+            without_effort = loop.A @ z + by_torque[:, :, : 2 * n] @ acting.torque_at(age)
+            rates += [_largest(without_effort + by_effort @ effort) for effort in efforts]
+            accelerations.append(_largest(without_effort[:, 2 * n : 3 * n]))
+    rate, acceleration = linear.growth @ np.max(rates, axis=0), np.max(accelerations, axis=0)
+    return Response(Z, _largest(z), rate, acceleration, np.max([_largest(u) for u in efforts], axis=0), remaining)
+
+
+def _efforts(linear: LinearLoop, Z: Array, errors: KnownErrors) -> list[Array]:
+    """Return the efforts (c, n, k) of the law at Z and of those in transit, the oldest last."""
+    n = linear.n
+    answer = linear.law @ Z[:, : 4 * n] + errors.effort
+    return [answer, *(Z[:, start : start + n] for start in range(4 * n, Z.shape[1], n))]
+
+
+def _largest(columns: Array) -> Array:
+    """Return the largest magnitudes (rows,) of the sums of columns (c, rows, k), all but the first with any sign."""
+    return np.asarray(ROUNDING * np.abs(columns).sum(axis=2).max(axis=0))

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Prove a convergence rate, and write its certificate."""
