@@ -9,9 +9,19 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.config import builders
-from fjr_core.config import nonidealities as words
+from fjr_core.config.nodes import all_parameters
 from fjr_core.config.parameter import complete
+from fjr_core.config.plant import (
+    channel_errors,
+    imperfection_parameters,
+    period_jitter,
+    plant_parameters,
+    random_seed,
+    sensor_errors,
+)
+from fjr_core.config.plant import (
+    imperfections as build_imperfections,
+)
 from fjr_core.model.rigid_arm import closed_form
 from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors
 from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
@@ -186,22 +196,22 @@ def test_payload_without_an_end_effector_frame_is_refused() -> None:
     with pytest.raises(fjr.ParameterError, match="payload_mass"):
         made.change(Nonidealities(1, payload_mass=0.1))
     with pytest.raises(fjr.ParameterError, match=r"imperfections\.payload_mass"):
-        words.imperfections(values(**{"imperfections.payload_mass": 0.1}), robot)
+        build_imperfections(values(**{"imperfections.payload_mass": 0.1}), robot)
 
 
 # Parameters.
 
 
 def values(**given: Any) -> dict[str, Any]:
-    return complete(builders.all_parameters(builders.plant_parameters, {}), given)
+    return complete(all_parameters(plant_parameters, {}), given)
 
 
 def test_all_are_off_by_default() -> None:
     found, robot = values(), fjr.single_link()
-    assert words.imperfections(found, robot).off
-    assert words.sensor_errors(found, 1).off
-    assert all(errors.off for errors in words.channel_errors(found))
-    assert words.period_jitter(found) == 0.0
+    assert build_imperfections(found, robot).off
+    assert sensor_errors(found, 1).off
+    assert all(errors.off for errors in channel_errors(found))
+    assert period_jitter(found) == 0.0
 
 
 BASE = {  # enable the effects that other parameters modify
@@ -271,10 +281,10 @@ def stream(errors: Any, seed: int, which: int) -> list[tuple[int, int]]:
 def behaviour(**given: Any) -> dict[str, bytes]:
     """Return all observable results of a run, by kind."""
     found = values(**{f"imperfections.{name}": value for name, value in {**BASE, **given}.items()})
-    robot, seed = fjr.single_link(), words.seed(found)
-    made = simulated(words.imperfections(found, robot), sensor_errors=words.sensor_errors(found, 1), seed=seed)
-    states, commands = words.channel_errors(found)
-    times = SampleTimes(1_000_000, INNER, words.period_jitter(found), seed)
+    robot, seed = fjr.single_link(), random_seed(found)
+    made = simulated(build_imperfections(found, robot), sensor_errors=sensor_errors(found, 1), seed=seed)
+    states, commands = channel_errors(found)
+    times = SampleTimes(1_000_000, INNER, period_jitter(found), seed)
     return {
         MEASURED: run(made).tobytes(),
         STATE: repr(stream(states, seed, STATES)).encode(),
@@ -302,16 +312,16 @@ def test_seed_also_determines_the_sample_times() -> None:
 
 
 def test_no_parameter_is_left_out() -> None:
-    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in words.imperfection_parameters(1)}
+    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in imperfection_parameters(1)}
 
 
 def test_all_parameters_but_the_seed_are_dynamic() -> None:
-    assert [p.name for p in words.imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
+    assert [p.name for p in imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
 
 
 def test_period_jitter_must_be_below_the_period() -> None:
     with pytest.raises(fjr.ParameterError, match=r"period_jitter.*expected less than the period, 0\.001 s"):
-        words.period_jitter(values(**{"imperfections.period_jitter": 1e-3}))
+        period_jitter(values(**{"imperfections.period_jitter": 1e-3}))
 
 
 @pytest.mark.parametrize(
@@ -330,4 +340,4 @@ def test_a_value_out_of_range_is_refused_by_its_name(name: str, value: Any) -> N
 
 def test_lists_require_one_entry_per_joint() -> None:
     with pytest.raises(fjr.ParameterError, match=r"imperfections\.torque_ripple.*expected 1"):
-        words.imperfections(values(**{"imperfections.torque_ripple": (1.0, 2.0)}), fjr.single_link())
+        build_imperfections(values(**{"imperfections.torque_ripple": (1.0, 2.0)}), fjr.single_link())

@@ -17,7 +17,8 @@ import numpy as np
 
 from fjr_core import check
 from fjr_core.config import ros_yaml
-from fjr_core.config.scenario import PLANT, Scenario, parse_scenario
+from fjr_core.config.nodes import PLANT
+from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import TOLERANCE
 from fjr_core.numerics.checks import Array

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from fjr_core import FjrError, ParameterError, Plant, StateError
-from fjr_core.config import nonidealities
+from fjr_core.config.plant import channel_errors, period_jitter, random_seed, sensor_errors
+from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.numerics.casadi_function import not_converged
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
@@ -236,8 +237,8 @@ def _same_load(one: Nonidealities, other: Nonidealities) -> bool:
 def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[SimulatedRobot, Transport]:
     """Return robot and message channels for the checked values of the plant's parameters; raises ParameterError."""
     inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
-    seed, robot = nonidealities.seed(values), plant.robot
-    motion, sensors = nonidealities.imperfections(values, robot), nonidealities.sensor_errors(values, robot.n)
+    seed, robot = random_seed(values), plant.robot
+    motion, sensors = build_imperfections(values, robot), sensor_errors(values, robot.n)
     transport = Transport(robot.n, inner_step * values["inner_steps"], inner_step, seed)
-    transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
+    transport.change(*channel_errors(values), period_jitter(values))
     return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed), transport

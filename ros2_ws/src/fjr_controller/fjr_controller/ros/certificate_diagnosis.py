@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from fjr_core import TrackingLaw
 from fjr_core.law.robust import Robust
-from fjr_core.monitoring.axes import Axes
+from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.library import StepLibrary
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, unknown

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of reference trajectories: reference.*, their limits, and the tolerances of trajectory actions."""
+"""Parameters of reference trajectories: reference.*, and the tolerances of trajectory actions."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..errors import ParameterError
-from ..law.safety_settings import Settings
-from ..model.robot import Robot
 from ..motions.circle import Circle
-from ..motions.motion_limits import MotionLimits
 from ..motions.point_to_point import Hold, PointToPoint
 from ..motions.reference import Reference
 from ..motions.sine import MultiSine, Sine
@@ -147,18 +144,3 @@ def _check_lengths(sines: Mapping[str, Any]) -> None:
             f"parameters 'reference.multi_sine.*' have {sizes[0]}, {sizes[1]} and {sizes[2]} entries "
             "for amplitude, frequency and phase; expected equally many"
         )
-
-
-def motion_limits(values: Values, settings: Settings, robot: Robot) -> MotionLimits:
-    """Return the limits of trajectories: the tighter of settings and robot.
-
-    Raises ParameterError.
-    """
-    held = settings if robot.limits is None else settings.tightened(robot.limits)
-    return MotionLimits(
-        held.link_position_lower,
-        held.link_position_upper,
-        held.link_velocity,
-        settings.acceleration,
-        robot.units,
-    )

@@ -16,7 +16,7 @@ from ..model.robot import Robot
 from ..motions.sampled_motion import SampledMotion
 from ..numerics.checks import Array
 from .parameter import Values, names, vector
-from .safety import safety
+from .safety import effort_limits
 
 PATH, TOLERANCE = "reference.file.path", "reference.file.tolerance"
 NOTABLE = 2.0
@@ -65,12 +65,6 @@ def file_warnings(values: Values, robot: Robot) -> list[str]:
     joints = names(values, "joints")
     motion = motion_of_file(str(values[PATH]), vector(values, TOLERANCE, len(joints)), joints)
     return motion_warnings(motion, robot, joints, effort_limits(values, robot))
-
-
-def effort_limits(values: Values, robot: Robot) -> Array:
-    """Return the effort limits (n,) [N m]: the tighter of limits.effort and those of the robot, infinite for none."""
-    limit = np.asarray(safety(values, robot).effort)
-    return limit if robot.limits is None else np.minimum(limit, robot.limits.effort)
 
 
 def motion_warnings(motion: SampledMotion, robot: Robot, joints: tuple[str, ...], limit: Array) -> list[str]:

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the safety settings: limits, stop policy, start and recovery."""
+"""Parameters of the safety settings: limits, stop policy, start and recovery, and the limits of efforts and motions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ..errors import ParameterError
 from ..law.safety_settings import Settings
 from ..model.robot import Robot
+from ..motions.motion_limits import MotionLimits
+from ..numerics.checks import Array
 from ..numerics.parameter_field import declared
 from .parameter import Parameter, Values, names, read, table
 
@@ -46,3 +50,21 @@ def safety(values: Values, robot: Robot) -> Settings:
     if robot.limits is None:
         raise ParameterError(f"parameter '{FROM_ROBOT.name}' is true; expected false for a robot without limits")
     return own.tightened(robot.limits)
+
+
+def effort_limits(values: Values, robot: Robot) -> Array:
+    """Return the effort limits (n,) [N m]: the tighter of limits.effort and those of the robot, infinite for none."""
+    limit = np.asarray(safety(values, robot).effort)
+    return limit if robot.limits is None else np.minimum(limit, robot.limits.effort)
+
+
+def motion_limits(settings: Settings, robot: Robot) -> MotionLimits:
+    """Return the limits of trajectories: the tighter of settings and robot; raises ParameterError."""
+    held = settings if robot.limits is None else settings.tightened(robot.limits)
+    return MotionLimits(
+        held.link_position_lower,
+        held.link_position_upper,
+        held.link_velocity,
+        settings.acceleration,
+        robot.units,
+    )

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.config.law import TYPE
+from fjr_core.config.parameter import options
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.config.user_options import options
 from fjr_core.errors import ParameterError
 from fjr_core.files import other_package
 from fjr_core.files.python_class import is_named

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fjr_core.config.measurement import measurement, observer
+from fjr_core.config.controller import measurement, observer
 from fjr_core.config.parameter import number
 from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, left_out

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.config import builders, robot_file, ros_yaml
-from fjr_core.config.guesses import GUESSED, GUESSES, guessed_joints
+from fjr_core.config import robot_file, ros_yaml
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.parameter import complete, names, refuse_unknown
-from fjr_core.config.robot import FILE, robot_parameters
-from fjr_core.config.scenario import CONTROLLER
+from fjr_core.config.robot import FILE, GUESSES, guessed_joints, robot_parameters
+from fjr_core.config.robot import robot as build_robot
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.robot import Robot
@@ -60,7 +60,7 @@ def nominal_robot(path: Path) -> NominalRobot:
         known = robot_parameters(given)
         refuse_unknown([each.name for each in known], given)
         values = complete(known, given)
-        robot = builders.robot(values)
+        robot = build_robot(values)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
     return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values))
@@ -86,7 +86,7 @@ def identified_values(nominal: NominalRobot, found: Identification, folder: Path
         values = joint_values(found, name, nominal.joints, own)
         if not np.array_equal(values, own) or (reflected and name == "motor_inertia"):
             changed[f"robot.{name}"] = [significant(each) for each in values]
-    for name in GUESSED:
+    for name in GUESSES:
         guesses = [_guess(nominal, found, changed, name, j) for j in range(len(nominal.joints))]
         if any(guesses):
             changed[GUESSES[name].name] = guesses
@@ -124,7 +124,7 @@ def joint_values(found: Identification, name: str, joints: tuple[str, ...], defa
 
 def robot_of(values: Mapping[str, object]) -> Robot:
     """Return the robot that values joints and robot.* describe; raise ParameterError."""
-    return builders.robot(complete(robot_parameters(values), values))
+    return build_robot(complete(robot_parameters(values), values))
 
 
 def significant(value: float) -> float:

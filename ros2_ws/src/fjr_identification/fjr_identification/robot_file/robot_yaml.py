@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_core.config import ros_yaml
-from fjr_core.config.builders import gain_values
+from fjr_core.config.law import gain_values
 from fjr_core.config.robot_file import URDF
 from fjr_core.errors import GainsError, TrajectoryError
 from fjr_core.model.robot import Robot

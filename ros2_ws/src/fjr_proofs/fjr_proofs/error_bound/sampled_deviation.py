@@ -13,7 +13,7 @@ from fjr_core.model.equilibrium import Indices
 from fjr_core.numerics.casadi_function import columnwise
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import static
-from fjr_core.stability.one_sample_map import held_maps, map_of_held, split
+from fjr_core.stability.linearization import held_maps, map_of_held, split
 
 from .centre_motion import CentreMotion
 from .deviation_model import DeviationModel
