@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fjr_bringup.runner.run import Plan, RunError
-from fjr_bringup.runner.run import run as run_plan
+from fjr_bringup import runner
+from fjr_bringup.runner import Plan, RunError
 from fjr_core.errors import FjrError
 from fjr_core.numerics.jit import require_compiler
 from fjr_design.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
@@ -98,7 +98,7 @@ def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, outpu
 def _record_and_report(plan: Plan, pages: bool = True) -> RunSummary:
     try:
         with stoppable() as stop:
-            recorded = run_plan(plan, stop)
+            recorded = runner.run(plan, stop)
     except RunError as error:
         if error.kept:
             _report_failure(plan.name, error.kept, error, pages)

@@ -20,8 +20,8 @@ from typing import Any
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fjr_bringup.runner.node_process import NodeError, NodeProcess
-from fjr_bringup.runner.plant_client import PlantClient
+from fjr_bringup.clients import PlantClient
+from fjr_bringup.node_process import NodeError, NodeProcess
 from fjr_core.errors import FjrError
 from fjr_monitor.recording.reader import header_stamp
 from fjr_monitor.recording.recorder import Recorder
