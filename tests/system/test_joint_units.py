@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.config.safety import motion_limits, safety
+from fjr_core.config.controller import motion_limits, safety
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import ParameterError, TrajectoryError
 from fjr_core.model.joint_units import PRISMATIC, REVOLUTE

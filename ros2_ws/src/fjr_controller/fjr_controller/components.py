@@ -10,16 +10,16 @@ import numpy as np
 from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
-from fjr_core.config import law, reference_file
-from fjr_core.config.controller import axes, measurement, observer
+from fjr_core.config import law
+from fjr_core.config.controller import axes, file_warnings, measurement, motion_limits, observer, safety
 from fjr_core.config.law import control_law, robust_action
 from fjr_core.config.law import gains as build_gains
 from fjr_core.config.law import robust as build_robust
 from fjr_core.config.parameter import in_python, named
+from fjr_core.config.reference import FILE_PATH, forget_files
 from fjr_core.config.reference import reference as build_reference
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot import robot_name
-from fjr_core.config.safety import motion_limits, safety
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.messages.events import EventWriter
@@ -131,9 +131,9 @@ class Control:
 
     def _read_motion(self, node: Node) -> None:
         """Read the file of reference.file.*, so that a change of reference.type need not; log what it asks for."""
-        reference_file.read_again()
-        if self._values[reference_file.PATH]:
-            for sentence in reference_file.file_warnings(self._values, self._robot):
+        forget_files()
+        if self._values[FILE_PATH.name]:
+            for sentence in file_warnings(self._values, self._robot):
                 node.get_logger().warning(sentence)
 
     def _built_in(self) -> Reference:

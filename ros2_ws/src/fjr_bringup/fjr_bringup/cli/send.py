@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fjr_bringup.clients import trajectory_client
-from fjr_core.config.reference_file import motion_of_file, motion_warnings
-from fjr_core.config.safety import effort_limits
+from fjr_core.config.controller import effort_limits
+from fjr_core.config.reference import motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
 from fjr_core.motions.sampled_motion import SampledMotion
 from fjr_core.motions.waypoints import waypoints

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ParameterError
-from . import reference_file, robot_file, ros_yaml
-from .controller import controller_parameters
+from . import robot_file, ros_yaml
+from .controller import controller_parameters, with_robot
 from .parameter import Parameter, Value, complete, names, option_parameters, refuse_unknown, resembling, unread_options
 from .plant import plant_parameters
+from .reference import motion_inlined
 from .robot import JOINTS, joints_of, robot_parameters
-from .safety import with_robot
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
 OWN_PARAMETERS = {PLANT: plant_parameters, CONTROLLER: controller_parameters}
@@ -111,7 +111,7 @@ def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> d
     for node, values in given.items():
         merged = robot_file.merged(values, node, folder)
         joints = names(complete([JOINTS], merged), JOINTS.name)
-        whole[node] = reference_file.inlined(robot_file.inlined(merged), joints)
+        whole[node] = motion_inlined(robot_file.inlined(merged), joints)
 
     def is_common(name: str, value: object) -> bool:
         """Return whether every node that has the parameter is given this value."""

@@ -30,11 +30,11 @@ from ..runtime.measurement_model import OBSERVER, TORQUE
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from . import law as law_parameters
-from . import parameter, reference_file, ros_yaml
+from . import parameter, ros_yaml
 from . import plant as plant_parameters
 from . import reference as reference_parameters
 from . import robot as robot_parameters
-from .controller import OBSERVER_BANDWIDTH, measurement_parameters
+from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement_parameters
 from .nodes import CONTROLLER, PLANT, checked_values
 
 
@@ -122,7 +122,7 @@ class Scenario:
         """A sentence for each property of a reference from a file that asks for large efforts (docs/references.md)."""
         if self.controller_values["reference.type"] != "file":
             return ()
-        return tuple(reference_file.file_warnings(self.controller_values, self.robot))
+        return tuple(file_warnings(self.controller_values, self.robot))
 
     @property
     def robot_warnings(self) -> tuple[str, ...]:
@@ -186,7 +186,7 @@ def parse_scenario(name: str, text: str) -> Scenario:
 
 def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) -> Scenario:
     """Check the values of a document and build what they describe, of classes of the user on request."""
-    reference_file.read_again()
+    reference_parameters.forget_files()
     checked, warnings = checked_values(document, folder, user_code)
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
     types = (law_parameters.TYPE, scenario.controller_values), (plant_parameters.TYPE, scenario.plant_values)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.safety_settings import Settings
