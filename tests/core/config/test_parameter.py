@@ -21,7 +21,7 @@ from fjr_core.config.scenario import load_scenario, parse_scenario
 from fjr_core.law.robust.options import Robust
 from fjr_core.law.safety_settings import Settings
 from fjr_core.numerics.parameter_field import declared, parameter_field
-from fjr_core.simulation.nonideal_parameters import ChannelErrors, Nonidealities, SensorErrors
+from fjr_core.simulation.imperfections import ChannelErrors, Imperfections, SensorErrors
 
 MODELS: dict[str, dict[str, Any]] = {
     "single_link": {},
@@ -82,7 +82,7 @@ def test_a_wrong_length_is_rejected_by_name(name: str) -> None:
         read(declarations, values, 2)
 
 
-@pytest.mark.parametrize("kind", [Settings, Robust, Nonidealities, SensorErrors, ChannelErrors])
+@pytest.mark.parametrize("kind", [Settings, Robust, Imperfections, SensorErrors, ChannelErrors])
 def test_field_and_parameter_have_the_same_default(kind: type) -> None:
     declarations = declared(kind)
     assert declarations

@@ -10,7 +10,7 @@ import fjr_core as fjr
 from fjr_core.law.robust import sampled_law
 from fjr_core.model.python_plant import own_plant
 from fjr_core.simulation.batch import ClosedLoop, Draws
-from fjr_core.simulation.nonideal_parameters import Nonidealities
+from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 ARM = fjr.planar_two_link()
@@ -35,7 +35,7 @@ def test_options_change_the_motion() -> None:
 
 
 def test_friction_ripple_and_external_torques_act_as_on_the_same_equations() -> None:
-    errors = Nonidealities(2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3)
+    errors = Imperfections(2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3)
     state = np.append(START + 0.1, [1.0, 2.0])
     plants = [NonidealPlant(plant) for plant in (fjr.Plant(ARM), OWN)]
     steps = [plant.step(state, [3.0, 4.0], [0.5, 0.0], errors.vector, 2.5e-4) for plant in plants]
@@ -45,7 +45,7 @@ def test_friction_ripple_and_external_torques_act_as_on_the_same_equations() -> 
 @pytest.mark.parametrize("name", ["payload_mass", "cubic"])
 def test_what_is_part_of_the_plant_itself_is_refused(name: str) -> None:
     with pytest.raises(fjr.ParameterError, match=f"{name} is not 0 for a plant in Python"):
-        NonidealPlant(OWN).check(Nonidealities(2, **{name: 1.0}))
+        NonidealPlant(OWN).check(Imperfections(2, **{name: 1.0}))
 
 
 def test_runs_of_a_study_are_those_of_the_same_equations() -> None:

@@ -109,7 +109,7 @@ class PlantNode(ParameterNode):
         super().destroy_node()
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
-        """Apply new non-idealities from now on; an FjrError refuses them."""
+        """Apply new imperfections from now on; an FjrError refuses them."""
         if any(name.startswith("imperfections.") for name in names):
             motion = build_imperfections(values, self._model)
             sensors = sensor_errors(values, self._model.n)

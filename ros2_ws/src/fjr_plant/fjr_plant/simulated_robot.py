@@ -15,7 +15,7 @@ from fjr_core.numerics.casadi_function import not_converged
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.runtime.c_function import CFunction, WorkSpace
-from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 from .channel import Transport
@@ -30,7 +30,7 @@ class SimulatedRobot:
     """Plant with a state, an exact integer time [ns] and an effort that is held between commands.
 
     u (n,) [N m]: command, external (n,) [N m]: torques on the links; both are set by the caller and held. x (4n,):
-    state, with the momenta of a payload in p_l. Without non-idealities the motion equals that of plant.step to the last
+    state, with the momenta of a payload in p_l. Without imperfections the motion equals that of plant.step to the last
     bit. pointer: the same as struct fjr_robot*.
     """
 
@@ -39,14 +39,14 @@ class SimulatedRobot:
         plant: Plant,
         x0: Array,
         inner_step: int,
-        imperfections: Nonidealities | None = None,
+        imperfections: Imperfections | None = None,
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
         program: PlantProgram | None = None,
     ) -> None:
         """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
-        seed: of the sensor noise. Raises ParameterError for invalid non-idealities.
+        seed: of the sensor noise. Raises ParameterError for invalid imperfections.
         """
         self._program = program or plant_program()
         self._plant, self._n = plant, plant.robot.n
@@ -54,8 +54,8 @@ class SimulatedRobot:
         self._x0 = x0
         self._inner_step = inner_step
         self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed, self._program)
-        self._build(len(Nonidealities(self._n).vector))
-        self._use(imperfections or Nonidealities(self._n))
+        self._build(len(Imperfections(self._n).vector))
+        self._use(imperfections or Imperfections(self._n))
         self.reset()
 
     def _build(self, parameters: int) -> None:
@@ -103,11 +103,11 @@ class SimulatedRobot:
         self._imperfect.applied(self.u, self.u, self._arrays["parameters"])
         self._with_velocity(self._velocity())
 
-    def change(self, imperfections: Nonidealities, sensor_errors: SensorErrors | None = None) -> None:
-        """Use other non-idealities from now on; sensor_errors: None keeps the present ones.
+    def change(self, imperfections: Imperfections, sensor_errors: SensorErrors | None = None) -> None:
+        """Use other imperfections from now on; sensor_errors: None keeps the present ones.
 
         Positions and velocities are continuous; a payload is attached and released at the velocity of the end-effector.
-        Raises ParameterError for invalid non-idealities, without any change.
+        Raises ParameterError for invalid imperfections, without any change.
         """
         velocity, output, before = self._velocity(), self._applied(), self._imperfections
         self._use(imperfections)
@@ -198,13 +198,13 @@ class SimulatedRobot:
     def _output(self, output: Array) -> None:
         self._arrays["state"][4 * self._n :] = output
 
-    def _use(self, imperfections: Nonidealities) -> None:
+    def _use(self, imperfections: Imperfections) -> None:
         self._imperfect.check(imperfections)
         self._check_friction(imperfections)
         self._imperfections, self.pointer.perfect = imperfections, imperfections.off
         self._arrays["parameters"][:] = imperfections.vector
 
-    def _check_friction(self, imperfections: Nonidealities) -> None:
+    def _check_friction(self, imperfections: Imperfections) -> None:
         robot, dt = self._plant.robot, self._inner_step * 1e-9
         rate = friction_rate(imperfections, robot.M_l(self._x0[: self._n]), robot.M_m)
         if self._plant.integrator == "rk4" and rate * dt > STIFFEST_FRICTION:
@@ -227,7 +227,7 @@ class SimulatedRobot:
         return self._imperfect.state(self.x[: 2 * self._n], velocity, self._arrays["parameters"])
 
 
-def _same_load(one: Nonidealities, other: Nonidealities) -> bool:
+def _same_load(one: Imperfections, other: Imperfections) -> bool:
     if not (np.any(one.payload_mass) or np.any(other.payload_mass)):
         return True
     same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in ("payload_mass", "payload_position"))

@@ -16,7 +16,7 @@ from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
 from ..numerics.parameter_field import declared
-from ..simulation.nonideal_parameters import ChannelErrors, Nonidealities, SensorErrors
+from ..simulation.imperfections import ChannelErrors, Imperfections, SensorErrors
 from .parameter import VECTOR, Parameter, Values, number, options, read, table
 from .process import process_parameters
 
@@ -102,7 +102,7 @@ def initial_state(values: Values, robot: Robot) -> Array:
 
 
 _GROUP = "imperfections."
-_DYNAMICS = declared(Nonidealities, _GROUP)
+_DYNAMICS = declared(Imperfections, _GROUP)
 _SENSORS = declared(SensorErrors, _GROUP)
 PERIOD_JITTER = Parameter(
     f"{_GROUP}period_jitter", 0.0, "Largest delay of a sample, below the sample period", "s", 0.0, 1.0, dynamic=True
@@ -128,14 +128,14 @@ def imperfection_parameters(n: int) -> list[Parameter]:
     return [*table(_DYNAMICS, n), *table(_SENSORS, n), *table(channels, n), PERIOD_JITTER, SEED]
 
 
-def imperfections(values: Values, robot: Robot) -> Nonidealities:
-    """Return the non-idealities of the robot's dynamics; raises ParameterError."""
+def imperfections(values: Values, robot: Robot) -> Imperfections:
+    """Return the imperfections of the robot's dynamics; raises ParameterError."""
     mass = _DYNAMICS["payload_mass"].name
     if robot.links.end_effector is None and values[mass]:
         raise ParameterError(
             f"parameter '{mass}' is {values[mass]} kg; expected 0: the robot model has no end effector"
         )
-    return Nonidealities(robot.n, **read(_DYNAMICS, values, robot.n))
+    return Imperfections(robot.n, **read(_DYNAMICS, values, robot.n))
 
 
 def sensor_errors(values: Values, n: int) -> SensorErrors:

@@ -14,7 +14,7 @@ from fjr_core.config.law import gain_values
 from fjr_core.config.robot_file import URDF
 from fjr_core.errors import GainsError, TrajectoryError
 from fjr_core.model.robot import Robot
-from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, friction_rate
 from fjr_design.posterior.drawn_plants import MATRICES
 from fjr_design.posterior.result import UNKNOWN, Estimate, Identification
 from fjr_design.scaffold.proposal import RATE, Proposal, proposal_of
@@ -192,7 +192,7 @@ MOTION = ("amplitude", "frequency", "offset", "phase")
 def _inner_steps(robot: Robot, found: Identification, joints: tuple[str, ...], proposal: Proposal) -> int:
     """Return the integrator steps per sample that springs and friction need."""
     levels = {field: np.maximum(0.0, joint_values(found, name, joints, 0.0)) for name, field in FRICTION.items()}
-    rate = friction_rate(Nonidealities(robot.n, **levels), robot.M_l(proposal.q_l), robot.M_m)
+    rate = friction_rate(Imperfections(robot.n, **levels), robot.M_l(proposal.q_l), robot.M_m)
     return min(MOST_STEPS, max(proposal.inner_steps, math.ceil(rate / RATE / STABLE_STEP)))
 
 

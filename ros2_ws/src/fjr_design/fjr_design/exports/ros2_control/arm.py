@@ -18,11 +18,11 @@ from fjr_core.errors import StateError
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.parameter_field import declared
-from fjr_core.simulation.nonideal_parameters import NAMES, ChannelErrors, Nonidealities, SensorErrors
+from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfections, SensorErrors
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
 
 _GROUP = "imperfections."
-DYNAMICS = {field: declared(Nonidealities)[field] for field in NAMES}
+DYNAMICS = {field: declared(Imperfections)[field] for field in NAMES}
 SENSORS = {field: each for field, each in declared(SensorErrors).items() if field != "velocities"}
 """Declarations of the parameters by field; their names are those of imperfections.* without the group."""
 
