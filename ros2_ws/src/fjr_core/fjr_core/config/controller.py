@@ -79,7 +79,7 @@ def controller_parameters(n: int) -> list[Parameter]:
 
 
 def measurement_parameters(n: int) -> list[Parameter]:
-    """Return the parameters for n joints."""
+    """Return the parameters measurement.* for n joints."""
     return [*table(_MEASUREMENT, n), OBSERVER_BANDWIDTH]
 
 
