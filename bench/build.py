@@ -19,8 +19,7 @@ from bench.chain_urdf import chain_urdf, joint_names
 from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import Gains, Plant, Robot, TrackingLaw, robot_from_urdf
-from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics.jit import compiled
 
 JOINTS = (2, 4, 6, 7, 8, 10, 12)

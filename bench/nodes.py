@@ -15,8 +15,8 @@ from typing import Any
 
 from bench.arm import ROOT, SCENARIO
 from bench.start_up import DOMAIN
-from fjr_bringup.runner.node_process import executable
-from fjr_bringup.runner.run import set_ros_environment
+from fjr_bringup.node_process import executable
+from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py.scenarios import library
 
 PRIORITY = 50  # as in the scenario; used if the system allows it

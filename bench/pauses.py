@@ -31,7 +31,7 @@ from sensor_msgs.msg import JointState
 from bench.figures import Figure
 from bench.nodes import controller, plant, ros_environment
 from bench.tap import DEPTH, Tap
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.event_kinds import STOPS
 from fjr_msgs_py import names

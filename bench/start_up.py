@@ -19,8 +19,8 @@ import numpy as np
 from bench.arm import ROOT, SCENARIO
 from bench.figures import Figure
 from bench.tap import Tap
-from fjr_bringup.runner.node_process import NodeProcess
-from fjr_bringup.runner.run import set_ros_environment
+from fjr_bringup.node_process import NodeProcess
+from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py import names
 
 COLD_REPEATS, WARM_REPEATS, NODE_REPEATS, COMMAND_REPEATS = 3, 3, 11, 5

@@ -57,7 +57,7 @@ LAYERS = {
         "cli",
     ),
     "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "cli"),
-    "fjr_bringup": ("runner services", "cli"),
+    "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 

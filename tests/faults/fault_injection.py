@@ -89,7 +89,7 @@ def plant_killed(rig: Rig) -> tuple[int, int]:
 
 
 def plant_set(seconds: float, **imperfections: Any) -> Act:
-    """Set non-idealities of the running plant for a while, then reset them."""
+    """Set imperfections of the running plant for a while, then reset them."""
     values = {f"imperfections.{name}": value for name, value in imperfections.items()}
 
     def act(rig: Rig) -> tuple[int, int]:

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.measurement import measurement, observer
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.event_kinds import KINDS
 from fjr_core.runtime.library import StepLibrary

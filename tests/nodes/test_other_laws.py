@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 
 import fjr_core as fjr
-from fjr_core.config.builders import control_law
+from fjr_core.config.law import control_law
 from fjr_core.extensions.law_registry import LAWS
 from fjr_msgs_py import names as ros_names
 from nodes.harness import Listener, Peer, Ros, stamped

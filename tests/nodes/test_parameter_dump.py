@@ -10,7 +10,9 @@ from rcl_interfaces.msg import Parameter, ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter as RosParameter
 
-from fjr_core.config import builders
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import all_parameters
+from fjr_core.config.plant import plant_parameters
 from nodes.harness import Peer, Ros
 from nodes.managed import Manager
 from nodes.plants import call
@@ -69,8 +71,8 @@ def test_controller_loads_its_own_dump_without_any_change(ros: Ros, state: str) 
 def test_parameter_descriptions_state_when_a_value_can_change(ros: Ros, peer: Peer, node: str) -> None:
     managed = node == "fjr_controller"
     (ros.controller if managed else ros.plant)()
-    own = builders.controller_parameters if managed else builders.plant_parameters
-    table = {parameter.name: parameter for parameter in builders.all_parameters(own, {})}
+    own = controller_parameters if managed else plant_parameters
+    table = {parameter.name: parameter for parameter in all_parameters(own, {})}
     answer = call(ros, peer, DescribeParameters, f"{node}/describe_parameters", names=list(table))
     for descriptor in answer.descriptors:
         described: ParameterDescriptor = descriptor

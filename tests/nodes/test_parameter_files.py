@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from fjr_controller.controller_node import ControllerNode
 from fjr_core.config import ros_yaml
-from fjr_core.config.scenario import OWN_PARAMETERS, self_contained
+from fjr_core.config.nodes import OWN_PARAMETERS, self_contained
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Ros
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Non-idealities of the plant node: each can change while it runs, invalid values are refused, runs are repeatable."""
+"""Imperfections of the plant node: each can change while it runs, invalid values are refused, runs are repeatable."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 import fjr_core as fjr
-from fjr_core.config.nonidealities import imperfection_parameters
+from fjr_core.config.plant import imperfection_parameters
 from fjr_plant.timing.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, CommandLoop, call, command, integrate, numbers, state_of
@@ -110,14 +110,14 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {  # parameter: values set before
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_nonideality_takes_effect_at_its_change(run: Run, name: str) -> None:
+def test_imperfection_takes_effect_at_its_change(run: Run, name: str) -> None:
     base, value = CASES[name]
     unchanged, changed = run(base, {}), run(base, {name: value})
     assert changed[0] == unchanged[0], "runs must be bit-identical until then"
     assert changed[1:] != unchanged[1:]
 
 
-def test_every_nonideality_is_tested() -> None:
+def test_every_imperfection_is_tested() -> None:
     assert set(CASES) | {"seed"} == set(TABLE)
 
 

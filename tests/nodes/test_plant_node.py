@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_core.config.description import description
+from fjr_core.config.robot import description
 from fjr_msgs_py.names import LATCHED
 from fjr_plant.plant_node import SETTLING, PlantConflictError, PlantNode
 from fjr_plant.timing.lock_step import START as LOCKSTEP_START

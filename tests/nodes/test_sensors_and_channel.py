@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from fjr_core import ParameterError
-from fjr_core.simulation.nonideal_parameters import ChannelErrors, SensorErrors
+from fjr_core.simulation.imperfections import ChannelErrors, SensorErrors
 from fjr_plant.channel import COMMANDS, PERIOD, SENSORS, SPARE, STATES, Channel, SampleTimes, generator
 from fjr_plant.native.program import array, plant_program
 from fjr_plant.sensors import NO_VELOCITIES, Sensors

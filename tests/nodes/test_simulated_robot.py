@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated robot equals the plant without non-idealities; each parameter imperfections.* acts separately."""
+"""The simulated robot equals the plant without imperfections; each parameter imperfections.* acts separately."""
 
 from __future__ import annotations
 
@@ -9,11 +9,21 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.config import builders
-from fjr_core.config import nonidealities as words
+from fjr_core.config.nodes import all_parameters
 from fjr_core.config.parameter import complete
+from fjr_core.config.plant import (
+    channel_errors,
+    imperfection_parameters,
+    period_jitter,
+    plant_parameters,
+    random_seed,
+    sensor_errors,
+)
+from fjr_core.config.plant import (
+    imperfections as build_imperfections,
+)
 from fjr_core.model.rigid_arm import closed_form
-from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors
+from fjr_core.simulation.imperfections import Imperfections, SensorErrors
 from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
 from fjr_plant.simulated_robot import SimulatedRobot
 
@@ -22,7 +32,7 @@ START = {"q_l": [0.4], "q_m": [0.5], "dq_l": [0.3], "dq_m": [-0.2]}
 
 
 def simulated(
-    imperfections: Nonidealities | None = None, robot: fjr.Robot | None = None, **options: Any
+    imperfections: Imperfections | None = None, robot: fjr.Robot | None = None, **options: Any
 ) -> SimulatedRobot:
     robot = robot or fjr.single_link()
     x0 = robot.state(*START.values())
@@ -58,13 +68,13 @@ def test_ideal_robot_is_bit_identical_to_the_plant() -> None:
 
 
 def test_integration_never_exceeds_the_requested_time() -> None:
-    robot = simulated(Nonidealities(1, coulomb_m=0.1))
+    robot = simulated(Imperfections(1, coulomb_m=0.1))
     robot.advance_to(INNER * 3 - 1)
     assert robot.time == INNER * 2
 
 
 NOISY = SensorErrors(1, bits_l=14, position_m=1e-4, velocity_l=0.01)
-BAD = Nonidealities(1, coulomb_m=0.05, static_m=0.1, smoothing=0.05, cubic=100, ripple=0.1, effort_limit=1.5, lag=2e-3)
+BAD = Imperfections(1, coulomb_m=0.05, static_m=0.1, smoothing=0.05, cubic=100, ripple=0.1, effort_limit=1.5, lag=2e-3)
 
 
 def test_run_after_a_reset_is_bit_identical() -> None:
@@ -82,7 +92,7 @@ def test_run_after_a_reset_is_bit_identical() -> None:
 
 
 def test_a_reset_with_a_payload_begins_with_the_same_velocities() -> None:
-    robot = simulated(Nonidealities(1, payload_mass=0.5, payload_position=(0.2, 0, 0)))
+    robot = simulated(Imperfections(1, payload_mass=0.5, payload_position=(0.2, 0, 0)))
     for _ in range(2):
         position, velocity, _ = robot.measure()
         np.testing.assert_allclose([*position, *velocity], [0.4, 0.5, 0.3, -0.2], rtol=1e-13)
@@ -97,7 +107,7 @@ def test_payload_changes_without_a_jump_of_the_motion() -> None:
     before = robot.x.copy()
     seen = [np.concatenate(robot.measure())]
     for mass, position in ((0.5, (0.2, 0.0, 0.0)), (0.5, (0.1, 0.1, 0.0)), (0.0, (0.1, 0.1, 0.0))):
-        robot.change(Nonidealities(1, payload_mass=mass, payload_position=position))
+        robot.change(Imperfections(1, payload_mass=mass, payload_position=position))
         seen.append(np.concatenate(robot.measure()))
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], np.shape(seen)), rtol=1e-12)
     np.testing.assert_allclose(robot.x, before, rtol=1e-12)
@@ -110,16 +120,16 @@ def test_changed_robot_continues_like_one_built_with_the_new_values() -> None:
     other.x, other.time, other.u = robot.x.copy(), robot.time, robot.u
     other._output = robot.u
     assert np.array_equal(run(robot, 10), run(other, 10))
-    robot.change(Nonidealities(1))
-    other.change(Nonidealities(1))
+    robot.change(Imperfections(1))
+    other.change(Imperfections(1))
     assert np.array_equal(run(robot, 10), run(other, 10))
 
 
 def test_enabled_lag_starts_from_the_acting_torque() -> None:
-    robot = simulated(Nonidealities(1, effort_limit=1.0))
+    robot = simulated(Imperfections(1, effort_limit=1.0))
     robot.u = np.array([3.0])
     robot.advance_to(4 * INNER)
-    robot.change(Nonidealities(1, lag=0.01))
+    robot.change(Imperfections(1, lag=0.01))
     assert robot.measure()[2][1] == 1.0
     robot.advance_to(8 * INNER)
     assert robot.measure()[2][1] == pytest.approx(3 - 2 * np.exp(-0.1), rel=1e-12)
@@ -128,8 +138,8 @@ def test_enabled_lag_starts_from_the_acting_torque() -> None:
 def test_acting_torque_is_measured() -> None:
     for imperfections, applied in (
         (None, 2.0),
-        (Nonidealities(1, effort_limit=0.7), 0.7),
-        (Nonidealities(1, lag=1), 0),
+        (Imperfections(1, effort_limit=0.7), 0.7),
+        (Imperfections(1, lag=1), 0),
     ):
         robot = simulated(imperfections)
         robot.u = np.array([2.0])
@@ -157,7 +167,7 @@ def test_external_torque_balances_gravity_of_equal_size() -> None:
 @pytest.mark.parametrize("side", ["l", "m"])
 def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str) -> None:
     robot = simulated(BAD)
-    steep = Nonidealities(1, **{f"coulomb_{side}": 1.0, "smoothing": 1e-4})
+    steep = Imperfections(1, **{f"coulomb_{side}": 1.0, "smoothing": 1e-4})
     with pytest.raises(fjr.ParameterError, match="friction_smoothing_velocity"):
         robot.change(steep)
     assert np.array_equal(run(robot), run(simulated(BAD)))
@@ -169,7 +179,7 @@ def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str
 def test_stiffest_friction_brakes_without_changing_the_sign_of_the_velocity() -> None:
     """At the largest allowed slope a slow motor decelerates in every step and never reverses."""
     steepest = 0.5 / 0.004 * INNER * 1e-9 / 1.999
-    robot = simulated(Nonidealities(1, coulomb_m=0.5, smoothing=steepest), fjr.single_link(gravity_torque=0.0))
+    robot = simulated(Imperfections(1, coulomb_m=0.5, smoothing=steepest), fjr.single_link(gravity_torque=0.0))
     robot.x = fjr.single_link().state([0.0], [0.0], [0.0], [0.1 * steepest])
     speeds = [robot.measure()[1][1]]
     for k in range(1, 6):
@@ -184,24 +194,24 @@ def test_payload_without_an_end_effector_frame_is_refused() -> None:
     robot = fjr.Robot(links, *([[value]] for value in (0.1, 10.0, 0.1, 0.1, 1.0)))
     made = simulated(robot=robot)
     with pytest.raises(fjr.ParameterError, match="payload_mass"):
-        made.change(Nonidealities(1, payload_mass=0.1))
+        made.change(Imperfections(1, payload_mass=0.1))
     with pytest.raises(fjr.ParameterError, match=r"imperfections\.payload_mass"):
-        words.imperfections(values(**{"imperfections.payload_mass": 0.1}), robot)
+        build_imperfections(values(**{"imperfections.payload_mass": 0.1}), robot)
 
 
 # Parameters.
 
 
 def values(**given: Any) -> dict[str, Any]:
-    return complete(builders.all_parameters(builders.plant_parameters, {}), given)
+    return complete(all_parameters(plant_parameters, {}), given)
 
 
 def test_all_are_off_by_default() -> None:
     found, robot = values(), fjr.single_link()
-    assert words.imperfections(found, robot).off
-    assert words.sensor_errors(found, 1).off
-    assert all(errors.off for errors in words.channel_errors(found))
-    assert words.period_jitter(found) == 0.0
+    assert build_imperfections(found, robot).off
+    assert sensor_errors(found, 1).off
+    assert all(errors.off for errors in channel_errors(found))
+    assert period_jitter(found) == 0.0
 
 
 BASE = {  # enable the effects that other parameters modify
@@ -271,10 +281,10 @@ def stream(errors: Any, seed: int, which: int) -> list[tuple[int, int]]:
 def behaviour(**given: Any) -> dict[str, bytes]:
     """Return all observable results of a run, by kind."""
     found = values(**{f"imperfections.{name}": value for name, value in {**BASE, **given}.items()})
-    robot, seed = fjr.single_link(), words.seed(found)
-    made = simulated(words.imperfections(found, robot), sensor_errors=words.sensor_errors(found, 1), seed=seed)
-    states, commands = words.channel_errors(found)
-    times = SampleTimes(1_000_000, INNER, words.period_jitter(found), seed)
+    robot, seed = fjr.single_link(), random_seed(found)
+    made = simulated(build_imperfections(found, robot), sensor_errors=sensor_errors(found, 1), seed=seed)
+    states, commands = channel_errors(found)
+    times = SampleTimes(1_000_000, INNER, period_jitter(found), seed)
     return {
         MEASURED: run(made).tobytes(),
         STATE: repr(stream(states, seed, STATES)).encode(),
@@ -302,16 +312,16 @@ def test_seed_also_determines_the_sample_times() -> None:
 
 
 def test_no_parameter_is_left_out() -> None:
-    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in words.imperfection_parameters(1)}
+    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in imperfection_parameters(1)}
 
 
 def test_all_parameters_but_the_seed_are_dynamic() -> None:
-    assert [p.name for p in words.imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
+    assert [p.name for p in imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
 
 
 def test_period_jitter_must_be_below_the_period() -> None:
     with pytest.raises(fjr.ParameterError, match=r"period_jitter.*expected less than the period, 0\.001 s"):
-        words.period_jitter(values(**{"imperfections.period_jitter": 1e-3}))
+        period_jitter(values(**{"imperfections.period_jitter": 1e-3}))
 
 
 @pytest.mark.parametrize(
@@ -330,4 +340,4 @@ def test_a_value_out_of_range_is_refused_by_its_name(name: str, value: Any) -> N
 
 def test_lists_require_one_entry_per_joint() -> None:
     with pytest.raises(fjr.ParameterError, match=r"imperfections\.torque_ripple.*expected 1"):
-        words.imperfections(values(**{"imperfections.torque_ripple": (1.0, 2.0)}), fjr.single_link())
+        build_imperfections(values(**{"imperfections.torque_ripple": (1.0, 2.0)}), fjr.single_link())

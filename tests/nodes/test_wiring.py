@@ -13,7 +13,9 @@ from rcl_interfaces.msg import ParameterType
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
-from fjr_core.config import builders
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import all_parameters
+from fjr_core.config.plant import plant_parameters
 from fjr_plant.timing.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -300,7 +302,7 @@ WIRED_BY_GROUP = (
     "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
     "plant.",  # test_own_code
     "robust.",  # test_robust_action
-    "robot.guesses.",  # tests/core/config/test_guesses.py
+    "robot.guesses.",  # tests/core/config/test_robot_file.py
 )
 
 
@@ -309,16 +311,16 @@ def test_no_parameter_is_left_out(model: str) -> None:
     tested = WIRED_ELSEWHERE | set(INITIAL_CASES)
     tested |= {f"robot.{parameter}" for case_model, parameter, _, _ in ROBOT_CASES if case_model == model}
     tested |= {f"gains.{name}" for name in GAIN_CASES} | {f"reference.{name}" for name in REFERENCE_CASES}
-    for own in (builders.plant_parameters, builders.controller_parameters):
-        names = {parameter.name for parameter in builders.all_parameters(own, given(model))} - tested
+    for own in (plant_parameters, controller_parameters):
+        names = {parameter.name for parameter in all_parameters(own, given(model))} - tested
         assert {name for name in names if not name.startswith(WIRED_BY_GROUP)} == set()
 
 
 @pytest.mark.parametrize("kind", ["plant", "controller"])
 def test_every_parameter_is_declared_with_description_unit_and_type(ros: Ros, kind: str) -> None:
     node = getattr(ros, kind)()
-    own = {"plant": builders.plant_parameters, "controller": builders.controller_parameters}[kind]
-    for parameter in builders.all_parameters(own, {}):
+    own = {"plant": plant_parameters, "controller": controller_parameters}[kind]
+    for parameter in all_parameters(own, {}):
         descriptor = node.describe_parameter(parameter.name)
         assert descriptor.read_only == (kind == "plant" and not parameter.dynamic)
         assert parameter.description in descriptor.description

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from fjr_core.config.description import description
+from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.scene.urdf_scene import scene
 from system.browser import Browser

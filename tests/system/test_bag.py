@@ -26,7 +26,7 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from fjr_bringup.runner.run import JOINT_COMMANDS, _Run
+from fjr_bringup.runner import JOINT_COMMANDS, _Run
 from fjr_monitor.recording import message_types
 from fjr_monitor.recording.reader import Bag, BagError, header_stamp, read_bag
 from fjr_monitor.recording.recorder import QUEUE_DEPTH, Recorder, Track

@@ -189,11 +189,8 @@ def test_nodes_of_the_same_names_in_another_namespace_are_no_conflict(
     [
         (["paper_k99"], "unknown scenario 'paper_k99'"),
         ([], "no scenario given: expected a YAML file or one of arm7, paper_k31"),
-        (["paper_k31", "--set", "robot.joint_stiffness:=[-1.0]"], "positive definite"),
         (["paper_k31", "--set", "robot.joint_stifness:=[1.0]"], "did you mean 'robot.joint_stiffness'"),
-        (["paper_k31", "--set", "publish_rate:=1000"], "write 1000.0"),
         (["paper_k31", "--set", "publish_rate"], "expected name:=value"),
-        (["paper_k31", "--set", "reference.amplitude:=[.nan]"], "finite"),
         (["paper_k31", "--duration", "-1"], "expected seconds"),
     ],
 )
@@ -202,12 +199,11 @@ def test_invalid_arguments_are_refused_in_one_sentence(tmp_path: Path, arguments
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("text", ["", "just words", "[1, 2]", "/**:\n  parameters: {}\n", "a: b: c"])
-@pytest.mark.parametrize("changes", [(), ("--lockstep",)], ids=["as it is", "changed"])
-def test_invalid_scenario_file_is_explained(tmp_path: Path, text: str, changes: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("text", ["", "[1, 2]", "a: b: c"])
+def test_invalid_scenario_file_is_explained(tmp_path: Path, text: str) -> None:
     path = tmp_path / "broken.yaml"
     path.write_text(text)
-    said = fjr_here("run", str(path), *changes, "--output", str(tmp_path / "runs"), code=2)
+    said = fjr_here("run", str(path), "--lockstep", "--output", str(tmp_path / "runs"), code=2)
     assert "broken" in said
 
 
@@ -254,8 +250,9 @@ NEEDS_ROS = {
 }
 
 
-@pytest.mark.parametrize("domain", ["abc", "500", "-1", "1.5"])
-@pytest.mark.parametrize("command", NEEDS_ROS)
+@pytest.mark.parametrize(
+    ("command", "domain"), [*((command, "abc") for command in NEEDS_ROS), ("echo", "500"), ("echo", "-1")]
+)
 def test_invalid_ros_domain_is_one_sentence_in_every_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, domain: str
 ) -> None:
@@ -267,17 +264,11 @@ def test_invalid_ros_domain_is_one_sentence_in_every_command(
     assert [line for line in said if line.startswith("fjr: ")] == said[-1:]
 
 
-@pytest.mark.parametrize("domain", ["abc", "500"])
 @pytest.mark.parametrize("node", NODES)
-def test_invalid_ros_domain_is_one_sentence_in_every_node(
-    start, monkeypatch: pytest.MonkeyPatch, node: str, domain: str
-) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    code, said = start(*NODES[node]).end()
-    assert (code, said) == (
-        1,
-        f"cannot start: ROS_DOMAIN_ID is '{domain}'; expected a whole number from 0 to 232\n",
-    )
+def test_invalid_ros_domain_is_one_sentence_in_every_node(start, monkeypatch: pytest.MonkeyPatch, node: str) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "500")
+    found = start(*NODES[node]).end()
+    assert found == (1, "cannot start: ROS_DOMAIN_ID is '500'; expected a whole number from 0 to 232\n")
 
 
 def test_waiting_for_one_view_or_message_ends_and_names_domain_and_remedy(ros: Ros) -> None:
@@ -288,8 +279,3 @@ def test_waiting_for_one_view_or_message_ends_and_names_domain_and_remedy(ros: R
         assert waited in said
         assert f"nodes in ROS domain {domain}: " in said
         assert said.endswith("; start the nodes, or set the ROS_DOMAIN_ID in which they run\n")
-
-
-def test_scenarios_are_listed() -> None:
-    said = fjr_here("scenarios")
-    assert all(name in said for name in ("paper_k31", "paper_k3p1", "two_link", "arm7"))

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from fjr_core.config import ros_yaml
-from fjr_core.config.scenario import CONTROLLER, load_scenario
+from fjr_core.config.nodes import CONTROLLER
+from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import ParameterError
 from fjr_msgs_py.scenarios.gains_block import with_gains
 from system.executables import fjr_here, scenario

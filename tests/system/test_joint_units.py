@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.config.reference import motion_limits
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import motion_limits, safety
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import ParameterError, TrajectoryError
 from fjr_core.model.robot import PRISMATIC, REVOLUTE
@@ -113,7 +112,7 @@ def test_limits_of_a_prismatic_joint_are_in_metres(arm: Scenario) -> None:
     with pytest.raises(ParameterError, match="of lift is -2 m; expected at least .*, -1 m"):
         safety({**values, **beneath}, arm.robot)
     with pytest.raises(TrajectoryError, match="joint 'lift' would reach 0.5 m at 0 s; its limit is 0.04 m"):
-        check_motion(Hold((0.5, 0.0)), motion_limits(values, safety(values, arm.robot), arm.robot), joints=arm.joints)
+        check_motion(Hold((0.5, 0.0)), motion_limits(safety(values, arm.robot), arm.robot), joints=arm.joints)
 
 
 def test_the_live_view_marks_a_prismatic_joint() -> None:

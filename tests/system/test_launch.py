@@ -16,13 +16,15 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from fjr_core.config import builders
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import all_parameters
+from fjr_core.config.plant import plant_parameters
 from fjr_core.config.scenario import load_scenario
 from fjr_msgs_py.node.participant import leave
 from time_limits import Limit
 
 LIMIT = 40.0  # s on a free machine
-OWN_PARAMETERS = {"fjr_plant": builders.plant_parameters, "fjr_controller": builders.controller_parameters}
+OWN_PARAMETERS = {"fjr_plant": plant_parameters, "fjr_controller": controller_parameters}
 
 
 def installed(*parts: str) -> Path:
@@ -75,7 +77,7 @@ def test_parameters_set_by_the_launch_file_are_declared_by_the_node() -> None:
         own = OWN_PARAMETERS[constant(call["package"])]
         known = {
             "use_sim_time",
-            *(parameter.name for parameter in builders.all_parameters(own, {})),
+            *(parameter.name for parameter in all_parameters(own, {})),
         }  # of ROS 2, of this project
         set_here = [node for node in ast.walk(call["parameters"]) if isinstance(node, ast.Dict)]
         for node in set_here:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from envsetup.quoting import quote_paths
-from fjr_bringup.runner.node_process import executable
+from fjr_bringup.node_process import executable
 from fjr_core.files.text_file import write_text
 from fjr_monitor.recording.reader import read_bag
 from fjr_monitor.report.write import write_with_fallback

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fjr_bringup.runner.run import set_ros_environment
+from fjr_bringup.runner import set_ros_environment
 from system.executables import NODES, scenario
 from system.network import Network, RefusedError, installed
 from time_limits import HANG

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fjr_core.config.description import description
+from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError
 from fjr_monitor.scene import urdf_scene

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_bringup.runner import trajectory_client
+from fjr_bringup import clients
 from fjr_controller.controller_node import ControllerNode
 from nodes.harness import PATIENCE, Listener, Peer, Ros, seconds, stamped
 from system.documented import documented_keys
@@ -76,7 +76,7 @@ def test_a_controller_in_a_namespace_takes_the_motion(ros: Ros, tmp_path: Path) 
 
 
 def test_without_a_controller_the_command_ends_with_one_sentence(monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(trajectory_client, "RESPONSE_LIMIT", 0.5)
+    monkeypatch.setattr(clients, "RESPONSE_LIMIT", 0.5)
     said = fjr_here("send", motion_file(tmp_path, MOTION), "--namespace", "left", code=1)
     assert said == (
         "fjr: /left/fjr_controller is not running, or its parameters are not available; expected an active controller\n"

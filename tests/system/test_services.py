@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr call`, `fjr set` and `fjr lifecycle` with running nodes under a namespace."""
+"""Services of running nodes: `fjr call`, `fjr set`, `fjr lifecycle`, and the clients with which a run starts."""
 
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter_client import AsyncParameterClient
 
+from fjr_bringup import clients
+from fjr_bringup.clients import PlantClient
 from fjr_msgs_py.node.participant import own_node
 from system.documented import documented_keys
-from system.executables import SLOW, TIME_LIMIT, fjr_here, running
+from system.executables import NODES, SLOW, TIME_LIMIT, Executable, fjr_here, running, wait_for
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -137,3 +141,29 @@ def test_wait_for_a_node_that_is_not_there_ends(arguments: list[str]) -> None:
 )
 def test_invalid_name_is_refused(arguments: list[str]) -> None:
     assert "'/a b' is not a " in fjr_here(*arguments, code=2)
+
+
+@pytest.fixture
+def plant_client() -> Iterator[PlantClient]:
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    client = PlantClient(context, "fjr_plant")
+    yield client
+    client.close()
+    context.try_shutdown()
+
+
+def test_node_that_stands_still_has_not_discovered_new_subscriptions(
+    plant_client: PlantClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clients, "RETRY_AFTER", 0.5)
+    assert not plant_client.discovered_by("nobody")
+    plant = Executable(*NODES["plant"], "--ros-args", "-p", "start_paused:=true", "-p", "compile:=false")
+    try:
+        wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant")
+        plant.signal(signal.SIGSTOP)
+        assert not plant_client.discovered_by("fjr_plant")
+        plant.signal(signal.SIGCONT)
+        wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant after its pause")
+    finally:
+        plant.kill()

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import pytest
 from ament_index_python.packages import get_package_prefix
 
-from fjr_core.config.description import description
+from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.watch.browser import BrowserPage
 from system.browser import Browser

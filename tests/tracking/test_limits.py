@@ -12,9 +12,8 @@ import pytest
 import fjr_core as fjr
 from fjr_controller.tracking.events import Event, State
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.config import builders
 from fjr_core.config import parameter as parameters
-from fjr_core.config.safety import safety, safety_parameters
+from fjr_core.config.controller import safety, safety_parameters
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import LAW, MS, TWO, TWO_SINES, Passed, paper_law, sample, settings, two_link_law
@@ -202,7 +201,7 @@ def test_every_parameter_reaches_the_settings() -> None:
 
 
 def test_all_are_parameters_of_the_controller() -> None:
-    theirs = {p.name for p in builders.controller_parameters(2)}
+    theirs = {p.name for p in controller_parameters(2)}
     assert {p.name for p in safety_parameters(2)} <= theirs
 
 

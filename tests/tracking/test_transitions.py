@@ -11,7 +11,8 @@ import pytest
 import fjr_core as fjr
 from fjr_controller.tracking.events import State
 from fjr_controller.tracking.tracker import Tracker
-from fjr_core.config import builders
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import all_parameters
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.library import constant
 from tracking.tracked import (
@@ -155,5 +156,5 @@ def test_a_request_that_does_not_match_respects_the_limits() -> None:
     [({}, 0.0), ({"robot.model": "planar_two_link"}, 0.0), ({"robot.model": "urdf", "joints": ["a"]}, 1.0)],
 )
 def test_an_arm_of_a_urdf_starts_by_a_transition_unless_told_otherwise(given: dict[str, Any], default: float) -> None:
-    known = builders.all_parameters(builders.controller_parameters, given)
+    known = all_parameters(controller_parameters, given)
     assert {each.name: each.default for each in known}["start.join_time"] == default

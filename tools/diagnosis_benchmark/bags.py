@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_monitor.analysis.commands import match_stamps
 from fjr_monitor.analysis.states import first_of_each_stamp

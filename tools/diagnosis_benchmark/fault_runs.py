@@ -103,7 +103,7 @@ class _Draw:
         entries[self.j] = change(entries[self.j])
         return {"robot": {name: entries}}
 
-    def nonideality(self, name: str, value: float) -> dict[str, Any]:
+    def imperfection(self, name: str, value: float) -> dict[str, Any]:
         entries = [0.0] * self.n
         entries[self.j] = value
         smooth = {"imperfections.friction_smoothing_velocity": [0.05] * self.n} if self.scenario == "arm7" else {}
@@ -176,7 +176,7 @@ LINK, MOTOR, BOTH, SPRING = ("link",), ("motor",), ("link", "motor"), ("joint",)
 FAULTS: dict[str, tuple[tuple[float, float, float], tuple[str, ...], Maker]] = {  # sizes, sides, how
     "constant torque": ((0.04, 0.1, 0.25), BOTH, _constant),
     "gravity load": ((0, 1, 2), LINK, _payload),
-    "Coulomb friction": ((0.03, 0.08, 0.2), BOTH, lambda d: d.nonideality(f"{d.side}_coulomb_friction", d.torque)),
+    "Coulomb friction": ((0.03, 0.08, 0.2), BOTH, lambda d: d.imperfection(f"{d.side}_coulomb_friction", d.torque)),
     "viscous friction": ((0.03, 0.08, 0.2), BOTH, lambda d: d.robot(f"{d.side}_damping", lambda D: D + d.torque)),
     "inertia": ((0.1, 0.3, 0.7), BOTH, lambda d: d.robot(f"{d.side}_inertia", lambda M: M * (1 + d.f))),
     "stiffness": ((0.05, 0.12, 0.25), SPRING, lambda d: d.robot("joint_stiffness", lambda K: K * (1 - d.f))),

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from fjr_core.config.diagnosis import axes
+from fjr_core.config.controller import axes
 from fjr_monitor.diagnosis.diagnosis import diagnose
 
 from .fault_runs import FAULTS, HEALTHY, VALIDATION_SEED, WIRING, FaultCase, cases

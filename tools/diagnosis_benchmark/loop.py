@@ -14,7 +14,7 @@ import numpy as np
 
 from fjr_controller.tracking.tracker import Tracker
 from fjr_core import StateError
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Labelled runs for the diagnosis: healthy, each non-ideality at two levels, model mismatch, low sample rates.
+"""Labelled runs for the diagnosis: healthy, each imperfection at two levels, model mismatch, low sample rates.
 
 Labels do not depend on the diagnosis: `label` compares a run with the same run without the cause. Thresholds
 (fjr_core.monitoring.thresholds) are tuned on the set of TUNING_SEED and validated on that of VALIDATION_SEED. A seed
@@ -17,7 +17,8 @@ import numpy as np
 
 from fjr_core import check
 from fjr_core.config import ros_yaml
-from fjr_core.config.scenario import PLANT, Scenario, parse_scenario
+from fjr_core.config.nodes import PLANT
+from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import TOLERANCE
 from fjr_core.numerics.checks import Array
@@ -66,7 +67,7 @@ DIRECT: dict[str, dict[str, Any]] = {"two_link": {"start.join_time": 0.0, "limit
 """Parameters with which a robot starts without a transition, from any initial state."""
 STARTS = {"paper_k31": 0.5, "paper_k3p1": 0.5, "two_link": 0.0}  # rad, of all joints
 JOINTS = {"paper_k31": 1, "paper_k3p1": 1, "two_link": 2, "arm7": 7}
-PER_JOINT: dict[str, tuple[str, tuple[float, float]]] = {  # non-ideality: cause, weak and strong level
+PER_JOINT: dict[str, tuple[str, tuple[float, float]]] = {  # imperfection: cause, weak and strong level
     "link_coulomb_friction": ("model mismatch", (0.01, 0.08)),
     "motor_coulomb_friction": ("model mismatch", (0.01, 0.08)),
     "link_static_friction": ("model mismatch", (0.03, 0.15)),
@@ -134,23 +135,23 @@ def _cases(seed: int) -> list[Case]:
 
 
 def _nonideal(seed: int) -> Iterator[Case]:
-    """Yield each non-ideality at two levels, alternating between one and two joints."""
+    """Yield each imperfection at two levels, alternating between one and two joints."""
     everything = [*PER_JOINT.items(), *OF_MESSAGES.items()]
     for i, (key, (kind, strengths)) in enumerate(everything):
         for j, strength in enumerate(strengths):
             name = ("paper_k31", "two_link")[(i + j) % 2]
             value: Any = [strength] * JOINTS[name] if key in PER_JOINT else strength
-            yield _nonideality(name, kind, key, strength, {key: value}, seed := seed + 1)
+            yield _imperfection(name, kind, key, strength, {key: value}, seed := seed + 1)
     for name in EFFORT_LIMITS:
         for limit in EFFORT_LIMITS[name]:
             cut = {"effort_limit": [limit] * JOINTS[name]}
-            yield _nonideality(name, "saturation", "effort_limit", limit, cut, seed := seed + 1)
+            yield _imperfection(name, "saturation", "effort_limit", limit, cut, seed := seed + 1)
         for mass in PAYLOADS[name]:
             end_effector = {"payload_mass": mass, "payload_position": [0.2, 0.0, 0.0]}
-            yield _nonideality(name, "model mismatch", "payload_mass", mass, end_effector, seed := seed + 1)
+            yield _imperfection(name, "model mismatch", "payload_mass", mass, end_effector, seed := seed + 1)
 
 
-def _nonideality(scenario: str, kind: str, key: str, strength: float, values: Mapping[str, Any], seed: int) -> Case:
+def _imperfection(scenario: str, kind: str, key: str, strength: float, values: Mapping[str, Any], seed: int) -> Case:
     changes = {f"imperfections.{name}": value for name, value in {**values, "seed": seed}.items()}
     return Case(f"{scenario} {key} {strength:g}", scenario, kind, changes)
 

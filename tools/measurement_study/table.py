@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fjr_core import Plant, single_link
-from fjr_core.config.measurement import BANDWIDTH
+from fjr_core.config.controller import BANDWIDTH
 from fjr_core.config.scenario import Scenario
 
 from .loop import Run, Sensors, run, scenario

@@ -1,17 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot files: search path, precedence of values, errors."""
+"""Robot files: search path, precedence of values, guesses, the URDF that describes the robot, and its meshes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.config import builders, parameter, robot_file, ros_yaml
-from fjr_core.config.scenario import CONTROLLER, OWN_PARAMETERS, load_scenario, parse_scenario, self_contained
+from fjr_core.config import parameter, robot_file, ros_yaml
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.law import gain_values
+from fjr_core.config.law import gains as build_gains
+from fjr_core.config.nodes import CONTROLLER, OWN_PARAMETERS, all_parameters, self_contained
+from fjr_core.config.plant import plant_parameters
+from fjr_core.config.robot import description
+from fjr_core.config.robot import robot as build_robot
+from fjr_core.config.robot_file import inlined, located
+from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
+from fjr_core.errors import ParameterError
 from two_link_urdf import JOINTS, LINK_DAMPING, MOTOR_DAMPING, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 ROBOT = f"""
@@ -153,8 +163,8 @@ def urdf_robot(**changes: object) -> fjr.Robot:
     given = urdf_values(**changes)
     if "robot.joints" in given:
         given["joints"] = given.pop("robot.joints")
-    known = builders.all_parameters(builders.controller_parameters, given)
-    return builders.robot(parameter.complete(known, given))
+    known = all_parameters(controller_parameters, given)
+    return build_robot(parameter.complete(known, given))
 
 
 BAD_VALUES = [
@@ -184,7 +194,7 @@ def test_an_invalid_urdf_robot_is_one_sentence_with_the_parameter(changes: dict[
 def test_urdf_robot_requires_joint_names() -> None:
     given = urdf_values()
     del given["joints"]
-    refuse(lambda: builders.all_parameters(builders.controller_parameters, given), "'joints' is not given", "urdf")
+    refuse(lambda: all_parameters(controller_parameters, given), "'joints' is not given", "urdf")
 
 
 def test_motor_inertia_is_reflected_unless_a_gear_ratio_is_given() -> None:
@@ -207,18 +217,18 @@ def test_full_matrix_is_read_row_by_row() -> None:
 @pytest.mark.parametrize(("name", "joints"), [("single_link", ["a"]), ("planar_two_link", ["a", "b"])])
 def test_parameters_of_closed_form_robots_keep_their_defaults(name: str, joints: list[str]) -> None:
     given: dict[str, object] = {"robot.model": name, "joints": joints}
-    known = builders.all_parameters(builders.plant_parameters, given)
-    assert_same_robot(builders.robot(parameter.complete(known, given)), getattr(fjr, name)())
+    known = all_parameters(plant_parameters, given)
+    assert_same_robot(build_robot(parameter.complete(known, given)), getattr(fjr, name)())
 
 
 def test_gains_are_read_back_from_a_parameter_file() -> None:
     full = [[2.0, 0.3], [0.3, 1.0]]
     gains = fjr.Gains(Lambda_l=[8.0, 9.0], Pi_l=full, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=full, Gamma_m=1.0)
-    written = ros_yaml.tree_of(builders.gain_values(gains, 2))
+    written = ros_yaml.tree_of(gain_values(gains, 2))
     section = {f"/**/{CONTROLLER}": {"ros__parameters": written}}
     given = ros_yaml.values_for(CONTROLLER, ros_yaml.parse(ros_yaml.dump(section)))
-    known = builders.controller_parameters(2)
-    read = builders.gains(parameter.complete(known, given), 2).checked(2)
+    known = controller_parameters(2)
+    read = build_gains(parameter.complete(known, given), 2).checked(2)
     for name in ("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md", "Gamma_l", "Gamma_m"):
         np.testing.assert_array_equal(getattr(read, name), getattr(gains.checked(2), name))
 
@@ -228,3 +238,139 @@ def test_packages_are_searched_in_the_order_of_the_path(tmp_path: Path, monkeypa
         (tmp_path / prefix / "share" / "pkg").mkdir(parents=True)
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'none'}:{tmp_path / 'b'}:{tmp_path / 'a'}")
     assert robot_file.resolve("package://pkg/x/y.yaml", Path("/")) == tmp_path / "b" / "share" / "pkg" / "x" / "y.yaml"
+
+
+SCENARIOS = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
+
+
+def values_of(**given: object) -> dict[str, parameter.Value]:
+    named = {key.replace("__", "."): value for key, value in given.items()}
+    return dict(parameter.complete(all_parameters(plant_parameters, named), named))
+
+
+ROBOTS = {
+    "Table 1": {"robot__model": "single_link"},
+    "no gravity": {"robot__model": "single_link", "robot__gravity_torque": [0.0]},
+    "upside down": {"robot__model": "single_link", "robot__gravity_torque": [-0.5], "joints": ["a&b"]},
+    "heavy": {"robot__model": "single_link", "robot__gravity_torque": [9.0], "robot__link_inertia": [2.0]},
+    "two links": {"robot__model": "planar_two_link", "joints": ["shoulder", "elbow"]},
+}
+
+
+@pytest.mark.parametrize("given", ROBOTS.values(), ids=ROBOTS)
+def test_generated_description_has_the_same_inertia_and_gravity(given: dict[str, object]) -> None:
+    values = values_of(**given)
+    closed = build_robot(values)
+    read = fjr.robot_from_urdf(description(values), list(values["joints"]), closed.K, closed.M_m)
+    rng = np.random.default_rng(0)
+    for q_l, dq_l in rng.uniform(-3, 3, (5, 2, closed.n)):
+        np.testing.assert_allclose(read.M_l(q_l), closed.M_l(q_l), rtol=1e-12)
+        np.testing.assert_allclose(read.grad_P_l(q_l), closed.grad_P_l(q_l), rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(read.coriolis(q_l, dq_l, dq_l), closed.coriolis(q_l, dq_l, dq_l), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
+def test_every_link_has_a_visual_and_every_joint_is_present(name: str) -> None:
+    scenario = load_scenario(SCENARIOS / f"{name}.yaml")
+    robot = ElementTree.fromstring(description(scenario.plant_values))
+    assert set(scenario.joints) <= {joint.get("name") for joint in robot.iter("joint")}
+    turning = {joint.find("child").get("link") for joint in robot.iter("joint") if joint.get("name") in scenario.joints}
+    assert turning <= {link.get("name") for link in robot.iter("link") if link.find("visual") is not None}
+
+
+def test_arm_from_a_urdf_keeps_that_urdf() -> None:
+    values = load_scenario(SCENARIOS / "arm7.yaml").plant_values
+    assert description(values) == Path(values["robot.urdf"]).read_text(encoding="utf-8")
+    assert description(inlined(values)) == description(values)
+
+
+def test_missing_file_is_reported_in_one_sentence() -> None:
+    with pytest.raises(ParameterError, match="cannot read nowhere.urdf"):
+        description({"robot.model": "urdf", "robot.urdf": "nowhere.urdf", "joints": ("a",)})
+
+
+SCENARIO = """
+/**:
+  ros__parameters:
+    joints: [a, b]
+    robot:
+      model: planar_two_link
+      joint_stiffness: [{stiffness}]
+      motor_inertia: [0.02, 0.01]
+      {guesses}
+    initial_link_position: [0.1, 0.1]
+    initial_motor_position: [0.1, 0.1]
+    reference: {{type: hold, offset: [0.0, 0.0]}}
+"""
+BOTH = "guesses: {joint_stiffness: [40.0, 25.0], motor_inertia: [0.0, 0.01]}"
+
+
+def loaded(stiffness: str = "40.0, 25.0", guesses: str = BOTH) -> Scenario:
+    return parse_scenario("mine", SCENARIO.format(stiffness=stiffness, guesses=guesses))
+
+
+def test_values_that_equal_their_guess_are_counted() -> None:
+    stiffness, inertia = loaded().robot_warnings
+    assert stiffness.startswith("joint stiffness of 2 joints is a guess; replace it by a measured or data-sheet value")
+    assert inertia.startswith("motor inertia of joint b is a guess")
+
+
+@pytest.mark.parametrize("stiffness", ["41.0, 25.0", "41.0, 1.0, 1.0, 25.0"])
+def test_a_replaced_value_is_no_guess_any_more(stiffness: str) -> None:
+    assert "joint stiffness of joint b is a guess" in loaded(stiffness).robot_warnings[0]
+
+
+def test_without_guesses_there_is_no_warning() -> None:
+    assert loaded(guesses="").robot_warnings == ()
+    assert loaded("41.0, 26.0", "guesses: {joint_stiffness: [40.0, 25.0]}").robot_warnings == ()
+
+
+def test_guesses_do_not_change_the_robot() -> None:
+    assert loaded().robot.fingerprint() == loaded(guesses="").robot.fingerprint()
+
+
+def test_a_negative_guess_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"'robot.guesses.joint_stiffness' holds -1.0; expected at least 0"):
+        loaded(guesses="guesses: {joint_stiffness: [-1.0, 25.0]}")
+
+
+def urdf(name: str) -> str:
+    mesh = f'<mesh filename="{name}" scale="1 1 1"/>'
+    return f'<robot><link name="a"><visual><geometry>\n{mesh}\n</geometry></visual></link></robot>'
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package `arm_description` with urdf/ and meshes/link.stl."""
+    folder = tmp_path / "arm_description"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "urdf").mkdir()
+    (folder / "meshes" / "link.stl").touch()
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "package://arm_description/meshes/link.stl",
+        "../meshes/link.stl",
+    ],
+)
+def test_a_mesh_next_to_the_urdf_gets_its_path(package: Path, name: str) -> None:
+    text = located(urdf(name), package / "urdf")
+    path = Path(text.split("file://")[1].split('"')[0])
+    assert path.is_absolute()
+    assert path.samefile(package / "meshes" / "link.stl")
+    assert text.replace(f"file://{path}", name) == urdf(name)
+
+
+@pytest.mark.parametrize("name", ["package://other/meshes/link.stl", "none.stl", "file:///none.stl", "/none.stl", ""])
+def test_a_mesh_that_is_elsewhere_stays_as_it_is(package: Path, name: str) -> None:
+    assert located(urdf(name), package / "urdf") == urdf(name)
+
+
+def test_the_text_of_a_scenario_has_the_paths(package: Path) -> None:
+    (package / "urdf" / "arm.urdf").write_text(urdf("../meshes/link.stl"))
+    text = str(robot_file.inlined({"robot.urdf": str(package / "urdf" / "arm.urdf")})["robot.urdf"])
+    assert "file:///" in text
+    assert robot_file.inlined({"robot.urdf": text})["robot.urdf"] == text

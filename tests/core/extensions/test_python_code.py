@@ -16,7 +16,7 @@ from fjr_core.extensions.law_registry import law_kind
 from fjr_core.extensions.python_code import own_law, own_plant
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.simulation.batch import ClosedLoop, Draws
-from fjr_core.simulation.nonideal_parameters import Nonidealities
+from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_core.stability.linearization import slope_at_rest
 
@@ -203,7 +203,7 @@ def test_options_change_the_motion() -> None:
 
 
 def test_friction_ripple_and_external_torques_act_as_on_the_same_equations() -> None:
-    errors = Nonidealities(2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3)
+    errors = Imperfections(2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3)
     state = np.append(START + 0.1, [1.0, 2.0])
     plants = [NonidealPlant(plant) for plant in (fjr.Plant(ARM), PLANT)]
     steps = [plant.step(state, [3.0, 4.0], [0.5, 0.0], errors.vector, 2.5e-4) for plant in plants]
@@ -213,7 +213,7 @@ def test_friction_ripple_and_external_torques_act_as_on_the_same_equations() -> 
 @pytest.mark.parametrize("name", ["payload_mass", "cubic"])
 def test_what_is_part_of_the_plant_itself_is_refused(name: str) -> None:
     with pytest.raises(fjr.ParameterError, match=f"{name} is not 0 for a plant in Python"):
-        NonidealPlant(PLANT).check(Nonidealities(2, **{name: 1.0}))
+        NonidealPlant(PLANT).check(Imperfections(2, **{name: 1.0}))
 
 
 def test_runs_of_a_study_with_the_plant_are_those_of_the_same_equations() -> None:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.runtime.library import step_library
 from fjr_monitor.diagnosis.innovations import innovations

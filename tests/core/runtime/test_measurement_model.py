@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.config.measurement import BANDWIDTH, measurement, measurement_parameters, observer
+from fjr_core.config.controller import BANDWIDTH, measurement, measurement_parameters, observer
 from fjr_core.config.parameter import Values, complete
 
 ROBOT = fjr.planar_two_link(

@@ -12,7 +12,7 @@ import pytest
 
 import fjr_core as fjr
 from core.simulation.test_batch import normals
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import load_scenario
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law

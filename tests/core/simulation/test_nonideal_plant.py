@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Non-ideal plant: exact power balance with each non-ideality, payloads equal to heavier links, exact actuators."""
+"""Non-ideal plant: exact power balance with each imperfection, payloads equal to heavier links, exact actuators."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from core.oracles.oracle import stencil
 from core.oracles.properties import TOLERANCE, residual
 from fjr_core.model.rigid_arm import closed_form
 from fjr_core.numerics.symbolic import NumericFunction
-from fjr_core.simulation.nonideal_parameters import NAMES, SWITCHES, Nonidealities, friction_rate
+from fjr_core.simulation.imperfections import NAMES, SWITCHES, Imperfections, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 Array = NDArray[Any]
@@ -36,10 +36,10 @@ def derivative(plant: NonidealPlant, x: Array, applied: Any, external: Any, para
     return NumericFunction(plant.dynamics)(x, np.concatenate([applied, external, parameters]))[0]
 
 
-def everything(n: int) -> Nonidealities:
-    """Return all non-idealities at once, with different values for every joint."""
+def everything(n: int) -> Imperfections:
+    """Return all imperfections at once, with different values for every joint."""
     k = 1 + 0.3 * np.arange(n)
-    return Nonidealities(
+    return Imperfections(
         n,
         coulomb_l=0.2 * k,
         static_l=0.35 * k,
@@ -65,9 +65,9 @@ def friction(v: Array, coulomb: Array, static: Array, stribeck: Array, smoothing
     return level * np.tanh(v / smoothing)
 
 
-def test_all_nonidealities_are_off_by_default() -> None:
-    assert Nonidealities(3).off
-    assert all(Nonidealities(1, **{name: value}).off for name, value in SETTINGS.items())
+def test_all_imperfections_are_off_by_default() -> None:
+    assert Imperfections(3).off
+    assert all(Imperfections(1, **{name: value}).off for name, value in SETTINGS.items())
 
 
 SETTINGS = {"stribeck_l": 1.0, "stribeck_m": 1.0, "smoothing": 1.0, "ripple_periods": 3.0, "ripple_phase": 1.0}
@@ -75,27 +75,27 @@ SETTINGS = {"stribeck_l": 1.0, "stribeck_m": 1.0, "smoothing": 1.0, "ripple_peri
 
 @pytest.mark.parametrize("name", [*SWITCHES, "effort_limit"])
 def test_each_parameter_enables_the_nonideal_plant(name: str) -> None:
-    assert not Nonidealities(2, **{name: 0.5}).off
+    assert not Imperfections(2, **{name: 0.5}).off
 
 
 def test_parameter_vector_contains_every_field() -> None:
-    assert set(NAMES) == {field.name for field in fields(Nonidealities)} - {"n"}
+    assert set(NAMES) == {field.name for field in fields(Imperfections)} - {"n"}
     assert everything(3).vector.shape == (13 * 3 + 4,)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "implicit_midpoint"])
 @arms
-def test_step_without_nonidealities_is_that_of_the_plant(arm: Arm, integrator: str) -> None:
+def test_step_without_imperfections_is_that_of_the_plant(arm: Arm, integrator: str) -> None:
     p, n = random_point(arm, 1), arm.n
     plant = fjr.Plant(arm.robot, integrator)
-    seen = NonidealPlant(plant).step(np.r_[p.x, np.zeros(n)], p.u, np.zeros(n), Nonidealities(n).vector, DT)
+    seen = NonidealPlant(plant).step(np.r_[p.x, np.zeros(n)], p.u, np.zeros(n), Imperfections(n).vector, DT)
     np.testing.assert_allclose(seen[: 4 * n], plant.step(p.x, p.u, DT), rtol=1e-14, atol=1e-16)
     assert np.array_equal(seen[4 * n :], p.u)
 
 
 @arms
 @seeds
-def test_power_balance_with_all_nonidealities(arm: Arm, seed: int) -> None:
+def test_power_balance_with_all_imperfections(arm: Arm, seed: int) -> None:
     """dH/dt = power of actuators, external torques and ripple - viscous damping - friction."""
     p, n, i = random_point(arm, seed), arm.n, everything(arm.n)
     plant, push = plant_of(arm.robot), np.random.default_rng(seed).uniform(-2, 2, n)
@@ -124,15 +124,15 @@ def test_friction_dissipates_at_every_speed(seed: int) -> None:
         assert np.all(velocity * force < 0)
 
 
-def replaced(i: Nonidealities, **values: Any) -> Nonidealities:
-    return Nonidealities(i.n, **{name: getattr(i, name) for name in NAMES} | values)
+def replaced(i: Imperfections, **values: Any) -> Imperfections:
+    return Imperfections(i.n, **{name: getattr(i, name) for name in NAMES} | values)
 
 
 @pytest.mark.parametrize("side", ["l", "m"])
 def test_friction_goes_from_the_static_to_the_coulomb_level(side: str) -> None:
     """Friction is odd in v: nearly static between smoothing and Stribeck velocity, Coulomb far above them."""
     values = {f"coulomb_{side}": 0.2, f"static_{side}": 0.3, f"stribeck_{side}": 1.0, "smoothing": 1e-3}
-    on, off, plant = Nonidealities(1, **values).vector, Nonidealities(1).vector, plant_of(fjr.single_link())
+    on, off, plant = Imperfections(1, **values).vector, Imperfections(1).vector, plant_of(fjr.single_link())
 
     def torque(v: float) -> float:
         x = plant.state([0, 0], [v, v], off)
@@ -148,20 +148,20 @@ def test_friction_goes_from_the_static_to_the_coulomb_level(side: str) -> None:
 
 def test_static_level_below_the_coulomb_level_is_ignored() -> None:
     plant, x = plant_of(fjr.single_link()), fjr.single_link().state([0.1], [0.2], [0.3], [-0.4])
-    low, equal = (Nonidealities(1, coulomb_m=0.2, static_m=static).vector for static in (0.1, 0.2))
+    low, equal = (Imperfections(1, coulomb_m=0.2, static_m=static).vector for static in (0.1, 0.2))
     assert np.array_equal(derivative(plant, x, [0], [0], low), derivative(plant, x, [0], [0], equal))
 
 
 def test_friction_rate_is_the_slope_at_rest() -> None:
     """The rate is the most negative eigenvalue of the part of d(dp)/dp that is due to friction."""
-    robot, i = ARMS[-1].robot, replaced(Nonidealities(2), coulomb_l=[0.2, 0.1], static_m=[0.1, 0.3])
+    robot, i = ARMS[-1].robot, replaced(Imperfections(2), coulomb_l=[0.2, 0.1], static_m=[0.1, 0.3])
     q_l, plant = np.array([0.4, -0.9]), plant_of(ARMS[-1].robot)
     x = robot.state(q_l, q_l, [0, 0], [0, 0])
     h = 1e-7
     columns = []
     for k in range(4, 8):
         dx = [derivative(plant, x + h * s * np.eye(8)[k], [0, 0], [0, 0], i.vector) for s in (1, -1)]
-        plain = [derivative(plant, x + h * s * np.eye(8)[k], [0, 0], [0, 0], Nonidealities(2).vector) for s in (1, -1)]
+        plain = [derivative(plant, x + h * s * np.eye(8)[k], [0, 0], [0, 0], Imperfections(2).vector) for s in (1, -1)]
         columns.append(((dx[0] - dx[1]) - (plain[0] - plain[1]))[4:] / (2 * h))
     fastest = -np.min(np.linalg.eigvals(np.array(columns).T).real)
     assert friction_rate(i, robot.M_l(q_l), robot.M_m) == pytest.approx(fastest, rel=1e-5)
@@ -175,16 +175,16 @@ def test_cubic_springs_store_a_quarter_of_the_fourth_power(arm: Arm) -> None:
     x, n = random_point(arm, 2).x, arm.n
     cubic = 50.0 + 10 * np.arange(n)
     plant, zeta = plant_of(arm.robot), x[n : 2 * n] - x[:n]
-    energies = [plant.hamiltonian(x, Nonidealities(n, cubic=k).vector) for k in (cubic, np.zeros(n))]
+    energies = [plant.hamiltonian(x, Imperfections(n, cubic=k).vector) for k in (cubic, np.zeros(n))]
     assert energies[0] - energies[1] == pytest.approx(np.sum(cubic * zeta**4) / 4, rel=1e-9)
-    _, spring = plant.measure(x, Nonidealities(n, cubic=cubic).vector)
+    _, spring = plant.measure(x, Imperfections(n, cubic=cubic).vector)
     np.testing.assert_allclose(spring, arm.K @ zeta + cubic * zeta**3, rtol=1e-13)
 
 
 def test_cubic_springs_and_payload_conserve_energy_without_damping() -> None:
     """The drift of Runge-Kutta decreases with the fourth power of the step or faster, so the flow conserves H."""
     robot = fjr.planar_two_link(link_damping=0.0, motor_damping=0.0)
-    i = Nonidealities(2, cubic=(300.0, 200.0), payload_mass=0.5, payload_position=(0.25, 0.05, 0.0)).vector
+    i = Imperfections(2, cubic=(300.0, 200.0), payload_mass=0.5, payload_position=(0.25, 0.05, 0.0)).vector
     plant = plant_of(robot)
     x0 = plant.state([0.9, -0.6, 1.0, -0.5], [0.5, -1.0, 0.3, 0.8], i)
 
@@ -203,8 +203,8 @@ def test_cubic_springs_and_payload_conserve_energy_without_damping() -> None:
 
 
 def test_ripple_has_its_amplitude_periods_and_phase() -> None:
-    plant, off = plant_of(fjr.single_link()), Nonidealities(1).vector
-    on = Nonidealities(1, ripple=0.3, ripple_periods=6.0, ripple_phase=0.2).vector
+    plant, off = plant_of(fjr.single_link()), Imperfections(1).vector
+    on = Imperfections(1, ripple=0.3, ripple_periods=6.0, ripple_phase=0.2).vector
     for q_m in np.linspace(-3, 3, 13):
         x = plant.state([0, q_m], [0.1, -0.2], off)
         added = derivative(plant, x, [0], [0], on) - derivative(plant, x, [0], [0], off)
@@ -223,11 +223,11 @@ def field_of(robot: fjr.Robot, links: Any, q: Array, dq: Array) -> Array:
     return np.concatenate([dq, dp_l, -spring - robot.D_m @ dq_m])
 
 
-def assert_carries(robot: fjr.Robot, links: Any, i: Nonidealities, seed: int) -> None:
+def assert_carries(robot: fjr.Robot, links: Any, i: Imperfections, seed: int) -> None:
     """Check that the robot with the payload of i equals the robot whose links are those of the oracle."""
     n, rng = robot.n, np.random.default_rng(seed)
     q, dq = rng.uniform(-1.5, 1.5, 2 * n), rng.uniform(-2, 2, 2 * n)
-    plant, off = plant_of(robot), Nonidealities(n).vector
+    plant, off = plant_of(robot), Imperfections(n).vector
     x = plant.state(q, dq, i.vector)
     assert residual(x[2 * n : 3 * n], links.M(q[:n]) @ dq[:n]) <= 1e-12
     wanted, seen = field_of(robot, links, q, dq), derivative(plant, x, np.zeros(n), np.zeros(n), i.vector)
@@ -247,7 +247,7 @@ def assert_carries(robot: fjr.Robot, links: Any, i: Nonidealities, seed: int) ->
 def test_payload_on_the_single_link_equals_a_heavier_link(seed: int) -> None:
     m, d = 0.3, 0.25
     heavier = fjr.single_link(link_inertia=0.031 + m * d**2, gravity_torque=0.8 + 9.81 * m * d)
-    i = Nonidealities(1, payload_mass=m, payload_position=(d, 0.0, 0.4)).vector
+    i = Imperfections(1, payload_mass=m, payload_position=(d, 0.0, 0.4)).vector
     rng = np.random.default_rng(seed)
     q, dq, u = rng.uniform(-2, 2, 2), rng.uniform(-2, 2, 2), rng.uniform(-1, 1, 1)
     plant, real = plant_of(fjr.single_link()), fjr.Plant(heavier)
@@ -267,7 +267,7 @@ def test_payload_on_the_planar_arm_equals_a_heavier_second_link(seed: int) -> No
     com = (m2 * c2 + m * l2) / total
     inertia = I2 + m2 * (c2 - com) ** 2 + m * (l2 - com) ** 2
     links = PlanarTwoLink((m1, total), PLANAR["link_length"][0], (c1, com), (I1, inertia))
-    i = Nonidealities(2, payload_mass=m, payload_position=(l2, 0.0, 0.0))
+    i = Imperfections(2, payload_mass=m, payload_position=(l2, 0.0, 0.0))
     assert_carries(fjr.planar_two_link(), links, i, seed)
 
 
@@ -286,7 +286,7 @@ def test_payload_on_any_urdf_equals_an_added_body_in_pinocchio(n: int, seed: int
     case = random_urdf(n, seed)
     robot = fjr.robot_from_urdf(case.xml, case.joints, 100.0, 0.1, 0.3, 0.05, gravity=case.gravity, locked=case.locked)
     position = np.random.default_rng(seed).uniform(-0.4, 0.4, 3)
-    i = Nonidealities(n, payload_mass=1.3, payload_position=position)
+    i = Imperfections(n, payload_mass=1.3, payload_position=position)
     assert_carries(robot, loaded(case.pinocchio, f"named{n - 1}", 1.3, position), i, seed)
 
 
@@ -294,7 +294,7 @@ def test_payload_on_any_urdf_equals_an_added_body_in_pinocchio(n: int, seed: int
 def test_payload_on_any_serial_chain_equals_an_added_body_in_pinocchio(seed: int) -> None:
     chain = random_chain(4, seed)
     robot = fjr.Robot(chain.links, *(np.eye(4) * value for value in (0.1, 80.0, 0.2, 0.03, 1.0)))
-    i = Nonidealities(4, payload_mass=0.8, payload_position=(0.1, 0.2, -0.3))
+    i = Imperfections(4, payload_mass=0.8, payload_position=(0.1, 0.2, -0.3))
     links = PinocchioLinks(chain.pinocchio.model.copy(), [f"joint{k}" for k in range(4)])
     assert_carries(robot, loaded(links, "joint3", 0.8, np.array([0.1, 0.2, -0.3])), i, seed)
 
@@ -302,10 +302,10 @@ def test_payload_on_any_serial_chain_equals_an_added_body_in_pinocchio(seed: int
 def test_payload_is_refused_without_an_end_effector_frame() -> None:
     links = closed_form(1, lambda q: 0.1 + 0 * q, lambda q: -q[0])
     plant = plant_of(fjr.Robot(links, *([[value]] for value in (0.1, 10.0, 0.1, 0.1, 1.0))))
-    plant.check(Nonidealities(1, coulomb_l=0.1))
+    plant.check(Imperfections(1, coulomb_l=0.1))
     with pytest.raises(fjr.ParameterError, match="payload_mass"):
-        plant.check(Nonidealities(1, payload_mass=0.1))
-    state = plant.step(np.zeros(5), [0], [0], Nonidealities(1).vector, DT)
+        plant.check(Imperfections(1, payload_mass=0.1))
+    state = plant.step(np.zeros(5), [0], [0], Imperfections(1).vector, DT)
     assert np.isfinite(state).all()
 
 
@@ -325,7 +325,7 @@ def test_external_torque_acts_on_the_links_and_does_work(arm: Arm) -> None:
 
 def test_actuator_lag_has_the_exact_step_response() -> None:
     T, plant = np.array([0.003, 0.02]), plant_of(fjr.planar_two_link())
-    i, u = Nonidealities(2, lag=T).vector, np.array([2.0, -1.0])
+    i, u = Imperfections(2, lag=T).vector, np.array([2.0, -1.0])
     state = np.zeros(10)
     for k in range(1, 41):
         state = plant.step(state, u, [0, 0], i, DT)
@@ -337,7 +337,7 @@ def test_actuator_lag_has_the_exact_step_response() -> None:
 def test_actuator_lag_preserves_the_order_of_the_integrator(integrator: str, order: int) -> None:
     """The error of the motion under a(t) = u (1 - exp(-t/T)) has the order of the integrator."""
     plant = plant_of(fjr.single_link(), integrator=integrator)
-    i, start = Nonidealities(1, lag=0.02).vector, np.r_[fjr.single_link().state([0.3], [0.2], [0.5], [1.0]), 0.0]
+    i, start = Imperfections(1, lag=0.02).vector, np.r_[fjr.single_link().state([0.3], [0.2], [0.5], [1.0]), 0.0]
 
     def end(steps: int) -> Array:
         state = start
@@ -352,11 +352,11 @@ def test_actuator_lag_preserves_the_order_of_the_integrator(integrator: str, ord
 
 @pytest.mark.parametrize("lag", [0.0, 0.01])
 def test_command_is_saturated_exactly_and_before_the_lag(lag: float) -> None:
-    plant, i = plant_of(fjr.planar_two_link()), Nonidealities(2, effort_limit=(1.5, np.inf), lag=lag).vector
+    plant, i = plant_of(fjr.planar_two_link()), Imperfections(2, effort_limit=(1.5, np.inf), lag=lag).vector
     inside, beyond = (plant.step(np.zeros(10), u, [0, 0], i, DT) for u in ([-1.5, 7.0], [-99.0, 7.0]))
     assert np.array_equal(inside, beyond)
     assert np.array_equal(
-        plant.applied([0, 0], [-99.0, 7.0], Nonidealities(2, effort_limit=(1.5, np.inf)).vector), [-1.5, 7]
+        plant.applied([0, 0], [-99.0, 7.0], Imperfections(2, effort_limit=(1.5, np.inf)).vector), [-1.5, 7]
     )
 
 
@@ -368,7 +368,7 @@ def test_one_function_serves_all_parameters() -> None:
     plant = plant_of(fjr.planar_two_link())
     step = plant.step_function
     x = np.r_[fjr.planar_two_link().state([0.1, 0.2], [0.1, 0.3], [0.4, 0.5], [0.6, 0.7]), 0, 0]
-    ends = [plant.step(x, [1, 1], [0, 0], i.vector, DT) for i in (Nonidealities(2), everything(2))]
+    ends = [plant.step(x, [1, 1], [0, 0], i.vector, DT) for i in (Imperfections(2), everything(2))]
     assert np.max(np.abs(ends[0] - ends[1])) > 1e-6
     assert plant.step_function is step
 
@@ -400,16 +400,16 @@ BAD = {
 @pytest.mark.parametrize("name", BAD)
 def test_invalid_parameters_are_named_in_one_sentence(name: str) -> None:
     with pytest.raises(fjr.ParameterError, match=f"^{name} .*; expected"):
-        Nonidealities(2, **{name: BAD[name]})
+        Imperfections(2, **{name: BAD[name]})
 
 
 def test_effort_limit_may_be_infinite_but_not_nan() -> None:
-    assert Nonidealities(2, effort_limit=np.inf).off
+    assert Imperfections(2, effort_limit=np.inf).off
     for bad in (np.nan, [1.0, 2.0, 3.0]):
         with pytest.raises(fjr.ParameterError, match="effort_limit"):
-            Nonidealities(2, effort_limit=bad)
+            Imperfections(2, effort_limit=bad)
 
 
-def test_nonidealities_of_other_joints_are_refused() -> None:
+def test_imperfections_of_other_joints_are_refused() -> None:
     with pytest.raises(fjr.ParameterError, match="2 joints; expected 1"):
-        plant_of(fjr.single_link()).check(Nonidealities(2))
+        plant_of(fjr.single_link()).check(Imperfections(2))

@@ -21,10 +21,9 @@ from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.observer_stability import error_radii
 from fjr_core.runtime.velocity_observer import VelocityObserver
-from fjr_core.stability.integral_bound import refuse_fast_integral
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import linearize, on_plant
-from fjr_core.stability.sampled_loop import check, spectral_radius
+from fjr_core.stability.sampled_loop import check, refuse_fast_integral, spectral_radius
 from fjr_design.experiments.comparison.tuned_law import tuned_law
 from fjr_design.stability.model_errors import radii_with_model_errors
 

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import fjr_core as fjr
 from core.oracles.cases import Arm, planar
 from core.oracles.chains import arm7
-from fjr_core.config.builders import control_law
+from fjr_core.config.law import control_law
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import FASTEST_RATE, two_scale_gains

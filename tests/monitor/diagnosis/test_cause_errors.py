@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.axes import Axes
+from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
 from fjr_monitor.diagnosis.cause_errors import closed_loop

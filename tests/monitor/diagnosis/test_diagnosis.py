@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.axes import Axes
-from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Certificate, Prediction
+from fjr_core.monitoring.thresholds import Axes
 from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.innovations import innovations, needed

@@ -13,7 +13,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.model.rigid_arm import PayloadArm
-from fjr_core.monitoring.axes import Axes
+from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 from fjr_monitor.diagnosis.fault_isolation import isolation

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.axes import Axes
+from fjr_core.monitoring.thresholds import Axes
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
 from fjr_monitor.diagnosis.latency import WINDOW, Latency
 from fjr_monitor.diagnosis.online_certificate import OnlineCertificate

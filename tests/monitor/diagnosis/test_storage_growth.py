@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fjr_core as fjr
-from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST
+from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST, Axes
 from fjr_monitor.diagnosis.cause_errors import CauseErrors
 from fjr_monitor.diagnosis.diagnosis import Judged, diagnose
 from fjr_monitor.diagnosis.online_certificate import OnlineCertificate

@@ -10,15 +10,16 @@ import numpy as np
 from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
-from fjr_core.config import builders, law, reference_file
-from fjr_core.config.builders import control_law, robust_action
-from fjr_core.config.description import robot_name
-from fjr_core.config.diagnosis import axes
-from fjr_core.config.measurement import measurement, observer
-from fjr_core.config.parameter import named
-from fjr_core.config.reference import motion_limits
-from fjr_core.config.safety import safety
-from fjr_core.config.user_options import in_python
+from fjr_core.config import law
+from fjr_core.config.controller import axes, file_warnings, measurement, motion_limits, observer, safety
+from fjr_core.config.law import control_law, robust_action
+from fjr_core.config.law import gains as build_gains
+from fjr_core.config.law import robust as build_robust
+from fjr_core.config.parameter import in_python, named
+from fjr_core.config.reference import FILE_PATH, forget_files
+from fjr_core.config.reference import reference as build_reference
+from fjr_core.config.robot import robot as build_robot
+from fjr_core.config.robot import robot_name
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.messages.events import EventWriter
@@ -52,7 +53,7 @@ class Control:
         on_conflict: Callable[[CommandConflictError], None],
     ) -> None:
         self._values, joints = values, values["joints"]
-        self._robot = robot = builders.robot(values)
+        self._robot = robot = build_robot(values)
         self._read_motion(node)
         self._settings = settings = safety(values, robot)
         allowed = tolerances(values, robot.units)
@@ -112,12 +113,12 @@ class Control:
         """Apply gains, limits and the built-in reference from the next state on; on a FjrError change nothing."""
         robot, groups = self._robot, {name.split(".", 1)[0] for name in changed}
         settings = safety(values, robot)
-        motion_limits(values, settings, robot)
-        builders.reference(values, robot.n)
+        motion_limits(settings, robot)
+        build_reference(values, robot.n)
         if "gains" in groups:
             if not isinstance(self._law, TrackingLaw):
                 raise ParameterError(f"parameters 'gains.*' are of the law v_dpbc; the law is {values['law.type']}")
-            law = self._law.with_gains(builders.gains(values, robot.n))
+            law = self._law.with_gains(build_gains(values, robot.n))
             self.tracker.use(law)
             self._law = law
         self._values, self._settings = values, settings
@@ -130,20 +131,20 @@ class Control:
 
     def _read_motion(self, node: Node) -> None:
         """Read the file of reference.file.*, so that a change of reference.type need not; log what it asks for."""
-        reference_file.read_again()
-        if self._values[reference_file.PATH]:
-            for sentence in reference_file.file_warnings(self._values, self._robot):
+        forget_files()
+        if self._values[FILE_PATH.name]:
+            for sentence in file_warnings(self._values, self._robot):
                 node.get_logger().warning(sentence)
 
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""
-        reference = builders.reference(self._values, self._robot.n)
-        limits = motion_limits(self._values, self._settings, self._robot)
+        reference = build_reference(self._values, self._robot.n)
+        limits = motion_limits(self._settings, self._robot)
         named(lambda _: "reference.*", lambda: check_motion(reference, limits, joints=self._values["joints"]))
         return reference
 
     def _apply_motion_limits(self) -> None:
-        values, limits = self._values, motion_limits(self._values, self._settings, self._robot)
+        values, limits = self._values, motion_limits(self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
     def _create_certificate_publisher(
@@ -155,7 +156,7 @@ class Control:
         if not isinstance(self._law, TrackingLaw):
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
-        robust = builders.robust(self._values, self._robot.n)
+        robust = build_robust(self._values, self._robot.n)
         joint_axes = axes(self._values, self._robot)
         diagnosis = CertificateDiagnosis(node, self._law, self.tracker.step.library, limit, robust, joint_axes)
         certificate_publisher = self._command_loop.certify(diagnosis)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.config.measurement import measurement
+from fjr_core.config.controller import measurement
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RecordError
 from fjr_core.model.robot import Robot

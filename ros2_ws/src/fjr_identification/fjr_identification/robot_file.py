@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.config import builders, ros_yaml
-from fjr_core.config.builders import gain_values
-from fjr_core.config.guesses import GUESSED, GUESSES, guessed_joints
+from fjr_core.config import ros_yaml
+from fjr_core.config.law import gain_values
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.parameter import complete, names, refuse_unknown
-from fjr_core.config.robot import FILE, robot_parameters
+from fjr_core.config.robot import FILE, GUESSES, guessed_joints, robot_parameters
+from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import URDF, is_xml, merged
-from fjr_core.config.scenario import CONTROLLER
 from fjr_core.errors import GainsError, ParameterError, TrajectoryError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, friction_rate
 from fjr_core.urdf.tree import parse_xml
 from fjr_core.urdf.writing import with_inertias
 from fjr_design.posterior.drawn_plants import MATRICES
@@ -109,7 +109,7 @@ def nominal_robot(path: Path) -> NominalRobot:
         parameters = robot_parameters(given)
         refuse_unknown([parameter.name for parameter in parameters], given)
         values = complete(parameters, given)
-        robot = builders.robot(values)
+        robot = build_robot(values)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
     return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values))
@@ -162,7 +162,7 @@ class IdentifiedRobot:
             values = self._of_joints(name, before)
             if not np.array_equal(values, before) or (reflected and name == "motor_inertia"):
                 changed[f"robot.{name}"] = [significant(value) for value in values]
-        for name in GUESSED:
+        for name in GUESSES:
             guesses = [self._guess(changed, name, j) for j in range(len(self.nominal.joints))]
             if any(guesses):
                 changed[GUESSES[name].name] = guesses
@@ -173,7 +173,7 @@ class IdentifiedRobot:
         values, joints, title = self.values(folder), self.nominal.joints, self.nominal.name
         urdf = self.corrected_urdf or self.nominal.given.get(URDF)
         absolute = {**values, **({} if urdf is None else {URDF: urdf})}
-        robot = builders.robot(complete(robot_parameters(absolute), absolute))
+        robot = build_robot(complete(robot_parameters(absolute), absolute))
         head = HEAD.format(name=title, records=", ".join(records), file=name)
         body = [head, *self._robot_lines(values), *self._imperfection_lines(), *self._left_out()]
         text = "\n".join(line.rstrip("\n") for line in body) + "\n"
@@ -248,7 +248,7 @@ class IdentifiedRobot:
         """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
         motion, gains, n = proposal.motion, proposal.gains, robot.n
         levels = {field: np.maximum(0.0, self._of_joints(name, 0.0)) for name, field in FRICTION.items()}
-        rate = friction_rate(Nonidealities(n, **levels), robot.M_l(proposal.q_l), robot.M_m)
+        rate = friction_rate(Imperfections(n, **levels), robot.M_l(proposal.q_l), robot.M_m)
         entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
         return LOOP.format(
             rate=RATE,

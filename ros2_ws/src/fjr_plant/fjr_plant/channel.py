@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.nonideal_parameters import NANOSECONDS, ChannelErrors
+from fjr_core.simulation.imperfections import NANOSECONDS, ChannelErrors
 
 from .native.program import PlantProgram, array, plant_program
 

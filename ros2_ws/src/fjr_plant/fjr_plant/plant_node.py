@@ -12,8 +12,19 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError
-from fjr_core.config import builders, nonidealities
-from fjr_core.config.description import description, robot_name
+from fjr_core.config.plant import (
+    channel_errors,
+    initial_state,
+    period_jitter,
+    plant_parameters,
+    sensor_errors,
+)
+from fjr_core.config.plant import (
+    imperfections as build_imperfections,
+)
+from fjr_core.config.plant import plant as build_plant
+from fjr_core.config.robot import description, robot_name
+from fjr_core.config.robot import robot as build_robot
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.descriptions import publish_description
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
@@ -52,7 +63,7 @@ class PlantNode(ParameterNode):
     def __init__(self, since: float = 0.0, **node_kwargs: Any) -> None:
         """Create the node; since [s, steady clock]: when the publishers of other processes are known."""
         self._since = since
-        super().__init__(names.PLANT, builders.plant_parameters, **node_kwargs)
+        super().__init__(names.PLANT, plant_parameters, **node_kwargs)
 
     def build(self) -> None:
         """Build the robot from the parameters and start publishing.
@@ -60,12 +71,12 @@ class PlantNode(ParameterNode):
         Raise PlantConflictError if another process publishes states of one of the joints.
         """
         joints = self.values["joints"]
-        self._model = builders.robot(self.values)
+        self._model = build_robot(self.values)
         time.sleep(max(0.0, self._since - time.monotonic()))
         self._refuse_another()
         self._health = Health(self, (*EXPECTED, TORQUES), robot_name(self.values))
-        plant = builders.plant(self.values, self._model)
-        x0 = builders.initial_state(self.values, self._model)
+        plant = build_plant(self.values, self._model)
+        x0 = initial_state(self.values, self._model)
         self._robot, self._transport = simulated(self.values, plant, x0)
         self._robot.warm_up()
         self._torques = TorqueReader(joints)
@@ -98,11 +109,11 @@ class PlantNode(ParameterNode):
         super().destroy_node()
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
-        """Apply new non-idealities from now on; an FjrError refuses them."""
+        """Apply new imperfections from now on; an FjrError refuses them."""
         if any(name.startswith("imperfections.") for name in names):
-            motion = nonidealities.imperfections(values, self._model)
-            sensors = nonidealities.sensor_errors(values, self._model.n)
-            messages, jitter = nonidealities.channel_errors(values), nonidealities.period_jitter(values)
+            motion = build_imperfections(values, self._model)
+            sensors = sensor_errors(values, self._model.n)
+            messages, jitter = channel_errors(values), period_jitter(values)
 
             def change() -> None:
                 self._robot.change(motion, sensors)

@@ -8,7 +8,7 @@ import ctypes
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.nonideal_parameters import SensorErrors
+from fjr_core.simulation.imperfections import SensorErrors
 
 from .channel import SENSORS, Random
 from .native.program import PlantProgram, array, plant_program

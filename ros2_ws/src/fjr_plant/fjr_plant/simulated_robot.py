@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from fjr_core import FjrError, ParameterError, Plant, StateError
-from fjr_core.config import nonidealities
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.numerics.symbolic import not_converged
 from fjr_core.runtime.c_function import CFunction, WorkSpace
-from fjr_core.simulation.nonideal_parameters import Nonidealities, SensorErrors, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 from .channel import Transport
@@ -29,7 +28,7 @@ class SimulatedRobot:
     """Plant with a state, an exact integer time [ns] and an effort that is held between commands.
 
     u (n,) [N m]: command, external (n,) [N m]: torques on the links; both are set by the caller and held. x (4n,):
-    state, with the momenta of a payload in p_l. Without non-idealities the motion equals that of plant.step to the last
+    state, with the momenta of a payload in p_l. Without imperfections the motion equals that of plant.step to the last
     bit. pointer: the same as struct fjr_robot*.
     """
 
@@ -38,14 +37,14 @@ class SimulatedRobot:
         plant: Plant,
         x0: Array,
         inner_step: int,
-        imperfections: Nonidealities | None = None,
+        imperfections: Imperfections | None = None,
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
         program: PlantProgram | None = None,
     ) -> None:
         """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
-        seed: of the sensor noise. Raises ParameterError for invalid non-idealities.
+        seed: of the sensor noise. Raises ParameterError for invalid imperfections.
         """
         self._program = program or plant_program()
         self._plant, self._n = plant, plant.robot.n
@@ -53,8 +52,8 @@ class SimulatedRobot:
         self._x0 = x0
         self._inner_step = inner_step
         self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed, self._program)
-        self._build(len(Nonidealities(self._n).vector))
-        self._use(imperfections or Nonidealities(self._n))
+        self._build(len(Imperfections(self._n).vector))
+        self._use(imperfections or Imperfections(self._n))
         self.reset()
 
     def _build(self, parameters: int) -> None:
@@ -102,11 +101,11 @@ class SimulatedRobot:
         self._imperfect.applied(self.u, self.u, self._arrays["parameters"])
         self._with_velocity(self._velocity())
 
-    def change(self, imperfections: Nonidealities, sensor_errors: SensorErrors | None = None) -> None:
-        """Use other non-idealities from now on; sensor_errors: None keeps the present ones.
+    def change(self, imperfections: Imperfections, sensor_errors: SensorErrors | None = None) -> None:
+        """Use other imperfections from now on; sensor_errors: None keeps the present ones.
 
         Positions and velocities are continuous; a payload is attached and released at the velocity of the end-effector.
-        Raises ParameterError for invalid non-idealities, without any change.
+        Raises ParameterError for invalid imperfections, without any change.
         """
         velocity, output, before = self._velocity(), self._applied(), self._imperfections
         self._use(imperfections)
@@ -197,13 +196,13 @@ class SimulatedRobot:
     def _output(self, output: Array) -> None:
         self._arrays["state"][4 * self._n :] = output
 
-    def _use(self, imperfections: Nonidealities) -> None:
+    def _use(self, imperfections: Imperfections) -> None:
         self._imperfect.check(imperfections)
         self._check_friction(imperfections)
         self._imperfections, self.pointer.perfect = imperfections, imperfections.off
         self._arrays["parameters"][:] = imperfections.vector
 
-    def _check_friction(self, imperfections: Nonidealities) -> None:
+    def _check_friction(self, imperfections: Imperfections) -> None:
         robot, dt = self._plant.robot, self._inner_step * 1e-9
         rate = friction_rate(imperfections, robot.M_l(self._x0[: self._n]), robot.M_m)
         if self._plant.integrator == "rk4" and rate * dt > STIFFEST_FRICTION:
@@ -226,7 +225,7 @@ class SimulatedRobot:
         return self._imperfect.state(self.x[: 2 * self._n], velocity, self._arrays["parameters"])
 
 
-def _same_load(one: Nonidealities, other: Nonidealities) -> bool:
+def _same_load(one: Imperfections, other: Imperfections) -> bool:
     if not (np.any(one.payload_mass) or np.any(other.payload_mass)):
         return True
     same = (np.array_equal(getattr(one, name), getattr(other, name)) for name in ("payload_mass", "payload_position"))
@@ -236,8 +235,8 @@ def _same_load(one: Nonidealities, other: Nonidealities) -> bool:
 def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[SimulatedRobot, Transport]:
     """Return robot and message channels for the checked values of the plant's parameters; raises ParameterError."""
     inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
-    seed, robot = nonidealities.seed(values), plant.robot
-    motion, sensors = nonidealities.imperfections(values, robot), nonidealities.sensor_errors(values, robot.n)
+    seed, robot = random_seed(values), plant.robot
+    motion, sensors = build_imperfections(values, robot), sensor_errors(values, robot.n)
     transport = Transport(robot.n, inner_step * values["inner_steps"], inner_step, seed)
-    transport.change(*nonidealities.channel_errors(values), nonidealities.period_jitter(values))
+    transport.change(*channel_errors(values), period_jitter(values))
     return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed), transport

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, RobotError
 from fjr_core.files.text_file import write_text

@@ -12,7 +12,7 @@ import pytest
 import fjr_core as fjr
 from design.exports.c_program import program_output
 from design.exports.ros2_control.exported_package import driver, exported, scenario, values
-from fjr_core.config import builders
+from fjr_core.config.law import gains as build_gains
 from fjr_core.config.scenario import parse_scenario
 from fjr_design.exports.step_code import controller_of
 
@@ -129,7 +129,7 @@ def test_gains_of_the_parameters_replace_those_of_the_scenario(drive: Path) -> N
     row = np.array([float.fromhex(word) for word in lines[7].split()])
     given = scenario("two_link")
     gains = {"gains.K_md": (0.5, 0.25), "gains.Pi_m": (80.0, 40.0)}
-    law = fjr.TrackingLaw(given.robot, builders.gains({**given.controller_values, **gains}, 2))
+    law = fjr.TrackingLaw(given.robot, build_gains({**given.controller_values, **gains}, 2))
     u, _ = law.measured_command(row[:4], row[4:8], given.reference.jets(row[8] * 1e-9))
     assert row[9:] == pytest.approx(u, rel=1e-12)
 

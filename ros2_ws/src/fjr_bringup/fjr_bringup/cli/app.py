@@ -101,9 +101,7 @@ class Application(click.Group):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return Exit.FAILED
         except Exception as error:
-            from fjr_bringup.cli.errors import exit_code
-
-            return exit_code(error)
+            return _exit_code(error)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands in groups: GROUPS, and after `fjr help all` OTHERS and those that no group names."""
@@ -129,6 +127,29 @@ class Application(click.Group):
             package = MAY_BE_LEFT_OUT[args[0]]
             raise click.UsageError(f"{args[0]} needs the package {package}, which is not installed")
         return super().resolve_command(ctx, args)
+
+
+def _exit_code(error: Exception) -> Exit:
+    """Print a user error as one sentence on stderr and return its exit code; re-raise any other error."""
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
+    from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError, RobotError
+    from fjr_monitor.recording.topic import BagError
+    from fjr_msgs_py.console.interrupt import Interrupted
+    from fjr_msgs_py.scenarios.library import ScenarioError
+
+    if isinstance(error, Interrupted):
+        kept = f"what was recorded is in {error.kept}" if error.kept else "nothing was recorded"
+        sentence, code = f"stopped; {kept}", Exit.INTERRUPTED
+    elif isinstance(error, FjrError):
+        invalid = (ScenarioError, ParameterError, CompareError, RecordError, RobotError, BagError)
+        sentence, code = str(error), Exit.NOT_UNDERSTOOD if isinstance(error, invalid) else Exit.FAILED
+    elif isinstance(error, (OSError, rclpy_implementation.RCLError)):
+        sentence, code = " ".join(str(error).split()), Exit.FAILED
+    else:
+        raise error
+    print(f"fjr: {sentence}", file=sys.stderr)
+    return code
 
 
 def _log_to_stderr() -> None:

@@ -17,6 +17,7 @@ from fjr_msgs_py.console.options import (
     set_option,
 )
 from fjr_msgs_py.console.progress import phase
+from fjr_msgs_py.console.result import Result
 
 stamped_duration = duration_option("Duration of a run in seconds of stamped time.", 5.0)
 runs_folder = output_option("Folder for the folders of runs.", "runs")
@@ -62,7 +63,12 @@ def run(**given: Any) -> Any:
 @command()
 def scenarios() -> Any:
     """List the installed scenarios."""
-    return implementation("fjr_bringup.cli.scenarios").list_scenarios()
+    there = implementation("fjr_msgs_py.scenarios.installed")
+    found = [
+        {"name": name, "summary": there.summary(path), "file": path}
+        for name, path in there.installed("scenarios").items()
+    ]
+    return Result("\n".join(f"{each['name']:12}  {each['summary']}" for each in found), {"scenarios": found})
 
 
 @command()

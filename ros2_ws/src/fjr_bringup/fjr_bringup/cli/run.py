@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fjr_bringup.runner.run import Plan, RunError
-from fjr_bringup.runner.run import run as run_plan
+from fjr_bringup import runner
+from fjr_bringup.runner import RunError, RunPlan
 from fjr_core.errors import FjrError
 from fjr_core.numerics.jit import require_compiler
 from fjr_design.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
@@ -76,7 +76,9 @@ def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
     return replace(_record_and_report(_plan(name, LOCKSTEP, duration, output)), notes=(note,))
 
 
-def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, output: Path, force: bool = False) -> Plan:
+def _plan(
+    name: str | None, overrides: Mapping[str, Any], duration: float, output: Path, force: bool = False
+) -> RunPlan:
     """Return what to run, and print the warnings of a motion from a file and of guessed values.
 
     Raises UnstableError for a scenario that is unstable as sampled, unless forced, and CompilerError.
@@ -92,29 +94,26 @@ def _plan(name: str | None, overrides: Mapping[str, Any], duration: float, outpu
             refuse_coarse_steps(scenario)
             refuse_unstable(scenario, checked(scenario))
         scenario.warm_up()
-    return Plan(path.stem, text, duration, output / path.stem, bool(scenario.plant_values["lockstep"]))
+    return RunPlan(path.stem, text, duration, output / path.stem, bool(scenario.plant_values["lockstep"]))
 
 
-def _record_and_report(plan: Plan, pages: bool = True) -> RunSummary:
+def _record_and_report(plan: RunPlan, pages: bool = True) -> RunSummary:
+    """Run the plan and report it; of a run that failed, report what its bag holds and raise RunError."""
     try:
         with stoppable() as stop:
-            recorded = run_plan(plan, stop)
+            folder, skipped = runner.run(plan, stop)
     except RunError as error:
-        if error.kept:
-            _report_failure(plan.name, error.kept, error, pages)
+        with suppress(FjrError):
+            if error.kept:
+                reason = str(error).partition("\n")[0]
+                summary = report_run(plan.name, error.kept, None, failure=reason, pages=pages)
+                print("\n".join([*stops([summary]), output_paths([summary])]), file=sys.stderr)
         raise
     with phase(f"{plan.name}: writing the report"):
         try:
-            return report_run(plan.name, recorded.folder, plan.duration, recorded.skipped, pages=pages)
+            return report_run(plan.name, folder, plan.duration, skipped, pages=pages)
         except BagError as error:  # of this run, not of a file that was given
-            raise RunError(f"{error}\nwhat was recorded is in {recorded.folder}", recorded.folder) from None
-
-
-def _report_failure(name: str, folder: Path, error: RunError, pages: bool) -> None:
-    """Write the report of a run that failed, as far as its bag holds data."""
-    with suppress(FjrError):
-        summary = report_run(name, folder, None, failure=str(error).partition("\n")[0], pages=pages)
-        print("\n".join([*stops([summary]), output_paths([summary])]), file=sys.stderr)
+            raise RunError(f"{error}\nwhat was recorded is in {folder}", folder) from None
 
 
 def _result(summaries: Sequence[RunSummary], page: Path | None = None, claim: Claim | None = None) -> Result:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_bringup.runner.trajectory_client import connected
-from fjr_core.config.reference_file import effort_limits, motion_of_file, motion_warnings
+from fjr_bringup.clients import trajectory_client
+from fjr_core.config.controller import effort_limits
+from fjr_core.config.reference import motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
 from fjr_core.motions.sampled_motion import SampledMotion, waypoints
 from fjr_monitor.recording.echo import absolute
@@ -29,11 +30,11 @@ def send_motion(
 
     tolerance [rad, m]: largest distance from the samples, for all joints or for each.
     Print the warnings of docs/references.md if a scenario is given. Raises ParameterError for a file that is not valid,
-    TrajectoryClientError if the controller does not respond or refuses.
+    ClientError if the controller does not respond or refuses.
     """
     discover_quickly()
     node = absolute(f"{namespace.strip('/')}/{controller}".lstrip("/"))
-    with stoppable() as stop, connected(node, stop) as client:
+    with stoppable() as stop, trajectory_client(node, stop) as client:
         smooth = motion_of_file(str(motion), tolerance, client.joints)
         warnings = _warnings(smooth, scenario, client.joints)
         for sentence in warnings:

@@ -1,43 +1,96 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr call`, `fjr set` and `fjr lifecycle`: the services of running nodes."""
+"""`fjr call`, `fjr set` and `fjr lifecycle`: the services of running nodes, in place of the command `ros2`."""
 
 from __future__ import annotations
 
 import shlex
+from typing import Any
 
 import yaml
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rcl_interfaces.srv import DescribeParameters, SetParameters
 
-from fjr_bringup.services.call import call
-from fjr_bringup.services.lifecycle import lifecycle
-from fjr_bringup.services.parameters import set_parameter
+from fjr_bringup.clients import ClientError, service_client
+from fjr_core.config import ros_yaml
+from fjr_monitor.recording.echo import absolute
 from fjr_msgs_py.console.discovery import discover_quickly
 from fjr_msgs_py.console.result import Result
 from fjr_msgs_py.console.ros2_first import refuse_over_ros2
+from fjr_msgs_py.messages.parameters import parameter_message, parameter_value
+from fjr_msgs_py.messages.plain import fill, plain
 
 
 def call_service(service: str, request: str, timeout: float, force: bool) -> Result:
-    """Call a service with the fields of its request as YAML; return its response."""
+    """Call a service of any installed type; return the fields of its response.
+
+    request: the fields as YAML, or the value of the only field. Raises ParameterError for a text that does not fit
+    the request, ClientError if the service does not respond or its response has `success: false`.
+    """
     command = shlex.join(["ros2", "service", "call", service, "TYPE", *filter(None, [request])])
     refuse_over_ros2(command, "with any type", force)
     discover_quickly()
-    response = call(service, request, timeout)
+    service = absolute(service, "service", "/fjr_controller/hold")
+    given = ros_yaml.parse(request) if request else {}
+    with service_client(timeout) as services:
+        client = services.find(service)
+        message = client.srv_type.Request(check_fields=True)
+        fields = list(message.get_fields_and_field_types())
+        fill(message, {fields[0]: given} if len(fields) == 1 and not isinstance(given, dict) else given)
+        response: dict[str, Any] = plain(services.call(client, message))
+    if response.get("success") is False:
+        raise ClientError(f"{service} refused: {response.get('message') or 'no reason given'}")
     return Result(yaml.safe_dump(response, sort_keys=False).rstrip(), response)
 
 
 def set_value(node: str, parameter: str, value: str, timeout: float, force: bool) -> Result:
-    """Set a parameter of a running node."""
+    """Set a parameter to a value given as YAML, of the type that the node declares.
+
+    Raises ParameterError if the text is not of that type, ClientError with the node's reason if it refuses.
+    """
     command = f"ros2 param set {node} {parameter} {shlex.quote(value)}"
     refuse_over_ros2(command, "with get, list, describe and dump", force)
     discover_quickly()
-    found = set_parameter(node, parameter, value, timeout)
-    return Result(f"{node} {parameter}: {found}", {"node": node, "parameter": parameter, "value": found})
+    of = absolute(node, "node", "/fjr_controller")
+    with service_client(timeout) as services:
+        setter, describer = services.find(f"{of}/set_parameters"), services.find(f"{of}/describe_parameters")
+        declared = services.ask(describer, DescribeParameters.Request(names=[parameter])).descriptors
+        if not declared:
+            raise ClientError(f"{of} has no parameter {parameter}")
+        message = parameter_message(parameter, declared[0].type, value)
+        result = services.call(setter, SetParameters.Request(parameters=[message])).results[0]
+    if not result.successful:
+        raise ClientError(f"{of} refused {parameter}: {result.reason or 'no reason given'}")
+    sent = parameter_value(message)
+    return Result(f"{node} {parameter}: {sent}", {"node": node, "parameter": parameter, "value": sent})
 
 
 def change_state(node: str, transition: str | None, timeout: float, force: bool) -> Result:
-    """Read the state of a managed node, or change it."""
+    """Read the state of a managed node, after a transition if one is named; raises ClientError if that fails."""
     verb = f"set {node} {transition}" if transition else f"get {node}"
     refuse_over_ros2(f"ros2 lifecycle {verb}", "with list and nodes", force)
     discover_quickly()
-    found = lifecycle(node, transition, timeout)
-    text = f"{found.node} is {found.state}; transitions: {', '.join(found.transitions) or 'none'}"
-    return Result(text, {"node": found.node, "state": found.state, "transitions": list(found.transitions)})
+    node = absolute(node, "node", "/fjr_controller")
+    with service_client(timeout) as services:
+
+        def seen() -> tuple[str, dict[str, int]]:
+            """Return the state and the transitions that the node offers, id by name."""
+            state = services.ask(services.find(f"{node}/get_state"), GetState.Request()).current_state.label
+            getter = services.find(f"{node}/get_available_transitions")
+            offered = services.ask(getter, GetAvailableTransitions.Request()).available_transitions
+            return state, {each.transition.label: each.transition.id for each in offered}
+
+        state, transitions = seen()
+        if transition is not None:
+            if transition not in transitions:
+                offered = ", ".join(transitions) or "none"
+                raise ClientError(f"{node} is {state} and has no transition '{transition}'; expected {offered}")
+            changer, request = services.find(f"{node}/change_state"), ChangeState.Request()
+            request.transition.id = transitions[transition]
+            succeeded = services.call(changer, request).success
+            state, transitions = seen()
+            if not succeeded:
+                raise ClientError(
+                    f"{node} did not {transition}: it is {state}; its log and diagnostics give the reason"
+                )
+    text = f"{node} is {state}; transitions: {', '.join(transitions) or 'none'}"
+    return Result(text, {"node": node, "state": state, "transitions": list(transitions)})

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 
 from fjr_core import TrackingLaw
-from fjr_core.monitoring.axes import Axes
+from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import StepLibrary

@@ -1,19 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the controller node."""
+"""Parameters of the controller node: its topics and certificate, measurement.*, and the safety settings."""
 
 from __future__ import annotations
 
-from .diagnosis import CERTIFICATE, CERTIFICATE_TOLERANCE
-from .gains import GAINS
-from .law import LAW, ROBUST
-from .measurement import measurement_parameters
-from .parameter import Parameter, Values, number
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..model.robot import Robot
+from ..monitoring import thresholds
+from ..monitoring.thresholds import Axes
+from ..motions.motion_limits import MotionLimits
+from ..numerics.checks import Array
+from ..numerics.parameter_field import declared
+from ..runtime.measurement_model import OBSERVER, TORQUE, Measurement
+from ..runtime.safety_settings import Settings
+from ..runtime.velocity_observer import VelocityObserver
+from .law import GAINS, LAW, ROBUST
+from .parameter import VECTOR, Parameter, Values, names, number, read, table, vector
 from .process import process_parameters
-from .reference import MOTION, reference_parameters
-from .safety import safety_parameters
+from .reference import FILE_PATH, MOTION, TOLERANCE, motion_of_file, motion_warnings, reference_parameters
 
 AUTOSTART = Parameter("autostart", True, "Configure and activate at the start, without a request")
-
 AUXILIARY_RATE = Parameter(
     "auxiliary_rate",
     100.0,
@@ -22,6 +32,30 @@ AUXILIARY_RATE = Parameter(
     minimum=0.0,
     maximum=1e5,
 )
+CERTIFICATE = Parameter(
+    "certificate", True, "Publish the certificate of the law for each state, and its diagnosis on /diagnostics"
+)
+CERTIFICATE_TOLERANCE = Parameter(
+    "certificate_tolerance",
+    thresholds.TOLERANCE,
+    "Tracking error of each joint up to which a violation counts as 'degraded'",
+    "rad",
+    minimum=1e-9,
+    shape=VECTOR,
+)
+BANDWIDTH = 150.0  # rad/s; chosen in docs/measurements.md
+OBSERVER_BANDWIDTH = Parameter(
+    "measurement.observer_bandwidth", BANDWIDTH, "Bandwidth of the velocity observer", "rad/s", minimum=1.0, maximum=1e4
+)
+_MEASUREMENT = declared(Measurement, "measurement.")
+FROM_ROBOT = Parameter(
+    "limits.from_robot",
+    False,
+    "Apply the robot's own limits too (link range and speed, motor effort); the tighter limit counts",
+    dynamic=True,
+)
+_SAFETY = declared(Settings)
+JOIN_TIME = 1.0  # s; default of start.join_time for an arm of a URDF
 
 
 def auxiliary_period(values: Values, simulated: bool) -> float:
@@ -42,3 +76,81 @@ def controller_parameters(n: int) -> list[Parameter]:
         *(parameter.for_joints(n) for parameter in last),
         *process_parameters(),
     ]
+
+
+def measurement_parameters(n: int) -> list[Parameter]:
+    """Return the parameters measurement.* for n joints."""
+    return [*table(_MEASUREMENT, n), OBSERVER_BANDWIDTH]
+
+
+def measurement(values: Values, robot: Robot) -> Measurement:
+    """Return the measurement model of the values; raises ParameterError if they contradict each other."""
+    settings = read(_MEASUREMENT, values, robot.n)
+    return Measurement(robot.n, **settings, K=robot.K if settings["motor"] == TORQUE else None)
+
+
+def observer(values: Values, robot: Robot) -> VelocityObserver | None:
+    """Return the velocity observer of the values, or None if velocities are measured."""
+    if values["measurement.velocity"] != OBSERVER:
+        return None
+    return VelocityObserver(robot, number(values, OBSERVER_BANDWIDTH.name), compile=bool(values["compile"]))
+
+
+def axes(values: Values, robot: Robot) -> Axes:
+    """Return the joints with the units and tolerances of the diagnosis; raises ParameterError."""
+    units = tuple(each.position for each in robot.units)
+    return Axes(names(values, "joints"), units, vector(values, CERTIFICATE_TOLERANCE.name, robot.n))
+
+
+def safety_parameters(n: int) -> list[Parameter]:
+    """Return the parameters of the safety settings for n joints.
+
+    By default only state_timeout, wiring check and recovery are active.
+    """
+    return [*table(_SAFETY, n), FROM_ROBOT]
+
+
+def with_robot(parameters: Sequence[Parameter], given: Mapping[str, object]) -> list[Parameter]:
+    """Return the parameters with the defaults for the given robot: an arm of a URDF starts by a transition."""
+    if given.get("robot.model") != "urdf":
+        return list(parameters)
+    join = _SAFETY["start_join_time"].name
+    return [replace(each, default=JOIN_TIME) if each.name == join else each for each in parameters]
+
+
+def safety(values: Values, robot: Robot) -> Settings:
+    """Return the safety settings of the values.
+
+    Raises ParameterError, also if limits.from_robot is true for a robot without limits.
+    """
+    own = Settings(names(values, "joints"), **read(_SAFETY, values, robot.n), units=robot.units)
+    if not values[FROM_ROBOT.name]:
+        return own
+    if robot.limits is None:
+        raise ParameterError(f"parameter '{FROM_ROBOT.name}' is true; expected false for a robot without limits")
+    return own.tightened(robot.limits)
+
+
+def effort_limits(values: Values, robot: Robot) -> Array:
+    """Return the effort limits (n,) [N m]: the tighter of limits.effort and those of the robot, infinite for none."""
+    limit = np.asarray(safety(values, robot).effort)
+    return limit if robot.limits is None else np.minimum(limit, robot.limits.effort)
+
+
+def motion_limits(settings: Settings, robot: Robot) -> MotionLimits:
+    """Return the limits of trajectories: the tighter of settings and robot; raises ParameterError."""
+    held = settings if robot.limits is None else settings.tightened(robot.limits)
+    return MotionLimits(
+        held.link_position_lower,
+        held.link_position_upper,
+        held.link_velocity,
+        settings.acceleration,
+        robot.units,
+    )
+
+
+def file_warnings(values: Values, robot: Robot) -> list[str]:
+    """Return a sentence for each property of the file of reference.file.path that asks for large efforts."""
+    joints = names(values, "joints")
+    motion = motion_of_file(str(values[FILE_PATH.name]), vector(values, TOLERANCE.name, robot.n), joints)
+    return motion_warnings(motion, robot, joints, effort_limits(values, robot))

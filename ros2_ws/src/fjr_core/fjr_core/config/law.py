@@ -1,12 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters law.* and robust.*: the control law, its tuning, and the robust action."""
+"""Parameters law.*, gains.* and robust.*, and the control law, gains and robust action that they describe."""
 
 from __future__ import annotations
 
-from ..extensions.law_registry import LAWS, V_DPBC
+from typing import Any
+
+import numpy as np
+
+from ..errors import FjrError, GainsError, ParameterError
+from ..extensions.law_registry import LAWS, V_DPBC, LawKind, law_kind
+from ..extensions.python_code import own_law
+from ..files import importing as other_package
+from ..files.importing import is_named
+from ..law.gains import PAPER_GAINS, Gains
+from ..law.interfaces import StaticLaw
+from ..law.vdpbc import TrackingLaw
+from ..model.robot import Robot
 from ..numerics.parameter_field import declared
-from ..robust.law import Robust
-from .parameter import LIST, VECTOR, Parameter, Values, named, read
+from ..robust.law import Robust, sampled_law
+from ..stability.sampled_loop import refuse_fast_integral
+from .parameter import LIST, VECTOR, Parameter, Values, named, number, options, read
+from .reference import reference
 
 START_ERROR = 0.1  # rad; initial error of all joints, at rest, if no start is given
 
@@ -66,3 +80,72 @@ ROBUST = declared(Robust, "robust.")
 def robust(values: Values, n: int) -> Robust:
     """Return the robust action of the values for n joints; raises ParameterError."""
     return named(lambda symbol: f"robust.{symbol}", lambda: Robust(**read(ROBUST, values, n)).checked(n))
+
+
+GAINS = declared(Gains, "gains.", PAPER_GAINS)
+
+
+def gains(values: Values, n: int) -> Gains:
+    """Return the gains of the values for n joints; raises ParameterError where (32) or (41) is broken."""
+    found = Gains(**read(GAINS, values, n))
+    named(lambda symbol: f"gains.{symbol}" if symbol in GAINS else "gains", lambda: found.checked(n))
+    return found
+
+
+def gain_values(gains: Gains, n: int) -> dict[str, list[float]]:
+    """Return the parameters of these gains: n entries if diagonal, else n*n by rows; zero gains are omitted."""
+    checked, values = gains.checked(n), {}
+    for field, parameter in GAINS.items():
+        array = getattr(checked, field)
+        diagonal = np.array_equal(array, np.diag(np.diag(array)))
+        if np.any(array):
+            values[parameter.name] = [float(v) for v in (np.diag(array) if diagonal else array.ravel())]
+    return values
+
+
+def control_law(values: Values, robot: Robot) -> StaticLaw:
+    """Return the control law of the values; raises ParameterError.
+
+    It is v-dPBC with gains.*, a baseline, or the class of the user that law.type names, with law.options.*.
+    """
+    name, compile = str(values[TYPE.name]), bool(values["compile"])
+    if name == V_DPBC:
+        return TrackingLaw(robot, gains(values, robot.n), compile=compile)
+    fault = FjrError if is_named(name) else GainsError
+    try:
+        if is_named(name):
+            return own_law(name, robot, options(TYPE, values), compile=compile)
+        kind = law_kind(name)
+        return kind.make(robot, _baseline_gains(values, robot, kind), compile)
+    except fault as error:
+        raise ParameterError(f"parameter '{TYPE.name}' is {name!r}: {error}") from None
+
+
+def _baseline_gains(values: Values, robot: Robot, kind: LawKind) -> Any:
+    """Return the gains of a baseline: tuned, or of natural frequency and damping ratio; times law.gain_factors."""
+    if values[TUNED.name]:
+        found = other_package.module("fjr_design.experiments.tuned_parameters").tuning(values).law.gains
+    else:
+        q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
+        frequency, damping = number(values, NATURAL_FREQUENCY.name), number(values, DAMPING_RATIO.name)
+        found = kind.standard(robot, q_0, frequency, damping, sample_period(values))
+    return kind.scaled_gains(found, np.asarray(values[GAIN_FACTORS.name]))
+
+
+def sample_period(values: Values) -> float:
+    """Return the sample period of the law [s]."""
+    return 1.0 / number(values, SAMPLE_RATE.name)
+
+
+def robust_action(values: Values, static_law: StaticLaw) -> Robust:
+    """Return the robust action of the values for their law.
+
+    Raises ParameterError, also if the law supports none or the integral action is too fast for robust.hold.
+    """
+    action = robust(values, static_law.robot.n)
+    try:
+        sampled_law(static_law, action)
+        refuse_fast_integral(static_law, action)
+    except GainsError as error:
+        raise ParameterError(f"parameters 'robust.*' with '{TYPE.name}' {values[TYPE.name]!r}: {error}") from None
+    return action

@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the simulated robot: sampling, integration, initial state, lock-step and ~/advance."""
+"""Parameters of the plant node: sampling, integration, initial state, lock-step, and imperfections.*.
+
+The imperfections, of which every one is off by default, are those of the robot, its sensors and its message channels
+(docs/measurements.md).
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from ..errors import FjrError, ParameterError
 from ..extensions.python_code import own_plant
@@ -9,10 +15,10 @@ from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
-from .nonidealities import imperfection_parameters
-from .parameter import VECTOR, Parameter, Values, read
+from ..numerics.parameter_field import declared
+from ..simulation.imperfections import ChannelErrors, Imperfections, SensorErrors
+from .parameter import VECTOR, Parameter, Values, number, options, read, table
 from .process import process_parameters
-from .user_options import options
 
 FLEXIBLE_JOINT = "flexible_joint"
 _INITIAL_STATE = {
@@ -93,3 +99,65 @@ def plant(values: Values, robot: Robot) -> Plant:
 def initial_state(values: Values, robot: Robot) -> Array:
     """Return the plant's initial state (4n,) of the values; raises ParameterError."""
     return robot.state(**read(_INITIAL_STATE, values, robot.n))
+
+
+_GROUP = "imperfections."
+_DYNAMICS = declared(Imperfections, _GROUP)
+_SENSORS = declared(SensorErrors, _GROUP)
+PERIOD_JITTER = Parameter(
+    f"{_GROUP}period_jitter", 0.0, "Largest delay of a sample, below the sample period", "s", 0.0, 1.0, dynamic=True
+)
+SEED = Parameter(f"{_GROUP}seed", 0, "Seed of noise, jitter and message loss; a reset restarts them", "", 0, 2**31)
+
+
+def _channel(side: str) -> dict[str, Parameter]:
+    """Return the declarations of one channel, "state" or "command"; both share the one of `in_order`."""
+    found = {}
+    for field, each in declared(ChannelErrors).items():
+        prefix = _GROUP if field == "in_order" else f"{_GROUP}{side}_"
+        found[field] = replace(each, name=prefix + each.name, description=each.description.format(f"{side}s"))
+    return found
+
+
+_STATES, _COMMANDS = _channel("state"), _channel("command")
+
+
+def imperfection_parameters(n: int) -> list[Parameter]:
+    """Return the parameters imperfections.* for n joints."""
+    channels = {each.name: each for side in (_STATES, _COMMANDS) for each in side.values()}
+    return [*table(_DYNAMICS, n), *table(_SENSORS, n), *table(channels, n), PERIOD_JITTER, SEED]
+
+
+def imperfections(values: Values, robot: Robot) -> Imperfections:
+    """Return the imperfections of the robot's dynamics; raises ParameterError."""
+    mass = _DYNAMICS["payload_mass"].name
+    if robot.links.end_effector is None and values[mass]:
+        raise ParameterError(
+            f"parameter '{mass}' is {values[mass]} kg; expected 0: the robot model has no end effector"
+        )
+    return Imperfections(robot.n, **read(_DYNAMICS, values, robot.n))
+
+
+def sensor_errors(values: Values, n: int) -> SensorErrors:
+    """Return the sensor errors of n joints; raises ParameterError."""
+    return SensorErrors(n, **read(_SENSORS, values, n))
+
+
+def channel_errors(values: Values) -> tuple[ChannelErrors, ChannelErrors]:
+    """Return the channel errors of states and of commands; raises ParameterError."""
+    return ChannelErrors(**read(_STATES, values, 0)), ChannelErrors(**read(_COMMANDS, values, 0))
+
+
+def period_jitter(values: Values) -> float:
+    """Return the largest delay of a sample [s]; raises ParameterError unless it is below the sample period."""
+    jitter, period = number(values, PERIOD_JITTER.name), 1 / number(values, "publish_rate")
+    if jitter >= period:
+        raise ParameterError(
+            f"parameter '{PERIOD_JITTER.name}' is {jitter} s; expected less than the period, {period:g} s"
+        )
+    return jitter
+
+
+def random_seed(values: Values) -> int:
+    """Return the seed of noise, jitter and message loss."""
+    return int(number(values, SEED.name))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters robot.* of each robot model, and the robot that their values describe."""
+"""Parameters robot.* of each robot model, and what their values describe: the robot, its URDF, which are guesses."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from ..model import closed_form_arms
 from ..model.robot import Robot
 from ..numerics.checks import joint_names
 from ..urdf.robot import robot_from_urdf
-from .guesses import guess_parameters
-from .parameter import LIST, MATRIX, POINT, VECTOR, Parameter, Values, named, names, read
+from ..urdf.tree import parse_xml
+from ..urdf.writing import Rod, hanging_rod, urdf_of_rods
+from . import robot_file
+from .parameter import LIST, MATRIX, POINT, VECTOR, Parameter, Values, named, names, read, table, vector
 
 JOINTS = Parameter("joints", ("joint1",), "Joint names, in the order of all other lists", shape=LIST)
 FILE = Parameter("robot.file", "", "Parameter file of the robot: a path or package://; values given here override it")
@@ -115,6 +117,17 @@ _ARGUMENTS = {  # argument of a model -> parameter
     ),
     "locked_positions": _argument("locked_positions", "rad", "Positions of locked_joints", LIST, "finite"),
 }
+GUESSES = {
+    name: Parameter(
+        f"robot.guesses.{name}",
+        0.0,
+        f"Guess of robot.{name}; a value that still equals its guess is reported; 0: none",
+        minimum=0.0,
+        shape=VECTOR,
+    )
+    for name in ("joint_stiffness", "motor_inertia")
+}
+"""Parameters that repeat the guessed values of a robot file, so that each is reported until it is replaced."""
 _SYMBOLS = {
     "K": "robot.joint_stiffness",
     "M_m": "robot.motor_inertia",
@@ -145,7 +158,7 @@ def robot_parameters(given: Mapping[str, object]) -> list[Parameter]:
     n = joints_of(given)
     arguments = inspect.signature(MODELS[model_of(given)]).parameters.values()
     own = [_parameter(argument, n) for argument in arguments if argument.name != "joints"]
-    return [JOINTS, FILE, MODEL, *own, *guess_parameters(n)]
+    return [JOINTS, FILE, MODEL, *own, *table(GUESSES, n)]
 
 
 def _parameter(argument: inspect.Parameter, n: int) -> Parameter:
@@ -167,3 +180,59 @@ def robot(values: Values) -> Robot:
     arguments = read({name: _ARGUMENTS[name] for name in inspect.signature(build).parameters}, values, n)
     fallback = "robot.urdf" if model == "urdf" else "robot"
     return named(lambda symbol: _SYMBOLS.get(symbol, fallback), lambda: build(**arguments))
+
+
+def guessed_joints(values: Values) -> dict[str, tuple[str, ...]]:
+    """Return the joints whose value still equals its guess, by the name of the value, where there are any.
+
+    Of a matrix the diagonal counts.
+    """
+    joints, found = names(values, "joints"), {}
+    n = len(joints)
+    for name, parameter in GUESSES.items():
+        guess, value = (np.asarray(values.get(each, np.zeros(n))) for each in (parameter.name, f"robot.{name}"))
+        if value.size == n * n and n > 1:
+            value = np.diag(value.reshape(n, n))
+        if guess.shape == value.shape == (n,):
+            found[name] = tuple(joints[j] for j in np.flatnonzero((guess > 0) & (value == guess)))
+    return {name: each for name, each in found.items() if each}
+
+
+def guess_sentences(values: Values) -> tuple[str, ...]:
+    """Return a sentence for each kind of value that is a guess."""
+    sentences = []
+    for name, joints in guessed_joints(values).items():
+        of = f"joint {joints[0]}" if len(joints) == 1 else f"{len(joints)} joints"
+        what = f"{name.replace('_', ' ')} of {of} is a guess"
+        sentences.append(f"{what}; replace it by a measured or data-sheet value in robot.{name}")
+    return tuple(sentences)
+
+
+def description(values: Values) -> str:
+    """Return the URDF text of the robot of the values; raises ParameterError if the URDF cannot be read.
+
+    A closed-form robot hangs along -z in the x-z plane; the URDF holds its geometry and inertia, not its gravity.
+    """
+    if values[MODEL.name] == "urdf":
+        return str(robot_file.inlined(values)["robot.urdf"])
+    if values[MODEL.name] == "single_link":
+        inertia, load = (float(vector(values, f"robot.{each}", 1)[0]) for each in ("link_inertia", "gravity_torque"))
+        rods = [hanging_rod(inertia, load)]
+    else:
+        columns = (vector(values, f"robot.link_{each}", 2) for each in ("mass", "length", "com", "inertia"))
+        rods = [Rod(*map(float, row)) for row in zip(*columns, strict=True)]
+    return urdf_of_rods(str(values[MODEL.name]), names(values, "joints"), rods)
+
+
+def locked_positions(values: Values) -> dict[str, float]:
+    """Return the positions [rad, m] of the locked joints of the URDF by name; all other joints are locked at 0."""
+    if values[MODEL.name] != "urdf":
+        return {}
+    positions = vector(values, "robot.locked_positions", len(names(values, "robot.locked_joints")))
+    locked = zip(names(values, "robot.locked_joints"), positions, strict=True)
+    return {name: float(position) for name, position in locked if name}
+
+
+def robot_name(values: Values) -> str:
+    """Return the name of the robot in its URDF."""
+    return str(parse_xml(description(values)).get("name", ""))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot files: resolve and merge the files that `robot.file` and `robot.urdf` name, without ROS.
+"""Robot files: resolve and merge the files that `robot.file` and `robot.urdf` name, and inline them, without ROS.
 
 The path of `reference.file.path` is resolved here, too.
 """
@@ -7,14 +7,14 @@ The path of `reference.file.path` is resolved here, too.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ..errors import ParameterError
 from ..files.motion_table import is_text
 from ..files.text_file import read_text
 from . import ros_yaml
-from .mesh_paths import located
 
 FILE, URDF, MOTION = "robot.file", "robot.urdf", "reference.file.path"
 _SCHEME = "package://"
@@ -106,3 +106,33 @@ def absolute(given: Mapping[str, object], folder: Path) -> dict[str, object]:
             except ParameterError as error:
                 raise ParameterError(f"parameter '{name}': {error}") from None
     return values
+
+
+_FILE_NAME = re.compile(r"(<mesh\b[^>]*?\bfilename\s*=\s*)([\"'])(.*?)\2", re.DOTALL)
+_URI = "file://"
+
+
+def located(urdf: str, folder: Path) -> str:
+    """Return the URDF text with file:// paths of the meshes that exist in `folder`, where its file is, or above it.
+
+    A relative path starts at the folder. ``package://name/path`` is replaced if the folder or one above it is called
+    `name`, or contains a folder of that name, and has the path in it. All other text stays as it is.
+    """
+
+    def replaced(match: re.Match[str]) -> str:
+        path = next((path for path in _candidates(match[3], folder.absolute()) if path.is_file()), None)
+        return match[0] if path is None else f"{match[1]}{match[2]}{_URI}{path}{match[2]}"
+
+    return _FILE_NAME.sub(replaced, urdf)
+
+
+def _candidates(name: str, folder: Path) -> Iterator[Path]:
+    if not name.startswith(_SCHEME):
+        if not name.startswith(_URI) and not Path(name).is_absolute():
+            yield folder / name
+        return
+    package, _, path = name[len(_SCHEME) :].partition("/")
+    for above in (folder, *folder.parents):
+        if above.name == package:
+            yield above / path
+        yield above / package / path

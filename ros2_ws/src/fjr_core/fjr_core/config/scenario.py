@@ -20,26 +20,20 @@ from ..law.interfaces import SampledLaw, StaticLaw
 from ..law.vdpbc import TrackingLaw
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
-from ..monitoring.certificate import Certificate
-from ..monitoring.one_step_prediction import Prediction
+from ..monitoring.certificate import Certificate, Prediction
 from ..motions.reference import Reference
 from ..numerics.checks import Array
 from ..robust.law import RobustLaw, sampled_law
 from ..runtime.measurement_model import OBSERVER, TORQUE
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
-from ..urdf.typical_joints import joints_without_inertia
-from . import builders, guesses, parameter, reference_file, robot_file, ros_yaml
 from . import law as law_parameters
+from . import parameter, ros_yaml
 from . import plant as plant_parameters
-from .builders import control_law, robust_action
-from .measurement import OBSERVER_BANDWIDTH, measurement_parameters
-from .nonidealities import channel_errors, imperfection_parameters
-from .robot import JOINTS
-from .user_options import in_python, unread_options
-
-PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
-OWN_PARAMETERS = {PLANT: builders.plant_parameters, CONTROLLER: builders.controller_parameters}
+from . import reference as reference_parameters
+from . import robot as robot_parameters
+from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement_parameters
+from .nodes import CONTROLLER, PLANT, checked_values
 
 
 @dataclass(frozen=True)
@@ -72,7 +66,7 @@ class Scenario:
     @property
     def loop_delay(self) -> float:
         """Constant delay of the loop [s]: the sum of the simulated delays of states and commands, without jitter."""
-        return sum(channel.delay for channel in channel_errors(self.plant_values))
+        return sum(channel.delay for channel in plant_parameters.channel_errors(self.plant_values))
 
     @property
     def sensing(self) -> Sensing:
@@ -85,17 +79,17 @@ class Scenario:
     @cached_property
     def robot(self) -> Robot:
         """The controller's model of the robot."""
-        return builders.robot(self.controller_values)
+        return robot_parameters.robot(self.controller_values)
 
     @cached_property
     def gains(self) -> Gains:
         """The gains of v-dPBC."""
-        return builders.gains(self.controller_values, self.robot.n)
+        return law_parameters.gains(self.controller_values, self.robot.n)
 
     @cached_property
     def law(self) -> StaticLaw:
         """The control law."""
-        return control_law(self.controller_values, self.robot)
+        return law_parameters.control_law(self.controller_values, self.robot)
 
     @property
     def certified_law(self) -> TrackingLaw | None:
@@ -114,19 +108,19 @@ class Scenario:
     @cached_property
     def sampled_law(self) -> SampledLaw:
         """The control law with the robust action of robust.*, as the controller runs it."""
-        return sampled_law(self.law, robust_action(self.controller_values, self.law))
+        return sampled_law(self.law, law_parameters.robust_action(self.controller_values, self.law))
 
     @cached_property
     def reference(self) -> Reference:
         """The reference trajectory; time 0 is the stamp of the first state that the controller answers."""
-        return builders.reference(self.controller_values, self.robot.n)
+        return reference_parameters.reference(self.controller_values, self.robot.n)
 
     @cached_property
     def motion_warnings(self) -> tuple[str, ...]:
         """A sentence for each property of a reference from a file that asks for large efforts (docs/references.md)."""
         if self.controller_values["reference.type"] != "file":
             return ()
-        return tuple(reference_file.file_warnings(self.controller_values, self.robot))
+        return tuple(file_warnings(self.controller_values, self.robot))
 
     @property
     def robot_warnings(self) -> tuple[str, ...]:
@@ -134,18 +128,18 @@ class Scenario:
         thin = joints_without_inertia(self.robot).items()
         return (
             *(f"{self.joints[i]} {seen}; expected the inertia of its links in the URDF" for i, seen in thin),
-            *guesses.guess_sentences(self.controller_values),
+            *robot_parameters.guess_sentences(self.controller_values),
         )
 
     @cached_property
     def plant(self) -> Plant:
         """The simulated robot, from the plant's own parameters."""
-        return builders.plant(self.plant_values, builders.robot(self.plant_values))
+        return plant_parameters.plant(self.plant_values, robot_parameters.robot(self.plant_values))
 
     @cached_property
     def x0(self) -> Array:
         """The plant's initial state (4n,)."""
-        return builders.initial_state(self.plant_values, self.plant.robot)
+        return plant_parameters.initial_state(self.plant_values, self.plant.robot)
 
     def configurations(self, k: int = 64) -> Array:
         """Return link positions (k + 1, n) [rad]: the initial ones and k of the reference."""
@@ -189,125 +183,39 @@ def parse_scenario(name: str, text: str) -> Scenario:
 
 
 def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) -> Scenario:
-    warnings: list[str] = []
-    checked = {}
-    reference_file.read_again()
-    for node, direct in given_to_nodes(document).items():
-        own = OWN_PARAMETERS[node]
-        given = builders.without_others(own, robot_file.merged(direct, node, folder), direct)
-        known = builders.all_parameters(own, given, user_code)
-        own_names = set(given) - _for_other_nodes(node, own, document)
-        unread = own_names & unread_options(known, given, user_code)
-        warnings += [
-            f"{node}: parameter '{name}' is ignored: there is no class with options" for name in sorted(unread)
-        ]
-        parameter.refuse_unknown([each.name for each in known], own_names - unread, builders.names_of_others(own))
-        checked[node] = parameter.complete(known, given)
+    """Check the values of a document and build what they describe, of classes of the user on request."""
+    reference_parameters.forget_files()
+    checked, warnings = checked_values(document, folder, user_code)
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    warnings += _hold_warnings(scenario) + (_python_warnings(scenario) if user_code else [])
-    scenario = replace(scenario, warnings=tuple(warnings))
-    joints = [checked[node]["joints"] for node in OWN_PARAMETERS]
+    types = (law_parameters.TYPE, scenario.controller_values), (plant_parameters.TYPE, scenario.plant_values)
+    in_python = [parameter.in_python(kind, values) for kind, values in types if user_code]
+    scenario = replace(scenario, warnings=(*warnings, *filter(None, [_hold_warning(scenario), *in_python])))
+    joints = [checked[node]["joints"] for node in (PLANT, CONTROLLER)]
     if joints[0] != joints[1]:
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _build(scenario, user_code)
+    _ = scenario.reference
+    own_law, own_plant = (is_named(values[kind.name]) for kind, values in types)
+    if user_code or not own_law:
+        _ = scenario.sampled_law
+    if user_code or not own_plant:
+        _ = scenario.plant, scenario.x0
     return scenario
 
 
-def given_to_nodes(document: Any) -> dict[str, dict[str, object]]:
-    """Return the values that a parameter file gives to each node; raises ParameterError.
-
-    Sections of other nodes are left out, unless their name resembles one of these nodes' or there are no others.
-    """
-    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
-    own = {section for node in OWN_PARAMETERS for section in ros_yaml.sections(node)}
-    for section in document:
-        name = str(section).rpartition("/")[2]
-        close = parameter.resembling(name, OWN_PARAMETERS, least=0.8)
-        if section not in own and close and name != close:
-            raise ParameterError(f"has the section '{section}', of another node; did you mean '/**/{close}'?")
-    if document and not own & set(document):
-        raise ParameterError(
-            f"has no section of these nodes ({', '.join(map(str, document))}); expected {ros_yaml.SHARED}, "
-            + " or ".join(f"/**/{node}" for node in OWN_PARAMETERS)
-        )
-    return given
-
-
-def _build(scenario: Scenario, user_code: bool) -> None:
-    """Build the objects of the values, of classes of the user on request; raises ParameterError."""
-    _ = scenario.reference
-    if user_code or not is_named(scenario.controller_values[law_parameters.TYPE.name]):
-        _ = scenario.sampled_law
-    if user_code or not is_named(scenario.plant_values[plant_parameters.TYPE.name]):
-        _ = scenario.plant, scenario.x0
-
-
-def _for_other_nodes(node: str, own: builders.OwnParameters, document: Any) -> set[str]:
-    """Return the names in the section for all nodes that only other nodes declare."""
-    private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
-    shared = set(ros_yaml.values_for(node, document)) - set(ros_yaml.values_for(node, private))
-    return {name for name in shared if builders.is_of_others(own, name)}
-
-
-def _hold_warnings(scenario: Scenario) -> list[str]:
+def _hold_warning(scenario: Scenario) -> str:
     """Return a warning if robust.hold, over which the law predicts or integrates, is not the sample period."""
     values, period = scenario.controller_values, scenario.sample_period
-    robust = builders.robust(values, len(scenario.joints))
+    robust = law_parameters.robust(values, len(scenario.joints))
     if not (robust.predicts or robust.integrates) or math.isclose(robust.hold, period, rel_tol=1e-6):
-        return []
-    return [f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"]
-
-
-def _python_warnings(scenario: Scenario) -> list[str]:
-    """Return a sentence for a law and a plant that are evaluated in Python."""
-    found = (
-        in_python(law_parameters.TYPE, scenario.controller_values),
-        in_python(plant_parameters.TYPE, scenario.plant_values),
-    )
-    return [sentence for sentence in found if sentence]
-
-
-def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
-    """Return a parameter file of the values given to each node that needs no other file: robot, URDF, motion.
-
-    Values that the nodes share are in the section /**, which is also the section of `-p` on a command line.
-    Relative paths in `given` start at `folder`. Raises ParameterError.
-    """
-    whole = {node: _inlined(robot_file.merged(values, node, folder)) for node, values in given.items()}
-    shared: dict[str, object] = {}
-    for values in whole.values():
-        shared |= {name: value for name, value in values.items() if _is_common(name, value, whole)}
-    sections = {ros_yaml.SHARED: shared}
-    for node, values in whole.items():
-        sections[f"/**/{node}"] = {name: value for name, value in values.items() if name not in shared}
-    return {section: {"ros__parameters": ros_yaml.tree_of(values)} for section, values in sections.items() if values}
-
-
-def _inlined(values: Mapping[str, object]) -> dict[str, object]:
-    """Return merged values with the texts of URDF and motion in place of their paths."""
-    joints = parameter.names(parameter.complete([JOINTS], values), JOINTS.name)
-    return reference_file.inlined(robot_file.inlined(values), joints)
-
-
-def _is_common(name: str, value: object, given: Mapping[str, Mapping[str, object]]) -> bool:
-    """Return True if every node that has the parameter is given this value."""
-    return all(
-        _same(value, values[name]) if name in values else builders.is_of_others(OWN_PARAMETERS[node], name)
-        for node, values in given.items()
-    )
-
-
-def _same(first: object, second: object) -> bool:
-    return repr(first) == repr(second)  # nan equals nan, 1 differs from 1.0
+        return ""
+    return f"{CONTROLLER}: parameter 'robust.hold' is {values['robust.hold']} s; the states' period is {period:g} s"
 
 
 def left_out(scenario: Scenario) -> list[str]:
     """Return the names of the parameters by which plant or measurement differ from the ideal ones."""
-    known = {
-        "plant_values": imperfection_parameters(len(scenario.joints)),
-        "controller_values": measurement_parameters(len(scenario.joints)),
-    }
-    pairs = [(getattr(scenario, values), parameter) for values, all_ in known.items() for parameter in all_]
-    return [parameter.name for values, parameter in pairs if values[parameter.name] != parameter.default]
+    n = len(scenario.joints)
+    known = [(scenario.plant_values, each) for each in plant_parameters.imperfection_parameters(n)]
+    known += [(scenario.controller_values, each) for each in measurement_parameters(n)]
+    return [each.name for values, each in known if values[each.name] != each.default]

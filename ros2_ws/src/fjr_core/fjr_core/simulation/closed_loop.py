@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate the closed loop without ROS, in continuous time or sampled with a zero-order hold."""
+"""Simulate the closed loop without ROS, in continuous time or sampled with a zero-order hold, and draw a run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import StateError
+from ..errors import FjrError, StateError
 from ..law.interfaces import SampledLaw, StaticLaw, check_law, raise_failure
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Coordinates, Robot, Units, law_view
+from ..model.robot import Coordinates, Robot, Units, joined, law_view
 from ..motions.reference import JETS, Reference, check_reference
 from ..numerics import checks
 from ..numerics.checks import Array
@@ -24,7 +23,9 @@ from ..numerics.one_line import brief, joints, span
 from ..numerics.symbolic import NumericFunction, bind, dense_function, not_converged
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
 STEPS = 500  # of an integration in continuous time in one call of CasADi
@@ -55,8 +56,6 @@ class Trajectory:
 
         Raises PlotError if Matplotlib is not installed.
         """
-        from .plot import draw  # loaded on use: Matplotlib is optional
-
         return draw(self)
 
 
@@ -85,42 +84,27 @@ def simulate(
     plant in Python.
     """
     try:
-        return _simulate(plant, law, reference, x0, duration, sample_period, inner_step, delay)
-    finally:
-        if isinstance(plant, Plant):
-            plant.raise_failure()
-        raise_failure(law)
-
-
-def _simulate(
-    plant: Plant,
-    law: StaticLaw | SampledLaw,
-    reference: Reference,
-    x0: ArrayLike,
-    duration: float,
-    sample_period: float | None,
-    inner_step: float | None,
-    delay: float,
-) -> Trajectory:
-    x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
-    check_law(law)
-    check_joints(plant.robot, law.robot, reference)
-    if inner_step is not None:
-        checks.positive("inner_step", inner_step, StateError)
-    if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
-        raise StateError(f"delay is {delay} s; expected 0 or more with a sample_period, 0 in continuous time")
-    period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
-    t = _times(duration, period)
-    jets = reference.jets(t)
-    if sample_period is None:
+        x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
+        check_law(law)
+        check_joints(plant.robot, law.robot, reference)
+        if inner_step is not None:
+            checks.positive("inner_step", inner_step, StateError)
+        if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
+            raise StateError(f"delay is {delay} s; expected 0 or more with a sample_period, 0 in continuous time")
+        period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
+        checks.positive("duration", duration, StateError)
+        checks.positive("period", period, StateError)
+        t = np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
+        if sample_period is not None:
+            return _sampled(plant, law, reference, x0, t, period, inner_step or INNER_STEP, delay)
         if not isinstance(law, StaticLaw):
             kind = type(law).__name__
             raise StateError(f"law is a {kind} without a sample_period; expected a StaticLaw or a sample_period")
         return _continuous(plant, law, reference, x0, t, period)
-    segments = _segments(period, delay, inner_step or INNER_STEP)
-    if isinstance(law, StaticLaw):
-        return _sampled(plant, x0, t, jets, segments, partial(_static, plant, law, jets))
-    return _sampled(plant, x0, t, jets, segments, partial(_with_state, plant, law, reference.jets(t + law.lead), t))
+    finally:
+        if isinstance(plant, Plant):
+            plant.raise_failure()
+        raise_failure(law)
 
 
 def check_joints(plant: Robot, law: Robot, reference: Reference) -> None:
@@ -131,45 +115,32 @@ def check_joints(plant: Robot, law: Robot, reference: Reference) -> None:
         raise StateError(f"plant, law and reference have {n[0]}, {n[1]} and {n[2]} joints; expected equal")
 
 
-def _times(duration: float, period: float) -> Array:
-    checks.positive("duration", duration, StateError)
-    checks.positive("period", period, StateError)
-    return np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
-
-
-@dataclass(frozen=True)
-class _Segment:
-    """Part of the sample period with one effort, computed `age` samples ago, in `steps` steps of dt [s]."""
-
-    age: int
-    steps: int
-    dt: float
-
-
-def _segments(period: float, delay: float, inner_step: float) -> list[_Segment]:
-    """Split the sample period where the effort changes."""
-    whole, late = divmod(delay, period)
-    parts = [(int(whole) + 1, late), (int(whole), period - late)]
-    steps = [int(np.ceil(length / inner_step - 1e-9)) for _, length in parts]
-    return [_Segment(age, k, length / k) for (age, length), k in zip(parts, steps, strict=True) if k]
-
-
-BoundLaw = Callable[[int], None]
-"""Evaluate the law for sample k, from the state of the plant in an array into efforts (n,) and V (1,)."""
-
-
 def _sampled(
-    plant: Plant, x0: Array, t: Array, jets: Array, segments: list[_Segment], bound: Callable[..., BoundLaw]
+    plant: Plant,
+    law: StaticLaw | SampledLaw,
+    reference: Reference,
+    x0: Array,
+    t: Array,
+    period: float,
+    inner_step: float,
+    delay: float,
 ) -> Trajectory:
+    """Simulate sample by sample. The effort changes within the sample unless the delay is a whole number of samples."""
     n = plant.robot.n
-    run = _empty_trajectory(plant.robot, t, jets)
+    run = _empty_trajectory(plant.robot, t, reference.jets(t))
     x, u, x_next, V = x0.copy(), np.zeros(n), np.zeros_like(x0), np.zeros(1)
-    evaluate_law = bound(x, u, V)
-    held = [np.zeros(n) for _ in segments]
-    steps = [
-        bind(plant.step_function, [x, effort, np.array([segment.dt])], [x_next])
-        for effort, segment in zip(held, segments, strict=True)
-    ]
+    if isinstance(law, StaticLaw):
+        evaluate_law = _static(plant, law, run.jets, x, u, V)
+    else:
+        evaluate_law = _with_state(plant, law, reference.jets(t + law.lead), t, x, u, V)
+    whole, late = divmod(delay, period)
+    parts = []
+    for age, length in ((int(whole) + 1, late), (int(whole), period - late)):  # the effort is that of `age` samples ago
+        count = int(np.ceil(length / inner_step - 1e-9))
+        if count:
+            effort = np.zeros(n)
+            step = bind(plant.step_function, [x, effort, np.array([length / count])], [x_next])
+            parts.append((age, count, effort, step))
     for k in range(len(t)):
         if not x.dot(x) < np.inf:
             raise _diverged(t[k])
@@ -177,11 +148,11 @@ def _sampled(
         run.x[k], run.u[k], run.V[k] = x, u, V[0]
         if k + 1 == len(t):
             break
-        for segment, effort, step in zip(segments, held, steps, strict=True):
-            if k >= segment.age:
-                effort[...] = run.u[k - segment.age]
+        for age, count, effort, step in parts:
+            if k >= age:
+                effort[...] = run.u[k - age]
             try:
-                for _ in range(segment.steps):
+                for _ in range(count):
                     step()
                     x[...] = x_next
             except RuntimeError:
@@ -189,10 +160,16 @@ def _sampled(
     return run
 
 
+BoundLaw = Callable[[int], None]
+"""Evaluate the law for sample k, from the state of the plant in an array into efforts (n,) and V (1,)."""
+
+
 def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Array) -> BoundLaw:
     """Bind a static law to the arrays of state x (4n,), effort u (n,) and V (1,)."""
     now = np.zeros(jets.shape[1:])
-    seen, update_view = _bound_view(law_view(plant.robot, law.robot), x)
+    view = law_view(plant.robot, law.robot)
+    seen = x if view is None else np.zeros_like(x)
+    update_view = bind(view, [x], [seen]) if view else lambda: None
     evaluate = bind(law.command_function, [seen, now], [u, V])
 
     def evaluate_law(k: int) -> None:
@@ -276,14 +253,6 @@ def _closed_loop_step(plant: Plant, law: StaticLaw) -> ca.Function:
     return dense_function("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, (start, middle, end), dt)})
 
 
-def _bound_view(view: ca.Function | None, x: Array) -> tuple[Array, Callable[[], None]]:
-    """Return the array of the state seen by the law, and the function that updates it from the plant state in x."""
-    if view is None:
-        return x, lambda: None
-    seen = np.zeros_like(x)
-    return seen, bind(view, [x], [seen])
-
-
 def _diverged(t: float) -> StateError:
     return StateError(f"the closed loop diverged: the state is not finite at t = {t:.6g} s")
 
@@ -291,3 +260,45 @@ def _diverged(t: float) -> StateError:
 def _empty_trajectory(robot: Robot, t: Array, jets: Array) -> Trajectory:
     x, u, V = np.empty((len(t), 4 * robot.n)), np.empty((len(t), robot.n)), np.empty(len(t))
     return Trajectory(t, x, u, jets, V, robot.units)
+
+
+class PlotError(FjrError):
+    """Matplotlib is not installed."""
+
+
+def draw(run: Trajectory) -> Figure:
+    """Return a figure of positions, tracking errors q_l - q_ld, efforts and V over time, a colour for each joint.
+
+    Raises PlotError if Matplotlib cannot be imported.
+    """
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        raise PlotError(f"Matplotlib cannot be imported ({error}); expected it from: pip install matplotlib") from None
+    figure, ((position, effort), (deviation, storage)) = pyplot.subplots(
+        2, 2, sharex=True, figsize=(9, 5), layout="constrained"
+    )
+    n = run.u.shape[1]
+    q_l, q_ld = run.x[:, :n], run.jets[:, 0]
+    length, force = (joined(getattr(each, name) for each in run.units) for name in ("position", "effort"))
+    _lines(position, f"q_l [{length}]", run.t, q_l)
+    for joint, line in enumerate(position.lines[:]):
+        position.plot(run.t, q_ld[:, joint], "--", color=line.get_color(), alpha=0.6)
+    _lines(deviation, f"q_l - q_ld [{length}]", run.t, q_l - q_ld)
+    _lines(effort, f"u [{force}]", run.t, run.u)
+    _lines(storage, "V [J]", run.t, run.V[:, None])
+    if np.any(run.V > 0):
+        storage.set_yscale("log")
+    for axes in (deviation, storage):
+        axes.set_xlabel("t [s]")
+    position.set_title("links (dashed: reference)", fontsize="medium")
+    if n > 1:
+        figure.legend(effort.lines, [f"joint {i + 1}" for i in range(n)], loc="outside right upper", fontsize="small")
+    return figure
+
+
+def _lines(axes: Axes, label: str, t: Array, values: Array) -> None:
+    """Plot the columns of values (k, n)."""
+    axes.plot(t, values)
+    axes.set_ylabel(label)
+    axes.grid(alpha=0.3)

@@ -6,7 +6,7 @@
     H    = eq. (36) with the payload + sum cubic zeta^4 / 4
     T da/dt = sat(u) - a                             solved exactly, also in the middle of a step
 
-All non-idealities are arguments of one function, so that they can change while the robot moves.
+All imperfections are arguments of one function, so that they can change while the robot moves.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from ..model.robot import Coordinates
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
-from ..numerics.symbolic import NumericFunction, PackedVector, blocks, dense_function, numeric, sparse, symbols
-from .nonideal_parameters import NAMES, SIZES, Nonidealities
+from ..numerics.symbolic import PackedVector, blocks, sparse, symbols
+from .imperfections import NAMES, SIZES, Imperfections
 
 SHORTEST_LAG = 1e-12  # s
 
 
 class NonidealPlant:
-    """Plant (36) with non-idealities as parameters, as pure functions that are built once.
+    """Plant (36) with imperfections as parameters, as pure functions that are built once.
 
     The state is (x, a) (5n,): x of eq. (36) with the momenta of the payload in p_l, and the actuator outputs a (n,). A
     payload is ignored for links without an end-effector frame; `check` refuses it.
@@ -42,8 +42,8 @@ class NonidealPlant:
         self.plant = plant
         self.robot = plant.robot
 
-    def check(self, imperfections: Nonidealities) -> None:
-        """Raise ParameterError for non-idealities that do not fit this robot."""
+    def check(self, imperfections: Imperfections) -> None:
+        """Raise ParameterError for imperfections that do not fit this robot."""
         if imperfections.n != self.robot.n:
             raise ParameterError(f"imperfections have {imperfections.n} joints; expected {self.robot.n}")
         if self.robot.links.end_effector is None and np.any(imperfections.payload_mass):
@@ -210,5 +210,5 @@ def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing
 
 
 def layout(n: int) -> PackedVector:
-    """Return the parts of Nonidealities.vector for n joints."""
+    """Return the parts of Imperfections.vector for n joints."""
     return PackedVector({name: SIZES.get(name, n) for name in NAMES})

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linearise plant and law at equilibria."""
+"""Linearise plant and law at equilibria, and form the one-sample map of the loop under hold and delay."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import casadi as ca
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..errors import StateError
 from ..law.gains import CheckedGains
 from ..law.interfaces import AsSampledLaw, SampledLaw, StaticLaw, check_law
-from ..law.linearized import Equilibria, equilibria_at, error_matrices, feedback, metric_roots, plant_matrices
+from ..law.linearized import Equilibria, Indices, equilibria_at, error_matrices, feedback, metric_roots, plant_matrices
 from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import checked_configurations
 from ..model.port_hamiltonian import Plant
@@ -20,8 +21,7 @@ from ..model.robot import Robot
 from ..motions.reference import JETS
 from ..numerics.checks import Array
 from ..numerics.symbolic import directional, symbols
-from .linear_controller import At, Sensing, controller, plant_in_velocities
-from .one_sample_map import SampledLoop
+from .linear_controller import At, Controller, Sensing, controller, plant_in_velocities, static
 
 OTHER_LAWS = 64  # configurations at which a law without a closed form is checked
 
@@ -165,3 +165,123 @@ def _slope(measured: ca.Function, kind: type) -> ca.Function:
     position, velocity, q_ld = ca.vertsplit(z, [0, 2 * n, 4 * n, 5 * n])
     u, _ = measured(position, velocity, ca.horzcat(q_ld, ca.DM(n, JETS - 1)), gains)
     return ca.Function("slope", [z, gains, d], [ca.densify(directional(u, z, d))], {"cse": True})
+
+
+SCREENED = (0.0, 1.0)  # additional samples of delay at which the worst configurations are selected
+HELD = 4  # maps that a loop keeps: a scan of delays asks for that of a whole sample again and again
+TERMS = 1 / np.cumprod(np.arange(1.0, 17))  # 1 / (i + 1)! of a series whose next term is 0.5^16 / 17! = 4e-20
+AT_ONCE = 32  # configurations whose matrices fit into a processor's cache
+
+
+@dataclass(frozen=True, eq=False)
+class SampledLoop:
+    """Plant and controller linearised at k equilibria: dz/dt = A z + B u in continuous time.
+
+    configurations (k, n) [rad], A (k, 4n, 4n), B (k, 4n, n). F (k, n, 4n): law u = F z of a static loop, with
+    z = P^(1/2) (q_tilde_l, q_tilde_m, sigma_l, sigma_m), so that V = |z|^2 / 2. with_state: controller with a state as
+    a function of the sample period [s]; z is then (q_l, q_m, dq_l, dq_m) and F is not used.
+    """
+
+    configurations: Array
+    A: Array
+    B: Array
+    F: Array
+    with_state: At | None = None
+    _held: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
+
+    def critical(self, sample_period: float, delay: float, most: int) -> Indices:
+        """Return index 0 and the indices of the `most` largest radii at the delay [s] and at one sample more."""
+        delays = (delay + samples * sample_period for samples in SCREENED)
+        worst = [np.argsort(-self.radii(sample_period, late), kind="stable")[:most] for late in delays]
+        return np.unique(np.concatenate([[0], *worst]))
+
+    def radii(self, sample_period: float, delay: float = 0.0) -> Array:
+        """Return the spectral radii (k,) of the loop with sample_period [s] and delay [s].
+
+        A command computed from z(t_j) is held from t_j + delay to t_j+1 + delay. Exact for the linear loop.
+        """
+        loop = self.one_sample_map(sample_period, delay)
+        radii = np.full(len(loop), np.inf)
+        finite = np.flatnonzero(np.isfinite(loop).all(axis=(1, 2)))
+        radii[finite] = np.abs(np.linalg.eigvals(loop[finite])).max(axis=1)
+        return radii
+
+    def one_sample_map(self, sample_period: float, delay: float = 0.0) -> Array:
+        """Return the map (k, N, N) of (z, controller state, delayed efforts) from one sample to the next."""
+        T, (whole, late) = sample_period, split(delay, sample_period)
+        law = static(self.F) if self.with_state is None else self.with_state(T)
+        Phi, Gamma = self.held_map((1 - late) * T)
+        if not late:
+            return map_of_held(Phi, {whole: Gamma}, law)
+        Phi_late, Gamma_late = self.held_map(late * T)
+        return map_of_held(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, law)
+
+    def at(self, indices: Indices) -> SampledLoop:
+        """Return the loop at the selected configurations."""
+        whole = self.with_state
+        part = None if whole is None else lambda T: whole(T).at(indices)
+        return SampledLoop(self.configurations[indices], self.A[indices], self.B[indices], self.F[indices], part)
+
+    def held_map(self, T: float) -> tuple[Array, Array]:
+        """Return Phi (k, 4n, 4n) and Gamma (k, 4n, n): z(t + T) = Phi z(t) + Gamma u with u held."""
+        if T not in self._held:
+            if len(self._held) == HELD:
+                del self._held[next(iter(self._held))]
+            Phi, Gamma = np.empty_like(self.A), np.empty_like(self.B)
+            with np.errstate(over="ignore", invalid="ignore"):  # an unstable plant over a long time
+                for first in range(0, len(Phi), AT_ONCE):
+                    part = slice(first, first + AT_ONCE)
+                    Phi[part], Gamma[part] = held_maps(self.A[part], self.B[part], T)
+            self._held[T] = Phi, Gamma
+        return self._held[T]
+
+
+def held_maps(A: Array, B: Array, T: float) -> tuple[Array, Array]:
+    """Return exp(A T) and the integral of exp(A s) from 0 to T times B, for stacks A (k, N, N) and B (k, N, n).
+
+    Series over h = T / 2^j, in powers of (A h)^4, doubled j times: with D = exp(A h) - 1, which loses no digits for
+    small h, D(2 h) = 2 D + D D and Gamma(2 h) = 2 Gamma + D Gamma. SciPy's expm takes the matrices one by one.
+    """
+    one, norm = np.eye(A.shape[1]), float(np.abs(A).sum(axis=2).max())
+    doublings = max(0, int(np.ceil(np.log2(2 * norm * T)))) if norm * T else 0
+    h = T / 2**doublings
+    X = A * h
+    X2 = X @ X
+    X3, X4 = X2 @ X, X2 @ X2
+    Psi = np.zeros_like(A)  # the integral of exp(A s) from 0 to h, over h
+    for c in TERMS.reshape(-1, 4)[::-1]:
+        Psi = Psi @ X4 + (c[0] * one + c[1] * X + c[2] * X2 + c[3] * X3)
+    D, Gamma = X @ Psi, h * (Psi @ B)
+    for _ in range(doublings):
+        Gamma = Gamma + Gamma + D @ Gamma
+        D = D + D + D @ D
+    return one + D, Gamma
+
+
+def map_of_held(Phi: Array, inputs: dict[int, Array], law: Controller) -> Array:
+    """Return the map of (z, c, earlier efforts): z+ = Phi z + sum of inputs[i] u(i samples ago), u by the law."""
+    (k, n, N), m = law.F.shape, law.states
+    past = max(*inputs, int(law.reads_sent))
+    start = N + m  # of the efforts
+    u = np.zeros((k, n, start + n * past))
+    u[:, :, :N], u[:, :, N:start] = law.F, law.C
+    loop = np.zeros((k, start + n * past, start + n * past))
+    loop[:, :N, :N], loop[:, N:start, :N], loop[:, N:start, N:start] = Phi, law.G, law.H
+    if past:
+        last = slice(start, start + n)
+        u[:, :, last], loop[:, N:start, last] = law.S, law.J
+        loop[:, last] = u
+        loop[:, start + n :, start:-n] = np.eye(n * (past - 1))
+    for i, Gamma in inputs.items():
+        if i == 0:
+            loop[:, :N] += Gamma @ u
+        else:
+            loop[:, :N, start + n * (i - 1) : start + n * i] += Gamma
+    return loop
+
+
+def split(delay: float, T: float) -> tuple[int, float]:
+    """Split delay / T into whole samples and a fraction; a whole number up to rounding has fraction 0."""
+    samples = delay / T
+    whole = round(samples) if abs(samples - round(samples)) < 1e-9 else int(samples)
+    return whole, max(samples - whole, 0.0)

@@ -17,16 +17,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import StateError
+from ..errors import GainsError, StateError
 from ..law.interfaces import SampledLaw, StaticLaw
 from ..law.linearized import Indices
 from ..law.vdpbc import TrackingLaw
+from ..model.configuration_sampling import sample_configurations
 from ..model.port_hamiltonian import Plant
 from ..numerics.checks import Array, positive
 from ..numerics.one_line import one_line
+from ..robust.law import Robust, sampled_law
 from .linear_controller import Sensing
-from .linearization import as_static, closed_form, linearize, loop_configurations, without_state
-from .one_sample_map import SampledLoop
+from .linearization import SampledLoop, as_static, closed_form, linearize, loop_configurations, without_state
 
 FEW = 48  # up to so many configurations, margins are searched at all of them
 KEPT = 16  # configurations of the largest radius at each screened delay, at which margins are searched
@@ -40,6 +41,10 @@ ROUNDS = 8  # checks of all configurations
 HIGHEST_RATE = 1e5  # Hz; highest sample rate considered
 LOWEST_RATE = 1.0  # Hz
 MOST_SAMPLES_OF_DELAY = 10  # rates at which the given delay exceeds this many samples are not considered
+INTEGRAL_GAINS = ("integral_gain", "motor_integral_gain")
+FEW_FOR_INTEGRAL = 3  # sampled configurations at which the loop with integral action is evaluated
+BISECTIONS = 7  # of the logarithm of the factor on the integral gains, between LEAST_FACTOR and 1
+LEAST_FACTOR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,14 +175,12 @@ def _unstable(everywhere: SampledLoop, found: SampledCheck) -> Indices:
     loops = [(T, late * T)] if late > 0 else []
     if found.lowest_stable_rate is not None:
         loops.append((1 / (found.lowest_stable_rate * (1 + WITHIN)), found.delay))
-    worst = [_largest(everywhere.radii(*times)) for times in loops]
-    return np.unique(np.concatenate([np.arange(0), *worst]))
-
-
-def _largest(radii: Array) -> Indices:
-    """Return indices of the KEPT largest radii that are not below 1."""
-    worst = np.argsort(-radii, kind="stable")[:KEPT]
-    return worst[radii[worst] >= 1]
+    unstable: list[Indices] = [np.arange(0)]
+    for times in loops:
+        radii = everywhere.radii(*times)
+        worst = np.argsort(-radii, kind="stable")[:KEPT]
+        unstable.append(worst[radii[worst] >= 1])
+    return np.unique(np.concatenate(unstable))
 
 
 def _delay_margin(loop: SampledLoop, T: float, delay: float, stable: bool) -> float:
@@ -203,17 +206,14 @@ def _lowest_stable_rate(loop: SampledLoop, rate: float, delay: float, stable: bo
 def _last_stable(stable: Callable[[float], bool], points: Array, tolerance: float) -> float | None:
     """Return the end of the stable interval that starts at points[0], by scanning the points, then by bisection."""
     good = None
-    for point in points:
-        if not stable(point):
-            return None if good is None else _bisect(stable, good, float(point), tolerance)
-        good = float(point)
-    return good
-
-
-def _bisect(stable: Callable[[float], bool], good: float, bad: float, tolerance: float) -> float:
-    while abs(bad - good) > tolerance:
-        middle = (good + bad) / 2
-        good, bad = (middle, bad) if stable(middle) else (good, middle)
+    for point in map(float, points):
+        if stable(point):
+            good = point
+            continue
+        while good is not None and abs(point - good) > tolerance:
+            middle = (good + point) / 2
+            good, point = (middle, point) if stable(middle) else (good, middle)
+        break
     return good
 
 
@@ -222,3 +222,34 @@ def checked_times(sample_period: float, delay: float) -> None:
     positive("sample_period", sample_period, StateError)
     if not (np.isfinite(delay) and delay >= 0):
         raise StateError(f"delay is {delay} s; expected 0 or more")
+
+
+def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
+    """Raise GainsError if integral action makes an otherwise stable loop unstable at sample period robust.hold [s].
+
+    The loop consists of the law and its own robot, linearised at a few equilibria, with the delay robust.delay [s].
+    """
+    if not robust.integrates:
+        return
+    configurations = sample_configurations(law.robot, FEW_FOR_INTEGRAL)
+
+    def stable(factor: float) -> bool:
+        rates = {name: factor * np.asarray(getattr(robust, name)) for name in INTEGRAL_GAINS}
+        sampled = sampled_law(law, replace(robust, **rates))  # type: ignore[arg-type]
+        return bool(spectral_radius(sampled, robust.hold, robust.delay, configurations).max() < 1)
+
+    def listed(rates: Array) -> str:
+        return "[" + ", ".join(f"{rate:.2g}" for rate in np.atleast_1d(rates)) + "]"
+
+    if stable(1.0) or not stable(0.0):
+        return
+    low, high = LEAST_FACTOR, 1.0
+    for _ in range(BISECTIONS):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    gains = {name: np.asarray(getattr(robust, name)) for name in INTEGRAL_GAINS if np.any(getattr(robust, name))}
+    given = ", ".join(f"{name} is {listed(gain)}" for name, gain in gains.items())
+    most = " and ".join(listed(low * gain) for gain in gains.values())
+    raise GainsError(
+        f"{given} 1/s, which makes the loop unstable at a hold of {robust.hold:g} s; expected at most {most} 1/s"
+    )

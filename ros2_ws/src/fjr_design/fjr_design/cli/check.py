@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.config.controller import safety
 from fjr_core.config.law import TYPE
-from fjr_core.config.safety import safety
+from fjr_core.config.parameter import options
 from fjr_core.config.scenario import Scenario
-from fjr_core.config.user_options import options
 from fjr_core.errors import ParameterError
 from fjr_core.extensions.law_registry import law_kind
 from fjr_core.files import importing as other_package

@@ -236,7 +236,7 @@ def tune(**given: Any) -> Any:
     help="Deprecated in 0.1.0: use --document.",
 )
 def compare(**given: Any) -> Any:
-    """Compare control laws under non-idealities.
+    """Compare control laws under imperfections.
 
     SUITE is the name of a comparison or a YAML file. [default: paper]
     """

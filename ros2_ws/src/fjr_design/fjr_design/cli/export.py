@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fjr_core.config.description import description
+from fjr_core.config.robot import description
 from fjr_core.config.scenario import left_out
 from fjr_design.exports import export, loop_of, prefix_of, write
 from fjr_design.exports.ros2_control import export_package, not_exported, package_name_of

@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fjr_core.config import builders
-from fjr_core.config.builders import robust_action
+from fjr_core.config.law import gain_values, robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError, ParameterError
 from fjr_core.files import importing as other_package
@@ -60,7 +59,7 @@ def synthesised(
     head += f"# {confirmed.sentence}\n" if confirmed else ""
     numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
     numbers |= {"delay_margin_samples": found.delay_margin, **(confirmed.numbers if confirmed else {})}
-    values = {name.partition(".")[2]: entries for name, entries in builders.gain_values(gains, robot.n).items()}
+    values = {name.partition(".")[2]: entries for name, entries in gain_values(gains, robot.n).items()}
     if write:
         _write(path, values, robot.n)
     where_to = f"# written to {path}:" if write else "# in place of `gains` below ros__parameters:"

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fjr_core.config.builders import robust_action
+from fjr_core.config.law import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError
 from fjr_core.law.linearized import equilibria_at

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError
 from fjr_core.law.vdpbc import TrackingLaw

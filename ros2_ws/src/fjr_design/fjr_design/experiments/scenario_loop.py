@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fjr_core.config.measurement import measurement, observer
+from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.config.parameter import number
-from fjr_core.config.safety import safety
 from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import SampledLaw

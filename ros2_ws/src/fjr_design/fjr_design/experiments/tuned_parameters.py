@@ -8,8 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from fjr_core.config import law
-from fjr_core.config.builders import sample_period
-from fjr_core.config.gains import gains
+from fjr_core.config.law import gains, sample_period
 from fjr_core.config.parameter import Value, Values, vector
 from fjr_core.config.reference import reference
 from fjr_core.config.robot import robot

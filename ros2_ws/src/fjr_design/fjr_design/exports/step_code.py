@@ -16,9 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fjr_core.config.builders import robust_action
-from fjr_core.config.measurement import measurement, observer
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import measurement, observer, safety
+from fjr_core.config.law import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError
 from fjr_core.law.interfaces import ARGUMENTS, SampledLaw, StaticLaw

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.config import ros_yaml
-from fjr_core.config.builders import gain_values
+from fjr_core.config.law import gain_values
 from fjr_core.model.robot import joined
 from fjr_design.scaffold.arm import Arm
 from fjr_design.scaffold.proposal import RATE, Proposal

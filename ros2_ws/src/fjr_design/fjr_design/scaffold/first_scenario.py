@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.builders import gain_values
-from fjr_core.config.safety import FROM_ROBOT
+from fjr_core.config.controller import FROM_ROBOT
+from fjr_core.config.law import gain_values
 from fjr_core.config.scenario import Scenario
 from fjr_design.scaffold.proposal import proposal_of
 

@@ -20,8 +20,7 @@ from fjr_core.law.linearized import Equilibria, Indices
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
-from fjr_core.stability.linearization import as_sampled
-from fjr_core.stability.one_sample_map import held_maps, map_of_held, split
+from fjr_core.stability.linearization import as_sampled, held_maps, map_of_held, split
 
 CONFIDENCE = 0.99
 SQUARINGS = 14

@@ -29,8 +29,7 @@ from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, checked_c
 from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array, positive
-from fjr_core.stability.linearization import in_error_coordinates
-from fjr_core.stability.one_sample_map import SampledLoop
+from fjr_core.stability.linearization import SampledLoop, in_error_coordinates
 from fjr_core.stability.sampled_loop import FEW, checked_times
 
 from ..stability.drawn_plants import DrawnLoops, DrawnPlants, LargestMeanDifference

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.nonidealities import sensor_errors
+from fjr_core.config.controller import safety
 from fjr_core.config.parameter import vector
-from fjr_core.config.safety import safety
+from fjr_core.config.plant import sensor_errors
 from fjr_core.config.scenario import Scenario
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config import builders
-from fjr_core.config.diagnosis import axes
+from fjr_core.config.controller import axes
+from fjr_core.config.law import robust as build_robust
 from fjr_core.config.scenario import Scenario
 from fjr_core.files import importing as other_package
 from fjr_core.files.text_file import write_text
@@ -131,7 +131,7 @@ class Metrics:
             return unknown("V is not known: the bag lacks links or motors")
         if not self.efforts_known:
             return unknown("no effort of the controller was recorded")
-        if not builders.robust(values, self.run.scenario.robot.n).off:
+        if not build_robust(values, self.run.scenario.robot.n).off:
             return unknown("V does not include the disturbance estimate (robust.* is enabled)")
         return self._diagnosis.result(self.run.velocities_measured)
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries

@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.measurement import measurement
+from fjr_core.config.controller import measurement
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_monitor.diagnosis.record import LEAD

@@ -19,7 +19,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.monitoring.thresholds import BLOCK, GAP
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import momentum_matrix
-from fjr_core.stability.one_sample_map import SampledLoop
+from fjr_core.stability.linearization import SampledLoop
 
 from .delay_estimation import Acting
 from .innovations import Innovations, foreseen

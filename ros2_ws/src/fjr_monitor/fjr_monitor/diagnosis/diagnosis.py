@@ -13,9 +13,8 @@ import numpy as np
 
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring import thresholds
-from fjr_core.monitoring.axes import Axes
-from fjr_core.monitoring.certificate import Certificate, CertificateSeries
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
+from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
 from fjr_core.stability.linearization import linearize

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.monitoring.axes import Axes
-from fjr_core.monitoring.thresholds import RELATIVE
+from fjr_core.monitoring.thresholds import RELATIVE, Axes
 from fjr_core.numerics.checks import Array
 
 from .cause_errors import CauseErrors

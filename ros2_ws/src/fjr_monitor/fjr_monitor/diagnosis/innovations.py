@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.model.robot import Robot
-from fjr_core.monitoring.certificate import Certificate, CertificateSeries
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
 from fjr_core.monitoring.thresholds import LONGEST_GAP
 from fjr_core.numerics.checks import Array
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.c_library import record_type

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.ma  # np.median would load it while the robot moves
 
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.monitoring.axes import Axes
-from fjr_core.monitoring.thresholds import BLOCK, OLDEST
+from fjr_core.monitoring.thresholds import BLOCK, OLDEST, Axes
 from fjr_core.numerics.checks import Array
 
 from .cause_errors import CauseErrors, cause_errors, closed_loop

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.description import description, locked_positions
+from fjr_core.config.robot import description, locked_positions
 from fjr_core.numerics.checks import Array
 from fjr_monitor.plotting.figure import Pool
 from fjr_monitor.report.shown import Shown

@@ -16,8 +16,8 @@ from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
 
-from fjr_core.config.description import description, locked_positions
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
+from fjr_core.config.robot import description, locked_positions
 from fjr_core.config.scenario import Scenario
 from fjr_monitor.recording.echo import ELSEWHERE, TopicError, nodes_seen
 from fjr_monitor.watch.node import FjrWatch

@@ -13,9 +13,9 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter as RosParameter
 
 from fjr_core import FjrError, ParameterError
-from fjr_core.config import builders, robot_file
-from fjr_core.config.parameter import Parameter, Value, complete, refuse_unknown, resembling
-from fjr_core.config.user_options import is_option, unread_options
+from fjr_core.config import robot_file
+from fjr_core.config.nodes import OwnParameters, all_parameters, is_of_others, names_of_others, without_others
+from fjr_core.config.parameter import Parameter, Value, complete, is_option, refuse_unknown, resembling, unread_options
 
 from .command_line import for_any_node, overruled, same_value
 from .descriptor import descriptor
@@ -44,7 +44,7 @@ class ParameterNode(EndingNode):
     process_arguments: ClassVar[Sequence[str]] = ()
     """The command line of the process, if rclpy.init received it."""
 
-    def __init__(self, name: str, own: builders.OwnParameters, **node_kwargs: Any) -> None:
+    def __init__(self, name: str, own: OwnParameters, **node_kwargs: Any) -> None:
         """Declare the parameters and `build` the node.
 
         own: plant_parameters or controller_parameters of fjr_core.config; node_kwargs: as of rclpy's Node.
@@ -118,7 +118,7 @@ class ParameterNode(EndingNode):
             for name in self.get_parameters_by_prefix("")
             if not name.startswith(_FOREIGN)
         }
-        for name in [name for name in given if builders.is_of_others(self._own, name)]:
+        for name in [name for name in given if is_of_others(self._own, name)]:
             self.undeclare_parameter(name)
             del given[name]
         return given
@@ -146,8 +146,8 @@ class ParameterNode(EndingNode):
 
     def _checked_values(self) -> dict[str, Any]:
         merged = robot_file.merged(self._given, self.get_name(), Path.cwd())
-        given = builders.without_others(self._own, merged, self._given)
-        parameters = builders.all_parameters(self._own, given)
+        given = without_others(self._own, merged, self._given)
+        parameters = all_parameters(self._own, given)
         self._check_names(parameters, given)
         values = dict(complete(parameters, given))
         self._parameters_by_name = {parameter.name: parameter for parameter in parameters}
@@ -164,7 +164,7 @@ class ParameterNode(EndingNode):
 
         Options are logged, too, where no class of the user is named.
         """
-        own, others = [parameter.name for parameter in parameters], builders.names_of_others(self._own)
+        own, others = [parameter.name for parameter in parameters], names_of_others(self._own)
         groups = {name.partition(".")[0] for name in (*own, *others)}
         foreign = {
             name
@@ -237,7 +237,7 @@ class ParameterNode(EndingNode):
     def _refuse_unknown(self, new: Mapping[str, object]) -> None:
         known = getattr(self, "_parameters_by_name", None)
         if known:
-            refuse_unknown(known, new, builders.names_of_others(self._own))
+            refuse_unknown(known, new, names_of_others(self._own))
 
 
 class ManagedParameterNode(ParameterNode, LifecycleNode):

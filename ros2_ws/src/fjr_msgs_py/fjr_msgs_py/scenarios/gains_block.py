@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from fjr_core.config import ros_yaml
-from fjr_core.config.scenario import CONTROLLER
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.errors import ParameterError
 
 DIGITS = 4

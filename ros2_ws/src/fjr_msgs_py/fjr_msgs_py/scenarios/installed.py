@@ -7,14 +7,13 @@ from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
-from fjr_msgs_py.console.ros2_tools import INSTALLATION
-
 
 def installed(kind: str) -> dict[str, Path]:
     """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
     try:
         folder = Path(get_package_share_directory("fjr_bringup"), kind)
     except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
+        from fjr_msgs_py.console.ros2_tools import INSTALLATION
         from fjr_msgs_py.scenarios.library import ScenarioError  # loads CasADi
 
         raise ScenarioError(f"package fjr_bringup is not installed here; {INSTALLATION}") from error

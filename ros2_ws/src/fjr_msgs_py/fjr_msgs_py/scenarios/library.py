@@ -5,19 +5,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fjr_core.config import builders, robot_file, ros_yaml
+from fjr_core.config import robot_file, ros_yaml
+from fjr_core.config.nodes import CONTROLLER, OWN_PARAMETERS, all_parameters, given_to_nodes, self_contained
 from fjr_core.config.parameter import refuse_unknown
-from fjr_core.config.scenario import (
-    CONTROLLER,
-    OWN_PARAMETERS,
-    Scenario,
-    given_to_nodes,
-    parse_scenario,
-    self_contained,
-)
+from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import FjrError, ParameterError
 from fjr_msgs_py.scenarios.installed import installed
 
@@ -32,16 +27,14 @@ def find(name: str | None, kind: str = "scenario") -> Path:
     if name in there:
         return there[name]
     if name and os.path.isfile(name):
-        if kind == "scenario" and _is_xml(name):
-            raise ScenarioError(f"{name} is a URDF or other XML; expected a scenario: fjr new {name} writes one")
+        if kind == "scenario":
+            with open(name, "rb") as file:
+                start = file.read(1024).lstrip(b"\xef\xbb\xbf \t\r\n")
+            if start.startswith(b"<"):
+                raise ScenarioError(f"{name} is a URDF or other XML; expected a scenario: fjr new {name} writes one")
         return Path(name)
     what = f"unknown {kind} '{name}'" if name else f"no {kind} given"
     raise ScenarioError(f"{what}: expected a YAML file or one of {', '.join(there)}")
-
-
-def _is_xml(path: str) -> bool:
-    with open(path, "rb") as file:
-        return file.read(1024).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
@@ -76,7 +69,7 @@ def as_run(path: Path, overrides: Mapping[str, Any], robot_only: bool = False) -
     if not robot_only:
         _refuse_robot_file(path, overrides)
     try:
-        text = _self_contained(path, overrides)
+        text = _changed(path.name, ros_yaml.read(path, "scenario"), path.parent, overrides)
         return text, parse_scenario(path.stem, text)
     except ParameterError as error:
         raise ParameterError(f"scenario {path.stem}: {error}") from None
@@ -93,6 +86,7 @@ def is_robot_file(path: Path) -> bool:
 
 
 def _given_names(path: Path) -> set[str]:
+    """Return the names of the parameters that a file gives to the nodes."""
     try:
         return set().union(*given_to_nodes(ros_yaml.read(path, "scenario")).values())
     except ParameterError as error:
@@ -104,38 +98,28 @@ def _refuse_robot_file(path: Path, overrides: Mapping[str, Any]) -> None:
     given = {*_given_names(path), *overrides}
     if robot_file.URDF not in given or not all(map(robot_file.is_of_robot, given)):
         return
-    users = [each for each in sorted(path.parent.glob("*.yaml")) if _uses(each, path)]
-    hint = f"such as {users[0]}, which names it" if users else f"fjr excite {path} writes one"
+    hint = f"fjr excite {path} writes one"
+    for other in sorted(path.parent.glob("*.yaml"), reverse=True):
+        with suppress(ParameterError):
+            named = ros_yaml.values_for(CONTROLLER, ros_yaml.read(other, "scenario")).get(robot_file.FILE, "")
+            if other != path and (other.parent / str(named)).resolve() == path.resolve():
+                hint = f"such as {other}, which names it"
     raise ScenarioError(f"{path} is a robot file, without motion and gains; expected a scenario, {hint}")
 
 
-def _uses(scenario: Path, file: Path) -> bool:
-    try:
-        given = ros_yaml.values_for(CONTROLLER, ros_yaml.read(scenario, "scenario"))
-    except ParameterError:
-        return False
-    return scenario != file and (scenario.parent / str(given.get(robot_file.FILE, ""))).resolve() == file.resolve()
-
-
-def _self_contained(path: Path, overrides: Mapping[str, Any]) -> str:
-    return _changed(path.name, ros_yaml.read(path, "scenario"), path.parent, overrides)
-
-
 def _changed(name: str, document: Any, folder: Path, overrides: Mapping[str, Any]) -> str:
+    """Return the text of a parameter file in `folder` with parameters changed, without reference to other files."""
     given = given_to_nodes(document)
     for parameter, value in overrides.items():
         nodes = _nodes_with(parameter, given, folder)
         for node in given:
             if node in nodes or parameter in given[node]:  # the section for all nodes gives it to every node
                 given[node] |= robot_file.absolute({parameter: value}, Path.cwd())  # relative to the current folder
-    changes = "".join(f"\n#   {parameter}:={_brief(value)}" for parameter, value in overrides.items())
-    header = f"# {name} as it was run" + (f", with{changes}" if changes else "")
+    header = f"# {name} as it was run" + (", with" if overrides else "")
+    for parameter, value in overrides.items():
+        text = " ".join(str(value).split())
+        header += f"\n#   {parameter}:={text if len(text) <= 80 else f'{text[:80]} ...'}"
     return f"{header}\n{ros_yaml.dump(self_contained(given, folder))}"
-
-
-def _brief(value: Any) -> str:
-    text = " ".join(str(value).split())
-    return text if len(text) <= 80 else f"{text[:80]} ..."
 
 
 def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Path) -> list[str]:
@@ -144,7 +128,7 @@ def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Pa
         raise ParameterError(f"the name of a parameter is {name!r}; expected text")
     by_node = {}
     for node, values in given.items():
-        parameters = builders.all_parameters(OWN_PARAMETERS[node], robot_file.merged(values, node, folder))
+        parameters = all_parameters(OWN_PARAMETERS[node], robot_file.merged(values, node, folder))
         by_node[node] = [parameter.name for parameter in parameters]
     nodes = [node for node, names in by_node.items() if name in names]
     if not nodes:

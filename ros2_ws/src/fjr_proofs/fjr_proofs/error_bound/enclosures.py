@@ -13,7 +13,7 @@ import numpy as np
 from fjr_core.errors import StateError
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import columnwise
-from fjr_core.stability.one_sample_map import split
+from fjr_core.stability.linearization import split
 
 from ..verification.taylor_models import Shape, TaylorModels, taylor_function
 from .cells import TimeWindow

@@ -19,7 +19,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import columnwise
 from fjr_core.stability.linear_controller import static
-from fjr_core.stability.one_sample_map import held_maps, map_of_held, split
+from fjr_core.stability.linearization import held_maps, map_of_held, split
 
 from .deviation_model import CentreMotion, DeviationModel
 from .peak_gains import ROUNDING, CellModels, curvature

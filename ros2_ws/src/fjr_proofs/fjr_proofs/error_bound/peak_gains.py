@@ -22,7 +22,7 @@ import numpy as np
 from fjr_core.law.linearized import Indices
 from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
-from fjr_core.stability.one_sample_map import held_maps
+from fjr_core.stability.linearization import held_maps
 
 from .cells import Cells
 

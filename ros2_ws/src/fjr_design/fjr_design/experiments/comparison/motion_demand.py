@@ -13,7 +13,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, friction_rate
 
 INSTANTS = 4096
 CONFIGURATIONS = 16
@@ -27,7 +27,7 @@ class MotionDemand:
 
     motion [rad]: RMS of q_ld about its mean, over time and joints. torque (n,) [N m]: RMS over time of the inverse
     dynamics of the rigid arm, M_l ddq_ld + C dq_ld + D_l dq_ld + grad P_l. friction_rate [rad/s^2]: largest
-    nonideal_parameters.friction_rate with friction of that torque on both sides, times its smoothing.
+    imperfections.friction_rate with friction of that torque on both sides, times its smoothing.
     """
 
     motion: float
@@ -45,7 +45,7 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
         raise CompareError(f"the reference is at rest for {end:g} s; expected a motion")
     torques = _inverse_dynamics(robot).map(INSTANTS)(*(jets[:, row].T for row in range(3))).full()
     torque = np.sqrt(np.mean(torques**2, axis=1))
-    friction = Nonidealities(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
+    friction = Imperfections(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
     rates = [friction_rate(friction, robot.M_l(q_l), robot.M_m) for q_l in position[:: INSTANTS // CONFIGURATIONS]]
     return MotionDemand(motion, torque, max(rates))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.safety import safety
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.runtime.safety_settings import Settings
@@ -22,7 +22,7 @@ from fjr_core.simulation.batch.closed_loop import ClosedLoop
 from fjr_core.simulation.batch.draws import LEVELS, PER_RUN, SMOOTHING, Draws, width
 from fjr_core.simulation.batch.outcomes import FIELDS, PER_JOINT, Outcomes
 from fjr_core.simulation.batch.uncertain_robot import FRICTION
-from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, friction_rate
 
 from ...posterior.result import Identification
 from ..scenario_loop import refuse_what_is_left_out, scenario_loop
@@ -101,7 +101,7 @@ class Sweep:
         least, most = ({name: both[side] for name, both in ranges.items()} for side in (0, 1))
         robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
         levels = {name: most[name] for name in FRICTION if name in most}
-        steepest = Nonidealities(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
+        steepest = Imperfections(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
         M_l, M_m = inertia[0] * robot.M_l(self.scenario.x0[: robot.n]), inertia[1] * robot.M_m
         rate, dt = friction_rate(steepest, M_l, M_m), self.loop.sample_period / self.loop.inner_steps
         if rate * dt > REACH:

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.config import law as law_parameters
-from fjr_core.config.builders import control_law, robust_action
-from fjr_core.config.gains import gain_values
-from fjr_core.config.law import ROBUST
-from fjr_core.config.measurement import OBSERVER_BANDWIDTH, observer
+from fjr_core.config.controller import OBSERVER_BANDWIDTH, observer
+from fjr_core.config.law import ROBUST, control_law, gain_values, robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
 from fjr_core.extensions.law_registry import V_DPBC, law_kind

@@ -9,19 +9,20 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from fjr_core.config import nonidealities
-from fjr_core.config.description import description
 from fjr_core.config.parameter import Parameter
+from fjr_core.config.plant import PERIOD_JITTER, imperfection_parameters, sensor_errors
+from fjr_core.config.plant import imperfections as build_imperfections
+from fjr_core.config.robot import description
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.parameter_field import declared
-from fjr_core.simulation.nonideal_parameters import NAMES, ChannelErrors, Nonidealities, SensorErrors
+from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfections, SensorErrors
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
 
 _GROUP = "imperfections."
-DYNAMICS = {field: declared(Nonidealities)[field] for field in NAMES}
+DYNAMICS = {field: declared(Imperfections)[field] for field in NAMES}
 SENSORS = {field: each for field, each in declared(SensorErrors).items() if field != "velocities"}
 """Declarations of the parameters by field; their names are those of imperfections.* without the group."""
 
@@ -68,7 +69,7 @@ def arm_of(scenario: Scenario) -> Arm:
     """Return the simulated arm of a scenario; raises ParameterError."""
     values, plant = scenario.plant_values, scenario.plant
     n = plant.robot.n
-    _ = nonidealities.imperfections(values, plant.robot), nonidealities.sensor_errors(values, n)
+    _ = build_imperfections(values, plant.robot), sensor_errors(values, n)
     inner_step = scenario.sample_period / int(values["inner_steps"]) * 1e9  # type: ignore[arg-type]
     start = np.asarray(scenario.x0)[: 2 * n]
     plant = plant if plant.in_python else Plant(plant.robot, plant.integrator)
@@ -83,13 +84,13 @@ def not_exported(scenario: Scenario) -> list[str]:
     names = {
         f"{_GROUP}{side}_{name}": getattr(defaults, f) for side in ("state", "command") for f, name in channel.items()
     }
-    names |= {nonidealities.PERIOD_JITTER.name: 0.0, f"{_GROUP}publish_velocity": True}
+    names |= {PERIOD_JITTER.name: 0.0, f"{_GROUP}publish_velocity": True}
     return [name for name, default in names.items() if values[name] != default]
 
 
 def _given(values: Mapping[str, object], n: int) -> dict[str, object]:
     """Return the values of imperfections.* that differ from their defaults and that the arm has, without the group."""
-    known: dict[str, Parameter] = {each.name: each for each in nonidealities.imperfection_parameters(n)}
+    known: dict[str, Parameter] = {each.name: each for each in imperfection_parameters(n)}
     names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
     found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
     return {name: value for name, (value, default) in found.items() if value != default}

@@ -18,7 +18,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.numerics.checks import MOTOR, Array
-from fjr_core.simulation.nonideal_parameters import Nonidealities
+from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.version import __version__
 
 from ..c_code import comment, number, numbers
@@ -162,7 +162,7 @@ def _configurations(scenario: Scenario, law: TrackingLaw) -> Array | None:
 
 def _plant_values(arm: Arm) -> dict[str, str]:
     """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag."""
-    ideal = Nonidealities(arm.plant.robot.n).vector
+    ideal = Imperfections(arm.plant.robot.n).vector
     return {
         "parameters": str(len(ideal)),
         "plant_table": plant_table(arm),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One job of a comparison: one law on one robot, along all references and non-idealities, with its margins."""
+"""One job of a comparison: one law on one robot, along all references and imperfections, with its margins."""
 
 from __future__ import annotations
 

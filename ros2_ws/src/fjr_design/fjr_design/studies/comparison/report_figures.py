@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of a comparison: error over each non-ideality and the nominal run over time, all laws in the same axes."""
+"""Plots of a comparison: error over each imperfection and the nominal run over time, all laws in the same axes."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str) -> Plot:
 
 
 def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:
-    """Return the largest margins of a non-ideality with the law that reaches them."""
+    """Return the largest margins of an imperfection with the law that reaches them."""
     largest = []
     for row in margins:
         best = [i for i, best in enumerate(row.best) if best]
@@ -81,7 +81,7 @@ def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:
 
 
 def _curve(place: str, laws: Sequence[tuple[Style, Any]], axis: str, tracks: float, caption: str) -> Plot:
-    """Plot the RMS error over the level of a non-ideality; a line ends at the first level that fails."""
+    """Plot the RMS error over the level of an imperfection; a line ends at the first level that fails."""
     heading, label, unit = AXIS_LABELS[axis]
     levels = np.unique(np.concatenate([law["curves"][axis]["levels"] for _, law in laws]))
     levels = levels[levels > 0]

@@ -171,7 +171,7 @@ def _margin(edge: dict[str, float | None], words: Words, direction: Direction) -
 
 
 def level_words(axis: str, level: float) -> str:
-    """Format the level of a non-ideality with its unit."""
+    """Format the level of an imperfection with its unit."""
     if PERTURBATIONS[axis].is_factor:
         return f"× {number(level, digits=3)}"
     if PERTURBATIONS[axis].unit == "s":
@@ -182,7 +182,7 @@ def level_words(axis: str, level: float) -> str:
 
 
 def _errors(robot: str, laws: Sequence[Any], document: dict[str, Any]) -> Iterator[Row]:
-    """Yield the RMS errors under every non-ideality along every reference."""
+    """Yield the RMS errors under every imperfection along every reference."""
     for reference in document["robots"][robot]["references"]:
         for name in document["suite"]["imperfections"]:
             cells = [law["cells"][reference][name] for law in laws]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Specification of a comparison: laws, robots, references and non-idealities, read from YAML."""
+"""Specification of a comparison: laws, robots, references and imperfections, read from YAML."""
 
 from __future__ import annotations
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.monitoring.thresholds import LONGEST_GAP
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.wiring_fault import WiringFault

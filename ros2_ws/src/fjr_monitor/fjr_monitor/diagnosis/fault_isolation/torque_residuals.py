@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
-from fjr_core.monitoring.one_step_prediction import Prediction
+from fjr_core.monitoring.certificate import Prediction
 from fjr_core.monitoring.thresholds import BLOCK
 from fjr_core.numerics.checks import Array
 

@@ -33,8 +33,8 @@ _channel = partial(parameter_field, 0.0, minimum=0.0, dynamic=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Nonidealities:
-    """Non-idealities of n joints; each field except n is a scalar or (n,), stored as (n,). All are off by default.
+class Imperfections:
+    """Imperfections of n joints; each field except n is a scalar or (n,), stored as (n,). All are off by default.
 
     coulomb_l, static_l [N m], stribeck_l [rad/s]: friction of the links, of level coulomb + (static - coulomb) exp(-(v
     / stribeck)^2); a static level below the Coulomb level is ignored. coulomb_m, static_m, stribeck_m: friction of the
@@ -116,7 +116,7 @@ class Nonidealities:
         return array
 
 
-NAMES = tuple(field.name for field in fields(Nonidealities) if field.name != "n")
+NAMES = tuple(field.name for field in fields(Imperfections) if field.name != "n")
 SWITCHES = ("coulomb_l", "static_l", "coulomb_m", "static_m", "cubic", "ripple", "lag", "payload_mass")
 """If all of these are 0 and there is no effort_limit, the robot equals eq. (36)."""
 
@@ -128,7 +128,7 @@ def _limit(value: ArrayLike, n: int) -> Array:
     return np.broadcast_to(array, n).copy()
 
 
-def friction_rate(imperfections: Nonidealities, M_l: ArrayLike, M_m: ArrayLike) -> float:
+def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) -> float:
     """Return the largest damping rate [1/s] of friction, which occurs in creep at zero velocity.
 
     Largest eigenvalue of M^-1 diag(level / smoothing) with the inertias M_l, M_m (n, n) and the levels at rest. A

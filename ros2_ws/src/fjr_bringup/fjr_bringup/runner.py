@@ -20,8 +20,8 @@ from typing import Any
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fjr_bringup.runner.node_process import NodeError, NodeProcess
-from fjr_bringup.runner.plant_client import PlantClient
+from fjr_bringup.clients import PlantClient
+from fjr_bringup.node_process import NodeError, NodeProcess
 from fjr_core.errors import FjrError
 from fjr_monitor.recording.reader import header_stamp
 from fjr_monitor.recording.recorder import Recorder
@@ -59,7 +59,7 @@ class RunError(FjrError):
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunPlan:
     """What to run: name, scenario as YAML text, duration [s of stamped time], folder, and whether in lock-step.
 
     folder: link to the newest run of that name; run() creates a numbered folder and updates the link.
@@ -78,36 +78,27 @@ def set_ros_environment() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """A finished run: its folder, and the reason for each topic that could not be recorded."""
+def run(plan: RunPlan, stop: threading.Event) -> tuple[Path, dict[str, str]]:
+    """Run the plan and write bag, scenario and logs into a new folder.
 
-    folder: Path
-    skipped: dict[str, str]
-
-
-def run(plan: Plan, stop: threading.Event) -> Recorded:
-    """Run the plan and write bag, scenario and logs into a new folder. Raises FjrError or Interrupted."""
+    Return the folder, and the reason for each topic that could not be recorded. Raises FjrError or Interrupted.
+    """
     set_ros_environment()
     with RunFolder(plan.folder) as kept:
         plan = replace(plan, folder=kept.path)
-        file = plan.folder / "scenario.yaml"
-        file.write_text(plan.scenario, encoding="utf-8")
+        (plan.folder / "scenario.yaml").write_text(plan.scenario, encoding="utf-8")
         with Recorder(plan.folder / "bag") as recorder:
-            _Run(plan, recorder, stop, file).execute(on_go=kept.keep)
+            _Run(plan, recorder, stop).execute(on_go=kept.keep)
         if recorder.loss:  # at the last messages, or while the bag was closed
             raise RunError(f"{recorder.loss}; {NOT_JUDGED}\nwhat was recorded is in {plan.folder}", plan.folder)
-    return Recorded(plan.folder, recorder.skipped)
+    return plan.folder, recorder.skipped
 
 
 class _Run:
     """One run in progress."""
 
-    def __init__(self, plan: Plan, recorder: Recorder, stop: threading.Event, file: Path) -> None:
-        self.plan = plan
-        self.recorder = recorder
-        self.stop = stop
-        self.file = file
+    def __init__(self, plan: RunPlan, recorder: Recorder, stop: threading.Event) -> None:
+        self.plan, self.recorder, self.stop = plan, recorder, stop
         self.enclave = f"/fjr_run_{os.getpid()}"
         self.client = PlantClient(recorder.context, PLANT)
         self.nodes: dict[str, NodeProcess] = {}
@@ -145,7 +136,7 @@ class _Run:
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
         log = self.plan.folder / f"{name}.log"
-        ros = ["--enclave", self.enclave, "--params-file", str(self.file), *arguments]
+        ros = ["--enclave", self.enclave, "--params-file", str(self.plan.folder / "scenario.yaml"), *arguments]
         self.nodes[node] = NodeProcess(package, name, ros, log)
 
     def _wait_for(self, node: str, signature: str) -> None:
@@ -193,10 +184,8 @@ class _Run:
     def _matched(self) -> bool:
         """Return whether the graph shows both subscriptions: states by the controller, commands by the plant."""
         commands = JOINT_COMMANDS if self.plan.lockstep else EFFORT_COMMANDS
-        return self._reads(CONTROLLER, STATES) and self._reads(PLANT, commands)
-
-    def _reads(self, node: str, topic: str) -> bool:
-        return node in map(_name, self.recorder.node.get_subscriptions_info_by_topic(topic))
+        subscriptions = self.recorder.node.get_subscriptions_info_by_topic
+        return CONTROLLER in map(_name, subscriptions(STATES)) and PLANT in map(_name, subscriptions(commands))
 
     def _refuse_others(self, lasting: float) -> bool:
         """Return whether there are other nodes (`_others`); raise RunError if there have been for `lasting` [s]."""

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clients of running nodes: any service, the plant's pause, trajectories. Every wait has a time limit.
+
+A participant announces its endpoints in the order of their creation. A node that responds to a client has therefore
+discovered everything that this process made before that client. A response is lost if the server has not yet discovered
+the client; a request that may be repeated is then sent again.
+"""
+
+from __future__ import annotations
+
+import difflib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.srv import GetParameters
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.qos import QoSProfile
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from fjr_core.errors import FjrError
+from fjr_monitor.recording.echo import nodes_seen
+from fjr_monitor.recording.message_types import interface_class
+from fjr_msgs_py.node.participant import own_node
+
+POLL = 0.05  # s
+RETRY_AFTER = 2.0  # s without a response
+RESPONSE_LIMIT = 30.0  # s; of the nodes of a run and of a controller that takes a trajectory
+ACCEPTED, REFUSED = "references changed", ("trajectory refused", "trajectories given up")
+"""Kinds of the events that report the outcome of a trajectory."""
+
+
+class ClientError(FjrError):
+    """A node is not there, does not respond or refuses."""
+
+
+class _Requests:
+    """Requests of one node of this process."""
+
+    def __init__(self, node: Node, stop: threading.Event | None = None) -> None:
+        self._node, self._stop = node, stop or threading.Event()
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+
+    def close(self) -> None:
+        """Release the executor."""
+        self._executor.shutdown()
+
+    def _response(self, client: Client, request: Any, limit: float) -> Any | None:
+        """Send a request once; return the response, None if there is none within `limit` [s]."""
+        future = client.call_async(request)
+        if self._until(future.done, limit):
+            return future.result()
+        client.remove_pending_request(future)
+        return None
+
+    def _repeated(self, client: Client, request: Any, limit: float) -> Any | None:
+        """Send a request, again if its response is lost; return the response, None after `limit` [s] or if stopped."""
+        end = time.monotonic() + limit
+        while time.monotonic() < end and not self._stop.is_set():
+            response = self._response(client, request, min(RETRY_AFTER, limit))
+            if response is not None:
+                return response
+        return None
+
+    def _until(self, happened: Callable[[], bool], limit: float) -> bool:
+        """Spin until `happened()`; return false after `limit` [s] or if stopped."""
+        end = time.monotonic() + limit
+        while not happened():
+            if time.monotonic() > end or self._stop.is_set():
+                return False
+            self._executor.spin_once(POLL)
+        return True
+
+
+class ServiceClient(_Requests):
+    """Find services in the ROS graph and call them; every wait ends after `timeout` [s] with a ClientError."""
+
+    def __init__(self, node: Node, timeout: float) -> None:
+        super().__init__(node)
+        self._timeout = timeout
+
+    def find(self, service: str) -> Client:
+        """Return a client of a service given by its full name, of the type that its server has; raise ClientError."""
+        after = f"after {self._timeout:g} s"
+        if not self._until(lambda: service in self._services(), self._timeout):
+            close = difflib.get_close_matches(service, self._services(), n=1)
+            hint = f"; did you mean {close[0]}?" if close else "; expected a running node"
+            raise ClientError(f"no node offers the service {service} {after}{hint} ({nodes_seen(self._node)})")
+        client = self._node.create_client(interface_class(self._services()[service]), service)
+        if not self._until(client.service_is_ready, self._timeout):
+            raise ClientError(f"{service} is not ready {after}")
+        return client
+
+    def ask(self, client: Client, request: Any) -> Any:
+        """Send a request that changes nothing, again if its response is lost; return the response."""
+        response = self._repeated(client, request, self._timeout)
+        if response is None:
+            raise ClientError(self._silent(client))
+        return response
+
+    def call(self, client: Client, request: Any) -> Any:
+        """Send a request once, when the server has discovered the client; return the response.
+
+        A node without parameter services is not asked whether it has.
+        """
+        parameters = f"{self._owner(client.srv_name)}/get_parameters"
+        if parameters in self._services():
+            self.ask(self.find(parameters), GetParameters.Request())
+        response = self._response(client, request, self._timeout)
+        if response is None:
+            raise ClientError(f"{self._silent(client)}; whether the request was carried out is not known")
+        return response
+
+    def _owner(self, service: str) -> str:
+        """Return the full name of the node that offers a service; empty if the graph does not show it."""
+        for name, space in self._node.get_node_names_and_namespaces():
+            if service in dict(self._node.get_service_names_and_types_by_node(name, space)):
+                return f"{space.rstrip('/')}/{name}"
+        return ""
+
+    def _services(self) -> dict[str, str]:
+        return {name: types[0] for name, types in self._node.get_service_names_and_types()}
+
+    def _silent(self, client: Client) -> str:
+        return f"{client.srv_name} did not respond within {self._timeout:g} s"
+
+
+@contextmanager
+def service_client(timeout: float) -> Iterator[ServiceClient]:
+    """Yield a client of services, with a node in its own context."""
+    with own_node("fjr_client") as node, closing(ServiceClient(node, timeout)) as client:
+        yield client
+
+
+class PlantClient(_Requests):
+    """Resume a paused plant, and see the ROS graph."""
+
+    def __init__(self, context: Context, plant: str) -> None:
+        super().__init__(
+            rclpy.create_node("fjr_run", context=context, enable_rosout=False, start_parameter_services=False)
+        )
+        self._service = f"/{plant}/pause"
+        self._client = self._node.create_client(SetBool, self._service)
+
+    def published_by(self, node: str) -> list[str]:
+        """Return the topics that a node without a namespace publishes; none while it is not in the graph."""
+        with suppress(NodeNameNonExistentError):
+            return [topic for topic, _ in self._node.get_publisher_names_and_types_by_node(node, "/")]
+        return []
+
+    def ready(self) -> bool:
+        """Return whether the plant's service is available."""
+        return self._client.service_is_ready()
+
+    def discovered_by(self, node: str) -> bool:
+        """Return whether a node has discovered all subscriptions made in this context so far; waits RETRY_AFTER.
+
+        A subscription that is matched here may still be unknown there.
+        """
+        client = self._node.create_client(GetParameters, f"/{node}/get_parameters")
+        try:
+            there = client.wait_for_service(RETRY_AFTER)
+            return there and self._response(client, GetParameters.Request(), RETRY_AFTER) is not None
+        finally:
+            self._node.destroy_client(client)
+
+    def resume(self) -> None:
+        """Call the service until it responds; raises ClientError if it refuses or does not respond."""
+        answer = self._repeated(self._client, SetBool.Request(data=False), RESPONSE_LIMIT)
+        if answer is None or not answer.success:
+            why = "no response" if answer is None else answer.message
+            raise ClientError(f"{self._service} did not resume the plant: {why}")
+
+    def close(self) -> None:
+        """Destroy the node."""
+        super().close()
+        self._node.destroy_node()
+
+
+class TrajectoryClient(_Requests):
+    """Send trajectories to the controller of a name such as /fjr_controller; create it with `trajectory_client`."""
+
+    def __init__(self, node: Node, controller: str, stop: threading.Event) -> None:
+        super().__init__(node, stop)
+        self._controller = controller
+        self._events: list[DiagnosticStatus] = []
+        node.create_subscription(DiagnosticStatus, f"{controller}/events", self._events.append, QoSProfile(depth=100))
+        self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
+        # The client is created last: a controller that responds has discovered publisher and subscription.
+        client = node.create_client(GetParameters, f"{controller}/get_parameters")
+        self._await(client.service_is_ready, "is not running, or its parameters are not available")
+        found = self._repeated(client, GetParameters.Request(names=["joints"]), RESPONSE_LIMIT)
+        if found is None:
+            raise ClientError(f"{controller} does not respond; expected a running controller")
+        self.joints = tuple(found.values[0].string_array_value)
+
+    def send(self, message: JointTrajectory) -> None:
+        """Publish a trajectory and wait for its outcome, an event; raise ClientError unless it is accepted."""
+        self._await(lambda: self._publisher.get_subscription_count() > 0, "does not subscribe to trajectories")
+        self._events.clear()
+        self._publisher.publish(message)
+        self._await(lambda: bool(self._outcomes()), "does not report the outcome")
+        event = self._outcomes()[0]
+        if event.name != ACCEPTED:
+            raise ClientError(event.message)
+
+    def _outcomes(self) -> list[DiagnosticStatus]:
+        return [event for event in self._events if event.name == ACCEPTED or event.name.startswith(REFUSED)]
+
+    def _await(self, happened: Callable[[], bool], fault: str) -> None:
+        """Spin until `happened()`; raise ClientError after RESPONSE_LIMIT or if stopped."""
+        if not self._until(happened, RESPONSE_LIMIT):
+            raise ClientError(f"{self._controller} {fault}; expected an active controller")
+
+
+@contextmanager
+def trajectory_client(controller: str, stop: threading.Event) -> Iterator[TrajectoryClient]:
+    """Yield a client in a context of its own; raise ClientError if the controller does not respond."""
+    with own_node("fjr_send") as node, closing(TrajectoryClient(node, controller, stop)) as client:
+        yield client
