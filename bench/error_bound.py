@@ -16,10 +16,11 @@ import numpy as np
 from tqdm import tqdm
 
 from bench.figures import Figure, table
-from fjr_core.config.scenario import Scenario
 from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import motor_motion
+from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_msgs_py.scenarios import library

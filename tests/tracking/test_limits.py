@@ -13,7 +13,7 @@ import fjr_core as fjr
 from fjr_controller.tracking.events import Event, State
 from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config import parameter as parameters
-from fjr_core.config.controller import safety, safety_parameters
+from fjr_core.config.controller import controller_parameters, safety, safety_parameters
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import LAW, MS, TWO, TWO_SINES, Passed, paper_law, sample, settings, two_link_law

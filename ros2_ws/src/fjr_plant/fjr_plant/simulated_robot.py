@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from fjr_core import FjrError, ParameterError, Plant, StateError
+from fjr_core.config.plant import channel_errors, period_jitter, random_seed, sensor_errors
+from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.numerics.symbolic import not_converged

@@ -27,6 +27,7 @@ from ..robust.law import RobustLaw, sampled_law
 from ..runtime.measurement_model import OBSERVER, TORQUE
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
+from ..urdf.typical_joints import joints_without_inertia
 from . import law as law_parameters
 from . import parameter, ros_yaml
 from . import plant as plant_parameters

@@ -26,7 +26,7 @@ from ..motions.reference import JETS
 from ..numerics.checks import Array
 from ..numerics.integrators import rk4_expression
 from ..numerics.one_line import one_line
-from ..numerics.symbolic import symbols
+from ..numerics.symbolic import dense_function, symbols
 
 OUTPUTS = ("V", "H", "dissipation", "dissipated", "u_law", "drive", "slope")
 

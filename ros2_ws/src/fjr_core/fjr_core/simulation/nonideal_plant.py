@@ -25,7 +25,7 @@ from ..model.robot import Coordinates
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
-from ..numerics.symbolic import PackedVector, blocks, sparse, symbols
+from ..numerics.symbolic import NumericFunction, PackedVector, blocks, dense_function, numeric, sparse, symbols
 from .imperfections import NAMES, SIZES, Imperfections
 
 SHORTEST_LAG = 1e-12  # s
