@@ -23,9 +23,8 @@ from std_msgs.msg import Float64MultiArray
 
 from bench.bare import JOINTS, PERIOD, Bare
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr.layout import joint_state
-from fjr_msgs_py.native.entities import NativeMessage, NativeSubscription, publisher_address
-from fjr_msgs_py.native.loop import Loop
+from fjr_msgs_py.messages.cdr import joint_state
+from fjr_msgs_py.native.loop import Loop, NativeMessage, NativeSubscription, publisher_address
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
 from fjr_msgs_py.node import process
 

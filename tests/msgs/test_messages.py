@@ -12,14 +12,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_core import Measurement
-from fjr_msgs_py.messages.joint_states import (
-    EffortReader,
-    EffortWriter,
-    JointSample,
-    JointStateWriter,
-    MessageError,
-    StateReader,
-)
+from fjr_core.runtime.measurement_model import JointSample
+from fjr_msgs_py.messages.joint_states import EffortReader, EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import motor_name, state_names
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

@@ -15,10 +15,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from fjr_core import Measurement
-from fjr_msgs_py.messages.cdr.layout import float_array, joint_state
+from fjr_msgs_py.messages.cdr import float_array, joint_state
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import state_names
-from fjr_msgs_py.native.entities import NativeMessage, NativeReader
+from fjr_msgs_py.native.loop import NativeMessage, NativeReader
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
 from fuzzing import fuzzed
 

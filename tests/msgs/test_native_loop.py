@@ -16,12 +16,10 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages.cdr.layout import joint_state
+from fjr_msgs_py.messages.cdr import joint_state
 from fjr_msgs_py.names import LATEST
-from fjr_msgs_py.native.entities import NativeMessage, NativeReader, NativeSubscription, publisher_address
-from fjr_msgs_py.native.loop import Loop
+from fjr_msgs_py.native.loop import Loop, NativeMessage, NativeReader, NativeSubscription, Ring, publisher_address
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
-from fjr_msgs_py.native.ring import Ring
 from fjr_msgs_py.node.participant import leave
 from time_limits import HANG, Limit
 

@@ -8,8 +8,7 @@ import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages.cdr.layout import FIELDS, HEADER, joint_state
-from fjr_msgs_py.messages.cdr.recorded import joint_state_arrays
+from fjr_msgs_py.messages.cdr import FIELDS, HEADER, joint_state, joint_state_arrays
 
 
 def messages(

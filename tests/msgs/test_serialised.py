@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from fjr_core import Measurement
-from fjr_msgs_py.messages.cdr.layout import FIELDS
+from fjr_msgs_py.messages.cdr import FIELDS
 from fjr_msgs_py.messages.cdr.readers import SerialisedStates
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import state_names

@@ -8,9 +8,8 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages.cdr.layout import Template
-from fjr_msgs_py.messages.clock import CLOCK_LAYOUT, time_of
-from fjr_msgs_py.messages.joint_states import MessageError, TorqueReader
+from fjr_msgs_py.messages.cdr import Template
+from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, MessageError, TorqueReader, time_of
 
 JOINTS = ("a", "b", "c")
 CASES = {

@@ -12,8 +12,8 @@ from rclpy.action import ActionClient
 from trajectory_msgs.msg import JointTrajectory
 
 import fjr_controller.components as control
-from fjr_controller.trajectory.goal_tolerances import Code
-from fjr_msgs_py.messages.follow_joint_trajectory import FollowMessages
+from fjr_controller.follow_action import Code
+from fjr_msgs_py.messages.trajectories import FollowMessages
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager, trajectory
 

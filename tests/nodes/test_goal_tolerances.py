@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from fjr_controller.trajectory.goal_tolerances import Code, Goal, Tolerances, tolerances
+from fjr_controller.follow_action import Code, Goal, Tolerances, tolerances
 from fjr_core.model.joint_units import REVOLUTE
-from fjr_msgs_py.messages.follow_joint_trajectory import FollowMessages, Progress
+from fjr_msgs_py.messages.trajectories import FollowMessages, Progress
 
 SECOND = 10**9
 JOINTS = ("a", "b")

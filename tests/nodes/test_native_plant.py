@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
+from fjr_msgs_py.native import program as native_program
 from fjr_msgs_py.native.program import NativeError
-from fjr_plant.native import program as native_program
-from fjr_plant.native.program import plant_program
-from fjr_plant.timing.host import NativeHost, RclpyHost
-from fjr_plant.timing.time_base import SendError
+from fjr_plant.host import NativeHost, RclpyHost
+from fjr_plant.native import plant_program
+from fjr_plant.time_base import SendError
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, CommandLoop, call, command, integrate, numbers, state_of
 from time_limits import Limit
@@ -108,10 +108,10 @@ def test_the_reason_for_another_host_is_logged(ros: Ros, capfd, parameters: dict
 
 
 def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, peer: Peer, capfd, monkeypatch) -> None:
-    def program(*_: object) -> None:
+    def options() -> None:
         raise NativeError("rcl.h is missing")
 
-    monkeypatch.setattr(native_program, "Program", program)
+    monkeypatch.setattr(native_program, "ros_options", options)
     plant_program.cache_clear()
     try:
         node = ros.plant(executor="native", compile=True)

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
 from fjr_core.config import builders
-from fjr_plant.timing.lock_step import START as LOCKSTEP_START
+from fjr_plant.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 

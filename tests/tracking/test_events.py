@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import re
 
-from fjr_controller.tracking.events import KINDS, STATES
+from fjr_core.runtime.events import KINDS, STATES
 from tracking.tracked import tracker_at
 
 
 def enumerators(name: str) -> list[str]:
     """Return the names of an enumeration of step.h in order, in lower case and without prefix."""
-    elements = tracker_at().step.ffi.typeof(f"enum {name}").elements
+    elements = tracker_at().ffi.typeof(f"enum {name}").elements
     return [elements[k].removeprefix("FJR_").lower() for k in range(len(elements))]
 
 

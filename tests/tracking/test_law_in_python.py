@@ -10,16 +10,16 @@ import pytest
 
 import fjr_core as fjr
 import own_code
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.law.robust import Robust
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from tracking.tracked import LAW, MS, SINE, Loop, sample, settings
 
 JOINT = LAW.robot
 
 
-def tracker_of(kind: type, robust: Robust | None = None, **given: object) -> Tracker:
-    return Tracker(fjr.PythonLaw(kind(JOINT), JOINT), SINE, settings(**given), robust=robust)
+def tracker_of(kind: type, robust: Robust | None = None, **given: object) -> ControlStep:
+    return ControlStep(fjr.PythonLaw(kind(JOINT), JOINT), SINE, settings(**given), robust=robust)
 
 
 def test_the_effort_is_that_of_the_law() -> None:

@@ -10,28 +10,28 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.law.robust import Robust, RobustLaw
+from fjr_core.runtime.control_step import ControlStep
 from tracking.tracked import LAW, MS, PERIOD, SINE, Loop, last_effort, sample, settings, two_link_law
 
 ROBUST = Robust(residual_gain=60.0, motor_residual_gain=20.0, integral_gain=4.0, delay=1e-3)
 
 
-def tracker(robust: Robust = ROBUST, **given: Any) -> Tracker:
-    return Tracker(LAW, SINE, settings(**given), robust=robust)
+def tracker(robust: Robust = ROBUST, **given: Any) -> ControlStep:
+    return ControlStep(LAW, SINE, settings(**given), robust=robust)
 
 
-def controller_state(of: Tracker) -> np.ndarray:
+def controller_state(of: ControlStep) -> np.ndarray:
     """Return the controller state with which the law is evaluated."""
     return law_state(of, "memory")
 
 
-def law_state(of: Tracker, name: str) -> np.ndarray:
+def law_state(of: ControlStep, name: str) -> np.ndarray:
     """Return a field of struct fjr_law_state."""
-    return np.array(list(getattr(of.step.controller.law, name)))
+    return np.array(list(getattr(of.controller.law, name)))
 
 
-def efforts_at(of: Tracker, stamps: Any, **more: Any) -> list[float]:
+def efforts_at(of: ControlStep, stamps: Any, **more: Any) -> list[float]:
     """Return the efforts for samples of an arbitrary motion."""
     efforts = []
     for stamp in stamps:
@@ -73,7 +73,7 @@ def test_a_gap_resets_the_controller_state(stamp: int) -> None:
     for arrival in (3_000 * MS, 3_001 * MS):
         assert of.command(sample(stamp + arrival - 3_000 * MS, 0.5, 0.5), arrival) is not None
         assert not controller_state(of).any() or arrival > 3_000 * MS
-        assert of.step.controller.law.dt == (0.0 if arrival == 3_000 * MS else 1e-3)
+        assert of.controller.law.dt == (0.0 if arrival == 3_000 * MS else 1e-3)
 
 
 def test_changed_gains_keep_the_controller_state() -> None:
@@ -139,4 +139,4 @@ def test_a_stop_resets_the_controller_state() -> None:
     assert of.reason
     of.resume()
     of.command(sample(41 * MS, 0.5, 0.5), 41 * MS)
-    assert of.step.controller.law.dt == 0
+    assert of.controller.law.dt == 0

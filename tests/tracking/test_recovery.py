@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from tracking.tracked import (
     ARMS,
     LAW,
@@ -77,7 +77,7 @@ def test_forward_jump_of_the_stamps_is_a_recovery() -> None:
 
 @pytest.mark.parametrize("ahead", [0, MS])
 def test_in_simulated_time_a_silence_ends_with_a_recovery(ahead: int) -> None:
-    tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
+    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
     tracker.command(sample(SECOND, 0.5, 0.5), 0)
     stop = tracker.silence(2 * SECOND)
     assert stop is not None

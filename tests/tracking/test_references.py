@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.motions.point_to_point import Hold, standing
 from fjr_core.motions.spline import Spline
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from tracking.tracked import (
     ARMS,
     LAW,
@@ -87,7 +87,7 @@ def test_hold_comes_to_a_standstill_without_a_step(arm: str) -> None:
 
 
 def test_hold_before_the_first_sample_holds_the_present_position() -> None:
-    tracker = Tracker(LAW, SINE, settings(start_error=0.1))
+    tracker = ControlStep(LAW, SINE, settings(start_error=0.1))
     tracker.hold()
     command = tracker.command(sample(0, 0.7, 0.7), 0)
     assert command is not None
@@ -107,7 +107,7 @@ def test_hold_while_stopped_holds_the_position_at_resume() -> None:
 
 
 def test_a_reference_given_before_the_first_sample_begins_there() -> None:
-    tracker = Tracker(LAW, SINE, settings())
+    tracker = ControlStep(LAW, SINE, settings())
     assert tracker.jets_at(0) is None
     tracker.follow(Hold([0.3]))
     command = tracker.command(sample(SECOND, 0.5, 0.5), 0)

@@ -6,9 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
-from fjr_core.runtime.control_step import NEVER
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import NEVER, State
 from fjr_core.runtime.library import constant
 from tracking.tracked import LAW, MS, SECOND, SINE, sample, settings
 
@@ -17,16 +16,16 @@ LATENCY = 200_000  # ns, from stamp to arrival
 US = 1000
 
 
-def running(seconds: float = 0.2, period: int = MS, **given: object) -> Tracker:
+def running(seconds: float = 0.2, period: int = MS, **given: object) -> ControlStep:
     """Return a tracker that answered samples until `seconds` after SECOND; its clocks differ by LATENCY."""
-    tracker = Tracker(LAW, SINE, settings(**given))
+    tracker = ControlStep(LAW, SINE, settings(**given))
     for stamp in range(SECOND, SECOND + round(seconds * 1e9) + 1, period):
         assert tracker.command(sample(stamp, 0.5, 0.5), stamp + LATENCY) is not None
     return tracker
 
 
-def waits_until(tracker: Tracker) -> int:
-    return int(tracker.step.lib.fjr_waits_until(tracker.step.controller))
+def waits_until(tracker: ControlStep) -> int:
+    return int(tracker.lib.fjr_waits_until(tracker.controller))
 
 
 @pytest.mark.parametrize("hiccup", [0, 4 * MS])
@@ -71,13 +70,13 @@ def test_a_robot_whose_clock_stood_still_is_answered_after_a_moment() -> None:
 
 def test_slow_samples_of_a_slow_clock_are_all_answered() -> None:
     """Without a pause before them nothing waits, however much slower than the arrivals the stamps are."""
-    tracker = Tracker(LAW, SINE, settings())
+    tracker = ControlStep(LAW, SINE, settings())
     for k in range(200):
         assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * (PAUSE - 1)) is not None
 
 
 def test_in_simulated_time_every_sample_is_answered() -> None:
-    tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
+    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
     for k in range(100):
         assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * SECOND) is not None
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fjr_controller.tracking.tracker import Tracker
+from fjr_core.runtime.control_step import ControlStep
 from tracking.tracked import (
     LAW,
     MS,
@@ -71,7 +71,7 @@ def test_jumps_that_do_not_confirm_each_other_are_ignored_until_a_silence() -> N
 
 
 def test_jump_is_confirmed_at_once_in_simulated_time() -> None:
-    tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
+    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
     tracker.command(sample(20 * SECOND, 0.5, 0.5), 0)
     assert tracker.command(sample(30 * SECOND, 0.5, 0.5), MS) is not None
     assert tracker.command(sample(0, 0.5, 0.5), 2 * MS).restarted  # type: ignore[union-attr]
@@ -79,7 +79,7 @@ def test_jump_is_confirmed_at_once_in_simulated_time() -> None:
 
 
 def test_in_simulated_time_a_pause_is_no_silence_and_a_short_jump_back_is_a_restart() -> None:
-    tracker = Tracker(LAW, SINE, settings(), simulated_time=True)
+    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
     for k in range(3):
         assert tracker.command(sample(k * MS, 0.5, 0.5), 10 * k * SECOND) is not None
     assert not tracker.counters["recoveries"]

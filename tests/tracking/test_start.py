@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core import PythonLaw
 from fjr_core.motions.point_to_point import Hold, standing
 from fjr_core.motions.spline import Spline
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from tracking.tracked import (
     LAW,
     MS,
@@ -70,7 +70,7 @@ def test_a_start_with_another_reference_checks_it() -> None:
 
 
 def test_the_ramp_starts_at_zero_and_is_monotone() -> None:
-    tracker = Tracker(LAW, SINE, settings(ramp_time=0.1))
+    tracker = ControlStep(LAW, SINE, settings(ramp_time=0.1))
     shares = []
     for k in range(150):
         s = sample(k * MS, 0.5, 0.5)
@@ -86,7 +86,7 @@ def test_the_ramp_starts_at_zero_and_is_monotone() -> None:
 
 
 def test_the_ramp_starts_with_the_effort_of_a_stop() -> None:
-    tracker = Tracker(LAW, SINE, settings(ramp_time=0.1, on_stop="gravity_hold"))
+    tracker = ControlStep(LAW, SINE, settings(ramp_time=0.1, on_stop="gravity_hold"))
     weight = LAW.robot.grad_P_l([0.5])
     for k in range(100):
         command = tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
@@ -98,7 +98,7 @@ def test_the_ramp_starts_with_the_effort_of_a_stop() -> None:
 
 def test_the_ramp_is_monotone_and_flat_at_both_ends() -> None:
     """With an effort of 1 N m, the effort sent is the share of the law, a smoothstep."""
-    tracker = Tracker(PythonLaw(Passed(LAW.robot), LAW.robot), Hold([0.0]), settings(ramp_time=1.0))
+    tracker = ControlStep(PythonLaw(Passed(LAW.robot), LAW.robot), Hold([0.0]), settings(ramp_time=1.0))
     stamps = sorted({0, 1000, SECOND - 1000, *(k * MS for k in range(1011))})
     s = {}
     for stamp in stamps:
@@ -113,7 +113,7 @@ def test_the_ramp_is_monotone_and_flat_at_both_ends() -> None:
 
 def test_a_start_too_far_from_the_reference_is_refused() -> None:
     for far, q in ((False, 0.5), (True, float(np.nextafter(0.5, 1)))):
-        tracker = Tracker(LAW, SINE, settings(start_error=0.5, on_stop="gravity_hold"))
+        tracker = ControlStep(LAW, SINE, settings(start_error=0.5, on_stop="gravity_hold"))
         command = tracker.command(sample(0, q, 0.5), 0)
         assert command is not None
         assert (tracker.state is State.STOPPED) == far
@@ -137,7 +137,7 @@ def test_a_refused_start_is_resumed_by_a_transition() -> None:
 
 
 def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
-    tracker = Tracker(LAW, SINE, settings(start_error=0.1, recovery_join_time=0.0))
+    tracker = ControlStep(LAW, SINE, settings(start_error=0.1, recovery_join_time=0.0))
     tracker.command(sample(0, 0.5, 0.5), 0)
     tracker.resume()
     tracker.command(sample(MS, 0.4, 0.4), MS)

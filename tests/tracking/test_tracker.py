@@ -13,9 +13,9 @@ from hypothesis import settings as effort_spent
 from hypothesis import strategies as st
 
 import fjr_core as fjr
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.motions.point_to_point import Hold
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from tracking.tracked import (
     LAW,
     MS,
@@ -69,7 +69,7 @@ def test_limits_that_are_not_reached_change_nothing() -> None:
     loops = [Loop(LAW, SINE, s, LAW.robot.state(0.0, 0.0, 0.0, 0.0)) for s in (settings(), wide)]
     for loop in loops:
         first = LAW.measured_command(np.zeros(2), np.zeros(2), SINE.jets(0.0))[0]
-        loop.tracker.step.controller.limits.sent = first.tolist()  # from which the rate counts
+        loop.tracker.controller.limits.sent = first.tolist()  # from which the rate counts
         loop.run(0.2)
     np.testing.assert_array_equal(loops[0].efforts, loops[1].efforts)
 
@@ -89,8 +89,8 @@ def test_saturation_is_counted_with_its_time() -> None:
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1e308, 1e200])
 def test_a_non_finite_effort_is_replaced_and_changes_no_state(bad: float) -> None:
-    tracker = Tracker(LAW, SINE, settings(on_stop="gravity_hold"))
-    twin = Tracker(LAW, SINE, settings(on_stop="gravity_hold"))
+    tracker = ControlStep(LAW, SINE, settings(on_stop="gravity_hold"))
+    twin = ControlStep(LAW, SINE, settings(on_stop="gravity_hold"))
     for t in (tracker, twin):
         t.command(sample(SECOND, 0.5, 0.5), SECOND)
     for k in (1, 2):
@@ -104,7 +104,7 @@ def test_a_non_finite_effort_is_replaced_and_changes_no_state(bad: float) -> Non
 
 
 def test_invalid_first_sample_does_not_start_the_reference() -> None:
-    tracker = Tracker(LAW, SINE, settings())
+    tracker = ControlStep(LAW, SINE, settings())
     command = tracker.command(sample(0, float("nan"), 0.5), 0)
     assert command is not None
     assert not command.u.any()
@@ -126,7 +126,7 @@ OTHER = fjr.TrackingLaw(TWO.robot, replace(TWO_LINK_GAINS, Lambda_l=8.0))
 OBSERVER = fjr.VelocityObserver(TWO.robot, 150.0)
 
 
-def act(tracker: Tracker, name: str, stamp: int, arrival: int) -> Any:
+def act(tracker: ControlStep, name: str, stamp: int, arrival: int) -> Any:
     """Carry out an action; return the effort that it sends, or None."""
     if name == "silence":
         return tracker.silence(arrival)
@@ -158,7 +158,7 @@ def test_for_any_input_efforts_are_finite_and_within_limit_and_rate(
         recovery_join_time=0.2 if joins else 0.0,
     )
     OBSERVER.reset()
-    tracker = Tracker(TWO, TWO_SINES, given, OBSERVER if observes else None)
+    tracker = ControlStep(TWO, TWO_SINES, given, OBSERVER if observes else None)
     stamp = arrival = SECOND
     last, last_stamp = np.zeros(2), None
     for happening in happenings:
@@ -206,7 +206,7 @@ def test_gains_without_a_finite_effort_are_refused_and_the_law_is_kept(name: str
     np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
     assert not tracker.counters
     with pytest.raises(fjr.GainsError, match="not finite"):
-        Tracker(law, SINE, settings())
+        ControlStep(law, SINE, settings())
 
 
 def test_gains_may_change_after_a_state_that_is_not_finite() -> None:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config import builders
 from fjr_core.motions.point_to_point import Hold
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from fjr_core.runtime.library import constant
 from tracking.tracked import (
     ARMS,
@@ -31,13 +31,15 @@ from tracking.tracked import (
 SHARE, MORE = constant("VELOCITY_SHARE"), constant("MORE")
 
 
-def joined(reference: fjr.Reference, q: Any, dq: Any = 0.0, law: Any = LAW, **given: Any) -> tuple[Tracker, float, Any]:
+def joined(
+    reference: fjr.Reference, q: Any, dq: Any = 0.0, law: Any = LAW, **given: Any
+) -> tuple[ControlStep, float, Any]:
     """Return a tracker that starts at q, dq with a transition; its duration [s], and its jets (k, 5, n)."""
     n = law.robot.n
     given = {"start_join_time": 1.0, **given}
-    tracker = Tracker(law, reference, settings(n, **given))
+    tracker = ControlStep(law, reference, settings(n, **given))
     tracker.command(sample(SECOND, np.full(n, q), np.full(n, q), np.full(n, dq), np.full(n, dq)), SECOND)
-    active = tracker.step.controller.supervisor.reference
+    active = tracker.controller.supervisor.reference
     stamps = np.linspace(SECOND, active.transition_end, 2000).astype(np.int64)
     jets = np.array([tracker.jets_at(int(stamp)) for stamp in stamps])
     return tracker, (active.transition_end - SECOND) * 1e-9, jets
@@ -112,7 +114,7 @@ def test_after_a_short_gap_the_arm_follows_its_reference_almost_unchanged() -> N
     ("q", "dq", "joins"), [(0.05, 0.0, False), (0.05, 0.4, False), (0.05, 0.6, True), (0.2, 0.0, True)]
 )
 def test_a_start_within_the_start_error_has_no_transition(q: float, dq: float, joins: bool) -> None:
-    tracker = Tracker(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0))
+    tracker = ControlStep(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0))
     command = tracker.command(sample(0, q, q, dq, dq), 0)
     assert command is not None
     assert command.state is (State.JOINING if joins else State.TRACKING)
@@ -139,12 +141,12 @@ def test_a_start_beside_a_moving_arm_needs_little_more_effort_than_the_motion() 
 
 
 def test_a_request_that_does_not_match_respects_the_limits() -> None:
-    tracker = Tracker(LAW, SINE, settings(link_velocity=1.5, acceleration=4.0))
+    tracker = ControlStep(LAW, SINE, settings(link_velocity=1.5, acceleration=4.0))
     for k in range(3):
         tracker.command(sample(k * MS, 0.0, 0.0, 1.0, 1.0), k * MS)
     tracker.follow(Hold([2.0]))
     tracker.command(sample(3 * MS, 0.0, 0.0, 1.0, 1.0), 3 * MS)
-    end = tracker.step.controller.supervisor.reference.transition_end
+    end = tracker.controller.supervisor.reference.transition_end
     jets = np.array([tracker.jets_at(int(stamp)) for stamp in np.linspace(3 * MS, end, 1000)])
     assert np.abs(jets[:, 1]).max() <= 1.22
     assert np.abs(jets[:, 2]).max() <= 4.1

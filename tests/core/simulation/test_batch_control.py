@@ -18,7 +18,7 @@ from fjr_core.law.robust import Robust, sampled_law
 from fjr_core.law.safety_settings import Settings
 from fjr_core.numerics.casadi_function import NumericFunction
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.event_kinds import KINDS
+from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded, uncertain_robot
 from fjr_core.simulation.batch.uncertain_robot import UncertainPlant

@@ -19,8 +19,7 @@ from fjr_core.law.robust import Robust, sampled_law
 from fjr_core.law.sampled_law import AsSampledLaw, SampledLaw
 from fjr_core.model.equilibrium import equilibria_at
 from fjr_core.numerics.casadi_function import NumericFunction
-from fjr_core.runtime.observer_stability import error_radii
-from fjr_core.runtime.velocity_observer import VelocityObserver
+from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
 from fjr_core.stability.integral_bound import refuse_fast_integral
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import linearize, on_plant

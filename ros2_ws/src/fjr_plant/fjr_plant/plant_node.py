@@ -15,20 +15,18 @@ from fjr_core import FjrError
 from fjr_core.config import builders, nonidealities
 from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.descriptions import publish_description
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
+from fjr_msgs_py.messages.reports import publish_description
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
 from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
 
+from .host import EXPECTED
+from .lock_step import LockStep
+from .real_time import RealTime
 from .simulated_robot import simulated
-from .timing.deferred_service import DeferredReply, DeferredTrigger
-from .timing.events import EXPECTED
-from .timing.lock_step import LockStep
-from .timing.node_parts import NodeParts
-from .timing.real_time import RealTime
-from .timing.time_base import TimeBase
+from .time_base import DeferredReply, DeferredTrigger, NodeParts, TimeBase
 
 TORQUES = "external torques received"
 SETTLING = 2.0  # s in which another robot may be discovered late, on busy cores

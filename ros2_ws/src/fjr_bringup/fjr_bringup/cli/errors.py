@@ -9,8 +9,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError, RobotError
 from fjr_monitor.recording.topic import BagError
-from fjr_msgs_py.console.exit_codes import Exit
-from fjr_msgs_py.console.interrupt import Interrupted
+from fjr_msgs_py.console.ending import Exit, Interrupted
 from fjr_msgs_py.scenarios.library import ScenarioError
 
 INVALID_INPUT = (ScenarioError, ParameterError, CompareError, RecordError, RobotError, BagError)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios.installed import installed, summary
 
 

@@ -10,9 +10,8 @@ import yaml
 from fjr_bringup.services.call import call
 from fjr_bringup.services.lifecycle import lifecycle
 from fjr_bringup.services.parameters import set_parameter
-from fjr_msgs_py.console.discovery import discover_quickly
-from fjr_msgs_py.console.result import Result
-from fjr_msgs_py.console.ros2_first import refuse_over_ros2
+from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.ros2 import discover_quickly, refuse_over_ros2
 
 
 def call_service(service: str, request: str, timeout: float, force: bool) -> Result:

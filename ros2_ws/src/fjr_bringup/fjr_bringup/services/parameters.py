@@ -9,7 +9,7 @@ from rcl_interfaces.srv import DescribeParameters, SetParameters
 
 from fjr_bringup.services.client import ServiceError, service_client
 from fjr_monitor.recording.echo import absolute
-from fjr_msgs_py.messages.parameters import parameter_message, parameter_value
+from fjr_msgs_py.messages.plain import parameter_message, parameter_value
 
 
 def set_parameter(node: str, parameter: str, text: str, timeout: float) -> Any:

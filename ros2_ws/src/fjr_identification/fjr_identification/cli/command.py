@@ -31,9 +31,7 @@ from fjr_identification.robot_file.nominal_robot import (
     nominal_robot,
 )
 from fjr_identification.robot_file.robot_yaml import RobotFile, robot_file
-from fjr_msgs_py.console.formatting import interval, number, plural
-from fjr_msgs_py.console.progress import progress_bar
-from fjr_msgs_py.console.result import Result, json_text
+from fjr_msgs_py.console.output import Result, interval, json_text, number, plural, progress_bar
 
 ROBOT, VALUES, PAGE = "robot.yaml", "identification.json", "identification.html"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"

@@ -20,9 +20,7 @@ from fjr_design.scaffold.first_scenario import first_values
 from fjr_identification.estimation.excitation import Excitation, design
 from fjr_identification.estimation.information import PARAMETERS, JointNoise, encoder_noise
 from fjr_identification.estimation.motion_envelope import MotionEnvelope, motion_envelope
-from fjr_msgs_py.console.formatting import plural
-from fjr_msgs_py.console.progress import phase
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result, phase, plural
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.library import ScenarioError
 

@@ -16,7 +16,7 @@ from fjr_identification.estimation.parameters import Options
 from fjr_identification.records.header_map import written_map
 from fjr_identification.records.read_record import Reading
 from fjr_identification.robot_file.nominal_robot import GEAR_RATIO, nominal_robot
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result
 
 
 def identify(

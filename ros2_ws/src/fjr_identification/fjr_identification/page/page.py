@@ -12,7 +12,7 @@ from fjr_design.posterior.result import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, I
 from fjr_identification.page.page_figures import fit_plots
 from fjr_identification.page.page_rows import BAR_HEAD, groups, reasons
 from fjr_monitor.report import html
-from fjr_msgs_py.console.formatting import percent, plural
+from fjr_msgs_py.console.output import percent, plural
 
 HOLD_OUT = ("", "this model", "rigid joints", "without skew")
 HOLD_OUT_TEXT = (

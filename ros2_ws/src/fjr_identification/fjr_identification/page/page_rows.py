@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, WEAK, Estimate, Identification
-from fjr_msgs_py.console.formatting import DASH, interval, number
+from fjr_msgs_py.console.output import DASH, interval, number
 
 COLOURS = {IDENTIFIED: "ok", WEAK: "maybe", UNKNOWN: "no"}
 WIDEST = 4.0  # factor between the value and each end of the axis of a positive parameter

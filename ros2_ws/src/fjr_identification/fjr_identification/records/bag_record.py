@@ -22,7 +22,7 @@ from fjr_monitor.recording.message_types import typestore
 from fjr_monitor.recording.reader import FLOATS, JOINT_STATE, in_order, read_bag
 from fjr_monitor.recording.topic import BagError, Times
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr.layout import StateLayout
+from fjr_msgs_py.messages.cdr import StateLayout
 
 BLOCK = 4096  # messages between two looks at the window
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
-from fjr_msgs_py.console.ros2_tools import INSTALLATION
+from fjr_msgs_py.console.ros2 import INSTALLATION
 
 
 def installed(kind: str) -> dict[str, Path]:

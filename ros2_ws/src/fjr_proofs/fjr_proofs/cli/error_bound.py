@@ -14,7 +14,7 @@ from fjr_core.errors import ParameterError
 from fjr_core.law.robust import RobustLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_most
-from fjr_msgs_py.console.progress import progress_bar
+from fjr_msgs_py.console.output import progress_bar
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.error_bound import SECONDS_TO_PROVE, TORQUES
 

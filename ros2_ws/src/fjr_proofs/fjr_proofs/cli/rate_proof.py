@@ -28,7 +28,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.code_cache import code_folder
 from fjr_core.numerics.jit_cache import program_digest
 from fjr_core.numerics.one_line import at_least
-from fjr_msgs_py.console.progress import heartbeat
+from fjr_msgs_py.console.output import heartbeat
 from fjr_proofs.rate.proof_of_rate import proof_of_rate
 from fjr_proofs.rate.rate_certificate import digest, rate_certificate
 from fjr_proofs.verification.inertia_bounds import is_provable

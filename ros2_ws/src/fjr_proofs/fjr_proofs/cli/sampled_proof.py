@@ -11,7 +11,7 @@ from fjr_core.errors import FjrError
 from fjr_core.law.robust import Robust
 from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.numerics.one_line import at_least, at_most
-from fjr_msgs_py.console.progress import progress_bar
+from fjr_msgs_py.console.output import progress_bar
 from fjr_proofs.sampled_contraction.proof import SampledContraction, sampled_contraction
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"

@@ -24,11 +24,10 @@ from ...motions.reference import Reference
 from ...numerics import jit
 from ...numerics.c_types import ffi_of
 from ...numerics.jit_cache import program_digest
-from ...runtime.c_function import CFunction
-from ...runtime.library import HEADER, StepLibrary, c_text, declarations, text
+from ...runtime.library import HEADER, CFunction, StepLibrary, c_text, declarations, text
 from ...runtime.measurement_model import Measurement
-from ...runtime.reference_struct import ReferenceStruct
-from ...runtime.settings_struct import Model, model_functions, settings_struct
+from ...runtime.reference import ReferenceStruct
+from ...runtime.structs import Model, model_functions, settings_struct
 from ...runtime.velocity_observer import VelocityObserver
 from .uncertain_robot import UncertainPlant
 

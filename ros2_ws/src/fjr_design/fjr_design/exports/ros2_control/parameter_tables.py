@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from fjr_core.law.safety_settings import Settings
 from fjr_core.numerics.parameter_field import Parameter, declared
-from fjr_core.runtime.event_kinds import ERRORS, KINDS, WARNINGS
-from fjr_core.runtime.wiring_fault import SENTENCES
+from fjr_core.runtime.events import ERRORS, KINDS, SENTENCES, WARNINGS
 
 from ..c_code import number, quoted
 from ..step_code import Controller
