@@ -11,7 +11,7 @@ from std_msgs.msg import Float64MultiArray
 
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
-from fjr_msgs_py.messages.reports import LABELS, labelled
+from fjr_msgs_py.node.reports import LABELS, labelled
 from nodes.harness import Listener, Ros, nanoseconds, read_certificate
 
 STATUS = "fjr_controller: certificate"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from fjr_controller.follow_action import Code, Goal, Tolerances, tolerances
+from fjr_controller.follow_action import Code, Tolerances, TrackedGoal, tolerances
 from fjr_core.model.joint_units import REVOLUTE
 from fjr_msgs_py.messages.trajectories import FollowMessages, Progress
 
@@ -26,7 +26,7 @@ VALUES = {
 
 def code_of(t: float, q: tuple[float, float], dq: tuple[float, float] = (0.0, 0.0), **other: object) -> Code | None:
     """Return the code for errors at t [s] of a goal of 1 s."""
-    goal = Goal(JOINTS, SECOND, tolerances({**VALUES, **other}, UNITS))
+    goal = TrackedGoal(JOINTS, SECOND, tolerances({**VALUES, **other}, UNITS))
     outcome = goal.check(round(t * SECOND), np.array(q), np.array(dq))
     return None if outcome is None else outcome.code
 
@@ -53,7 +53,7 @@ def test_goal_without_a_goal_time_stays_active() -> None:
 
 
 def test_message_names_joint_error_and_tolerance() -> None:
-    outcome = Goal(JOINTS, SECOND, tolerances(VALUES, UNITS)).check(0, np.array([0.25, 0.0]), np.zeros(2))
+    outcome = TrackedGoal(JOINTS, SECOND, tolerances(VALUES, UNITS)).check(0, np.array([0.25, 0.0]), np.zeros(2))
     assert outcome is not None
     assert outcome.sentence == "on the path, a is off by 0.25 rad; expected at most 0.1"
 

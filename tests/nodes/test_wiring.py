@@ -289,7 +289,7 @@ WIRED_ELSEWHERE = {
 WIRED_BY_GROUP = (
     "reference.",  # tests/core/config/test_reference.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
-    "measurement.",  # tests/core/runtime/test_measurement_model.py, test_limits_over_ros
+    "measurement.",  # tests/core/runtime/test_measurement.py, test_limits_over_ros
     "limits.",  # tests/tracking, test_limits_over_ros
     "on_stop",
     "start.",

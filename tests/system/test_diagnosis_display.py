@@ -17,7 +17,7 @@ from fjr_monitor.report import html, runs_report
 from fjr_monitor.watch.state import Health
 from fjr_monitor.watch.terminal import _status
 from fjr_msgs_py.console.output import finite
-from fjr_msgs_py.messages.reports import VERDICT_LEVELS
+from fjr_msgs_py.node.reports import VERDICT_LEVELS
 
 pytestmark = pytest.mark.system
 DEGRADED = Diagnosis(

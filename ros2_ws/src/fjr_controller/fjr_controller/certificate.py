@@ -28,16 +28,16 @@ from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
 from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array
-from fjr_msgs_py.messages.reports import LABELS, diagnosis_status
 from fjr_msgs_py.native.loop import NativeMessage
 from fjr_msgs_py.native.program import Program
+from fjr_msgs_py.node.reports import LABELS, diagnosis_status
 
 ESTIMATES = "V does not include the disturbance estimate (robust.* is enabled)"
 PREDICTS = "the effort is the law's for a predicted state (robust.delay)"
 BATCH = 64  # records; fewer than half of those that the diagnosis keeps
 
 
-class Certificate:
+class LiveCertificate:
     """The certificate of the running law, its publisher, and the diagnosis of its innovations.
 
     With robust action there is neither diagnosis nor bound, because V and its rates are those of the law without it.

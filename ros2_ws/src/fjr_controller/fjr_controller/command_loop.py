@@ -27,7 +27,7 @@ from fjr_msgs_py.native.loop import NativeMessage, NativeReader, Ring
 from fjr_msgs_py.native.program import NativeError
 from fjr_msgs_py.node import process
 
-from .certificate import Certificate
+from .certificate import LiveCertificate
 from .command_topics import CommandConflictError, CommandTopics
 from .host import Host, NativeHost, RclpyHost
 from .native import controller_program, step_functions
@@ -107,7 +107,7 @@ class CommandLoop:
         self._publishers = [node.create_publisher(JointState, topic, qos) for topic in topics]
         self._host = self._chosen_host()
         self._listeners: list[tuple[Listener, Callable[[], bool]]] = []
-        self._certificate: Certificate | None = None
+        self._certificate: LiveCertificate | None = None
         self._lost, self.active = 0, False
 
     def _chosen_host(self) -> Host:
@@ -131,7 +131,7 @@ class CommandLoop:
         """Call `listener` for each sample some time after its command was sent, while `wants()`."""
         self._listeners.append((listener, wants))
 
-    def certify(self, certificate: Certificate) -> None:
+    def certify(self, certificate: LiveCertificate) -> None:
         """Evaluate and publish the certificate of each sample from the next start on."""
         self._certificate, certificate.recertify = certificate, self._recertify
         self._struct.certificate, self._struct.certified = certificate.pointer, certificate.message

@@ -22,10 +22,10 @@ from fjr_core.config.user_options import in_python
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import ControlStep
-from fjr_msgs_py.messages.reports import EventWriter
 from fjr_msgs_py.messages.trajectories import follow_messages
+from fjr_msgs_py.node.reports import EventWriter
 
-from .certificate import Certificate
+from .certificate import LiveCertificate
 from .command_loop import CommandLoop
 from .command_topics import CommandConflictError
 from .follow_action import FollowAction, Tolerances, tolerances
@@ -141,7 +141,7 @@ class Control:
         values, limits = self._values, motion_limits(self._values, self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
-    def _create_certificate(self, node: Node, limit: Array) -> Certificate | None:
+    def _create_certificate(self, node: Node, limit: Array) -> LiveCertificate | None:
         """Return the certificate, if it is enabled and the law has a certificate."""
         if not self._values["certificate"]:
             return None
@@ -150,7 +150,7 @@ class Control:
             return None
         robust, joint_axes = builders.robust(self._values, self._robot.n), axes(self._values, self._robot)
         loop = self._command_loop
-        certificate = Certificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
+        certificate = LiveCertificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
         loop.certify(certificate)
         self.reports.add_status(certificate.status)
         return certificate

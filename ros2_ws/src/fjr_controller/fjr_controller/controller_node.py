@@ -15,9 +15,9 @@ from fjr_core.config import builders
 from fjr_core.config.process import process_parameters, process_settings
 from fjr_core.runtime.events import Event
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.reports import EventWriter
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.parameters import ManagedParameterNode
+from fjr_msgs_py.node.reports import EventWriter
 
 from .command_topics import CONFLICTS, CommandConflictError
 from .components import Control

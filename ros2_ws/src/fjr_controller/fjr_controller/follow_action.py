@@ -28,7 +28,7 @@ from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.trajectories import FollowMessages, Progress
 
-from .planner import Plan
+from .planner import TrajectoryPlan
 from .trajectory_interface import TrajectoryInterface
 
 
@@ -93,7 +93,7 @@ def tolerances(values: Mapping[str, Any], units: tuple[Units, ...]) -> Tolerance
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class TrackedGoal:
     """A trajectory to be tracked until the stamp `end` [ns], within tolerances."""
 
     joints: tuple[str, ...]
@@ -144,7 +144,7 @@ class FollowAction:
     ) -> None:
         self._node, self._joints, self._interface = node, tuple(joints), interface
         self._tolerances, self._messages = tolerances, messages
-        self._plan: Plan | None = None
+        self._plan: TrajectoryPlan | None = None
         self._handle: Any = None
         self._last_feedback = 0  # stamp, ns
         interface.on_replaced = self._on_replaced
@@ -194,7 +194,7 @@ class FollowAction:
         """Accept the goal once it is planned; it is tracked from then on."""
         planned = Future()
 
-        def on_done(plan: Plan | None) -> None:
+        def on_done(plan: TrajectoryPlan | None) -> None:
             self._plan = plan or self._plan
             planned.set_result(plan)
 
@@ -205,7 +205,7 @@ class FollowAction:
     def _on_accepted(self, handle: Any) -> None:
         assert self._plan is not None
         tolerances = self._tolerances.overridden(self._joints, *self._messages.tolerances(handle.request))
-        self._goal = Goal(self._joints, self._plan.end, tolerances)
+        self._goal = TrackedGoal(self._joints, self._plan.end, tolerances)
         self._handle, self._last_feedback = handle, 0
 
     def _on_cancel(self, handle: Any) -> CancelResponse:

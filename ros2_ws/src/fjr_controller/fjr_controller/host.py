@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from fjr_msgs_py import names
-from fjr_msgs_py.native.loop import Loop, NativeSubscription, publisher_address
+from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, publisher_address
 from fjr_msgs_py.native.program import Program
 
 from .command_topics import TOPICS, CommandTopics
@@ -74,7 +74,7 @@ class NativeHost:
         callbacks = (ffi.addressof(lib, f"fjr_controller_on_{name}") for name in ("message", "tick", "request", "end"))
         self._host = ffi.new("struct fjr_host*", (self._thread, *callbacks))
         self._states = NativeSubscription(node, JointState, names.JOINT_STATES, names.LATEST)
-        self._loop = Loop(program, self._host, [self._states])
+        self._loop = NativeLoop(program, self._host, [self._states])
         self._thread.loop = self._loop.pointer
 
     def start(self, topics: CommandTopics, publishers: Sequence[Publisher], priority: int) -> None:

@@ -35,7 +35,7 @@ SWITCH = 1e-4  # s; after which the planning thread yields to the command loop
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrajectoryPlan:
     """A checked trajectory whose time 0 is at the stamp `start` [ns]; reference None: hold."""
 
     reference: Reference | None
@@ -47,7 +47,7 @@ class Plan:
         return self.start if self.reference is None else self.start + self.reference.end * SECOND
 
 
-Outcome = Plan | FjrError | None
+Outcome = TrajectoryPlan | FjrError | None
 """A plan, the error why there is none, or None if the request was discarded."""
 
 
@@ -61,7 +61,7 @@ class PlanningRules:
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class PlanningRequest:
     """A message that arrived at the stamp `now` [ns], and the callback for its outcome."""
 
     message: JointTrajectory
@@ -73,12 +73,12 @@ class Request:
 class PlanningProblem:
     """A request to be planned from the jets (5, n) of the active reference at the stamp `begin` [ns]."""
 
-    request: Request
+    request: PlanningRequest
     begin: int
     jets: Array
     rules: PlanningRules
 
-    def solve(self) -> Plan:
+    def solve(self) -> TrajectoryPlan:
         """Return the plan. Raise FjrError if the trajectory of the message cannot be tracked."""
         waypoints = self.rules.reader.read(self.request.message).upcoming(self.request.now).upcoming(self.begin)
         waypoints = waypoints.completed(self.jets[0])
@@ -86,16 +86,16 @@ class PlanningProblem:
         assert start is not None
         spline = Spline(times, waypoints.positions, waypoints.velocities, waypoints.accelerations, start=self.jets)
         check_motion(spline, self.rules.limits, 0.0, spline.end, self.rules.joints)
-        return Plan(spline, start)
+        return TrajectoryPlan(spline, start)
 
-    def outcome(self) -> Plan | Exception:
+    def outcome(self) -> TrajectoryPlan | Exception:
         """Return the plan, or the exception that was raised."""
         try:
             return self.solve()
         except Exception as error:
             return error
 
-    def with_transition(self, plan: Plan, jets: Array, stamp: int) -> Plan:
+    def with_transition(self, plan: TrajectoryPlan, jets: Array, stamp: int) -> TrajectoryPlan:
         """Return the plan with a transition from jets (5, n) at the stamp [ns] after its start.
 
         The transition takes JOIN_TIME and JOIN_FACTOR times the delay, at most JOIN_LONGEST: a polynomial from a motion
@@ -112,7 +112,7 @@ class PlanningProblem:
             delay = f"the plan was ready {late / SECOND:.3g} s after its start"
             sentence = f"{delay}, and in the transition of {seconds:.3g} s to it {error}"
             raise TrajectoryError(f"{sentence}; expected a header.stamp that is further ahead") from error
-        return Plan(reference, stamp)
+        return TrajectoryPlan(reference, stamp)
 
 
 class Planner:
@@ -126,7 +126,7 @@ class Planner:
         self._node, self._step, self._is_active = node, step, is_active
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning", step_back)
-        self._request: Request | None = None
+        self._request: PlanningRequest | None = None
         self._drops = 0
 
     def read(self, data: bytes, on_done: Callable[[JointTrajectory | MessageError | None], None]) -> None:
@@ -172,9 +172,9 @@ class Planner:
             on_done(error)
             return
         if not message.points:
-            on_done(Plan(None, now))
+            on_done(TrajectoryPlan(None, now))
             return
-        self._request = Request(message, now, on_done)
+        self._request = PlanningRequest(message, now, on_done)
         self._attempt(self._request, now, 1)
 
     def drop(self) -> None:
@@ -198,7 +198,7 @@ class Planner:
             raise MessageError("no state", "no state has arrived yet; expected one as the start")
         return self._step.last_stamp
 
-    def _attempt(self, request: Request, newest: int, number: int) -> None:
+    def _attempt(self, request: PlanningRequest, newest: int, number: int) -> None:
         begin = max(nanoseconds(request.message.header.stamp), newest)
         jets = self._step.jets_at(begin)
         assert jets is not None
@@ -220,7 +220,7 @@ class Planner:
         if executor is not None:  # without an executor no caller waits
             executor.create_task(self._conclude, problem, number, outcome)
 
-    def _conclude(self, problem: PlanningProblem, number: int, outcome: Plan | Exception) -> None:
+    def _conclude(self, problem: PlanningProblem, number: int, outcome: TrajectoryPlan | Exception) -> None:
         """End the request, or plan again. Raise nothing: in a task of the events executor that ends the process."""
         if problem.request is not self._request:
             return
@@ -238,9 +238,11 @@ class Planner:
             self._log(error)
             self._end(MessageError("failed", f"planning failed with an unexpected error, {error!r}"))
 
-    def _checked(self, problem: PlanningProblem, outcome: Plan | Exception, newest: int) -> Plan | None:
+    def _checked(
+        self, problem: PlanningProblem, outcome: TrajectoryPlan | Exception, newest: int
+    ) -> TrajectoryPlan | None:
         """Return the plan that can be tracked now, or None to plan again; raise the error of planning."""
-        if isinstance(outcome, MessageError) or not isinstance(outcome, (Plan, FjrError)):
+        if isinstance(outcome, MessageError) or not isinstance(outcome, (TrajectoryPlan, FjrError)):
             raise outcome
         if newest < problem.request.now:
             raise MessageError("restarted", "the time of the states jumped back while planning; send it again")

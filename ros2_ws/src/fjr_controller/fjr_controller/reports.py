@@ -14,10 +14,9 @@ from sensor_msgs.msg import JointState
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader
-from fjr_msgs_py.messages.reports import STAMP, EventWriter
 from fjr_msgs_py.native.loop import LARGEST
 from fjr_msgs_py.native.program import Program
-from fjr_msgs_py.node.diagnostics import Health
+from fjr_msgs_py.node.reports import STAMP, EventWriter, Health
 
 RECEIVED, ANSWERED = "states received", "states answered"
 EXPECTED = (

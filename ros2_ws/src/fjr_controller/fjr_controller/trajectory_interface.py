@@ -19,7 +19,7 @@ from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.node.separate_subscription import SeparateSubscription
 
-from .planner import Outcome, Plan, Planner, PlanningRules
+from .planner import Outcome, Planner, PlanningRules, TrajectoryPlan
 from .reports import Reports
 
 REFUSED, GIVEN_UP = "trajectory refused", "trajectories given up"
@@ -64,7 +64,7 @@ class TrajectoryInterface:
         self.planner.apply(PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
 
     def follow(
-        self, message: JointTrajectory, reason: str, on_done: Callable[[Plan | None], object] = lambda _: None
+        self, message: JointTrajectory, reason: str, on_done: Callable[[TrajectoryPlan | None], object] = lambda _: None
     ) -> None:
         """Plan the trajectory of the message, then track it in place of the present motion.
 
@@ -73,11 +73,11 @@ class TrajectoryInterface:
         """
 
         def end(outcome: Outcome) -> None:
-            if isinstance(outcome, Plan):
+            if isinstance(outcome, TrajectoryPlan):
                 self._begin(outcome, reason)
             else:
                 self._report(outcome)
-            on_done(outcome if isinstance(outcome, Plan) else None)
+            on_done(outcome if isinstance(outcome, TrajectoryPlan) else None)
 
         self.planner.request(message, end)
 
@@ -105,7 +105,7 @@ class TrajectoryInterface:
         subscription = self._node.create_subscription(*what, 10, raw=True)
         return lambda: self._node.destroy_subscription(subscription)
 
-    def _begin(self, plan: Plan, reason: str) -> None:
+    def _begin(self, plan: TrajectoryPlan, reason: str) -> None:
         self.on_replaced(reason)
         if plan.reference is None:
             self._step.hold()

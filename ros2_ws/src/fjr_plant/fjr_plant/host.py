@@ -15,9 +15,9 @@ from fjr_core import FjrError
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import LITTLE_ENDIAN
 from fjr_msgs_py.messages.joint_states import MessageError
-from fjr_msgs_py.native.loop import Loop, NativeSubscription, Ring, publisher_address
+from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, Ring, publisher_address
 from fjr_msgs_py.native.program import Program
-from fjr_msgs_py.node.diagnostics import Health
+from fjr_msgs_py.node.reports import Health
 
 from .native import NO_TIME
 
@@ -112,7 +112,7 @@ class Hosted(NamedTuple):
     fail: Callable[[str], None]
 
 
-class Host(Protocol):
+class PlantHost(Protocol):
     """What serves messages and ticks of a plant."""
 
     def start(self) -> None:
@@ -125,7 +125,7 @@ class Host(Protocol):
         """Stop serving."""
 
 
-class NativeHost:
+class NativePlantHost:
     """A thread in C, see plant_loop.h; raises NativeError if it cannot be started."""
 
     def __init__(self, hosted: Hosted) -> None:
@@ -140,7 +140,7 @@ class NativeHost:
             self.state.publisher[k] = publisher_address(program, publisher)
         functions = (ffi.addressof(lib, f"fjr_plant_on_{what}") for what in ("message", "tick", "request", "end"))
         self._struct = ffi.new("struct fjr_host*", [self.state, *functions])
-        self._loop = Loop(program, self._struct, [self.subscription], hosted.publishers)
+        self._loop = NativeLoop(program, self._struct, [self.subscription], hosted.publishers)
         self.state.loop = self._loop.pointer
         self._notes, self.state.notify = Ring(program, "struct fjr_note", NOTES), hosted.plant.notify
         self.state.notes, hosted.plant.host = self._notes.pointer, self.state
@@ -190,7 +190,7 @@ class NativeHost:
         self._hosted.fail(self._loop.reason)
 
 
-class RclpyHost:
+class RclpyPlantHost:
     """Callbacks of the node's executor; the clock is the steady one, or the node's if it is simulated."""
 
     def __init__(self, hosted: Hosted, simulated: bool, period: float) -> None:

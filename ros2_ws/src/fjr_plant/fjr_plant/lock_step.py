@@ -16,7 +16,7 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, deserialised, time_of
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
-from fjr_msgs_py.node.diagnostics import Health
+from fjr_msgs_py.node.reports import Health
 
 from .native import NO_TIME
 from .time_base import WATCH_PERIOD, NodeParts, TimeBase, seconds, steady

@@ -16,11 +16,10 @@ from fjr_core.config import builders, nonidealities
 from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
-from fjr_msgs_py.messages.reports import publish_description
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
-from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
+from fjr_msgs_py.node.reports import Health, publish_description
 
 from .host import EXPECTED
 from .lock_step import LockStep

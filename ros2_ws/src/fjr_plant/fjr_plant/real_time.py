@@ -8,7 +8,7 @@ from std_msgs.msg import Float64MultiArray
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import deserialised
 
-from .host import RclpyHost
+from .host import RclpyPlantHost
 from .native import NO_TIME
 from .time_base import NodeParts, TimeBase, steady
 
@@ -39,7 +39,7 @@ class RealTime(TimeBase):
         return None if self.plant.origin == NO_TIME else int(self.plant.origin)
 
     def _now(self) -> int:
-        return self.host.now() if isinstance(self.host, RclpyHost) else steady()
+        return self.host.now() if isinstance(self.host, RclpyPlantHost) else steady()
 
     def _catch_up(self) -> int:
         return int(self._lib.fjr_real_time_catch_up(self.plant, self._now()))

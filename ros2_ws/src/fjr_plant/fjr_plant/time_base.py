@@ -21,10 +21,10 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
 from fjr_msgs_py.messages.joint_states import EffortReader
 from fjr_msgs_py.native.loop import NativeMessage
-from fjr_msgs_py.node.diagnostics import Health
+from fjr_msgs_py.node.reports import Health
 
 from .channel import Transport
-from .host import Events, Host, Hosted, NativeHost, RclpyHost
+from .host import Events, Hosted, NativePlantHost, PlantHost, RclpyPlantHost
 from .native import NO_TIME, plant_program
 from .simulated_robot import SimulatedRobot
 
@@ -170,14 +170,14 @@ class TimeBase(ABC):
             node, self._program, self.plant, self.lock_step, kind, topic, self._publishers, command, tick, self._fail
         )
         why = self._without_loop(simulated)
-        self.host: Host
+        self.host: PlantHost
         if why:
             period = WATCH_PERIOD if self.lock_step else self._transport.period * 1e-9
-            self.host = RclpyHost(hosted, simulated, period)
+            self.host = RclpyPlantHost(hosted, simulated, period)
             if self._parts.values["executor"] == NATIVE:
                 node.get_logger().info(f"the plant runs in rclpy's executor instead of a native thread: {why}")
         else:
-            self.host = NativeHost(hosted)
+            self.host = NativePlantHost(hosted)
 
     def _without_loop(self, simulated: bool) -> str:
         """Return why rclpy's executor serves the plant; "" if a native loop does."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fjr_core.runtime.events import STARTS_REFUSED, STOPS
-from fjr_msgs_py.messages.reports import STAMP
+from fjr_msgs_py.node.reports import STAMP
 
 HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -18,6 +18,7 @@ from std_msgs.msg import Float64MultiArray
 
 from fjr_core import FjrError, Measurement
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.measurement_model import JointSample
 
 from ..names import state_names
 from .cdr import Form, Template, float_array, joint_state
@@ -32,20 +33,6 @@ class MessageError(FjrError):
     def __init__(self, kind: str, sentence: str) -> None:
         super().__init__(sentence)
         self.kind = kind
-
-
-class JointSample(NamedTuple):
-    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
-
-    q_m, dq_m: as in the message, before the gear; q_m is the joint torque [N m] where that is measured instead.
-    Velocities are None if an observer estimates them.
-    """
-
-    stamp: int
-    q_l: Array
-    q_m: Array
-    dq_l: Array | None = None
-    dq_m: Array | None = None
 
 
 def nanoseconds(stamp: Time) -> int:

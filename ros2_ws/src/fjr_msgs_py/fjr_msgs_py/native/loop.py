@@ -139,10 +139,10 @@ class Ring:
 
 
 LARGEST = 1 << 16  # bytes of a message that is taken without allocation
-_running: set[Loop] = set()
+_running: set[NativeLoop] = set()
 
 
-class Loop:
+class NativeLoop:
     """A thread that serves subscriptions by the callbacks of a host in C (struct fjr_host)."""
 
     def __init__(

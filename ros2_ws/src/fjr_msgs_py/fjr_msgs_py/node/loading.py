@@ -93,6 +93,16 @@ def end_on_signals(code: int = 0) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
+def prepare(program: str) -> None:
+    """Set up the process of a node's executable: signal handlers, limits, name, garbage, threads, packages."""
+    end_on_signals()
+    require_resources(program)
+    name_process(program)
+    pause_garbage_collection()
+    without_blas_threads()
+    ament_index_of_wheels()
+
+
 @contextmanager
 def signals_blocked() -> Iterator[None]:
     """Block SIGINT and SIGTERM in this thread; child processes started meanwhile inherit the blocked signals."""

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The effort of the tracker: the law bit for bit, its limits, other gains, and the certificate."""
+"""The control step in closed loop: efforts, limits, changed gains, events, for any input."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 import fjr_core as fjr
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.events import State
+from fjr_core.runtime.events import KINDS, STATES, State
 from tracking.tracked import (
     LAW,
     MS,
@@ -228,3 +229,21 @@ def test_bound_of_the_certificate_continues_while_only_the_law_acts() -> None:
         assert loop.tracker.bound_start == SECOND + 50 * MS
         bound = V[0] * np.exp(-2 * beta * k * 1e-3)
         assert bound * 1.05 >= V[k]
+
+
+def enumerators(name: str) -> list[str]:
+    """Return the names of an enumeration of step.h in order, in lower case and without prefix."""
+    elements = tracker_at().ffi.typeof(f"enum {name}").elements
+    return [elements[k].removeprefix("FJR_").lower() for k in range(len(elements))]
+
+
+def test_kinds_have_the_order_of_the_counters() -> None:
+    *counters, number = enumerators("fjr_kind")
+    assert number == "kinds"
+    assert len(counters) == len(KINDS)
+    for counter, kind in zip(counters, KINDS, strict=True):
+        assert set(counter.split("_")) <= set(re.findall(r"\w+", kind)), (counter, kind)
+
+
+def test_states_have_the_order_of_the_enumeration() -> None:
+    assert enumerators("fjr_state") == [state.value for state in STATES]

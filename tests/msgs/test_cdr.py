@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages read and written in place by C equal those of rclpy, whatever the bytes."""
+"""Serialised messages read and written in place, by C and by NumPy, equal those of rclpy, whatever the bytes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from fjr_core import Measurement
-from fjr_msgs_py.messages.cdr import float_array, joint_state
+from fjr_msgs_py.messages.cdr import FIELDS, HEADER, StateLayout, float_array, joint_state, joint_state_arrays
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter, MessageError, StateReader
 from fjr_msgs_py.names import state_names
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader
@@ -134,3 +135,96 @@ def test_messages_written_in_place_equal_those_of_the_writers(stamp, values) -> 
     lib.fjr_put_numbers(array.pointer, 0, view)
     assert named.serialised() == JointStateWriter(JOINTS).fill(stamp, position=numbers, effort=numbers)
     assert array.serialised() == EffortWriter(JOINTS).fill(numbers)
+
+
+@given(st.lists(JOINT_STATES, min_size=1, max_size=6))
+def test_a_layout_reads_messages_like_the_first_as_rclpy_does_and_no_others(sent) -> None:
+    first, *others = sent
+    layout = StateLayout(serialize_message(first), first)
+    assert layout.trusted
+    for message in others:
+        data = serialize_message(message)
+        alike = (message.name, message.header.frame_id) == (first.name, first.header.frame_id) and all(
+            len(getattr(message, field)) == len(getattr(first, field)) for field in FIELDS
+        )
+        assert layout.taken(data) == alike
+        if alike:
+            assert layout.stamp == message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            for field, values in layout.values.items():
+                assert values.tobytes() == bytes(getattr(message, field))
+
+
+@given(st.lists(st.text("ab_", min_size=1, max_size=9), min_size=1, max_size=7, unique=True), st.integers(0, 7))
+def test_a_written_message_has_exactly_its_serialised_size(names: list[str], fields: int) -> None:
+    """rosbags, which reads the bags, rejects trailing bytes."""
+    filled = {name: np.arange(float(len(names))) for i, name in enumerate(FIELDS) if fields >> i & 1}
+    store = get_typestore(Stores.ROS2_JAZZY)
+    state = JointStateWriter(names).fill(3_000_000_004, **filled)
+    read = store.deserialize_cdr(state, "sensor_msgs/msg/JointState")
+    assert bytes(store.serialize_cdr(read, "sensor_msgs/msg/JointState")) == state
+    assert {name: getattr(read, name).tolist() for name in filled} == {name: filled[name].tolist() for name in filled}
+    effort = EffortWriter(tuple(names)).fill(np.arange(float(len(names))))
+    array = store.deserialize_cdr(effort, "std_msgs/msg/Float64MultiArray")
+    assert bytes(store.serialize_cdr(array, "std_msgs/msg/Float64MultiArray")) == effort
+    assert array.data.tolist() == list(range(len(names)))
+    dim = MultiArrayDimension(label=",".join(names), size=len(names), stride=len(names))
+    wanted = Float64MultiArray(layout=MultiArrayLayout(dim=[dim]), data=array.data)
+    assert deserialize_message(effort, Float64MultiArray) == wanted
+
+
+def recorded(
+    names: tuple[str, ...] = ("a", "joint_2", "ä"), lengths: tuple[int, ...] = (3, 2, 0), frame: str = ""
+) -> list:
+    rng, made = np.random.default_rng(1), []
+    for k in range(20):
+        message = JointState(name=list(names))
+        message.header.frame_id = frame
+        message.header.stamp.sec, message.header.stamp.nanosec = int(rng.integers(-(2**31), 2**31)), 50_000_000 * k
+        for field, length in zip(FIELDS, lengths, strict=True):
+            setattr(message, field, np.where(rng.random(length) < 0.1, np.nan, rng.normal(size=length)).tolist())
+        made.append(message)
+    return made
+
+
+@pytest.mark.parametrize("lengths", [(3, 2, 0), (3, 3, 3), (0, 0, 3), (0, 0, 0), (1, 0, 2)])
+@pytest.mark.parametrize("frame", ["", "world"])
+def test_stamps_and_numbers_are_those_of_the_recorded(lengths: tuple[int, ...], frame: str) -> None:
+    sent = recorded(lengths=lengths, frame=frame)
+    arrays = joint_state_arrays([serialize_message(message) for message in sent], sent[0])
+    assert arrays is not None
+    stamps, values = arrays
+    assert stamps.tolist() == [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in sent]
+    for name, length in zip(FIELDS, lengths, strict=True):
+        wanted = np.array([getattr(message, name) for message in sent]).reshape(len(sent), length)
+        np.testing.assert_array_equal(values[name], wanted)
+
+
+def test_padding_may_hold_anything() -> None:
+    sent = recorded(lengths=(3, 3, 3))
+    whole = [serialize_message(message) for message in sent]
+    form = joint_state(sent[0].name, (3, 3, 3))
+    padding = np.ones(len(whole[0]), dtype=bool)
+    for part in (*form.spans, *(slice(8 * start - HEADER, 8 * start + 24 - HEADER) for start in form.starts)):
+        padding[part] = False
+    assert padding.any()
+    rows = np.array([list(message) for message in whole], dtype=np.uint8)
+    rows[:, padding] = np.random.default_rng(2).integers(0, 256, (len(rows), padding.sum()))
+    assert joint_state_arrays([row.tobytes() for row in rows], sent[0]) is not None
+
+
+@pytest.mark.parametrize(
+    "other",
+    [recorded(("a", "joint_3", "ä")), recorded(lengths=(3, 3, 0)), recorded(lengths=(2, 3, 0)), recorded(frame="b")],
+    ids=["names", "size", "lengths", "frame"],
+)
+def test_a_message_of_another_layout_is_not_read_as_the_first(other: list[JointState]) -> None:
+    sent = recorded()
+    assert joint_state_arrays([serialize_message(message) for message in (*sent, other[0])], sent[0]) is None
+
+
+def test_bytes_in_another_order_and_bytes_that_are_not_the_first_message_are_refused() -> None:
+    sent = recorded()
+    data = [serialize_message(message) for message in sent]
+    assert joint_state_arrays([b"\x00\x00" + one[2:] for one in data], sent[0]) is None
+    assert joint_state_arrays(data, sent[1]) is None
+    assert joint_state_arrays([data[0][:20]], sent[0]) is None
