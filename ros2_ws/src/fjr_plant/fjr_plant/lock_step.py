@@ -16,10 +16,13 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, deserialised, time_of
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
+from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health
 
+from .channel import Transport
 from .native import NO_TIME
-from .time_base import WATCH_PERIOD, NodeParts, TimeBase, seconds, steady
+from .simulated_robot import SimulatedRobot
+from .time_base import WATCH_PERIOD, TimeBase, seconds, steady
 
 OTHERS = "other clocks"
 LOOK_PERIOD = 0.5  # s between checks of the graph
@@ -98,15 +101,15 @@ class LockStep(TimeBase):
     lock_step = True
     moving = "moving: the first answer has arrived"
 
-    def __init__(self, parts: NodeParts) -> None:
-        super().__init__(parts)
-        node, plant, lib = parts.node, self.plant, self._lib
+    def __init__(self, node: ParameterNode, robot: SimulatedRobot, transport: Transport, health: Health) -> None:
+        super().__init__(node, robot, transport, health)
+        plant, lib = self.plant, self._lib
         plant.offset = START
-        plant.timeout = round(parts.values["lockstep_timeout"] * 1e9)
-        self._clock = ClockOwner(node, parts.health, lambda: int(plant.shown))
+        plant.timeout = round(node.values["lockstep_timeout"] * 1e9)
+        self._clock = ClockOwner(node, health, lambda: int(plant.shown))
         self._publishers.append(self._clock.publisher)
         self._clock_message = NativeMessage(self._program, CLOCK_LAYOUT, ())
-        self._answer = NativeReader(self._program, parts.values["joints"], _EFFORT)
+        self._answer = NativeReader(self._program, node.values["joints"], _EFFORT)
         plant.clock, plant.answer = self._clock_message.pointer, self._answer.pointer
         self._topic = node.resolve_topic_name(names.JOINT_COMMANDS)
         self._serve(JointState, names.JOINT_COMMANDS, lib.fjr_lock_step_command, lib.fjr_lock_step_tick)
@@ -135,7 +138,7 @@ class LockStep(TimeBase):
         self._clock.refuse_others()
 
     def _read(self, data: bytes) -> None:
-        self._parts.reader.read_named(deserialised(data, JointState))
+        self._reader.read_named(deserialised(data, JointState))
 
     def _error_of(self, fault: int, reason: str) -> FjrError:
         if fault == self._lib.FJR_UNANSWERED:

@@ -15,7 +15,7 @@ from fjr_core import FjrError
 from fjr_core.config import builders, nonidealities
 from fjr_core.config.description import description, robot_name
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
+from fjr_msgs_py.messages.joint_states import MessageError, TorqueReader
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
 from fjr_msgs_py.node.parameters import ParameterNode
@@ -25,7 +25,7 @@ from .host import EXPECTED
 from .lock_step import LockStep
 from .real_time import RealTime
 from .simulated_robot import simulated
-from .time_base import DeferredReply, DeferredTrigger, NodeParts, TimeBase
+from .time_base import DeferredReply, DeferredTrigger, TimeBase
 
 TORQUES = "external torques received"
 SETTLING = 2.0  # s in which another robot may be discovered late, on busy cores
@@ -68,8 +68,8 @@ class PlantNode(ParameterNode):
         self._torques = TorqueReader(joints)
         if self.values["publish_description"]:
             publish_description(self, description(self.values))
-        parts = NodeParts(self, self.values, self._robot, self._transport, EffortReader(joints), self._health)
-        self._time_base = (LockStep if self.values["lockstep"] else RealTime)(parts)
+        kind = LockStep if self.values["lockstep"] else RealTime
+        self._time_base = kind(self, self._robot, self._transport, self._health)
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)

@@ -7,10 +7,14 @@ from std_msgs.msg import Float64MultiArray
 
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import deserialised
+from fjr_msgs_py.node.parameters import ParameterNode
+from fjr_msgs_py.node.reports import Health
 
+from .channel import Transport
 from .host import RclpyPlantHost
 from .native import NO_TIME
-from .time_base import NodeParts, TimeBase, steady
+from .simulated_robot import SimulatedRobot
+from .time_base import TimeBase, steady
 
 
 class RealTime(TimeBase):
@@ -22,10 +26,10 @@ class RealTime(TimeBase):
 
     moving = "moving: the first command has arrived"
 
-    def __init__(self, parts: NodeParts) -> None:
-        super().__init__(parts)
-        plant, values, lib = self.plant, parts.values, self._lib
-        plant.simulated = bool(parts.node.get_parameter("use_sim_time").value)
+    def __init__(self, node: ParameterNode, robot: SimulatedRobot, transport: Transport, health: Health) -> None:
+        super().__init__(node, robot, transport, health)
+        plant, values, lib = self.plant, node.values, self._lib
+        plant.simulated = bool(node.get_parameter("use_sim_time").value)
         plant.wait_for_command = values["wait_for_command"]
         plant.silence = round(values["restart_silence"] * 1e9)
         command, tick = lib.fjr_real_time_command, lib.fjr_real_time_tick
@@ -60,4 +64,4 @@ class RealTime(TimeBase):
         )
 
     def _read(self, data: bytes) -> None:
-        self._parts.reader.read_array(deserialised(data, Float64MultiArray))
+        self._reader.read_array(deserialised(data, Float64MultiArray))

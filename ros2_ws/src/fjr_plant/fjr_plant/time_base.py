@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 
@@ -21,6 +20,7 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
 from fjr_msgs_py.messages.joint_states import EffortReader
 from fjr_msgs_py.native.loop import NativeMessage
+from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health
 
 from .channel import Transport
@@ -38,18 +38,6 @@ def seconds(stamp: int) -> str:
     """Format a stamp [ns] in seconds with all digits."""
     sec, nanosec = divmod(stamp, 1_000_000_000)
     return f"{sec}.{nanosec:09d}"
-
-
-@dataclass(frozen=True)
-class NodeParts:
-    """Components of the plant node."""
-
-    node: Node
-    values: dict[str, Any]
-    robot: SimulatedRobot
-    transport: Transport
-    reader: EffortReader
-    health: Health
 
 
 class DeferredReply:
@@ -121,16 +109,16 @@ class TimeBase(ABC):
     moving = ""
     """Sentence about the first command."""
 
-    def __init__(self, parts: NodeParts) -> None:
-        self._parts = parts
-        self._robot, self._transport, self._health = parts.robot, parts.transport, parts.health
+    def __init__(self, node: ParameterNode, robot: SimulatedRobot, transport: Transport, health: Health) -> None:
+        self._node, self._robot, self._transport, self._health = node, robot, transport, health
+        self._reader = EffortReader(node.values["joints"])
         self._program: Any = plant_program()
         self._lib = self._program.lib
         self._samples = 0
         self._reply: DeferredReply | None = None
         self._raised = False  # the error of the fault was raised
-        qos = names.sample_qos(parts.node, self.lock_step)
-        self._publishers = [parts.node.create_publisher(JointState, names.JOINT_STATES, qos)]
+        qos = names.sample_qos(node, self.lock_step)
+        self._publishers = [node.create_publisher(JointState, names.JOINT_STATES, qos)]
         others: dict[int, Callable[[int], None]] = {
             self._lib.FJR_MOVING: lambda _: self._log_once(self.moving),
             self._lib.FJR_ADVANCED: lambda _: self._end_advance(True, ""),
@@ -143,7 +131,7 @@ class TimeBase(ABC):
 
     def _built(self) -> Any:
         """Return struct fjr_plant."""
-        program, values, n = self._program, self._parts.values, len(self._parts.values["joints"])
+        program, values, n = self._program, self._node.values, len(self._node.values["joints"])
         ffi = program.ffi
         self._arrays = [np.zeros(2 + 6 * n), np.zeros(2 + 6 * n), np.zeros(n)]
         self._pointers = [program.array(each) for each in self._arrays]
@@ -159,13 +147,13 @@ class TimeBase(ABC):
         plant.notify = self._events.notify
         plant.command_timeout = round(values["command_timeout"] * 1e9)
         plant.paused = values["start_paused"]
-        plant.by_stamps = bool(self._parts.node.get_parameter("use_sim_time").value)
+        plant.by_stamps = bool(self._node.get_parameter("use_sim_time").value)
         plant.origin = plant.late_at = plant.between = plant.awaited = plant.other = NO_TIME
         return plant
 
     def _serve(self, kind: type, topic: str, command: Any, tick: Any, simulated: bool = False) -> None:
         """Start the host for commands of a type on a topic, handled by these functions in C."""
-        node = self._parts.node
+        node = self._node
         hosted = Hosted(
             node, self._program, self.plant, self.lock_step, kind, topic, self._publishers, command, tick, self._fail
         )
@@ -174,14 +162,14 @@ class TimeBase(ABC):
         if why:
             period = WATCH_PERIOD if self.lock_step else self._transport.period * 1e-9
             self.host = RclpyPlantHost(hosted, simulated, period)
-            if self._parts.values["executor"] == NATIVE:
+            if node.values["executor"] == NATIVE:
                 node.get_logger().info(f"the plant runs in rclpy's executor instead of a native thread: {why}")
         else:
             self.host = NativePlantHost(hosted)
 
     def _without_loop(self, simulated: bool) -> str:
         """Return why rclpy's executor serves the plant; "" if a native loop does."""
-        if self._parts.values["executor"] != NATIVE:
+        if self._node.values["executor"] != NATIVE:
             return "another executor is selected"
         if simulated:
             return "the time comes from /clock"
@@ -313,7 +301,7 @@ class TimeBase(ABC):
 
     def _fail(self, reason: str) -> None:
         """End the node after a fault; called on any thread."""
-        node = self._parts.node
+        node = self._node
         if node.ended is None and not self._raised:
             node.end(self._error_of(self.plant.fault, reason))
 
@@ -326,4 +314,4 @@ class TimeBase(ABC):
 
     def _log_once(self, sentence: str) -> None:
         if self._health.is_new(sentence):
-            self._parts.node.get_logger().info(sentence)
+            self._node.get_logger().info(sentence)
