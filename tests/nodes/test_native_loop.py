@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,9 @@ import numpy as np
 import pytest
 from std_msgs.msg import Float64MultiArray
 
+from fjr_controller.native import controller_program
+from fjr_msgs_py.native import program as native_program
+from fjr_msgs_py.native.program import NativeError
 from fjr_msgs_py.node.scheduling import SLICE, slice_of
 from nodes.harness import Listener, Peer, Ros, stamped
 from time_limits import HANG
@@ -142,6 +146,39 @@ def test_a_law_in_python_runs_in_rclpy_and_says_why(ros: Ros, capfd) -> None:
     node = ros.controller(executor="native", compile=False)
     assert not loop_of(node).native
     assert "the law or the observer is evaluated in Python" in capfd.readouterr().err
+
+
+def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, monkeypatch, capfd) -> None:
+    def options() -> None:
+        raise NativeError("rcl.h is missing")
+
+    monkeypatch.setattr(native_program, "ros_options", options)
+    controller_program.cache_clear()
+    try:
+        node = ros.controller(executor="native", compile=True)
+    finally:
+        controller_program.cache_clear()
+    assert not loop_of(node).native
+    assert "in rclpy's executor instead of a native thread: rcl.h is missing\n" in capfd.readouterr().err
+    peer = Peer(ros)
+    peer.meet_controller()
+    assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
+
+
+def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros) -> None:
+    ros.controller(executor="events", compile=True)
+    peer = Peer(ros)
+    peer.meet_controller()
+    names, numbers = (b"joint1\0", b"joint1_motor\0"), (0.5, 0.4)
+    data = struct.pack(">iiI4xI", 100, 0, 1, 2)  # stamp, an empty frame with its padding, two names
+    for name in names:
+        data += struct.pack(f">I{len(name) + -len(name) % 4}s", len(name), name)
+    for _ in range(3):
+        data += struct.pack(">I", 2)
+        data += bytes(-len(data) % 8) + struct.pack(">2d", *numbers)
+    peer.state_publisher.publish(b"\x00\x00\x00\x00" + data)
+    ros.until(lambda: peer.commands, "the command")
+    assert peer.commands[-1].header.stamp.sec == 100
 
 
 def test_a_node_restarts_its_thread_with_each_activation(ros: Ros) -> None:

@@ -149,7 +149,7 @@ class RclpyHost:
     def start(self, topics: CommandTopics, publishers: Sequence[Publisher], priority: int) -> None:
         """Begin to serve; the executor has the priority of its process."""
         self._topics, self._publishers = topics, publishers
-        self.runs = True
+        self.runs, self.failure = True, ""
         self._on_tick()
 
     def run(self, kind: int, arguments: Any) -> None:
