@@ -18,7 +18,6 @@ NATIVE = (
     "test_other_laws",
     "test_plant_imperfections",
     "test_plant_node",
-    "test_robust_action",
     "test_stamps_of_states",
     "test_trajectories",
 )

@@ -295,11 +295,11 @@ WIRED_BY_GROUP = (
     "start.",
     "recovery.",
     "hold.",
-    "constraints.",  # test_goal_tolerances
+    "constraints.",  # test_follow_action
     "allow_partial_joints",  # test_trajectories
     "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
     "plant.",  # test_own_code
-    "robust.",  # test_robust_action
+    "robust.",  # test_other_laws
     "robot.guesses.",  # tests/core/config/test_guesses.py
 )
 
