@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What this installation offers: ROS 2's own command or that of fjr, and a DDS profile with quick discovery."""
+"""What this installation offers: ROS 2's own command or that of fjr, and a DDS profile with quick discovery.
+
+The wheels of ROS 2 hold no `ros2` command. Where it is installed it is preferred: it knows every type and option.
+Where it is not, `fjr` has the few commands that a run needs.
+"""
 
 from __future__ import annotations
 
