@@ -70,7 +70,7 @@ class Reports(Health):
             self.event(self._step.events.popleft())
 
     def publish(self) -> None:
-        """Publish the counters; that of the step number is used for a kind that both count."""
+        """Publish the counters; the number of the control step is used for a kind that both count."""
         for kind, number in self._step.counters.items():
             self.count[kind] = max(number, self.count[kind])
         for name, seconds in self._step.seconds.items():
