@@ -2,7 +2,7 @@
 """What this installation offers: ROS 2's own command or that of fjr, and a DDS profile with quick discovery.
 
 The wheels of ROS 2 hold no `ros2` command. Where it is installed it is preferred: it knows every type and option.
-Where it is not, `fjr` has the few commands that a run needs.
+Where it is not, `fjr` has the few commands that a run needs. This module loads nothing slow.
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ import os
 import shlex
 import shutil
 from pathlib import Path
-
-from fjr_core.errors import FjrError
 
 from ..node.loading import domain_fault, ensure_log_folder
 
@@ -38,14 +36,12 @@ def play_command(bag: Path) -> str:
     return installed_command(f"bag play {name}", f"play {name}")
 
 
-class BetterToolError(FjrError):
-    """ROS 2's own tool is installed."""
-
-
 def refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
-    """Raise BetterToolError, naming the `command` of ros2 to use, if ros2 is on the PATH, unless forced."""
+    """Raise FjrError, naming the `command` of ros2 to use, if ros2 is on the PATH, unless forced."""
     if not force and (found := ros2_path()):
-        raise BetterToolError(f"{found} does this better: use `{command}` ({advantage}), or add --force")
+        from fjr_core.errors import FjrError  # loads CasADi
+
+        raise FjrError(f"{found} does this better: use `{command}` ({advantage}), or add --force")
 
 
 def discover_quickly() -> None:
@@ -56,6 +52,8 @@ def discover_quickly() -> None:
     from ament_index_python.packages import get_package_share_directory  # loaded on use
 
     if fault := domain_fault():
+        from fjr_core.errors import FjrError  # loads CasADi
+
         raise FjrError(fault)
     ensure_log_folder()
     profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
