@@ -23,9 +23,8 @@ from std_msgs.msg import Float64MultiArray
 
 from bench.bare import JOINTS, PERIOD, Bare
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr.layout import joint_state
-from fjr_msgs_py.native.entities import NativeMessage, NativeSubscription, publisher_address
-from fjr_msgs_py.native.loop import Loop
+from fjr_msgs_py.messages.cdr import joint_state
+from fjr_msgs_py.native.loop import NativeLoop, NativeMessage, NativeSubscription, publisher_address
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
 from fjr_msgs_py.node import process
 
@@ -55,7 +54,7 @@ class Driver(Bare):
         self._loop.stop()
         print(json.dumps(rounds(self._times, self._sides, self._rounds)), flush=True)
 
-    def _native_loop(self) -> Loop:
+    def _native_loop(self) -> NativeLoop:
         texts = {kind: Path(__file__).with_name(f"driver.{kind}").read_text(encoding="utf-8") for kind in "hc"}
         program = Program("bench_driver", [*common_headers(), texts["h"]], [*common_sources(), texts["c"]])
         ffi, n = program.ffi, 2 * len(JOINTS)
@@ -77,7 +76,7 @@ class Driver(Bare):
         )
         callbacks = (ffi.addressof(program.lib, f"driver_{name}") for name in ("message", "tick", "request", "end"))
         self._host = ffi.new("struct fjr_host*", (self._struct, *callbacks))
-        loop = Loop(program, self._host, self._efforts, self._states)
+        loop = NativeLoop(program, self._host, self._efforts, self._states)
         self._struct.loop = loop.pointer
         return loop
 

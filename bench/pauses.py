@@ -33,7 +33,7 @@ from bench.nodes import controller, plant, ros_environment
 from bench.tap import DEPTH, Tap
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
-from fjr_core.runtime.event_kinds import STOPS
+from fjr_core.runtime.events import STOPS
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import nanoseconds
 from fjr_msgs_py.scenarios import library

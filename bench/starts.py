@@ -29,7 +29,7 @@ from bench.machine import watched
 from bench.nodes import burning, ros_environment
 from bench.tap import HEADER, STAMP
 from fjr_msgs_py import names
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 
 STATES = 1000  # from the first that is answered
 DURATION = 2.5  # s of each run

@@ -63,9 +63,8 @@ LONGEST_FIRST = (
     "docs/test_notebooks.py",
     "system/test_joint_units.py",
     "system/test_closed_loop.py",
-    "nodes/test_robust_action.py",
-    "nodes/test_certificate.py",
     "nodes/test_other_laws.py",
+    "nodes/test_certificate.py",
     "system/test_two_arms.py",
     "docs/test_code_names.py",
 )

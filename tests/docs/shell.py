@@ -8,7 +8,7 @@ import shlex
 import subprocess
 from collections.abc import Iterator
 
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 
 RECORDING = ("run", "demo")
 SHORT = "0.2"  # s of stamped time for recording commands

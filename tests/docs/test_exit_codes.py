@@ -11,7 +11,7 @@ import pytest
 
 from docs.pages import ROOT
 from fjr_bringup.cli.app import fjr
-from fjr_msgs_py.console.exit_codes import MEANINGS, Exit
+from fjr_msgs_py.console.ending import MEANINGS, Exit
 from system.executables import fjr_here
 
 

@@ -26,7 +26,7 @@ from faults.relay import Relay, Tamper
 from faults.remote import Remote
 from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
 from fjr_msgs_py.node.scheduling import prioritised
-from fjr_plant.timing.lock_step import START as LOCKSTEP_START
+from fjr_plant.lock_step import START as LOCKSTEP_START
 from system.executables import NODES, Executable, scenario
 from time_limits import Limit
 

@@ -18,9 +18,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.controller_node import ControllerNode
-from fjr_controller.native.command_loop import NativeCommandLoop
-from fjr_controller.ros.command_loop import CommandLoop
-from fjr_controller.ros.diagnostics import RECEIVED
 from fjr_msgs_py import names
 from fjr_msgs_py.node.participant import leave
 from hosts.inputs import Input, Kind, Sequence
@@ -30,7 +27,6 @@ from time_limits import Limit
 
 EXECUTORS = {"rclpy": "events", "native": "native"}
 """Values of the parameter `executor` by host."""
-LOOPS = {"rclpy": CommandLoop, "native": NativeCommandLoop}
 LIMIT = 20.0  # s; timeout of an answer
 RECORDS = 1000  # samples between two readings of the queue of a native loop
 POLLS = 100  # of a native thread, between two events of its node
@@ -80,13 +76,13 @@ class NodeHost:
         arguments = ["--ros-args", "--params-file", str(self._file), *words, "-r", f"__ns:=/{self._host}"]
         self._node = ControllerNode(context=self._context, cli_args=arguments)
         self._loop: Any = self._node._control._command_loop
-        assert type(self._loop) is LOOPS[self._host]
         self._native = self._host == "native"
+        assert self._loop.native == self._native
         self._executor = EventsExecutor(context=self._context)
         if self._sequence.published:
             self._executor.add_node(self._node)
-        elif self._native:
-            self._loop._loop.stop()  # without its thread the loop serves requests and messages of the caller
+        else:
+            self._loop._host.stop()  # the loop serves requests and messages of the caller
         assert self._until(lambda: self._states.get_subscription_count() and self._listener.get_publisher_count())
 
     def _end(self) -> None:
@@ -94,11 +90,11 @@ class NodeHost:
         self._node.destroy_node()
 
     def _feed(self, each: Input) -> None:
-        tracker = self._node._control.tracker
+        tracker = self._node._control.step
         if each.kind is Kind.STATE:
             self._publish(each.raw) if self._sequence.published else self._deliver(each.raw, each.time)
         elif each.kind is Kind.TICK:
-            self._tick(each.time)
+            self._loop.check_silence(each.time)
         elif each.kind is Kind.CHANGE:
             assert self._node.set_parameters_atomically(_parameters(each)).successful
         elif each.kind is Kind.PARAMETERS:
@@ -115,19 +111,10 @@ class NodeHost:
         assert self._until(lambda: self._received > before)
 
     def _deliver(self, raw: bytes, arrival: int) -> None:
-        if self._native:
-            outcome = self._program.lib.fjr_controller_message(self._loop._struct, 0, raw, len(raw), arrival)
-            assert outcome == self._program.lib.FJR_GO_ON
-            if self._received % RECORDS == 0:
-                self._loop._report()  # in simulated time a full queue would wait for this
-        else:
-            self._loop._process(raw, arrival)
-
-    def _tick(self, now: int) -> None:
-        if self._native:
-            self._loop._step.check_silence(now)
-        else:
-            self._loop._check_silence(now)
+        lib = self._loop.program.lib
+        assert lib.fjr_controller_message(self._loop._struct, 0, raw, len(raw), arrival) == lib.FJR_GO_ON
+        if self._received % RECORDS == 0:
+            self._loop._report()  # in simulated time a full queue would wait for this
 
     def _refuses(self, each: Input) -> None:
         for parameter in _parameters(each):
@@ -135,13 +122,9 @@ class NodeHost:
                 assert not self._node.set_parameters([parameter])[0].successful
 
     @property
-    def _program(self) -> Any:
-        return self._loop._program
-
-    @property
     def _received(self) -> int:
         """Number of states that the node has received."""
-        return int(self._loop._struct.received if self._native else self._node._control.reports.count[RECEIVED])
+        return int(self._loop._struct.received)
 
     def _until(self, happened: Callable[[], Any]) -> bool:
         """Take efforts and let the node work until `happened()`; return False after the time limit."""

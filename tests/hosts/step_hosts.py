@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.event_kinds import KINDS
+from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.library import StepLibrary
-from fjr_core.runtime.reference_struct import ReferenceStruct
-from fjr_core.runtime.settings_struct import Model, settings_struct
+from fjr_core.runtime.reference import ReferenceStruct
+from fjr_core.runtime.structs import Model, settings_struct
 from fjr_core.simulation.batch.program import BatchProgram
 from fjr_design.exports.step_code import controller_of
 from hosts.inputs import Kind, Sequence

@@ -10,8 +10,8 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.participant import leave
+from fjr_msgs_py.node.reports import Health
 
 
 @pytest.fixture

@@ -17,12 +17,10 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages.cdr.layout import joint_state
+from fjr_msgs_py.messages.cdr import joint_state
 from fjr_msgs_py.names import LATEST
-from fjr_msgs_py.native.entities import NativeMessage, NativeReader, NativeSubscription, publisher_address
-from fjr_msgs_py.native.loop import Loop
+from fjr_msgs_py.native.loop import NativeLoop, NativeMessage, NativeReader, NativeSubscription, Ring, publisher_address
 from fjr_msgs_py.native.program import Program, common_headers, common_sources
-from fjr_msgs_py.native.ring import Ring
 from fjr_msgs_py.node.participant import leave
 from time_limits import HANG, Limit
 
@@ -54,7 +52,7 @@ class Echo:
             "struct fjr_host*",
             [self.state, *(ffi.addressof(lib, f"echo_{name}") for name in ("message", "tick", "request", "end"))],
         )
-        self.loop = Loop(program(), self.host, [self.subscription], [self.publisher])
+        self.loop = NativeLoop(program(), self.host, [self.subscription], [self.publisher])
         self.state.loop, self.state.reader, self.state.answer = (
             self.loop.pointer,
             self.reader.pointer,

@@ -21,9 +21,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.controller_node import ControllerNode
-from fjr_msgs_py.messages.certificate import CertificateValues, labelled
 from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.participant import stop_discovery
+from fjr_msgs_py.node.reports import CertificateValues, labelled
 from fjr_plant.plant_node import PlantNode
 from time_limits import Limit
 

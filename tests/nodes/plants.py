@@ -12,7 +12,7 @@ from std_msgs.msg import Float64MultiArray
 
 import fjr_core as fjr
 from fjr_msgs_py.names import LATEST
-from fjr_plant.timing.lock_step import START
+from fjr_plant.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
 
 INNER = 250_000  # ns, the default 1 kHz in 4 steps

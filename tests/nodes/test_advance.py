@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import StateError
-from fjr_plant.timing.lock_step import START, LockStepError
+from fjr_plant.lock_step import START, LockStepError
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop, answer, ask, call, command, integrate, numbers, state_of
 

@@ -13,9 +13,9 @@ from rosgraph_msgs.msg import Clock
 
 from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
+from fjr_plant import lock_step as clock_owner
+from fjr_plant.lock_step import ClockError
 from fjr_plant.plant_node import PlantNode
-from fjr_plant.timing import clock_owner
-from fjr_plant.timing.clock_owner import ClockError
 from nodes.harness import Peer, Ros
 from nodes.plants import CommandLoop
 

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_controller.ros.command_conflict import TOPICS, CommandConflictError
+from fjr_controller.command_topics import TOPICS, CommandConflictError
 from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from nodes.harness import Ros, stamped

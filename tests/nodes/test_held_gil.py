@@ -33,7 +33,7 @@ def hold(tmp_path_factory: pytest.TempPathFactory) -> Hold:
     holding.argtypes = [ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64]
 
     def until(loop: Any, answered: int) -> bool:
-        ffi = loop._program.ffi
+        ffi = loop.program.ffi
         address = int(ffi.cast("uintptr_t", ffi.addressof(loop._struct, "answered")))
         return bool(holding(address, answered, round(1000 * HANG / 20)))
 

@@ -10,7 +10,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fjr_plant.timing.lock_step import START, LockStepError
+from fjr_plant.lock_step import START, LockStepError
 from nodes.harness import PATIENCE, Listener, Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop, answer, call, integrate, numbers, state_of
 
@@ -134,7 +134,7 @@ def run_with_losses() -> tuple[list[tuple[int, bytes]], int]:
         assert call(ros, listener, Trigger, "fjr_plant/advance").success
         assert node._robot.time == 600 * PERIOD
         ros.settle()
-        return numbers(listener.states), controller._control.tracker.counters["silences"]
+        return numbers(listener.states), controller._control.step.counters["silences"]
     finally:
         ros.close()
 

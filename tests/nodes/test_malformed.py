@@ -28,7 +28,7 @@ from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, StateR
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.names import state_names
 from fjr_msgs_py.node.failure import EndingNode
-from fjr_plant.timing.lock_step import START as LOCKSTEP_START
+from fjr_plant.lock_step import START as LOCKSTEP_START
 from nodes.harness import Listener, Ros, stamped
 
 JOINTS = ("shoulder", "elbow")

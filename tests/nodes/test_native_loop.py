@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -13,14 +14,14 @@ import numpy as np
 import pytest
 from std_msgs.msg import Float64MultiArray
 
-from fjr_controller.native.command_loop import NativeCommandLoop
-from fjr_controller.ros.command_loop import CommandLoop
+from fjr_controller.native import controller_program
+from fjr_msgs_py.native import program as native_program
+from fjr_msgs_py.native.program import NativeError
 from fjr_msgs_py.node.scheduling import SLICE, slice_of
 from nodes.harness import Listener, Peer, Ros, stamped
 from time_limits import HANG
 
 HOSTS = ("events", "native")
-LOOPS = {"events": CommandLoop, "native": NativeCommandLoop}
 BAD_STATES = (
     stamped(0.5, names=["joint1"]),
     stamped(0.5, q=[np.nan, 0.5]),
@@ -40,7 +41,7 @@ def pair(ros: Ros, monkeypatch: pytest.MonkeyPatch, **parameters: Any) -> dict[s
         monkeypatch.setattr(ros, "host", host, raising=False)
         arguments = ["--ros-args", "-r", f"__ns:=/{host}"]
         node = ros.controller(arguments=arguments, **{"compile": True, "start__wiring_check": False, **parameters})
-        assert type(loop_of(node)) is LOOPS[host]
+        assert loop_of(node).native == (host == "native")
         made[host] = node, Peer(ros, f"/{host}/")
     for _, peer in made.values():
         peer.meet_controller()
@@ -95,7 +96,7 @@ def test_refused_states_are_counted_and_logged_with_the_same_sentences(ros: Ros,
 def test_every_answered_state_reaches_the_listeners_in_order(ros: Ros, peer: Peer) -> None:
     node = ros.controller(executor="native", compile=True, use_sim_time=True)
     heard = []
-    loop_of(node).add_listener(lambda sample, command, arrival, sent: heard.append((sample.stamp, command.u[0])))
+    loop_of(node).add_listener(lambda sample, command: heard.append((sample.stamp, command.u[0])))
     peer.meet_controller()
     for k in range(100):
         peer.ask(stamped(0.001 * k))
@@ -129,7 +130,7 @@ def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_senten
     peer.meet_controller()
     assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
     loop = loop_of(node)
-    ffi = loop._program.ffi
+    ffi = loop.program.ffi
     kinds = dict(ffi.typeof("struct fjr_step_functions").fields)
     fails = ffi.callback(kinds["step"].type, lambda *_: -1)
     loop._struct.step.step = fails
@@ -143,8 +144,41 @@ def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_senten
 
 def test_a_law_in_python_runs_in_rclpy_and_says_why(ros: Ros, capfd) -> None:
     node = ros.controller(executor="native", compile=False)
-    assert type(loop_of(node)) is CommandLoop
+    assert not loop_of(node).native
     assert "the law or the observer is evaluated in Python" in capfd.readouterr().err
+
+
+def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, monkeypatch, capfd) -> None:
+    def options() -> None:
+        raise NativeError("rcl.h is missing")
+
+    monkeypatch.setattr(native_program, "ros_options", options)
+    controller_program.cache_clear()
+    try:
+        node = ros.controller(executor="native", compile=True)
+    finally:
+        controller_program.cache_clear()
+    assert not loop_of(node).native
+    assert "in rclpy's executor instead of a native thread: rcl.h is missing\n" in capfd.readouterr().err
+    peer = Peer(ros)
+    peer.meet_controller()
+    assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
+
+
+def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros) -> None:
+    ros.controller(executor="events", compile=True)
+    peer = Peer(ros)
+    peer.meet_controller()
+    names, numbers = (b"joint1\0", b"joint1_motor\0"), (0.5, 0.4)
+    data = struct.pack(">iiI4xI", 100, 0, 1, 2)  # stamp, an empty frame with its padding, two names
+    for name in names:
+        data += struct.pack(f">I{len(name) + -len(name) % 4}s", len(name), name)
+    for _ in range(3):
+        data += struct.pack(">I", 2)
+        data += bytes(-len(data) % 8) + struct.pack(">2d", *numbers)
+    peer.state_publisher.publish(b"\x00\x00\x00\x00" + data)
+    ros.until(lambda: peer.commands, "the command")
+    assert peer.commands[-1].header.stamp.sec == 100
 
 
 def test_a_node_restarts_its_thread_with_each_activation(ros: Ros) -> None:
@@ -157,7 +191,7 @@ def test_a_node_restarts_its_thread_with_each_activation(ros: Ros) -> None:
         ros.until(lambda k=k: len(peer.commands) == 2 * k, "the stop effort")
         node.trigger_activate()
         peer.meet_controller()
-    assert loop_of(node)._loop.runs
+    assert loop_of(node)._host.runs
 
 
 def test_the_thread_has_short_slices_though_python_steps_back(ros: Ros) -> None:
@@ -193,4 +227,4 @@ def test_a_destroyed_node_leaves_no_thread(ros: Ros) -> None:
     ros.until(lambda: listener.heard("joint_commands"), "the controller")
     ros.executor.remove_node(node)
     node.destroy_node()
-    assert not loop_of(node)._loop.runs
+    assert not loop_of(node)._host.runs

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
+from fjr_msgs_py.native import program as native_program
 from fjr_msgs_py.native.program import NativeError
-from fjr_plant.native import program as native_program
-from fjr_plant.native.program import plant_program
-from fjr_plant.timing.host import NativeHost, RclpyHost
-from fjr_plant.timing.time_base import SendError
+from fjr_plant.host import NativePlantHost, RclpyPlantHost
+from fjr_plant.native import plant_program
+from fjr_plant.time_base import SendError
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, CommandLoop, call, command, integrate, numbers, state_of
 from time_limits import Limit
@@ -42,7 +42,7 @@ def states_of(host: str, **parameters: Any) -> tuple[list[tuple[int, bytes]], di
         peer = Peer(ros)
         options = {"lockstep": True, "start_paused": True, "advance_samples": SAMPLES}
         node = ros.plant(executor=host, compile=True, **options, **parameters)
-        assert isinstance(node._time_base.host, NativeHost if host == "native" else RclpyHost)
+        assert isinstance(node._time_base.host, NativePlantHost if host == "native" else RclpyPlantHost)
         CommandLoop(peer).listen()
         assert call(ros, peer, Trigger, "fjr_plant/advance").success
         ros.settle()
@@ -83,7 +83,7 @@ def test_a_fault_in_the_thread_ends_the_node_with_one_sentence(ros: Ros, peer: P
     node = ros.plant(executor="native", compile=True, lockstep=lockstep)
     peer.meet_plant(lockstep=lockstep)
     host = node._time_base.host
-    assert isinstance(host, NativeHost)
+    assert isinstance(host, NativePlantHost)
     host.state.publisher[0] = plant_program().ffi.cast("void*", host.subscription.address)  # no publisher
     ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, SendError)
@@ -103,21 +103,21 @@ def test_a_fault_in_the_thread_ends_the_node_with_one_sentence(ros: Ros, peer: P
 )
 def test_the_reason_for_another_host_is_logged(ros: Ros, capfd, parameters: dict[str, Any], why: str) -> None:
     node = ros.plant(executor="native", **parameters)
-    assert isinstance(node._time_base.host, RclpyHost)
+    assert isinstance(node._time_base.host, RclpyPlantHost)
     assert f"the plant runs in rclpy's executor instead of a native thread: {why}\n" in capfd.readouterr().err
 
 
 def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, peer: Peer, capfd, monkeypatch) -> None:
-    def program(*_: object) -> None:
+    def options() -> None:
         raise NativeError("rcl.h is missing")
 
-    monkeypatch.setattr(native_program, "Program", program)
+    monkeypatch.setattr(native_program, "ros_options", options)
     plant_program.cache_clear()
     try:
         node = ros.plant(executor="native", compile=True)
     finally:
         plant_program.cache_clear()
-    assert isinstance(node._time_base.host, RclpyHost)
+    assert isinstance(node._time_base.host, RclpyPlantHost)
     assert "instead of a native thread: rcl.h is missing\n" in capfd.readouterr().err
     peer.meet_plant()
     peer.effort_publisher.publish(command(0.3))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Invalid parameters are refused in one sentence before the node is created."""
+"""Parameters of the nodes: from the command line and from files, checked, dumped, changed."""
 
 from __future__ import annotations
 
@@ -7,12 +7,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcl_interfaces.msg import Parameter, ParameterDescriptor
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
+from fjr_core.config import ros_yaml
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import OWN_PARAMETERS, all_parameters, self_contained
+from fjr_core.config.plant import plant_parameters
+from fjr_msgs_py.node.command_line import parameter_rules
 from fjr_plant.plant_node import PlantNode
-from nodes.harness import Ros
+from nodes.harness import Peer, Ros
+from nodes.managed import Manager
+from nodes.plants import call
+from system.executables import scenario
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 NAN = float("nan")
@@ -131,3 +143,215 @@ def test_running_node_refuses_another_robot(ros: Ros) -> None:
     assert not result.successful
     assert result.reason == "parameter 'robot.link_damping' can be set only while the node is unconfigured"
     assert list(node.get_parameter("robot.link_damping").value) == [0.2]
+
+
+HOLD = ("-p", "reference.type:=hold")
+SINE = "ros__parameters: {compile: false, reference: {type: sine}}"
+SECTIONS = ("/**/fjr_controller", "/fjr_controller", "fjr_controller")
+
+
+def controller(ros: Ros, *arguments: str) -> ControllerNode:
+    return ros.start(ControllerNode, ["--ros-args", "-p", "autostart:=false", *arguments])
+
+
+@pytest.mark.parametrize("name", ["paper_k31", "arm7"])
+def test_bare_parameter_after_a_scenario_file_overrides_it(ros: Ros, name: str) -> None:
+    node = controller(ros, "--params-file", scenario(name), *HOLD)
+    assert node.get_parameter("reference.type").value == "hold"
+
+
+def test_bare_parameter_overrides_in_a_namespace(ros: Ros) -> None:
+    node = controller(ros, "-r", "__ns:=/left", "--params-file", scenario("paper_k31"), *HOLD)
+    assert node.get_parameter("reference.type").value == "hold"
+
+
+def test_a_parameter_before_the_file_that_sets_it_is_refused(ros: Ros) -> None:
+    with pytest.raises(fjr.ParameterError, match=r"'-p reference.type:=hold' has no effect: .* sets .* to 'sine'"):
+        controller(ros, *HOLD, "--params-file", scenario("paper_k31"))
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+@pytest.mark.parametrize("after", [True, False])
+def test_node_section_applies_and_a_conflicting_bare_parameter_is_refused(
+    ros: Ros, tmp_path: Path, section: str, after: bool
+) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(f"{section}:\n  {SINE}\n")
+    file = ("--params-file", str(path))
+    assert controller(ros, *file).get_parameter("reference.type").value == "sine"
+    with pytest.raises(fjr.ParameterError, match="reference.type:=hold' has no effect.*section /\\*\\*"):
+        controller(ros, *((*file, *HOLD) if after else (*HOLD, *file)))
+
+
+def test_parameter_with_node_name_overrides_the_node_section(ros: Ros, tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(f"/**/fjr_controller:\n  {SINE}\n")
+    node = controller(ros, "--params-file", str(path), "-p", "fjr_controller:reference.type:=hold")
+    assert node.get_parameter("reference.type").value == "hold"
+
+
+def test_last_of_two_parameters_applies_and_those_of_other_nodes_are_ignored(ros: Ros) -> None:
+    node = controller(ros, "-p", "reference.type:=sine", *HOLD, "-p", "fjr_plant:reference.type:=sine")
+    assert node.get_parameter("reference.type").value == "hold"
+
+
+@pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
+def test_node_reads_only_its_own_parameters_of_a_shared_file(ros: Ros, kind: type, capfd) -> None:
+    node = ros.start(kind, ["--ros-args", "--params-file", scenario("paper_k31"), "-p", "compile:=false"])
+    assert node.has_parameter("publish_rate") == (kind is PlantNode)
+    assert node.has_parameter("gains.K_ld") == (kind is ControllerNode)
+    assert "unknown parameter" not in capfd.readouterr().err
+
+
+def test_rules_are_read_only_between_ros_args_and_its_end() -> None:
+    words = ["-p", "a:=1", "--ros-args", "--param", "b:=[1.0]", "-r", "x:=y", "-p", "n:c:=on", "--", "-p", "d:=1"]
+    found = [(rule.node, rule.name, rule.value) for rule in parameter_rules(words)]
+    assert found == [("", "b", [1.0]), ("n", "c", True)]
+
+
+VALUES: dict[str, Any] = {
+    "numbers": [1e-7, 0.1, 1e22, 3.0, -5.0],
+    "number": 1e-3,
+    "whole": 3,
+    "truth": False,
+    "names": ["1e-3", "on", "plain", "a: b", "#", "3", "true", "null", "~", "x", "y", "N"],
+    "text": "<a>\n  \"x\" 'y' é\n\n    indented: [1]\n</a>\n",
+    "tabbed": "<a>\n\t<b/>\n</a>",
+    "blanks": "<a> \n  <b/>   \n</a>\n\n",
+    "branch.leaf": "down",
+}
+HAND_WRITTEN = """
+/**:
+  ros__parameters:
+    a: 1e-1
+    b: [1e-1, 2.5E3]
+    c: 0.5
+/**/probe:
+  ros__parameters:
+    c: 1.5e2
+    d.e: [x, "y"]
+    g: [y, n, true, off]
+    d: {f: yes}
+/**/other:
+  ros__parameters:
+    c: 9.0
+"""
+
+
+class Probe(Node):
+    """A node that accepts every given parameter."""
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("probe", automatically_declare_parameters_from_overrides=True, **node_kwargs)
+
+    def values(self) -> dict[str, Any]:
+        own = {name for name in self.get_parameters_by_prefix("") if not name.startswith(("use_sim", "start_type"))}
+        return {name: plain(self.get_parameter(name).value) for name in own}
+
+
+def plain(value: Any) -> Any:
+    return value if isinstance(value, (str, bool, int, float)) else list(value)
+
+
+def seen_by_rcl(ros: Ros, text: str, path: Path) -> dict[str, Any]:
+    path.write_text(text, encoding="utf-8")
+    return ros.start(Probe, ["--ros-args", "--params-file", str(path)]).values()
+
+
+def test_written_files_are_read_equally_by_rcl(ros: Ros, tmp_path: Path) -> None:
+    text = ros_yaml.dump({"/**/probe": {"ros__parameters": ros_yaml.tree_of(VALUES)}})
+    assert seen_by_rcl(ros, text, tmp_path / "written.yaml") == VALUES
+
+
+def test_files_are_read_as_by_rcl(ros: Ros, tmp_path: Path) -> None:
+    values = ros_yaml.values_for("probe", ros_yaml.parse(HAND_WRITTEN))
+    assert seen_by_rcl(ros, HAND_WRITTEN, tmp_path / "hand.yaml") == values
+
+
+@pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
+def test_node_starts_from_a_self_contained_scenario_with_embedded_urdf(
+    ros: Ros, tmp_path: Path, kind: type[Node]
+) -> None:
+    (tmp_path / "arm.urdf").write_text(two_link_urdf())
+    robot = {
+        "robot.model": "urdf",
+        "robot.urdf": "arm.urdf",
+        "robot.joint_stiffness": STIFFNESS,
+        "robot.motor_inertia": MOTOR_INERTIA,
+    }
+    given = {node: {"joints": JOINTS, "compile": False, **robot} for node in OWN_PARAMETERS}
+    path = tmp_path / "scenario.yaml"
+    path.write_text(ros_yaml.dump(self_contained(given, tmp_path)))
+    (tmp_path / "arm.urdf").unlink()
+    node = ros.start(kind, ["--ros-args", "--params-file", str(path)])
+    assert node.get_parameter("robot.urdf").value == two_link_urdf()
+
+
+STATES: dict[str, tuple[str, ...]] = {
+    "unconfigured": (),
+    "inactive": ("configure",),
+    "active": ("configure", "activate"),
+}
+
+
+def dump(ros: Ros, peer: Peer, node: str) -> list[Parameter]:
+    names = call(ros, peer, ListParameters, f"{node}/list_parameters").result.names
+    values = call(ros, peer, GetParameters, f"{node}/get_parameters", names=names).values
+    return [Parameter(name=name, value=value) for name, value in zip(names, values, strict=True)]
+
+
+def load(ros: Ros, peer: Peer, node: str, parameters: list[Parameter]) -> list[str]:
+    """Set parameters as `ros2 param load` does; return the reasons of refusals."""
+    results = call(ros, peer, SetParameters, f"{node}/set_parameters", parameters=parameters).results
+    return [result.reason for result in results if not result.successful]
+
+
+def other(name: str, value: Any) -> list[Parameter]:
+    return [RosParameter(name, value=value).to_parameter_msg()]
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_plant_loads_its_own_dump(ros: Ros, peer: Peer, lockstep: bool) -> None:
+    ros.plant(lockstep=lockstep)
+    parameters = dump(ros, peer, "fjr_plant")
+    assert len(parameters) > 40
+    assert load(ros, peer, "fjr_plant", parameters) == []
+    assert dump(ros, peer, "fjr_plant") == parameters
+    (refused,) = load(ros, peer, "fjr_plant", other("publish_rate", 500.0))
+    assert refused
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_controller_loads_its_own_dump_without_any_change(ros: Ros, state: str) -> None:
+    manager = Manager(ros)
+    ros.controller(autostart=False)
+    for transition in STATES[state]:
+        assert manager.change(transition)
+    parameters = dump(ros, manager, "fjr_controller")
+    assert len(parameters) > 80
+    assert load(ros, manager, "fjr_controller", parameters) == []
+    assert dump(ros, manager, "fjr_controller") == parameters
+    ros.settle()
+    assert not {"gains changed", "settings changed"} & set(manager.kinds())
+    refused = load(ros, manager, "fjr_controller", other("state_timeout", 1.5))
+    assert bool(refused) == (state != "unconfigured")
+
+
+@pytest.mark.parametrize("node", ["fjr_plant", "fjr_controller"])
+def test_parameter_descriptions_state_when_a_value_can_change(ros: Ros, peer: Peer, node: str) -> None:
+    managed = node == "fjr_controller"
+    (ros.controller if managed else ros.plant)()
+    own = controller_parameters if managed else plant_parameters
+    table = {parameter.name: parameter for parameter in all_parameters(own, {})}
+    answer = call(ros, peer, DescribeParameters, f"{node}/describe_parameters", names=list(table))
+    for descriptor in answer.descriptors:
+        described: ParameterDescriptor = descriptor
+        dynamic = table[described.name].dynamic
+        assert described.read_only == (not dynamic and not managed)
+        says = {
+            (True, True): "may change while the node is active",
+            (True, False): "may change only while the node is unconfigured",
+            (False, True): "may change while the node runs",
+            (False, False): "fixed while the node runs",
+        }[managed, dynamic]
+        assert described.additional_constraints.endswith(says), described.name

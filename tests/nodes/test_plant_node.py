@@ -18,8 +18,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from fjr_core.config.robot import description
 from fjr_msgs_py.names import LATCHED
+from fjr_plant.lock_step import START as LOCKSTEP_START
 from fjr_plant.plant_node import SETTLING, PlantConflictError, PlantNode
-from fjr_plant.timing.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, answer, call, command, integrate, state_of
 

@@ -13,8 +13,8 @@ from scipy import stats
 from fjr_core import ParameterError
 from fjr_core.simulation.imperfections import ChannelErrors, SensorErrors
 from fjr_plant.channel import COMMANDS, PERIOD, SENSORS, SPARE, STATES, Channel, SampleTimes, generator
-from fjr_plant.native.program import array, plant_program
-from fjr_plant.sensors import NO_VELOCITIES, Sensors
+from fjr_plant.native import plant_program
+from fjr_plant.simulated_robot import NO_VELOCITIES, Sensors
 
 MS = 1_000_000  # ns
 N = 20_000
@@ -206,7 +206,7 @@ POSITION, VELOCITY = np.array([0.3, -1.2, 0.31, -1.19]), np.array([0.5, -0.25, 0
 def read(sensor: Sensors, instant: int, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return measured positions and velocities; no velocities: (0,)."""
     program, values = plant_program(), (position.copy(), velocity.copy())
-    pointers = [array(program, each) for each in values]
+    pointers = [program.array(each) for each in values]
     program.lib.fjr_sensors_disturb(sensor.pointer, len(position) // 2, instant, *pointers)
     return values[0], values[1] if sensor.velocities else NO_VELOCITIES
 

@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_plant.native.program import plant_program
+from fjr_plant.native import plant_program
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, call, command, integrate, state_of
 

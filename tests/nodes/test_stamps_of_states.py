@@ -58,7 +58,7 @@ def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
     for k in range(105):
         player.play(50 * SECOND + 50 * PERIOD + k * 10 * PERIOD)
     player.run(51 * SECOND + 100 * PERIOD, 100)
-    counters = controller._control.tracker.counters
+    counters = controller._control.step.counters
     assert (counters["silences"], counters["recoveries"]) == (1, 1)
     assert counters["reference restarts"] == counters["stops"] == 0
     assert max(abs(message.data[0]) for message in peer.efforts[count:]) < 2.0

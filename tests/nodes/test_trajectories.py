@@ -13,7 +13,7 @@ import pytest
 from trajectory_msgs.msg import JointTrajectory
 
 import fjr_core as fjr
-from fjr_controller.trajectory.planner import LONG, PlanningProblem
+from fjr_controller.planner import LONG, PlanningProblem
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader, trajectory_message
 from nodes.harness import Ros, stamped
@@ -164,7 +164,7 @@ def test_a_replacement_while_moving_begins_with_the_jets_of_the_active_reference
     manager.ask(stamped(0.0, 0.0))
     manager.send(move())
     manager.ask(stamped(0.3, 0.0))
-    tracker = node._control.tracker
+    tracker = node._control.step
     before = tracker.jets_at(tracker.last_stamp)
     manager.send(trajectory((1.0, 0.7)))
     manager.ask(stamped(0.3, 0.0))
@@ -339,11 +339,11 @@ def test_late_plan_causes_no_step_of_u(ros: Ros, manager: Manager, gate: Gate) -
     node = planned(ros, manager, gate, move())
     k = 20
     efforts = [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(1, k + 1)]
-    before = node._control.tracker.jets_at(ZERO + round(STEP * k * SECOND))
+    before = node._control.step.jets_at(ZERO + round(STEP * k * SECOND))
     gate.open()
     ros.until(lambda: "references changed" in manager.kinds(), "the plan")
     manager.ask(stamped(STEP * k, 0.0))
-    after = node._control.tracker.jets_at(ZERO + round(STEP * k * SECOND))
+    after = node._control.step.jets_at(ZERO + round(STEP * k * SECOND))
     np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
     efforts += [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k + 1, 2 * k)]
     steps = np.abs(np.diff(efforts))

@@ -12,7 +12,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from fjr_monitor.watch.node import FjrWatch
 from fjr_monitor.watch.state import Event, Health, JointLine, Timing, View, Watched
 from fjr_monitor.watch.terminal import log_bar, signed_bar, sparkline
-from fjr_msgs_py.messages.certificate import labelled
+from fjr_msgs_py.node.reports import labelled
 from nodes.harness import Ros
 from watch_text import text
 

@@ -13,10 +13,7 @@ from rcl_interfaces.msg import ParameterType
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
-from fjr_core.config.controller import controller_parameters
-from fjr_core.config.nodes import all_parameters
-from fjr_core.config.plant import plant_parameters
-from fjr_plant.timing.lock_step import START as LOCKSTEP_START
+from fjr_plant.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
@@ -291,18 +288,18 @@ WIRED_ELSEWHERE = {
 WIRED_BY_GROUP = (
     "reference.",  # tests/core/config/test_reference.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
-    "measurement.",  # tests/core/runtime/test_measurement_model.py, test_limits_over_ros
+    "measurement.",  # tests/core/runtime/test_measurement.py, test_limits_over_ros
     "limits.",  # tests/tracking, test_limits_over_ros
     "on_stop",
     "start.",
     "recovery.",
     "hold.",
-    "constraints.",  # test_goal_tolerances
+    "constraints.",  # test_follow_action
     "allow_partial_joints",  # test_trajectories
     "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
     "plant.",  # test_own_code
-    "robust.",  # test_robust_action
-    "robot.guesses.",  # tests/core/config/test_robot_file.py
+    "robust.",  # test_other_laws
+    "robot.guesses.",  # tests/core/config/test_guesses.py
 )
 
 

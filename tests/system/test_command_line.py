@@ -13,7 +13,7 @@ import click
 import pytest
 
 from fjr_bringup.cli.app import GROUPS, fjr, main
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr as run_fjr
 from time_limits import HANG
 

@@ -25,7 +25,7 @@ from fjr_design.studies.comparison import pool as comparison_pool
 from fjr_design.studies.comparison import report as comparison_report
 from fjr_design.studies.comparison import suite
 from fjr_design.studies.comparison.results import Row, Value, extent, rows
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
 from system.documented import documented_keys

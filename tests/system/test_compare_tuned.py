@@ -13,7 +13,7 @@ import yaml
 
 from fjr_design.studies.comparison.markdown import BEGIN, END, marks
 from fjr_design.studies.comparison.results import rows, table_rows
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system

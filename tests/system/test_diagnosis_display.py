@@ -16,8 +16,8 @@ from fjr_monitor.diagnosis.diagnosis import Diagnosis
 from fjr_monitor.report import html, runs_report
 from fjr_monitor.watch.state import Health
 from fjr_monitor.watch.terminal import _status
-from fjr_msgs_py.console.result import finite
-from fjr_msgs_py.messages.diagnosis import LEVELS
+from fjr_msgs_py.console.output import finite
+from fjr_msgs_py.node.reports import VERDICT_LEVELS
 
 pytestmark = pytest.mark.system
 DEGRADED = Diagnosis(
@@ -44,11 +44,11 @@ def test_the_page_shows_the_number_in_amber() -> None:
 def test_every_verdict_has_a_level_a_heading_and_a_colour() -> None:
     kinds = {"holding", "degraded", "violated", "unknown"}
     assert set(html.HEADINGS) == set(runs_report.COLOURED) == {*kinds, "late"}
-    assert set(LEVELS) == kinds
+    assert set(VERDICT_LEVELS) == kinds
 
 
 def test_the_terminal_shows_a_degraded_verdict_in_yellow() -> None:
-    level = int.from_bytes(LEVELS["degraded"], "little")
+    level = int.from_bytes(VERDICT_LEVELS["degraded"], "little")
     stream = io.StringIO()
     status = Health("fjr_controller: certificate", level, f"Degraded: {DEGRADED.sentence}")
     Console(file=stream, width=200, force_terminal=True, color_system="standard").print(_status(status))

@@ -11,7 +11,7 @@ import pytest
 
 from fjr_core.config.scenario import load_scenario
 from fjr_identification import excitation
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr_here, scenario
 
 pytestmark = pytest.mark.system

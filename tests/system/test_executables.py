@@ -14,7 +14,7 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.names import LATEST
 from nodes.harness import Listener, Peer, Ros, stamped
 from nodes.test_controller_node import paper_effort

@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from nodes.harness import Listener, Ros
 from system.executables import NODES, Executable, fjr, fjr_here, wait_for
 

@@ -20,7 +20,7 @@ import pytest
 from fjr_design.studies.monte_carlo import command as monte_carlo_command
 from fjr_design.studies.monte_carlo.pool import ClusterError, cluster, run_missing
 from fjr_design.studies.monte_carlo.store import open_store
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from system.executables import Executable, fjr, fjr_here
 from time_limits import Limit
 

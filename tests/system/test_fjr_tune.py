@@ -20,8 +20,7 @@ from fjr_design.studies.tuning.command import planned
 from fjr_design.studies.tuning.evaluation import Evaluation
 from fjr_design.studies.tuning.picture import pareto
 from fjr_design.studies.tuning.store import open_store
-from fjr_msgs_py.console.exit_codes import Exit
-from fjr_msgs_py.console.interrupt import Interrupted
+from fjr_msgs_py.console.ending import Exit, Interrupted
 from system.documented import documented_keys
 from system.executables import fjr_here
 

@@ -9,19 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config.controller import motion_limits, safety
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import ParameterError, TrajectoryError
 from fjr_core.model.robot import PRISMATIC, REVOLUTE
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.motions.point_to_point import Hold
+from fjr_core.runtime.control_step import ControlStep
 from fjr_design.cli.check import check_rows
 from fjr_design.cli.preflight import checked
 from fjr_monitor.analysis import headlines
 from fjr_monitor.report.write import report_run
 from fjr_monitor.watch.state import Watched
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr_here
 from system.shared_runs import shared_run
 from tracking.tracked import sample
@@ -102,7 +102,7 @@ def test_robot_has_the_units_of_its_joints(arm: Scenario) -> None:
 
 def test_limits_of_a_prismatic_joint_are_in_metres(arm: Scenario) -> None:
     values = {**arm.controller_values, "limits.link_position_upper": [0.04, 0.1], "limits.link_velocity": [1.0, 1.0]}
-    tracker = Tracker(arm.law, Hold((0.0, 0.0)), safety(values, arm.robot))
+    tracker = ControlStep(arm.law, Hold((0.0, 0.0)), safety(values, arm.robot))
     tracker.command(sample(0, (0.05, 0.2), 0.0), 0)
     assert tracker.reason == "stopped: link position of lift: q_l = 0.05 m; expected at most 0.04 m"
     tracker.start()

@@ -19,7 +19,7 @@ from diagnosis_benchmark.runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, 
 from diagnosis_benchmark.table import BEGIN, NAMES, diagnosed, diagnosed_cause, right, table  # noqa: E402
 from fjr_core.config.scenario import load_scenario  # noqa: E402
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose  # noqa: E402
-from fjr_msgs_py.console.exit_codes import Exit  # noqa: E402
+from fjr_msgs_py.console.ending import Exit  # noqa: E402
 from system.executables import fjr_here  # noqa: E402
 from system.shared_runs import shared_run  # noqa: E402
 

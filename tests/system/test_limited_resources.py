@@ -18,8 +18,8 @@ from fjr_bringup.node_process import executable
 from fjr_core.files.text_file import write_text
 from fjr_monitor.recording.reader import read_bag
 from fjr_monitor.report.write import write_with_fallback
-from fjr_msgs_py.console.exit_codes import Exit
-from fjr_msgs_py.node.environment import ensure_log_folder
+from fjr_msgs_py.console.ending import Exit
+from fjr_msgs_py.node.loading import ensure_log_folder
 from system.talker import TALKER
 from time_limits import HANG
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fjr_plant.timing.lock_step import START
+from fjr_plant.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop
 from system.executables import NODES, Executable, wait_for

@@ -201,7 +201,7 @@ def test_topics_that_are_not_played_are_refused(tmp_path: Path, arguments: tuple
 
 
 def test_hint_names_the_installed_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fjr_msgs_py.console.ros2_tools import play_command
+    from fjr_msgs_py.console.ros2 import play_command
 
     monkeypatch.setenv("PATH", str(tmp_path))
     assert play_command(Path("my bag")) == "fjr play 'my bag'"

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from fjr_monitor.analysis.timing import Distribution
 from fjr_monitor.plotting.figure import STORED, Line, Plot, Pool, decimated, drawable
 from fjr_monitor.report.run_figures import HALF, bins
-from fjr_msgs_py.console.formatting import milliseconds, number, percent
+from fjr_msgs_py.console.output import milliseconds, number, percent
 
 VALUES = st.floats(-1e6, 1e6, width=32)
 

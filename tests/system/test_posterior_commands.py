@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system

@@ -21,9 +21,9 @@ from fjr_monitor.recording.reader import read_bag
 from fjr_monitor.report import html
 from fjr_monitor.report.run_report import write_run_page
 from fjr_monitor.report.write import RunSummary, compare, report_bag, table
-from fjr_msgs_py.console import progress
-from fjr_msgs_py.console.exit_codes import Exit
-from fjr_msgs_py.console.result import json_text
+from fjr_msgs_py.console import output as progress
+from fjr_msgs_py.console.ending import Exit
+from fjr_msgs_py.console.output import json_text
 from system.documented import documented_keys
 from system.shared_runs import shared_run
 from time_limits import Limit

@@ -13,7 +13,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.wiring import NumericCheck
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.wiring_fault import WiringFault
+from fjr_core.runtime.events import WiringFault
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.wiring import WiringCheck
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
 from system.executables import NODES, Executable, fjr_here
 
 pytestmark = pytest.mark.system

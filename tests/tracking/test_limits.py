@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.events import Event, State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.config import parameter as parameters
 from fjr_core.config.controller import controller_parameters, safety, safety_parameters
 from fjr_core.motions.point_to_point import Hold
-from fjr_core.runtime.safety_settings import Settings
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import Event, State
 from tracking.tracked import LAW, MS, TWO, TWO_SINES, Passed, paper_law, sample, settings, two_link_law
 
 INF = float("inf")
@@ -41,7 +40,7 @@ def state_with(name: str, joint: int, value: float) -> tuple[Any, np.ndarray]:
     return sample(0, q_l, q_m, dq_l, dq_m), q_ld
 
 
-def stop_at(tracker: Tracker, name: str, joint: int, value: float) -> Event | None:
+def stop_at(tracker: ControlStep, name: str, joint: int, value: float) -> Event | None:
     """Start in such a state; return the event of the stop, if it is one."""
     state, q_ld = state_with(name, joint, value)
     tracker.start(Hold(q_ld))
@@ -52,13 +51,13 @@ def stop_at(tracker: Tracker, name: str, joint: int, value: float) -> Event | No
     return found[0] if found else None
 
 
-def passing(n: int = 1, **given: object) -> Tracker:
+def passing(n: int = 1, **given: object) -> ControlStep:
     """Return a tracker whose law has the link positions as its effort."""
     robot = (LAW if n == 1 else TWO).robot
-    return Tracker(fjr.PythonLaw(Passed(robot), robot), Hold(np.zeros(n)), settings(n, **given), simulated_time=True)
+    return ControlStep(fjr.PythonLaw(Passed(robot), robot), Hold(np.zeros(n)), settings(n, **given), simulated=True)
 
 
-def send(tracker: Tracker, u: Any, stamp: int) -> np.ndarray:
+def send(tracker: ControlStep, u: Any, stamp: int) -> np.ndarray:
     """Return the effort sent where the law's is u."""
     command = tracker.command(sample(stamp, u, u), stamp)
     assert command is not None
@@ -73,7 +72,7 @@ def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str
     bound[joint] = 0.7
     side = ("_upper" if sign > 0 else "_lower") if name in SIGNED else ""
     given = [sign * b for b in bound] if side else bound
-    tracker = Tracker(TWO, TWO_SINES, settings(2, **{name + side: given}))
+    tracker = ControlStep(TWO, TWO_SINES, settings(2, **{name + side: given}))
     assert stop_at(tracker, name, joint, sign * 0.7) is None
     assert stop_at(tracker, name, joint, -sign * 0.69) is None
     value = float(np.nextafter(sign * 0.7, sign * INF))
@@ -87,7 +86,7 @@ def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str
 
 @pytest.mark.parametrize("name", [*SIGNED, *SIZES])
 def test_nothing_is_violated_without_limits(name: str) -> None:
-    assert stop_at(Tracker(TWO, TWO_SINES, settings(2)), name, 0, 1e9) is None
+    assert stop_at(ControlStep(TWO, TWO_SINES, settings(2)), name, 0, 1e9) is None
 
 
 def test_efforts_within_the_limits_are_not_changed() -> None:
@@ -127,9 +126,9 @@ def test_tighter_effort_limits_hold_at_once() -> None:
     assert send(tracker, [5.0], MS) <= 2.0
 
 
-def stopped(law: fjr.TrackingLaw, state: Any, **given: object) -> tuple[Tracker, np.ndarray]:
+def stopped(law: fjr.TrackingLaw, state: Any, **given: object) -> tuple[ControlStep, np.ndarray]:
     """Return a tracker that stopped at a state, and the effort that it sent for it."""
-    tracker = Tracker(law, Hold(np.zeros(law.robot.n)), settings(law.robot.n, link_position_upper=0.1, **given))
+    tracker = ControlStep(law, Hold(np.zeros(law.robot.n)), settings(law.robot.n, link_position_upper=0.1, **given))
     assert not tracker.stop_effort().any()
     command = tracker.command(state, 0)
     assert command is not None

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.extensions.python_code import PythonFunction
 from fjr_core.motions.point_to_point import Hold
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from tracking.tracked import (
     LAW,
     LIMITED,
@@ -53,14 +53,14 @@ class Recorder(PythonFunction):
         return [np.concatenate([y, self.velocity])]
 
 
-def is_reset(tracker: Tracker) -> bool:
+def is_reset(tracker: ControlStep) -> bool:
     """Return whether the last sample was the first of the observer."""
-    return tracker.step.controller.measured.k == 0
+    return tracker.controller.measured.k == 0
 
 
 def test_observer_receives_the_sent_effort() -> None:
     recorder = Recorder()
-    tracker = Tracker(LAW, SINE, settings(effort=1.0), recorder)
+    tracker = ControlStep(LAW, SINE, settings(effort=1.0), recorder)
     sent = [0.0]
     for k in range(OBSERVED + 3):
         command = tracker.command(bare_sample(k * MS), k * MS)
@@ -77,7 +77,7 @@ def test_observer_receives_the_sent_effort() -> None:
 
 
 def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_used() -> None:
-    tracker = Tracker(LAW, SINE, settings(), Recorder())
+    tracker = ControlStep(LAW, SINE, settings(), Recorder())
     for k in range(OBSERVED + 2):
         tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
         assert is_reset(tracker) == (k == 0)
@@ -99,7 +99,7 @@ def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_
 
 @pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
 def test_with_an_observer_a_start_sends_the_stop_effort_until_velocities_settle(policy: str) -> None:
-    tracker = Tracker(LAW, SINE, settings(on_stop=policy, start_join_time=0.5), Recorder())
+    tracker = ControlStep(LAW, SINE, settings(on_stop=policy, start_join_time=0.5), Recorder())
     for beginning in (SECOND, 0):  # the second is a jump back
         tracker.command(bare_sample(beginning), 2 * SECOND)  # a jump is unconfirmed at first
         for k in range(1, OBSERVED + 1):
@@ -116,7 +116,7 @@ def test_with_an_observer_a_start_sends_the_stop_effort_until_velocities_settle(
 
 
 def test_a_repeated_state_does_not_update_the_observer() -> None:
-    tracker = Tracker(LAW, Hold([0.0]), settings(), Recorder())
+    tracker = ControlStep(LAW, Hold([0.0]), settings(), Recorder())
     for k in range(OBSERVED):
         for _ in range(3):
             command = tracker.command(bare_sample(k * MS), k * MS)
@@ -126,7 +126,7 @@ def test_a_repeated_state_does_not_update_the_observer() -> None:
 
 @pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper"])
 def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> None:
-    tracker = Tracker(LAW, SINE, settings(**{name: 0.6}), Recorder())
+    tracker = ControlStep(LAW, SINE, settings(**{name: 0.6}), Recorder())
     for k in range(OBSERVED + 1):
         tracker.command(bare_sample(k * MS), k * MS)
     for k, q in enumerate((0.5, 0.7)):  # after a silence
@@ -137,7 +137,7 @@ def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> N
 def test_limits_of_velocities_and_tracking_error_are_not_checked_while_velocities_settle() -> None:
     """After a silence the reference starts at the present position of the arm."""
     recorder = Recorder()
-    tracker = Tracker(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
+    tracker = ControlStep(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
     for k in range(OBSERVED + 1):
         tracker.command(bare_sample(k * MS), k * MS)
     recorder.velocity[0] = 2.0  # possible difference quotient of encoder steps

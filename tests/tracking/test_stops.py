@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core.motions.point_to_point import Hold, standing
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from tracking.tracked import (
     ARMS,
     LAW,
@@ -30,7 +30,7 @@ from tracking.tracked import (
 def test_each_limit_alone_stops_just_beyond_its_value_and_stays(name: str, policy: str) -> None:
     kind, state = LIMITED[name]
     limit = -0.3 if name.endswith("lower") else 0.3
-    tracker = Tracker(LAW, Hold([0.0]), settings(**{name: limit}, on_stop=policy))
+    tracker = ControlStep(LAW, Hold([0.0]), settings(**{name: limit}, on_stop=policy))
     tracker.command(sample(0, 0.0, 0.0), 0)
     tracker.command(sample(MS, *state(0.3)), MS)
     assert tracker.state is State.TRACKING
@@ -123,7 +123,7 @@ def test_a_recovery_waits_for_a_state_with_a_finite_effort() -> None:
 def test_a_stop_is_not_resumed_outside_the_limits(name: str) -> None:
     kind, state = LIMITED[name]
     limit = -0.3 if name.endswith("lower") else 0.3
-    tracker = Tracker(LAW, Hold([0.0]), settings(**{name: limit}))
+    tracker = ControlStep(LAW, Hold([0.0]), settings(**{name: limit}))
     for k in range(2):
         tracker.command(sample(k * MS, *state(0.4)), k * MS)
         tracker.resume()
@@ -178,7 +178,7 @@ def test_gravity_hold_brings_a_moving_arm_to_a_standstill(arm: str) -> None:
 
 
 def test_the_last_effort_is_within_the_limits() -> None:
-    tracker = Tracker(LAW, SINE, settings(effort=0.1, on_stop="gravity_hold"))
+    tracker = ControlStep(LAW, SINE, settings(effort=0.1, on_stop="gravity_hold"))
     assert not tracker.stop_effort().any()
     tracker.command(sample(0, 0.5, 0.5), 0)
     np.testing.assert_array_equal(tracker.stop_effort(), [0.1])

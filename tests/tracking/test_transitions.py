@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transitions to the reference take as long as their limits of velocity, acceleration and position ask."""
+"""Requested references, holds, and the transitions to them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_controller.tracking.events import State
-from fjr_controller.tracking.tracker import Tracker
-from fjr_core.config.controller import controller_parameters
-from fjr_core.config.nodes import all_parameters
-from fjr_core.motions.point_to_point import Hold
+from fjr_core.motions.point_to_point import Hold, standing
+from fjr_core.motions.spline import Spline
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
 from fjr_core.runtime.library import constant
 from tracking.tracked import (
     ARMS,
@@ -25,20 +24,24 @@ from tracking.tracked import (
     TWO,
     TWO_SINES,
     Loop,
+    largest_step,
     sample,
     settings,
+    tracker_at,
 )
 
 SHARE, MORE = constant("VELOCITY_SHARE"), constant("MORE")
 
 
-def joined(reference: fjr.Reference, q: Any, dq: Any = 0.0, law: Any = LAW, **given: Any) -> tuple[Tracker, float, Any]:
+def joined(
+    reference: fjr.Reference, q: Any, dq: Any = 0.0, law: Any = LAW, **given: Any
+) -> tuple[ControlStep, float, Any]:
     """Return a tracker that starts at q, dq with a transition; its duration [s], and its jets (k, 5, n)."""
     n = law.robot.n
     given = {"start_join_time": 1.0, **given}
-    tracker = Tracker(law, reference, settings(n, **given))
+    tracker = ControlStep(law, reference, settings(n, **given))
     tracker.command(sample(SECOND, np.full(n, q), np.full(n, q), np.full(n, dq), np.full(n, dq)), SECOND)
-    active = tracker.step.controller.supervisor.reference
+    active = tracker.controller.supervisor.reference
     stamps = np.linspace(SECOND, active.transition_end, 2000).astype(np.int64)
     jets = np.array([tracker.jets_at(int(stamp)) for stamp in stamps])
     return tracker, (active.transition_end - SECOND) * 1e-9, jets
@@ -113,7 +116,7 @@ def test_after_a_short_gap_the_arm_follows_its_reference_almost_unchanged() -> N
     ("q", "dq", "joins"), [(0.05, 0.0, False), (0.05, 0.4, False), (0.05, 0.6, True), (0.2, 0.0, True)]
 )
 def test_a_start_within_the_start_error_has_no_transition(q: float, dq: float, joins: bool) -> None:
-    tracker = Tracker(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0))
+    tracker = ControlStep(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0))
     command = tracker.command(sample(0, q, q, dq, dq), 0)
     assert command is not None
     assert command.state is (State.JOINING if joins else State.TRACKING)
@@ -140,12 +143,12 @@ def test_a_start_beside_a_moving_arm_needs_little_more_effort_than_the_motion() 
 
 
 def test_a_request_that_does_not_match_respects_the_limits() -> None:
-    tracker = Tracker(LAW, SINE, settings(link_velocity=1.5, acceleration=4.0))
+    tracker = ControlStep(LAW, SINE, settings(link_velocity=1.5, acceleration=4.0))
     for k in range(3):
         tracker.command(sample(k * MS, 0.0, 0.0, 1.0, 1.0), k * MS)
     tracker.follow(Hold([2.0]))
     tracker.command(sample(3 * MS, 0.0, 0.0, 1.0, 1.0), 3 * MS)
-    end = tracker.step.controller.supervisor.reference.transition_end
+    end = tracker.controller.supervisor.reference.transition_end
     jets = np.array([tracker.jets_at(int(stamp)) for stamp in np.linspace(3 * MS, end, 1000)])
     assert np.abs(jets[:, 1]).max() <= 1.22
     assert np.abs(jets[:, 2]).max() <= 4.1
@@ -158,3 +161,92 @@ def test_a_request_that_does_not_match_respects_the_limits() -> None:
 def test_an_arm_of_a_urdf_starts_by_a_transition_unless_told_otherwise(given: dict[str, Any], default: float) -> None:
     known = all_parameters(controller_parameters, given)
     assert {each.name: each.default for each in known}["start.join_time"] == default
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("ahead", [None, 0, 100], ids=["at once", "now", "later"])
+def test_a_matched_reference_takes_over_without_a_step(arm: str, ahead: int | None) -> None:
+    law, reference, x0, step = ARMS[arm]
+    loop = Loop(law, reference, settings(law.robot.n), x0)
+    loop.run(2.0)
+    usual = largest_step(loop.efforts[1900:])
+    start = loop.now + (ahead or 0) * MS
+    jets = loop.tracker.jets_at(start)
+    assert jets is not None
+    spline = Spline([1.0], [np.full(law.robot.n, 0.2)], start=jets)
+    loop.tracker.follow(spline, None if ahead is None else start)
+    before = len(loop.efforts)
+    loop.run(1.5)
+    switch = before + (ahead or 0)
+    assert largest_step(loop.efforts[switch - 1 : switch + 1]) < 1.5 * usual
+    assert largest_step(loop.efforts[before - 1 :]) < step
+    np.testing.assert_allclose(loop.commands[switch].jets, jets, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(loop.commands[-1].jets, standing(np.full(law.robot.n, 0.2)), atol=1e-12)
+    assert loop.error < 2e-3
+    assert loop.tracker.end == start + SECOND
+    assert loop.tracker.bound_start == SECOND
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_a_reference_that_does_not_match_is_reached_by_a_transition(arm: str) -> None:
+    law, reference, x0, step = ARMS[arm]
+    n = law.robot.n
+    loop = Loop(law, reference, settings(n), x0)
+    loop.run(2.0)
+    loop.tracker.follow(fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2)))
+    start = loop.now
+    before = len(loop.efforts)
+    command = loop.step()
+    assert command is not None
+    np.testing.assert_allclose(command.jets, reference.jets(2.0), rtol=1e-9, atol=1e-9)
+    assert command.state is State.JOINING
+    loop.run_through_transition()
+    assert largest_step(loop.efforts[before - 1 :]) < step
+    sine = fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2))
+    np.testing.assert_allclose(loop.tracker.jets_at(loop.now), sine.jets((loop.now - start) * 1e-9))
+    assert loop.error < 2e-3
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_hold_comes_to_a_standstill_without_a_step(arm: str) -> None:
+    law, reference, x0, step = ARMS[arm]
+    loop = Loop(law, reference, settings(law.robot.n, hold_deceleration=4.0), x0)
+    loop.run(2.0)
+    jets = reference.jets(2.0)
+    time = min(max(float(np.max(np.abs(jets[1]))) / 4.0, 0.2), 2.0)
+    loop.tracker.hold()
+    before = len(loop.efforts)
+    loop.run(time + 1.0)
+    assert largest_step(loop.efforts[before - 1 :]) < step
+    resting = loop.commands[before + int(time * 1e3) + 1].jets
+    np.testing.assert_allclose(resting, standing(jets[0] + jets[1] * time / 2), atol=1e-12)
+    np.testing.assert_array_equal(loop.commands[-1].jets, resting)
+    assert loop.error < 2e-3
+
+
+def test_hold_before_the_first_sample_holds_the_present_position() -> None:
+    tracker = ControlStep(LAW, SINE, settings(start_error=0.1))
+    tracker.hold()
+    command = tracker.command(sample(0, 0.7, 0.7), 0)
+    assert command is not None
+    np.testing.assert_array_equal(command.jets, standing([0.7]))
+    assert command.state is State.TRACKING
+
+
+def test_hold_while_stopped_holds_the_position_at_resume() -> None:
+    tracker = tracker_at(0, link_velocity=1.0)
+    tracker.command(sample(MS, 0.5, 0.5, 2.0), MS)
+    tracker.hold()
+    tracker.command(sample(2 * MS, 0.6, 0.6), 2 * MS)
+    tracker.resume()
+    for k in (3, 400, 800, 1200, 1500):
+        command = tracker.command(sample(k * MS, 0.6, 0.6), k * MS)
+        np.testing.assert_allclose(command.jets, standing([0.6]), atol=1e-12)  # type: ignore[union-attr]
+
+
+def test_a_reference_given_before_the_first_sample_begins_there() -> None:
+    tracker = ControlStep(LAW, SINE, settings())
+    assert tracker.jets_at(0) is None
+    tracker.follow(Hold([0.3]))
+    command = tracker.command(sample(SECOND, 0.5, 0.5), 0)
+    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]

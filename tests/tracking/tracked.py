@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import fjr_core as fjr
-from fjr_controller.tracking.tracker import Command, Tracker
+from fjr_core.runtime.control_step import Command, ControlStep
 from fjr_core.runtime.library import constant
 from fjr_core.runtime.safety_settings import Settings
 
@@ -46,7 +46,7 @@ class Loop:
     """A plant and a tracker of the same robot, with a record of both; the arrival clock is that of the stamps."""
 
     def __init__(self, law: fjr.TrackingLaw, reference: fjr.Reference, given: Settings, x0: Any, **more: Any) -> None:
-        self.tracker = Tracker(law, reference, given, **more)
+        self.tracker = ControlStep(law, reference, given, **more)
         self.robot, self.plant = law.robot, fjr.Plant(law.robot)
         self.x = np.asarray(x0, dtype=float)
         self.now = 10**9
@@ -79,7 +79,7 @@ class Loop:
 
     def run_through_transition(self, more: float = 1.0) -> None:
         """Run until the transition has ended, and for `more` seconds."""
-        end = self.tracker.step.controller.supervisor.reference.transition_end
+        end = self.tracker.controller.supervisor.reference.transition_end
         self.run((end - self.now) * 1e-9 + more)
 
     @property
@@ -121,20 +121,20 @@ LIMITED = {
 """By limit: the kind of its violation, and a state (q_l, q_m, dq_l, dq_m) in which the quantity is v."""
 
 
-def kinds(tracker: Tracker) -> list[str]:
+def kinds(tracker: ControlStep) -> list[str]:
     return [event.kind for event in tracker.events]
 
 
-def tracker_at(*stamps: int, reference: fjr.Reference = SINE, **given: Any) -> Tracker:
-    tracker = Tracker(LAW, reference, settings(**given))
+def tracker_at(*stamps: int, reference: fjr.Reference = SINE, **given: Any) -> ControlStep:
+    tracker = ControlStep(LAW, reference, settings(**given))
     for stamp in stamps:
         assert tracker.command(sample(stamp, 0.5, 0.5), stamp) is not None
     return tracker
 
 
-def last_effort(tracker: Tracker) -> np.ndarray:
+def last_effort(tracker: ControlStep) -> np.ndarray:
     """Return the last effort sent (n,), within the present limits."""
-    return np.array(list(tracker.step.controller.limits.sent))
+    return np.array(list(tracker.controller.limits.sent))
 
 
 class Passed:

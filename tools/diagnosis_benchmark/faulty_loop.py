@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
-from fjr_plant.timing.lock_step import START
+from fjr_plant.lock_step import START
 
 from .loop import LockStepLoop, Sample
 
@@ -63,7 +63,7 @@ class FaultyLoop(LockStepLoop):
 
     def _answer(self, sample: Sample) -> None:
         super()._answer(sample)
-        if not self.found_after and self.tracker.step.controller.wiring.found:
+        if not self.found_after and self.tracker.controller.wiring.found:
             self.found_after = len(self.log.commands) - 1
         if self._fault.effort is not None:
             self._robot.u = self._fault.effort(self.log.commands[-1][1])

@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fjr_controller.tracking.tracker import Tracker
 from fjr_core import StateError
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.measurement_model import JointSample
 from fjr_monitor.diagnosis.record import Record
-from fjr_msgs_py.messages.joint_states import JointSample
+from fjr_plant.lock_step import START
 from fjr_plant.simulated_robot import simulated
-from fjr_plant.timing.lock_step import START
 
 Sample = tuple[int, Array, Array, Array]
 """Stamp [ns], positions, velocities and efforts, (2n,) each."""
@@ -42,7 +42,7 @@ class LockStepLoop:
         self._robot, self._transport = simulated(scenario.plant_values, scenario.plant, scenario.x0)
         self._n = scenario.robot.n
         settings = safety(scenario.controller_values, scenario.robot)
-        self.tracker = Tracker(scenario.law, scenario.reference, settings, simulated_time=True)
+        self.tracker = ControlStep(scenario.law, scenario.reference, settings, simulated=True)
         self._arrived: deque[Sample] = deque()
         self._newest = 0
         self.log = Log()

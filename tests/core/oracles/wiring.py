@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.wiring_fault import WiringFault
+from fjr_core.runtime.events import WiringFault
 
 Order = NDArray[np.intp]
 

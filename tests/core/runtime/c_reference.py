@@ -15,7 +15,7 @@ from cffi import FFI
 import fjr_core
 from design.exports.c_program import built
 from fjr_core.motions.reference import JETS, Reference
-from fjr_core.runtime.reference_struct import ReferenceStruct
+from fjr_core.runtime.reference import ReferenceStruct
 
 STEP = Path(fjr_core.__file__).parent / "runtime"
 STRICT = ("cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-ffp-contract=off")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The step reads motor angles before a gear, or joint torques, as the motor positions q_m."""
+"""Measured signals: the options, and positions behind gears or from joint torques."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.config.controller import BANDWIDTH, measurement, measurement_parameters, observer
+from fjr_core.config.parameter import Values, complete
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import two_link_law
@@ -51,3 +53,70 @@ def test_a_conversion_that_overflows_gets_the_stop_effort(
     assert step.step(0, 0, rest, rest + motor, rest, rest + dq_m)
     assert step.controller.journal.count[step.lib.FJR_EFFORTS_NOT_FINITE] == 1
     assert not step.u.any()
+
+
+ROBOT = fjr.planar_two_link(
+    link_mass=(1.2, 0.8),
+    link_length=(0.3, 0.25),
+    link_com=(0.15, 0.12),
+    link_inertia=(0.01, 0.005),
+    stiffness=(40.0, 30.0),
+    motor_inertia=(0.02, 0.01),
+)
+
+
+def values(**given: object) -> Values:
+    own = {f"measurement.{name}": value for name, value in given.items()}
+    return {**complete(measurement_parameters(2), own), "compile": False}
+
+
+def test_default_measures_positions_and_velocities() -> None:
+    found = measurement(values(), ROBOT)
+    assert (found.velocity, found.motor, found.observed, found.by_torque, found.geared) == (
+        ("measured", "position", False, False, False)
+    )
+    assert observer(values(), ROBOT) is None
+
+
+def test_options_reach_measurement_and_observer() -> None:
+    given = values(velocity="observer", observer_bandwidth=80.0, motor="torque")
+    found = measurement(given, ROBOT)
+    assert found.observed
+    assert found.by_torque
+    np.testing.assert_array_equal(found.K, np.diag([40.0, 30.0]))
+    assert observer(given, ROBOT).bandwidth == 80.0
+    assert observer(values(velocity="observer"), ROBOT).bandwidth == BANDWIDTH
+    np.testing.assert_array_equal(measurement(values(gear_ratio=[100.0, -50.0]), ROBOT).gear_ratio, [100.0, -50.0])
+
+
+REFUSED = {
+    "torque without observer": ({"motor": "torque"}, "measurement.velocity is 'measured'.* expected 'observer'"),
+    "torque behind a gear": (
+        {"motor": "torque", "velocity": "observer", "gear_ratio": [2.0, 1.0]},
+        r"measurement.gear_ratio is \[2.0, 1.0\].* expected 1",
+    ),
+    "no ratio": ({"gear_ratio": [0.0, 1.0]}, r"measurement.gear_ratio is \[0.0, 1.0\]; expected no zeros"),
+    "a ratio too many": ({"gear_ratio": [1.0, 1.0, 1.0]}, "has 3 entries; expected 2"),
+    "an unknown word": ({"velocity": "guessed"}, "expected one of measured, observer"),
+    "another one": ({"motor": "none"}, "expected one of position, torque"),
+    "no bandwidth": ({"observer_bandwidth": 0.0}, "expected 1.0 to 10000.0"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_inconsistent_measurement_options_are_refused_in_one_sentence(case: str) -> None:
+    given, words = REFUSED[case]
+    with pytest.raises(fjr.ParameterError, match=words) as caught:
+        measurement(values(**given), ROBOT)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("given", [{"velocity": "some"}, {"motor": "some"}])
+def test_unknown_options_are_refused_on_construction(given: dict[str, str]) -> None:
+    with pytest.raises(fjr.ParameterError, match="expected one of"):
+        fjr.Measurement(1, **given)
+
+
+def test_torque_measurement_requires_a_stiffness() -> None:
+    with pytest.raises(fjr.ParameterError, match="expected the joint stiffness"):
+        fjr.Measurement(1, "observer", "torque")

@@ -18,8 +18,7 @@ from core.runtime.c_reference import Library, library
 from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.motions.transition import TimeShifted, Transition
-from fjr_core.runtime.reference_struct import ReferenceStruct
-from fjr_core.runtime.reference_table import reference_table
+from fjr_core.runtime.reference import ReferenceStruct, reference_table
 from fjr_design.exports.reference_code import reference_code
 
 RNG = np.random.default_rng(0)

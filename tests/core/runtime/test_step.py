@@ -21,7 +21,8 @@ from fjr_core.motions.point_to_point import Hold
 from fjr_core.numerics.jit import OPTIONS, SAME_BITS
 from fjr_core.robust.law import Robust
 from fjr_core.runtime import velocity_observer
-from fjr_core.runtime.control_step import NEVER, ControlStep
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import NEVER
 from fjr_core.runtime.library import HEADER, c_text, constant, text
 from fjr_core.runtime.safety_settings import Settings
 
@@ -131,7 +132,7 @@ def test_machine_code_and_virtual_machine_of_a_law_agree_to_rounding(name: str) 
         for step in steps:
             assert step.step(k * MS, k * MS, q_l, q_m, dq_l, dq_m)
         np.testing.assert_allclose(steps[0].u, steps[1].u, rtol=0, atol=1e-12 * np.abs(steps[1].u).max())
-        assert pytest.approx(steps[1].command.V, rel=1e-12) == steps[0].command.V
+        assert pytest.approx(steps[1].command_struct.V, rel=1e-12) == steps[0].command_struct.V
 
 
 @pytest.mark.parametrize("dt", [MS, MS // 3, 10 * MS, 99 * MS, 101 * MS])

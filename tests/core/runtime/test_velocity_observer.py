@@ -12,8 +12,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm
 from fjr_core.config.controller import BANDWIDTH
-from fjr_core.runtime.observer_stability import error_radii
-from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, first_corrections
+from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, error_radii, first_corrections
 from measurement_study.loop import Sensors, run, scenario
 
 MS = 1_000_000  # ns

@@ -17,7 +17,7 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.event_kinds import KINDS
+from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded, uncertain_robot

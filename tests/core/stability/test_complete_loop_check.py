@@ -19,8 +19,7 @@ from fjr_core.law.interfaces import AsSampledLaw, SampledLaw
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
-from fjr_core.runtime.observer_stability import error_radii
-from fjr_core.runtime.velocity_observer import VelocityObserver
+from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import linearize, on_plant
 from fjr_core.stability.sampled_loop import check, refuse_fast_integral, spectral_radius

@@ -11,7 +11,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.wiring_fault import WiringFault
+from fjr_core.runtime.events import WiringFault
 from fjr_monitor.diagnosis.wiring import WiringCheck
 
 PERIOD, SAMPLES = 1e-3, 60

@@ -15,7 +15,7 @@ from pathlib import Path
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fjr_core.errors import FjrError
-from fjr_msgs_py.console.ros2_tools import INSTALLATION
+from fjr_msgs_py.console.ros2 import INSTALLATION
 from fjr_msgs_py.node.loading import signals_blocked
 
 LAST_LINES = 8  # of a log

@@ -27,10 +27,10 @@ from fjr_monitor.recording.reader import header_stamp
 from fjr_monitor.recording.recorder import Recorder
 from fjr_monitor.recording.run_folder import RunFolder
 from fjr_msgs_py import names
-from fjr_msgs_py.console.discovery import discover_quickly
-from fjr_msgs_py.console.interrupt import Interrupted
-from fjr_msgs_py.console.progress import heartbeat, note, phase, progress_bar
-from fjr_msgs_py.node.environment import domain
+from fjr_msgs_py.console.ending import Interrupted
+from fjr_msgs_py.console.output import heartbeat, note, phase, progress_bar
+from fjr_msgs_py.console.ros2 import discover_quickly
+from fjr_msgs_py.node.loading import domain
 from fjr_msgs_py.node.scheduling import prioritised
 
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER

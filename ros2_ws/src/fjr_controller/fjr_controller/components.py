@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Assemble the controller from the parameters of its node: law, tracker, topics, services and action."""
+"""Assemble the controller from the parameters of its node: law, control step, topics, services and action."""
 
 from __future__ import annotations
 
@@ -22,20 +22,16 @@ from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot import robot_name
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
-from fjr_msgs_py.messages.events import EventWriter
-from fjr_msgs_py.messages.follow_joint_trajectory import follow_messages
+from fjr_core.runtime.control_step import ControlStep
+from fjr_msgs_py.messages.trajectories import follow_messages
+from fjr_msgs_py.node.reports import EventWriter
 
-from .native.certificate import NativeCertificate
-from .native.command_loop import NativeCommandLoop
-from .native.selection import command_loop
-from .ros.certificate_diagnosis import CertificateDiagnosis
-from .ros.certificate_publisher import CertificatePublisher
-from .ros.command_conflict import CommandConflictError
-from .ros.diagnostics import Reports
-from .tracking.tracker import Tracker
-from .trajectory.follow_joint_trajectory import FollowAction
-from .trajectory.goal_tolerances import Tolerances, tolerances
-from .trajectory.interface import TrajectoryInterface
+from .certificate import LiveCertificate
+from .command_loop import CommandLoop
+from .command_topics import CommandConflictError
+from .follow_action import FollowAction, Tolerances, tolerances
+from .reports import Reports
+from .trajectory_interface import TrajectoryInterface
 
 
 class Control:
@@ -63,19 +59,18 @@ class Control:
             node.get_logger().info(sentence)
         simulated = bool(node.get_parameter("use_sim_time").value)
         robust = robust_action(values, self._law)
-        self.tracker = Tracker(
-            self._law, self._built_in(), settings, observer(values, robot), simulated, robust, measured
-        )
+        given = self._law, self._built_in(), settings, observer(values, robot), simulated, robust, measured
+        self.step = ControlStep(*given)
         # Above nothing is created on the node; below nothing raises.
-        self.reports = Reports(node, self.tracker, events, robot_name(values))
-        self._command_loop = command_loop(node, values, self.tracker, measured, self.reports, on_conflict)
-        apart = isinstance(self._command_loop, NativeCommandLoop) and not simulated
+        self.reports = Reports(node, self.step, events, robot_name(values))
+        self._command_loop = CommandLoop(node, self.step, measured, self.reports, on_conflict)
+        apart = self._command_loop.native and not simulated
         self._interface = TrajectoryInterface(
-            node, joints, self.tracker, self.reports, lambda: self._command_loop.active, self._built_in, apart
+            node, joints, self.step, self.reports, lambda: self._command_loop.active, self._built_in, apart
         )
         self._apply_motion_limits()
         self._action = self._create_action(node, allowed)
-        self._certificate_publisher = self._create_certificate_publisher(node, np.asarray(settings.effort))
+        self._certificate = self._create_certificate(node, np.asarray(settings.effort))
 
     def start(self, since: float) -> None:
         """Start tracking at the first state from `since` [s, steady clock] on, with the reference of the parameters.
@@ -83,7 +78,7 @@ class Control:
         Raise ParameterError if the reference violates its limits.
         Raise CommandConflictError if another process commands the robot.
         """
-        self.tracker.start(self._built_in())
+        self.step.start(self._built_in())
         self._command_loop.start(self._values["state_timeout"], round(since * 1e9))
 
     def stop(self) -> None:
@@ -97,7 +92,7 @@ class Control:
         """Stop, and destroy everything that was created on the node."""
         self.stop()
         self.withdraw()
-        for part in (self._command_loop, self.reports, self._certificate_publisher):
+        for part in (self._command_loop, self.reports, self._certificate):
             if part is not None:
                 part.close()
 
@@ -118,15 +113,15 @@ class Control:
         if "gains" in groups:
             if not isinstance(self._law, TrackingLaw):
                 raise ParameterError(f"parameters 'gains.*' are of the law v_dpbc; the law is {values['law.type']}")
-            law = self._law.with_gains(build_gains(values, robot.n))
-            self.tracker.use(law)
+            law = self._law.with_gains(builders.gains(values, robot.n))
+            self.step.use(law)
             self._law = law
         self._values, self._settings = values, settings
         if groups - {"gains", "reference"}:
-            self.tracker.apply(settings)
+            self.step.apply(settings)
             self._apply_motion_limits()
-        if self._certificate_publisher is not None and isinstance(self._law, TrackingLaw):
-            self._certificate_publisher.use(self._law, np.asarray(settings.effort))
+        if self._certificate is not None and isinstance(self._law, TrackingLaw):
+            self._certificate.use(self._law, np.asarray(settings.effort))
         self.reports.publish_events()
 
     def _read_motion(self, node: Node) -> None:
@@ -147,21 +142,19 @@ class Control:
         values, limits = self._values, motion_limits(self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
-    def _create_certificate_publisher(
-        self, node: Node, limit: Array
-    ) -> CertificatePublisher | NativeCertificate | None:
-        """Return the certificate publisher, if it is enabled and the law has a certificate."""
+    def _create_certificate(self, node: Node, limit: Array) -> LiveCertificate | None:
+        """Return the certificate, if it is enabled and the law has a certificate."""
         if not self._values["certificate"]:
             return None
         if not isinstance(self._law, TrackingLaw):
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
-        robust = build_robust(self._values, self._robot.n)
-        joint_axes = axes(self._values, self._robot)
-        diagnosis = CertificateDiagnosis(node, self._law, self.tracker.step.library, limit, robust, joint_axes)
-        certificate_publisher = self._command_loop.certify(diagnosis)
-        self.reports.add_status(certificate_publisher.status)
-        return certificate_publisher
+        robust, joint_axes = builders.robust(self._values, self._robot.n), axes(self._values, self._robot)
+        loop = self._command_loop
+        certificate = LiveCertificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
+        loop.certify(certificate)
+        self.reports.add_status(certificate.status)
+        return certificate
 
     def _create_action(self, node: Node, allowed: Tolerances) -> FollowAction | None:
         """Return the action server, or None if its messages are not installed."""

@@ -13,14 +13,14 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from fjr_core import FjrError
 from fjr_core.config.controller import controller_parameters
 from fjr_core.config.process import process_parameters, process_settings
+from fjr_core.runtime.events import Event
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.events import EventWriter
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.parameters import ManagedParameterNode
+from fjr_msgs_py.node.reports import EventWriter
 
+from .command_topics import CONFLICTS, CommandConflictError
 from .components import Control
-from .ros.command_conflict import CONFLICTS, CommandConflictError
-from .tracking.events import Event
 
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))
 

@@ -19,7 +19,7 @@ from fjr_monitor.recording.message_types import typestore
 from fjr_monitor.recording.reader import FLOATS, JOINT_STATE, in_order, read_bag
 from fjr_monitor.recording.topic import BagError, Times
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr.layout import StateLayout
+from fjr_msgs_py.messages.cdr import StateLayout
 
 from .estimation.motion_record import LARGEST, MotionRecord, TimeWindow, record_of_samples
 from .record_map import COMMANDS, STATES, BagMap

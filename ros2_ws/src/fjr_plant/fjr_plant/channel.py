@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import NANOSECONDS, ChannelErrors
+from fjr_msgs_py.native.program import Program
 
-from .native.program import PlantProgram, array, plant_program
+from .native import plant_program
 
 STATES, COMMANDS, SENSORS, PERIOD = range(4)  # streams of random numbers of a seed
 SPARE = 256  # items in transit beyond two per period of the delay
@@ -26,7 +27,7 @@ def generator(seed: int, stream: int) -> np.random.Generator:
 class Random:
     """A stream of random numbers for C, which draws what the generator would."""
 
-    def __init__(self, program: PlantProgram, seed: int, stream: int) -> None:
+    def __init__(self, program: Program, seed: int, stream: int) -> None:
         self._ffi, self._seed = program.ffi, (seed, stream)
 
     def restart(self) -> Any:
@@ -49,7 +50,7 @@ class Channel:
         stream: int = STATES,
         width: int = 1,
         period: int = 1_000_000,
-        program: PlantProgram | None = None,
+        program: Program | None = None,
     ) -> None:
         """period: usual time between two items [ns]."""
         self._program = program or plant_program()
@@ -78,7 +79,7 @@ class Channel:
 
     def push(self, time: int, item: Array) -> None:
         """Send an item (width,) at `time` [ns]."""
-        self._program.lib.fjr_channel_push(self.pointer, time, array(self._program, item))
+        self._program.lib.fjr_channel_push(self.pointer, time, self._program.array(item))
 
     def due(self, time: int) -> list[Array]:
         """Return and remove the items that have arrived by `time` [ns], in the order of arrival."""
@@ -109,7 +110,7 @@ class Channel:
             order = old_slot[(p.first + np.arange(p.count)) % len(old_slot)]
             due[: p.count], items[: p.count] = old_due[order], old_items[order]
         self._arrays = slot, due, items
-        self._kept = [array(self._program, each) for each in (slot, due, items.reshape(-1))]
+        self._kept = [self._program.array(each) for each in (slot, due, items.reshape(-1))]
         p.slot, p.due, p.items = self._kept
         p.capacity, p.first = capacity, 0
 
@@ -122,7 +123,7 @@ class SampleTimes:
     """
 
     def __init__(
-        self, period: int, inner_step: int, jitter: float, seed: int = 0, program: PlantProgram | None = None
+        self, period: int, inner_step: int, jitter: float, seed: int = 0, program: Program | None = None
     ) -> None:
         """Start at time 0; period, inner_step [ns], jitter [s]."""
         self._program = program or plant_program()
@@ -144,7 +145,7 @@ class SampleTimes:
 class Transport:
     """Channels for states and commands, and the sample times."""
 
-    def __init__(self, n: int, period: int, inner_step: int, seed: int, program: PlantProgram | None = None) -> None:
+    def __init__(self, n: int, period: int, inner_step: int, seed: int, program: Program | None = None) -> None:
         """Start without errors; n: joints; period, inner_step [ns]."""
         self.period = period
         self.times = SampleTimes(period, inner_step, 0.0, seed, program)

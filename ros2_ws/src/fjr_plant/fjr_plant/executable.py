@@ -3,24 +3,12 @@
 
 from __future__ import annotations
 
-from fjr_msgs_py.node.loading import (
-    ament_index_of_wheels,
-    end_on_signals,
-    name_process,
-    pause_garbage_collection,
-    require_resources,
-    without_blas_threads,
-)
+from fjr_msgs_py.node.loading import prepare
 
 
 def main() -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
-    end_on_signals()
-    require_resources("plant_node")
-    name_process("plant_node")
-    pause_garbage_collection()
-    without_blas_threads()
-    ament_index_of_wheels()
+    prepare("plant_node")
     from fjr_plant.plant_node import main as run
 
     return run()

@@ -26,20 +26,17 @@ from fjr_core.config.plant import plant as build_plant
 from fjr_core.config.robot import description, robot_name
 from fjr_core.config.robot import robot as build_robot
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.descriptions import publish_description
-from fjr_msgs_py.messages.joint_states import EffortReader, MessageError, TorqueReader
+from fjr_msgs_py.messages.joint_states import MessageError, TorqueReader
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
-from fjr_msgs_py.node.diagnostics import Health
 from fjr_msgs_py.node.parameters import ParameterNode
+from fjr_msgs_py.node.reports import Health, publish_description
 
+from .host import EXPECTED
+from .lock_step import LockStep
+from .real_time import RealTime
 from .simulated_robot import simulated
-from .timing.deferred_service import DeferredReply, DeferredTrigger
-from .timing.events import EXPECTED
-from .timing.lock_step import LockStep
-from .timing.node_parts import NodeParts
-from .timing.real_time import RealTime
-from .timing.time_base import TimeBase
+from .time_base import DeferredReply, DeferredTrigger, TimeBase
 
 TORQUES = "external torques received"
 SETTLING = 2.0  # s in which another robot may be discovered late, on busy cores
@@ -82,8 +79,8 @@ class PlantNode(ParameterNode):
         self._torques = TorqueReader(joints)
         if self.values["publish_description"]:
             publish_description(self, description(self.values))
-        parts = NodeParts(self, self.values, self._robot, self._transport, EffortReader(joints), self._health)
-        self._time_base = (LockStep if self.values["lockstep"] else RealTime)(parts)
+        kind = LockStep if self.values["lockstep"] else RealTime
+        self._time_base = kind(self, self._robot, self._transport, self._health)
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated robot: state, exact time and held effort, advanced in fixed inner steps, see robot.h; without ROS."""
+"""Simulated robot without ROS: state, exact time, held effort, inner steps of fixed length, sensors; see robot.h."""
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,14 +14,56 @@ from fjr_core.config.plant import channel_errors, period_jitter, random_seed, se
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
-from fjr_core.numerics.symbolic import not_converged
-from fjr_core.runtime.c_function import CFunction, WorkSpace
+from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
+from fjr_msgs_py.native.program import Program
 
-from .channel import Transport
-from .native.program import PlantProgram, array, plant_program
-from .sensors import NO_VELOCITIES, Sensors
+from .channel import SENSORS, Random, Transport
+from .native import plant_program
+
+_FILL = ctypes.CDLL(np.random._generator.__file__).random_standard_normal_fill  # as numpy.org shows for extensions
+
+NO_VELOCITIES: Array = np.zeros(0)
+
+
+class Sensors:
+    """Sensors of n joints with errors, as struct fjr_sensors; repeated readings at the same time are equal.
+
+    The noise at the k-th instant depends only on the seed and k. Each kind of error has its own random numbers, scaled
+    by its deviation, independent of the other errors.
+    """
+
+    def __init__(self, errors: SensorErrors, seed: int = 0, program: Program | None = None) -> None:
+        program = program or plant_program()
+        self._random = Random(program, seed, SENSORS)
+        self._step, self._deviation, self._draw = np.zeros(2 * errors.n), np.zeros(4 * errors.n), np.zeros(4 * errors.n)
+        self._kept = [program.array(each) for each in (self._step, self._deviation, self._draw)]
+        self.pointer = program.ffi.new("struct fjr_sensors*")
+        self.pointer.step, self.pointer.deviation, self.pointer.draw = self._kept
+        self.pointer.normal = program.ffi.cast("fjr_normal", ctypes.cast(_FILL, ctypes.c_void_p).value)
+        self.change(errors)
+        self.reset()
+
+    def reset(self) -> None:
+        """Restart the random sequence."""
+        self.pointer.random = self._random.restart()
+        self.pointer.instant = -1
+
+    def change(self, errors: SensorErrors) -> None:
+        """Use other errors from now on; the random sequence continues."""
+        bits = np.concatenate([errors.bits_l, errors.bits_m])
+        self._step[:] = np.where(bits == 0, 0.0, 2 * np.pi * 2.0**-bits)  # rad; 0 bits: no encoder
+        self._deviation[:] = np.concatenate(
+            [errors.position_l, errors.position_m, errors.velocity_l, errors.velocity_m]
+        )
+        self.pointer.perfect, self.pointer.velocities = errors.off, errors.velocities
+
+    @property
+    def velocities(self) -> bool:
+        """True if velocities are measured."""
+        return bool(self.pointer.velocities)
+
 
 STIFFEST_FRICTION = 2.0
 """Largest product of friction rate and inner step; Runge-Kutta of order 4 is stable up to 2.78."""
@@ -42,7 +85,7 @@ class SimulatedRobot:
         imperfections: Imperfections | None = None,
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
-        program: PlantProgram | None = None,
+        program: Program | None = None,
     ) -> None:
         """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
@@ -71,7 +114,7 @@ class SimulatedRobot:
         }
         self._functions = {name: CFunction(ffi, function) for name, function in functions.items()}
         self._space = WorkSpace(ffi, list(functions.values()))
-        self._kept = {name: array(self._program, values) for name, values in self._arrays.items()}
+        self._kept = {name: self._program.array(values) for name, values in self._arrays.items()}
         given = {
             "n": n,
             "inner_step": self._inner_step,

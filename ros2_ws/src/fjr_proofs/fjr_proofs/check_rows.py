@@ -15,7 +15,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.robust.law import Robust, RobustLaw
-from fjr_msgs_py.console.progress import progress_bar
+from fjr_msgs_py.console.output import progress_bar
 
 from .error_bound.search import SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
 from .sampled_contraction.proof import SampledContraction, sampled_contraction

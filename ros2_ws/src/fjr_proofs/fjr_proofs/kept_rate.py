@@ -27,7 +27,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.code_cache import code_folder
 from fjr_core.numerics.jit import program_digest
 from fjr_core.numerics.one_line import at_least
-from fjr_msgs_py.console.progress import heartbeat
+from fjr_msgs_py.console.output import heartbeat
 
 from .rate import digest, proof_of_rate, rate_certificate
 from .verification.inertia_bounds import is_provable

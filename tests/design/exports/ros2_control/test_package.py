@@ -15,7 +15,7 @@ import own_code
 from design.exports.c_program import SHIPPED
 from design.exports.ros2_control.exported_package import exported, replayed, scenario
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.runtime.event_kinds import ERRORS, KINDS, WARNINGS
+from fjr_core.runtime.events import ERRORS, KINDS, WARNINGS
 from fjr_core.runtime.library import HEADER, text
 from fjr_design.exports.ros2_control import export_package, package_name_of
 

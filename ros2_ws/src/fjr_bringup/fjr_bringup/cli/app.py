@@ -14,9 +14,8 @@ from runpy import run_path
 
 import click
 
-from fjr_msgs_py.console.declaration import COMMANDS
-from fjr_msgs_py.console.exit_codes import HELP, Exit
-from fjr_msgs_py.console.interrupt import interruptible, uninterruptible
+from fjr_msgs_py.console.ending import HELP, Exit, interruptible, uninterruptible
+from fjr_msgs_py.console.options import COMMANDS
 from fjr_msgs_py.console.provenance import begin_command
 from fjr_msgs_py.node.loading import (
     ament_index_of_wheels,
@@ -135,7 +134,7 @@ def _exit_code(error: Exception) -> Exit:
 
     from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError, RobotError
     from fjr_monitor.recording.topic import BagError
-    from fjr_msgs_py.console.interrupt import Interrupted
+    from fjr_msgs_py.console.ending import Interrupted
     from fjr_msgs_py.scenarios.library import ScenarioError
 
     if isinstance(error, Interrupted):

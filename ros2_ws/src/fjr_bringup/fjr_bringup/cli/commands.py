@@ -8,16 +8,16 @@ from typing import Any
 import click
 
 from fjr_msgs_py.console import options
-from fjr_msgs_py.console.declaration import command, implementation
 from fjr_msgs_py.console.options import (
+    command,
     duration_option,
     force_over_ros2,
+    implementation,
     output_option,
     scenario_argument,
     set_option,
 )
-from fjr_msgs_py.console.progress import phase
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result, phase
 
 stamped_duration = duration_option("Duration of a run in seconds of stamped time.", 5.0)
 runs_folder = output_option("Folder for the folders of runs.", "runs")

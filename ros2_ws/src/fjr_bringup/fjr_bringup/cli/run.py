@@ -18,12 +18,9 @@ from fjr_design.cli.preflight import checked, refuse_coarse_steps, refuse_unstab
 from fjr_monitor.recording.topic import BagError
 from fjr_monitor.report.paper_claim import Claim, paper_claim
 from fjr_monitor.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
-from fjr_msgs_py.console.discovery import discover_quickly
-from fjr_msgs_py.console.exit_codes import Exit
-from fjr_msgs_py.console.formatting import percent
-from fjr_msgs_py.console.interrupt import stoppable
-from fjr_msgs_py.console.progress import phase
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.ending import Exit, stoppable
+from fjr_msgs_py.console.output import Result, percent, phase
+from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.scenarios import library
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")  # the paper's stiff joint, its soft joint, any arm

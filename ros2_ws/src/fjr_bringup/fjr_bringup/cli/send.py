@@ -14,9 +14,9 @@ from fjr_core.config.reference import motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
 from fjr_core.motions.sampled_motion import SampledMotion, waypoints
 from fjr_monitor.recording.echo import absolute
-from fjr_msgs_py.console.discovery import discover_quickly
-from fjr_msgs_py.console.interrupt import stoppable
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.ending import stoppable
+from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.messages.trajectories import trajectory_message
 from fjr_msgs_py.scenarios import library
 

@@ -13,11 +13,9 @@ from rcl_interfaces.srv import DescribeParameters, SetParameters
 from fjr_bringup.clients import ClientError, service_client
 from fjr_core.config import ros_yaml
 from fjr_monitor.recording.echo import absolute
-from fjr_msgs_py.console.discovery import discover_quickly
-from fjr_msgs_py.console.result import Result
-from fjr_msgs_py.console.ros2_first import refuse_over_ros2
-from fjr_msgs_py.messages.parameters import parameter_message, parameter_value
-from fjr_msgs_py.messages.plain import fill, plain
+from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.ros2 import discover_quickly, refuse_over_ros2
+from fjr_msgs_py.messages.plain import fill, parameter_message, parameter_value, plain
 
 
 def call_service(service: str, request: str, timeout: float, force: bool) -> Result:

@@ -1,2 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command loop as a thread in C: state in, control step, effort out."""
+"""The command loop in C, and the functions of the control step that it calls."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from fjr_core.runtime import library
+from fjr_core.runtime.library import StepLibrary
+from fjr_msgs_py.native.program import Program
+
+FUNCTIONS = (
+    *("step", "check_wiring", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume"),
+    *("certify", "certificate_restart", "is_due", "waits_until"),
+)
+"""Fields of struct fjr_step_functions: functions of step.h without the prefix fjr_."""
+
+
+@cache
+def controller_program(n: int, memory: int) -> Program:
+    """Return the command loop for a step of n joints and a law with `memory` numbers as its controller state."""
+    values, header = {"FJR_N": n, "FJR_MEMORY": max(1, memory)}, library.text(library.HEADER)
+    files = ["controller_loop.h"], ["controller_loop.c"]
+    return Program.hosted("controller_loop", "fjr_controller", *files, "controller_thread", values, header)
+
+
+def step_functions(program: Program, step: StepLibrary) -> dict[str, Any]:
+    """Return the functions of the step as fields of struct fjr_step_functions."""
+    functions = {name: step.ffi.addressof(step.lib, f"fjr_{name}") for name in FUNCTIONS}
+    return program.cast("struct fjr_step_functions", functions)

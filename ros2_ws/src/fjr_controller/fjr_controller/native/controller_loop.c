@@ -1,15 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * All functions but the callbacks of the host are static and run on the thread of the loop.
+ * All functions but the callbacks of the host are static and run on the thread of the host.
  */
-#include <rcl/graph.h>
-
 #define FIRST_UNSENDABLE 2147483648000000000 /* ns; the seconds of a stamp are a signed 32-bit integer */
-#define DRAIN_PERIOD 1000000                 /* ns; wait for Python where no record may be lost */
 #define PAUSED 10000000                      /* ns; a silence check that comes later follows a pause of this process */
 #define TOGETHER 8                           /* samples certified at once, at most: the functions stay in the cache */
 #define POSITIONS 0
 #define VELOCITIES 1
 #define EFFORTS 2
+
+static int fail(struct fjr_controller_loop* l, const char* reason) {
+  l->reason = reason;
+  return FJR_FAILED;
+}
 
 /* ---- Messages -------------------------------------------------------------------------------------------------- */
 
@@ -44,9 +46,9 @@ static int send(struct fjr_controller_loop* l, int64_t stamp, const double* u) {
   fjr_put_numbers(l->effort, 0, u);
   fjr_put_stamp(l->command, stamp);
   fjr_put_numbers(l->command, EFFORTS, u);
-  if (l->simulated) outcome = fjr_loop_publish(l->loop, l->commands, l->command);
-  if (outcome == FJR_GO_ON) outcome = fjr_loop_publish(l->loop, l->efforts, l->effort);
-  if (outcome == FJR_GO_ON && !l->simulated) outcome = fjr_loop_publish(l->loop, l->commands, l->command);
+  if (l->simulated) outcome = l->publish(l->host, FJR_COMMANDS, l->command);
+  if (outcome == FJR_GO_ON) outcome = l->publish(l->host, FJR_EFFORTS, l->effort);
+  if (outcome == FJR_GO_ON && !l->simulated) outcome = l->publish(l->host, FJR_COMMANDS, l->command);
   return outcome;
 }
 
@@ -66,29 +68,11 @@ static int send_stop(struct fjr_controller_loop* l) {
   return send(l, l->last_stamp, u);
 }
 
-static int is_known(const struct fjr_controller_loop* l, const uint8_t* gid) {
-  int known = memcmp(gid, l->known, FJR_PARTICIPANT) == 0;
-  for (uint64_t k = 0; k < l->silent; ++k)
-    known |= memcmp(gid, l->known + FJR_PARTICIPANT + k * RMW_GID_STORAGE_SIZE, RMW_GID_STORAGE_SIZE) == 0;
-  return known;
-}
-
-/* Return 1 if the graph shows unknown publishers on a topic, or cannot be read. */
-static int has_others(struct fjr_controller_loop* l, const char* topic) {
-  rcutils_allocator_t allocator = rcutils_get_default_allocator();
-  rcl_topic_endpoint_info_array_t found = rcl_get_zero_initialized_topic_endpoint_info_array();
-  int others = rcl_get_publishers_info_by_topic(l->node, &allocator, topic, false, &found) != RCL_RET_OK;
-  for (size_t k = 0; k < found.size; ++k) others |= !is_known(l, found.info_array[k].endpoint_gid);
-  others |= rcl_topic_endpoint_info_array_fini(&found, &allocator) != RCL_RET_OK;
-  rcl_reset_error();
-  return others;
-}
-
 /* Return 1 once it is known that nobody else commands the robot; the first call looks for others. */
 static int is_alone(struct fjr_controller_loop* l) {
   int32_t known = __atomic_load_n(&l->alone, __ATOMIC_ACQUIRE);
   if (known == FJR_UNASKED) {
-    known = has_others(l, l->topic[0]) || has_others(l, l->topic[1]) ? FJR_NOT_ALONE : FJR_ALONE;
+    known = l->has_others(l->host) ? FJR_NOT_ALONE : FJR_ALONE;
     __atomic_store_n(&l->alone, known, __ATOMIC_RELEASE);
   }
   return known == FJR_ALONE;
@@ -109,22 +93,22 @@ static int publish_auxiliary(struct fjr_controller_loop* l) {
   fjr_put_stamp(l->error, l->sample.stamp);
   fjr_put_numbers(l->error, POSITIONS, q_tilde_l);
   fjr_put_numbers(l->error, VELOCITIES, dq_tilde_l);
-  const int outcome = fjr_loop_publish(l->loop, l->references, l->reference);
-  return outcome == FJR_GO_ON ? fjr_loop_publish(l->loop, l->errors, l->error) : outcome;
+  const int outcome = l->publish(l->host, FJR_REFERENCES, l->reference);
+  return outcome == FJR_GO_ON ? l->publish(l->host, FJR_ERRORS, l->error) : outcome;
 }
 
 static int publish_certificate(struct fjr_controller_loop* l, int64_t stamp, const struct fjr_certified* f) {
   const double values[] = {(double)(stamp / SECOND), (double)(stamp % SECOND), f->V, f->dV, f->rate, f->bound, f->H,
                            f->supplied, f->dissipated};
   fjr_put_numbers(l->certified, 0, values);
-  return fjr_loop_publish(l->loop, l->certificates, l->certified);
+  return l->publish(l->host, FJR_CERTIFICATES, l->certified);
 }
 
 /* Certify a sample; all before it are certified. */
 static int certify(struct fjr_controller_loop* l, struct fjr_record* r, int due) {
   if (!l->certificate) return FJR_GO_ON;
   if (!l->step.certify(l->certificate, &r->command, r->sample.stamp, &r->certified))
-    return fjr_loop_fail(l->loop, "the certificate cannot be evaluated");
+    return fail(l, "the certificate cannot be evaluated");
   return due && r->certified.valid ? publish_certificate(l, r->sample.stamp, &r->certified) : FJR_GO_ON;
 }
 
@@ -142,7 +126,7 @@ static int hand_over(struct fjr_controller_loop* l, int due) {
 static struct fjr_record* place(struct fjr_controller_loop* l) {
   struct fjr_record* found;
   while (!(found = fjr_ring_free(l->records, l->waiting)))
-    if (!l->simulated || hand_over(l, 0) != FJR_GO_ON || fjr_loop_pause(l->loop, DRAIN_PERIOD) != FJR_GO_ON) break;
+    if (!l->simulated || hand_over(l, 0) != FJR_GO_ON || l->pause(l->host) != FJR_GO_ON) break;
   return found;
 }
 
@@ -174,10 +158,13 @@ static int answer(struct fjr_controller_loop* l, int64_t arrival) {
 /* Compute and send the command of the sample; one that waits for a newer one comes again, at the latest by a tick. */
 static int process(struct fjr_controller_loop* l, int64_t arrival) {
   const int answered = l->step.step(l->model, l->controller, &l->sample, arrival, &l->result);
-  const int64_t waits = l->step.waits_until(l->controller);
-  if (answered < 0) return fjr_loop_fail(l->loop, "the control step failed");
-  if (waits != FJR_NEVER) fjr_loop_tick_by(l->loop, waits);
+  if (answered < 0) return fail(l, "the control step failed");
   return answered ? answer(l, arrival) : FJR_GO_ON;
+}
+
+int64_t fjr_controller_waits(const struct fjr_controller_loop* l) {
+  const int64_t waits = l->step.waits_until(l->controller);
+  return waits == FJR_NEVER ? FJR_NO_TIME : waits;
 }
 
 /* ---- Callbacks of the host ------------------------------------------------------------------------------------- */
@@ -202,14 +189,18 @@ int fjr_controller_tick(void* self, int64_t now, int64_t* next) {
   int outcome = FJR_GO_ON;
   *next = FJR_NO_TIME;
   if (l->simulated) return FJR_GO_ON;
-  const int64_t waits = l->step.waits_until(l->controller), late = now - l->silence_check;
+  int64_t waits = fjr_controller_waits(l);
+  const int64_t late = now - l->silence_check;
   const int checks = late >= 0 && (late <= PAUSED || l->postponed);
   if (late >= 0) l->silence_check = now + (checks ? l->silence_period : PAUSED), l->postponed = !checks;
   *next = l->silence_check;
-  if (waits != FJR_NEVER) {
-    if (waits > now) return *next = waits < *next ? waits : *next, FJR_GO_ON;
+  if (waits <= now) {
     if ((outcome = process(l, now)) != FJR_GO_ON) return outcome;
+    waits = fjr_controller_waits(l);
+  } else if (waits != FJR_NO_TIME) {
+    return *next = waits < *next ? waits : *next, FJR_GO_ON;
   }
+  if (waits < *next) *next = waits;
   return checks ? check_silence(l, now) : outcome;
 }
 

@@ -1,7 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The native host of the control step: JointState -> struct fjr_sample -> fjr_step -> both command topics.
+ * The command loop: JointState -> struct fjr_sample -> fjr_step -> both command topics.
  *
- * The controller belongs to the thread while it runs. Python changes it by requests, and reads a copy.
+ * A host calls one function per message, per tick and per request, from one thread at a time: a native thread
+ * (controller_thread.h), or rclpy's executor. It supplies `publish`, `has_others` and `pause`.
+ * The controller belongs to the loop while it runs. Python changes it by requests, and reads a copy.
  */
 #ifndef FJR_CONTROLLER_LOOP_H
 #define FJR_CONTROLLER_LOOP_H
@@ -28,6 +30,9 @@ struct fjr_step_functions {
   int64_t (*waits_until)(const struct fjr_controller*);
 };
 
+/* Messages to publish. */
+enum fjr_controller_output { FJR_EFFORTS, FJR_COMMANDS, FJR_REFERENCES, FJR_ERRORS, FJR_CERTIFICATES, FJR_OUTPUTS };
+
 /* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
  * FJR_CHECK_SILENCE: `time` is of the clock of the stamps. FJR_SEND_STOP: the stop effort, if a command was sent.
  * FJR_RECERTIFY: `first` are the gains of the certificate, `second` is beta. */
@@ -41,7 +46,7 @@ struct fjr_arguments {
   int64_t time;
 };
 
-/* Whether nobody else commands the robot. At the first state the thread looks for publishers on the command topics that
+/* Whether nobody else commands the robot. At the first state the loop looks for publishers on the command topics that
  * Python does not know; if there are some, it answers nothing until Python, which listens to them, is sure. */
 enum fjr_alone { FJR_UNASKED, FJR_NOT_ALONE, FJR_ALONE };
 
@@ -61,7 +66,13 @@ struct fjr_refusals {
 };
 
 struct fjr_controller_loop {
-  struct fjr_loop* loop;
+  /* Of the host. publish: enum fjr_outcome; has_others: 1 if unknown publishers command the robot, or may do so;
+   * pause: wait for Python to take records, an enum fjr_outcome. */
+  void* host;
+  int (*publish)(void* host, int32_t output, const struct fjr_message* message);
+  int (*has_others)(void* host);
+  int (*pause)(void* host);
+  const char* reason; /* of FJR_FAILED, 0 if it is the host's */
   struct fjr_step_functions step;
   const struct fjr_model* model;
   struct fjr_controller *controller, *copy;
@@ -69,12 +80,7 @@ struct fjr_controller_loop {
   struct fjr_ring* records;
   struct fjr_refusals* refusals;
   struct fjr_certificate* certificate; /* 0: none */
-  void *efforts, *commands, *references, *errors, *certificates; /* rcl_publisher_t* */
   struct fjr_message *effort, *command, *reference, *error, *certified;
-  void* node;                           /* rcl_node_t* */
-  char* topic[2];                       /* resolved names of the command topics */
-  const char* known;                    /* leading bytes of the GIDs of this process, then GIDs of silent publishers */
-  uint64_t silent;                      /* number of these */
   int32_t alone;                        /* atomic, an enum fjr_alone */
   int32_t simulated, sends;             /* sends: a command was sent, and no last one after a failure */
   int64_t silence_period, since; /* ns; since: arrival of the first state that is answered (steady clock) */
@@ -88,10 +94,14 @@ struct fjr_controller_loop {
   struct fjr_record spare;  /* of a sample that has no place in the queue */
 };
 
-/* The callbacks of struct fjr_host; self: struct fjr_controller_loop. */
+/* The callbacks of struct fjr_host; self: struct fjr_controller_loop. After a message or a request the next tick may
+ * have to come earlier, see fjr_controller_waits. */
 int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival);
 int fjr_controller_tick(void* self, int64_t now, int64_t* next);
 int fjr_controller_request(void* self, int32_t kind, void* argument);
 void fjr_controller_end(void* self, int32_t outcome);
+
+/* Return when a sample that waits for a newer one is answered [ns, steady clock], FJR_NO_TIME if none waits. */
+int64_t fjr_controller_waits(const struct fjr_controller_loop* l);
 
 #endif

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,6 +92,20 @@ class Measurement:
     def geared(self) -> bool:
         """True if motor angles are divided by a gear ratio."""
         return bool(np.any(np.asarray(self.gear_ratio) != 1))
+
+
+class JointSample(NamedTuple):
+    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
+
+    q_m, dq_m: as in the message, before the gear; q_m is the joint torque [N m] where that is measured instead.
+    Velocities are None if an observer estimates them.
+    """
+
+    stamp: int
+    q_l: Array
+    q_m: Array
+    dq_l: Array | None = None
+    dq_m: Array | None = None
 
 
 def _one_of(name: str, value: str, *options: str) -> None:

@@ -41,8 +41,8 @@ from fjr_design.cli.preflight import (
 from fjr_design.cli.rate_rows import rate_rows, rate_values, row_near_the_reference
 from fjr_design.experiments.tuned_parameters import tuning
 from fjr_design.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
-from fjr_msgs_py.console.exit_codes import Exit
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.ending import Exit
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured

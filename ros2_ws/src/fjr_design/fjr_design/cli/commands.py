@@ -9,8 +9,14 @@ from typing import Any
 import click
 
 from fjr_msgs_py.console import options
-from fjr_msgs_py.console.declaration import command, implementation
-from fjr_msgs_py.console.options import duration_option, output_option, scenario_argument, set_option
+from fjr_msgs_py.console.options import (
+    command,
+    duration_option,
+    implementation,
+    output_option,
+    scenario_argument,
+    set_option,
+)
 
 
 def _drawn_plants_options(cores: str) -> Callable[[Any], Any]:

@@ -10,7 +10,7 @@ from fjr_core.config.robot import description
 from fjr_core.config.scenario import left_out
 from fjr_design.exports import export, loop_of, prefix_of, write
 from fjr_design.exports.ros2_control import export_package, not_exported, package_name_of
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 
 

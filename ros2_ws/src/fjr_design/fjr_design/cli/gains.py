@@ -20,7 +20,7 @@ from fjr_core.robust.law import sampled_law
 from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_design.cli.posterior_gains import Posterior
 from fjr_design.tuning.gain_synthesis import synthesize
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.gains_block import GainValues, gain_lines, with_gains
 from fjr_msgs_py.scenarios.installed import installed

@@ -11,7 +11,7 @@ from fjr_core.files.text_file import write_text
 from fjr_design.scaffold.arm import Arm, arm_of, described
 from fjr_design.scaffold.files import file_names, robot_text, scenario_text, summary
 from fjr_design.scaffold.proposal import proposal_of
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios.library import ScenarioError, load
 
 

@@ -28,7 +28,7 @@ from fjr_design.stability.drawn_plants import (
     draws_needed,
     largest_share,
 )
-from fjr_msgs_py.console.progress import progress_bar
+from fjr_msgs_py.console.output import progress_bar
 
 DESIGN_DRAWS, WIDER = 200, 1.5  # from the posterior with standard deviations this many times as large
 SHARE = 1e-3  # largest share of lost plants that fresh draws are to exclude

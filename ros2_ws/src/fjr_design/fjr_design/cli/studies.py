@@ -11,8 +11,8 @@ from typing import Any
 
 from fjr_design.studies.comparison import command as comparison
 from fjr_design.studies.contraction import run as contraction_study
-from fjr_msgs_py.console.interrupt import stoppable
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.ending import stoppable
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from fjr_core.errors import TrajectoryError
 from fjr_core.motions.reference import Reference
-from fjr_core.runtime.reference_table import ReferenceTable, reference_table
+from fjr_core.runtime.reference import ReferenceTable, reference_table
 
 from .c_code import number, numbers
 

@@ -30,7 +30,7 @@ from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import HEADER, SOURCES, text
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.runtime.settings_struct import model_functions
+from fjr_core.runtime.structs import model_functions
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from .c_code import casadi_code, comment, number, numbers, quoted, work_sizes

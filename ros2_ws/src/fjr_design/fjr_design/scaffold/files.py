@@ -16,7 +16,7 @@ from fjr_core.config.law import gain_values
 from fjr_core.model.robot import joined
 from fjr_design.scaffold.arm import Arm
 from fjr_design.scaffold.proposal import RATE, Proposal
-from fjr_msgs_py.console.formatting import plural
+from fjr_msgs_py.console.output import plural
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
 UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}

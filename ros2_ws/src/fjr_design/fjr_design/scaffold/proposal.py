@@ -17,8 +17,7 @@ from fjr_core.stability.linearization import rest_position
 from fjr_design.stability.integration_steps import fastest_mode, least_steps
 from fjr_design.tuning.first_gains import FirstGains, first_gains
 from fjr_design.tuning.first_motion import first_motion
-from fjr_msgs_py.console.formatting import plural
-from fjr_msgs_py.console.progress import phase
+from fjr_msgs_py.console.output import phase, plural
 
 RATE = 1000.0  # Hz
 FEWEST_STEPS, STEP_MARGIN = 4, 2.0  # integrator steps per sample, and their factor beyond the stability of rk4

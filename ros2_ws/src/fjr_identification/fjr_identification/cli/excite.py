@@ -19,9 +19,7 @@ from fjr_core.stability.linearization import rest_position
 from fjr_design.scaffold.first_scenario import first_values
 from fjr_identification.elastic_motion import PARAMETERS, JointNoise, encoder_noise, motion_envelope
 from fjr_identification.excitation import Excitation, design
-from fjr_msgs_py.console.formatting import plural
-from fjr_msgs_py.console.progress import phase
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result, phase, plural
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.library import ScenarioError
 

@@ -26,9 +26,7 @@ from fjr_identification.record_map import read_map
 from fjr_identification.rigid_motion import KINDS
 from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
 from fjr_identification.table_record import written_map
-from fjr_msgs_py.console.formatting import interval, number, plural
-from fjr_msgs_py.console.progress import progress_bar
-from fjr_msgs_py.console.result import Result, json_text
+from fjr_msgs_py.console.output import Result, interval, json_text, number, plural, progress_bar
 
 ROBOT, VALUES, PAGE = "robot.yaml", "identification.json", "identification.html"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"

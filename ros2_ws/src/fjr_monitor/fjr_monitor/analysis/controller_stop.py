@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fjr_core.runtime.event_kinds import STARTS_REFUSED, STOPS
-from fjr_msgs_py.messages.events import STAMP
+from fjr_core.runtime.events import STARTS_REFUSED, STOPS
+from fjr_msgs_py.node.reports import STAMP
 
 HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
 

@@ -8,7 +8,7 @@ from functools import partial
 
 from fjr_core.model.robot import joined
 from fjr_monitor.analysis.metrics import Report
-from fjr_msgs_py.console.formatting import number, percent
+from fjr_msgs_py.console.output import number, percent
 
 Formatter = Callable[[float, str], str]  # (value, unit) -> text
 

@@ -30,8 +30,8 @@ from fjr_monitor.analysis.storage import Balance, Decay, Energy, Power, Storage,
 from fjr_monitor.analysis.timing import Clock, Counts, Timing
 from fjr_monitor.analysis.tracking import JointMetrics, Tracked, Tracking
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, Outline, PartwiseDiagnosis, unknown
+from fjr_msgs_py.console.output import finite
 from fjr_msgs_py.console.provenance import Provenance
-from fjr_msgs_py.console.result import finite
 
 FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
 VISITED = 200  # configurations of a run at which the rate is evaluated

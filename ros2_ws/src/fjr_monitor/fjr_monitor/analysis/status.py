@@ -8,7 +8,7 @@ from typing import Literal
 from fjr_monitor.analysis.controller_stop import ControllerStop
 from fjr_monitor.analysis.timing import Counts
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
-from fjr_msgs_py.console.formatting import percent
+from fjr_msgs_py.console.output import percent
 
 KEEPS_UP = 0.9  # fraction of states answered in time below which a violation shows the computer, not the law
 IN_TIME = 0.99  # the same, if delay or loss is the first cause

@@ -8,8 +8,16 @@ from typing import Any
 import click
 
 from fjr_msgs_py.console import options
-from fjr_msgs_py.console.declaration import COMMANDS, command, implementation
-from fjr_msgs_py.console.options import duration_option, force_over_ros2, json_lines, output_option, scenario_argument
+from fjr_msgs_py.console.options import (
+    COMMANDS,
+    command,
+    duration_option,
+    force_over_ros2,
+    implementation,
+    json_lines,
+    output_option,
+    scenario_argument,
+)
 
 
 @command()

@@ -13,11 +13,10 @@ from fjr_monitor.recording.echo import echo
 from fjr_monitor.recording.play import play
 from fjr_monitor.recording.record import record
 from fjr_monitor.watch import app as monitor_app
-from fjr_msgs_py.console.discovery import discover_quickly
-from fjr_msgs_py.console.interrupt import stoppable
+from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.options import FIRST
-from fjr_msgs_py.console.result import Result
-from fjr_msgs_py.console.ros2_first import refuse_over_ros2
+from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.ros2 import discover_quickly, refuse_over_ros2
 from fjr_msgs_py.scenarios import library
 
 

@@ -16,9 +16,9 @@ from fjr_core.files.text_file import read_json
 from fjr_monitor.recording.formats import files_of
 from fjr_monitor.recording.reader import read_bag
 from fjr_monitor.report.write import METRICS, RunSummary, compare, output_paths, report_bag, table
-from fjr_msgs_py.console.exit_codes import Exit
+from fjr_msgs_py.console.ending import Exit
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.provenance import Provenance
-from fjr_msgs_py.console.result import Result
 from fjr_msgs_py.scenarios import library
 
 SCENARIO = "scenario.yaml"

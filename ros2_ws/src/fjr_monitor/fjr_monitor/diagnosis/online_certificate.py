@@ -15,9 +15,9 @@ from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.c_library import record_type
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.certificate_struct import CertificateStruct
-from fjr_core.runtime.control_step import NEVER
+from fjr_core.runtime.events import NEVER
 from fjr_core.runtime.library import StepLibrary, step_library
+from fjr_core.runtime.structs import CertificateStruct
 
 from .innovations import Innovations
 

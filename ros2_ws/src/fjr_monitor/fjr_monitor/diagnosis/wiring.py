@@ -10,10 +10,9 @@ import numpy as np
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.c_function import CFunction, WorkSpace
-from fjr_core.runtime.library import step_library
-from fjr_core.runtime.settings_struct import rigid_arm_functions, write_robot
-from fjr_core.runtime.wiring_fault import WiringFault
+from fjr_core.runtime.events import WiringFault
+from fjr_core.runtime.library import CFunction, WorkSpace, step_library
+from fjr_core.runtime.structs import rigid_arm_functions, write_robot
 
 
 class WiringCheck:

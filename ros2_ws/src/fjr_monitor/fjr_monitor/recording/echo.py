@@ -19,9 +19,9 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from fjr_core.errors import FjrError, ParameterError
 from fjr_monitor.recording.message_types import interface_class
 from fjr_monitor.recording.recorder import adapted_qos
-from fjr_msgs_py.console.result import json_text
+from fjr_msgs_py.console.output import json_text
 from fjr_msgs_py.messages.plain import plain
-from fjr_msgs_py.node.environment import domain
+from fjr_msgs_py.node.loading import domain
 from fjr_msgs_py.node.participant import own_node
 
 POLL = 0.02  # s between looks at the graph or the queue

@@ -23,7 +23,7 @@ from fjr_monitor.recording.mcap_reader import HEAD, MAGIC, MESSAGE, UNREADABLE, 
 from fjr_monitor.recording.message_types import typestore
 from fjr_monitor.recording.sqlite_reader import read_tables
 from fjr_monitor.recording.topic import LATEST, BagError, Contents, Messages, Topic, has_times
-from fjr_msgs_py.console.formatting import plural
+from fjr_msgs_py.console.output import plural
 
 
 def read_mcap(path: Path, contents: Contents) -> Messages:

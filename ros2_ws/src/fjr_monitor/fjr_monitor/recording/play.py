@@ -22,8 +22,7 @@ from fjr_monitor.recording.message_types import SchemaError, interface_class
 from fjr_monitor.recording.reader import bag_folder, in_order, read_bag
 from fjr_monitor.recording.topic import BagError, Topic
 from fjr_msgs_py import names
-from fjr_msgs_py.console.progress import heartbeat
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result, heartbeat
 from fjr_msgs_py.node.participant import own_node
 from fjr_msgs_py.node.process import flush
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from fjr_monitor.recording.formats import files_of, read_file
 from fjr_monitor.recording.topic import BagError, Contents, Times, Topic
-from fjr_msgs_py.messages.cdr.layout import FIELDS
-from fjr_msgs_py.messages.cdr.recorded import joint_state_arrays
+from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
 
 Array = NDArray[np.float64]
 JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"

@@ -14,7 +14,7 @@ from fjr_core.errors import FjrError
 from fjr_monitor.recording.echo import absolute
 from fjr_monitor.recording.recorder import Recorder
 from fjr_monitor.recording.run_folder import FolderError
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result
 
 POLL = 0.05  # s
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from mcap.records import Message
 
 from fjr_monitor.recording.topic import BagError, Contents, Messages, Topic, has_times
-from fjr_msgs_py.console.formatting import plural
+from fjr_msgs_py.console.output import plural
 
 MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id"
 MOST_GAPS = 100

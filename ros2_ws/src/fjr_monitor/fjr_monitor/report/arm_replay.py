@@ -14,7 +14,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.plotting.figure import Pool
 from fjr_monitor.report.shown import Shown
 from fjr_monitor.scene.urdf_scene import scene
-from fjr_msgs_py.console.formatting import number
+from fjr_msgs_py.console.output import number
 
 VISIBLE = 0.3  # rad or m, of the largest deflection as magnified at first
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)

@@ -21,7 +21,7 @@ from fjr_core.errors import FjrError
 from fjr_core.files.text_file import write_text
 from fjr_monitor.plotting.figure import Plot, Pool, colour
 from fjr_monitor.report.arm_replay import ArmReplay
-from fjr_msgs_py.console.formatting import number, percent
+from fjr_msgs_py.console.output import number, percent
 from fjr_msgs_py.console.provenance import provenance
 
 TEMPLATES = "report/templates"

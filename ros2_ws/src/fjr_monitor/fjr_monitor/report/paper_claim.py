@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fjr_core.numerics.one_line import at_least
 from fjr_monitor.analysis import headlines
 from fjr_monitor.analysis.metrics import Report, Storage
-from fjr_msgs_py.console.formatting import number
+from fjr_msgs_py.console.output import number
 
 SAME = 0.2  # largest relative difference of two settling times that count as equal
 

@@ -15,7 +15,7 @@ from fjr_monitor.analysis.metrics import Report
 from fjr_monitor.analysis.timing import Distribution
 from fjr_monitor.plotting.figure import Line, Plot, colour, drawable
 from fjr_monitor.report.shown import Shown
-from fjr_msgs_py.console.formatting import milliseconds, number, percent, plural
+from fjr_msgs_py.console.output import milliseconds, number, percent, plural
 
 FEW = 2  # joints; with more, efforts are shown in percent of their limits first
 

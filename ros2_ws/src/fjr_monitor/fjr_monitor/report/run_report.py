@@ -12,7 +12,7 @@ from fjr_monitor.report import html
 from fjr_monitor.report.arm_replay import ArmReplay
 from fjr_monitor.report.run_figures import run_plots
 from fjr_monitor.report.shown import Shown
-from fjr_msgs_py.console.formatting import milliseconds, number, percent, sentence
+from fjr_msgs_py.console.output import milliseconds, number, percent, sentence
 from fjr_msgs_py.console.provenance import without_home
 
 FOOTER = (

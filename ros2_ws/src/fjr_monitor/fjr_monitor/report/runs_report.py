@@ -20,7 +20,7 @@ from fjr_monitor.plotting.figure import DRAWN, Line, Plot, colour, decimated, dr
 from fjr_monitor.report import html
 from fjr_monitor.report.paper_claim import Claim
 from fjr_monitor.report.shown import Shown
-from fjr_msgs_py.console.formatting import milliseconds, number, percent
+from fjr_msgs_py.console.output import milliseconds, number, percent
 
 COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe", "late": "maybe"}
 FOOTER = (

@@ -24,7 +24,7 @@ from fjr_monitor.recording.reader import Bag, read_bag
 from fjr_monitor.report.paper_claim import Claim
 from fjr_monitor.report.shown import Shown
 from fjr_msgs_py.console.provenance import Provenance, provenance
-from fjr_msgs_py.console.ros2_tools import play_command
+from fjr_msgs_py.console.ros2 import play_command
 
 PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)

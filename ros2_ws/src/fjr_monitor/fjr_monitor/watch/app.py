@@ -23,7 +23,7 @@ from fjr_monitor.recording.echo import ELSEWHERE, TopicError, nodes_seen
 from fjr_monitor.watch.node import FjrWatch
 from fjr_monitor.watch.state import View, Watched
 from fjr_monitor.watch.terminal import render
-from fjr_msgs_py.console.result import json_text
+from fjr_msgs_py.console.output import json_text
 from fjr_msgs_py.node.participant import own_node
 
 PERIOD = 0.1  # s between updates of a terminal

@@ -14,7 +14,7 @@ from typing import Any
 from fjr_core.errors import FjrError
 from fjr_monitor.report.html import environment
 from fjr_monitor.scene.urdf_scene import scene
-from fjr_msgs_py.console.result import json_text
+from fjr_msgs_py.console.output import json_text
 
 HOST = "127.0.0.1"
 LAST = 1.0  # s; longest wait for the open pages to take the last event

@@ -22,7 +22,7 @@ from std_msgs.msg import Float64MultiArray, String
 from fjr_monitor.recording.reader import header_stamp
 from fjr_monitor.watch.state import Health, Watched
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.certificate import labelled
+from fjr_msgs_py.node.reports import labelled
 
 DEPTH = 4000  # messages between two calls of `listen`
 

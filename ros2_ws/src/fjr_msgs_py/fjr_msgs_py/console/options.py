@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments, options and number types that several commands of `fjr` share. Imports nothing slow."""
+"""Declare commands of fjr: arguments, options and number types that several share. Imports nothing slow."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import math
 import os
 import re
 from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import click
@@ -126,3 +129,29 @@ def output_option(meaning: str, default: str | None = None, kind: str = "DIR") -
 def duration_option(meaning: str, default: float | None = None) -> Callable[..., Any]:
     """Return the option --duration S."""
     return click.option("--duration", type=SECONDS, metavar="S", default=default, help=meaning)
+
+
+def implementation(name: str) -> ModuleType:
+    """Import the module of a command by its full name, then call `loaded` (see app.main)."""
+    module = import_module(name)
+    click.get_current_context().obj()
+    return module
+
+
+COMMANDS = click.Group()
+"""All commands that are declared so far; fjr_bringup.cli.app loads the declarations of every package."""
+
+
+def command(name: str | None = None, **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return a decorator that declares a command with --json; settings: as of click. The function returns a Result."""
+
+    def declare(function: Callable[..., Any]) -> click.Command:
+        @wraps(function)
+        def shown(as_json: bool, **given: Any) -> int:
+            return int(function(**given).show(as_json))
+
+        made = COMMANDS.command(name, **settings)(shown)
+        made.params.append(click.Option(["--json", "as_json"], is_flag=True, help="Print the result as JSON."))
+        return made
+
+    return declare

@@ -1,25 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NumPy <-> joint states and effort commands."""
+"""NumPy <-> joint states, effort commands and the time on /clock."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_core import FjrError, Measurement
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.measurement_model import JointSample
 
 from ..names import state_names
-from .cdr.layout import Template, float_array, joint_state
+from .cdr import Form, Template, float_array, joint_state
 
 EMPTY: Array = np.zeros(0)
 FIRST_UNSENDABLE = 2**31 * 10**9  # ns; the seconds of a stamp are a signed 32-bit integer
@@ -31,20 +33,6 @@ class MessageError(FjrError):
     def __init__(self, kind: str, sentence: str) -> None:
         super().__init__(sentence)
         self.kind = kind
-
-
-class JointSample(NamedTuple):
-    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
-
-    q_m, dq_m: as in the message, before the gear; q_m is the joint torque [N m] where that is measured instead.
-    Velocities are None if an observer estimates them.
-    """
-
-    stamp: int
-    q_l: Array
-    q_m: Array
-    dq_l: Array | None = None
-    dq_m: Array | None = None
 
 
 def nanoseconds(stamp: Time) -> int:
@@ -118,15 +106,6 @@ class StateReader:
         if velocity is None:
             return JointSample(stamp, *positions)
         return JointSample(stamp, *positions, velocity[: self._n], velocity[self._n :])
-
-    def takes_as_is(self, message: JointState) -> bool:
-        """Return True if positions and velocities of the message are the sample, in the same order."""
-        return message.name == self._names and not self._measurement.by_torque
-
-    def sides(self, position: Array, velocity: Array, **_: Array) -> tuple[Array, ...]:
-        """Split positions and velocities (2n,) into views (n,) of links and motors."""
-        fields = (position,) if self._measurement.observed else (position, velocity)
-        return tuple(side for field in fields for side in (field[: self._n], field[self._n :]))
 
     def _velocities(self, message: JointState, columns: NDArray[np.intp]) -> Array:
         if not message.velocity and message.position:
@@ -233,3 +212,12 @@ class TorqueReader:
         torque = np.zeros(len(self._row))
         torque[[self._row[name] for name in names]] = effort
         return torque
+
+
+def time_of(message: Clock) -> int:
+    """Return the time of a message [ns]."""
+    return nanoseconds(message.clock)
+
+
+CLOCK_LAYOUT = Form([0, 0])
+"""Layout of a serialised message, whose stamp is its time."""

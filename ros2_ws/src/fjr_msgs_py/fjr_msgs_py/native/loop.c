@@ -44,12 +44,6 @@ struct fjr_loop {
   char reason[REASON];
 };
 
-int64_t fjr_steady_now(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
-}
-
 int fjr_loop_fail(struct fjr_loop* loop, const char* reason) {
   snprintf(loop->reason, REASON, "%s", reason);
   return FJR_FAILED;

@@ -66,7 +66,4 @@ int fjr_loop_publish(struct fjr_loop* loop, void* publisher, const struct fjr_me
 int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds);
 void fjr_loop_tick_by(struct fjr_loop* loop, int64_t time);
 
-/* Return the time of the steady clock [ns], as Python's time.monotonic_ns(). */
-int64_t fjr_steady_now(void);
-
 #endif

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread of a native loop: start, requests, end. See loop.h."""
+"""The thread of a native loop (loop.h), and what its C uses of a node: subscriptions, publishers, messages, a queue."""
 
 from __future__ import annotations
 
@@ -9,16 +9,140 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.type_support import check_is_valid_msg_type
 
-from .entities import NativeSubscription
+from fjr_core.numerics.c_library import record_type
+
+from ..messages.cdr import HEADER, Form
 from .program import NativeError, Program
 
+NAMES_ROOM = 1 << 13  # bytes of a list of names that is compared instead of looked up
+
+
+class NativeSubscription:
+    """A subscription of a node that no executor serves, so that a native loop alone takes its messages.
+
+    Incompatible publishers are logged by the executor of the node, as for any other subscription.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile) -> None:
+        self._node, group = node, node.default_callback_group
+        check_is_valid_msg_type(kind)  # loads the code of the type
+        with node.handle:
+            self.handle = rclpy_implementation.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
+        events = SubscriptionEventCallbacks()
+        self._subscription = Subscription(self.handle, kind, topic, lambda _: None, group, qos, True, events)
+        for handler in self._subscription.event_handlers:
+            node.add_waitable(handler)
+        self.address, self._open = int(self.handle.pointer), True
+
+    @property
+    def publishers(self) -> int:
+        """Number of connected publishers."""
+        return int(self._subscription.get_publisher_count())
+
+    def close(self) -> None:
+        """Destroy the subscription; a second call does nothing."""
+        if self._open:
+            self._open = False
+            for handler in self._subscription.event_handlers:
+                self._node.remove_waitable(handler)
+            self._subscription.destroy()
+
+
+def publisher_address(program: Program, publisher: Publisher) -> Any:
+    """Return the rcl_publisher_t* of a publisher."""
+    return program.ffi.cast("void*", publisher.handle.pointer)
+
+
+class NativeMessage:
+    """A serialised message as struct fjr_message; `pointer` is valid as long as the object lives."""
+
+    def __init__(self, program: Program, form: Form, lengths: Sequence[int]) -> None:
+        """Lay out a message; lengths: of its sequences of numbers."""
+        ffi = program.ffi
+        self._buffer = bytearray(HEADER) + form.empty()
+        self._view = ffi.from_buffer(self._buffer)
+        offsets = [8 * start - HEADER for start in form.starts]
+        self.pointer = ffi.new(
+            "struct fjr_message*",
+            {
+                "bytes": ffi.cast("uint8_t*", self._view) + HEADER,
+                "size": len(self._buffer) - HEADER,
+                "at": offsets,
+                "length": list(lengths),
+            },
+        )
+
+    def serialised(self) -> bytes:
+        """Return a copy of the message."""
+        return bytes(self._buffer[HEADER:])
+
+
+class NativeReader:
+    """A reader of JointStates as struct fjr_joint_reader; `pointer` is valid as long as the object lives.
+
+    values: by field (position, velocity, effort), the numbers (k,) of the names in their order; None if not wanted.
+    """
+
+    def __init__(self, program: Program, names: Sequence[str], wanted: int) -> None:
+        """names: those that are wanted; wanted: sum of enum fjr_field."""
+        ffi, k = program.ffi, len(names)
+        texts = [ffi.new("char[]", name.encode()) for name in names]
+        self.values = [np.zeros(k) if wanted >> field & 1 else None for field in range(3)]
+        views = [ffi.NULL if value is None else ffi.from_buffer("double[]", value) for value in self.values]
+        table, columns, seen = ffi.new("char*[]", texts), ffi.new("int32_t[]", k), ffi.new("uint8_t[]", NAMES_ROOM)
+        self._kept = (texts, views, table, columns, seen)
+        self.pointer = ffi.new(
+            "struct fjr_joint_reader*",
+            {
+                "joints": k,
+                "wanted": wanted,
+                "name": ffi.cast("char**", table),
+                "column": columns,
+                "seen": seen,
+                "room": NAMES_ROOM,
+                "value": views,
+            },
+        )
+
+
+class Ring:
+    """A queue of records from a native loop to Python; `pointer` is a struct fjr_ring*."""
+
+    def __init__(self, program: Program, kind: str, capacity: int) -> None:
+        """kind: type of a record in C; capacity: number of records, a power of 2."""
+        ffi = program.ffi
+        self._program, self._type = program, record_type(ffi, ffi.typeof(kind))
+        self._slots, self._taken = (np.zeros(capacity, self._type) for _ in range(2))
+        self._views = [ffi.from_buffer("uint8_t[]", each.view(np.uint8)) for each in (self._slots, self._taken)]
+        given = {"slots": self._views[0], "capacity": capacity, "record": self._type.itemsize}
+        self.pointer = ffi.new("struct fjr_ring*", given)
+
+    def take(self, most: int | None = None) -> NDArray[Any]:
+        """Return the waiting records, the oldest first, valid until the next call; most: at most so many."""
+        most = len(self._taken) if most is None else min(most, len(self._taken))
+        return self._taken[: self._program.lib.fjr_ring_take(self.pointer, self._views[1], most)]
+
+    @property
+    def lost(self) -> int:
+        """Number of records that found no place so far."""
+        return int(self._program.lib.fjr_ring_lost(self.pointer))
+
+
 LARGEST = 1 << 16  # bytes of a message that is taken without allocation
-_running: set[Loop] = set()
+_running: set[NativeLoop] = set()
 
 
-class Loop:
+class NativeLoop:
     """A thread that serves subscriptions by the callbacks of a host in C (struct fjr_host)."""
 
     def __init__(
@@ -33,9 +157,10 @@ class Loop:
         self._held = ExitStack()
         self.use(publishers)
         addresses = [program.ffi.cast("void*", each.address) for each in subscriptions]
-        self.pointer = program.lib.fjr_loop_create(host, addresses, len(addresses), LARGEST)
-        if not self.pointer:
+        made = program.lib.fjr_loop_create(host, addresses, len(addresses), LARGEST)
+        if not made:
             raise NativeError("the loop cannot be created (out of memory)")
+        self.pointer = program.ffi.gc(made, program.lib.fjr_loop_destroy)
 
     def use(self, publishers: Sequence[Publisher]) -> None:
         """Replace the publishers that the host uses; not while the thread runs."""
@@ -61,7 +186,7 @@ class Loop:
         """End the thread and free its memory."""
         self.stop()
         if self.pointer:
-            self._program.lib.fjr_loop_destroy(self.pointer)
+            self._program.ffi.release(self.pointer)
             self.pointer = self._program.ffi.NULL
 
     def request(self, kind: int, argument: Any = None) -> int:

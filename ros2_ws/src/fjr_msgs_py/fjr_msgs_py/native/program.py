@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build C code against the ROS 2 of this process, and open it."""
+"""Build C code, against the ROS 2 of this process where it has a native thread, and open it."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fjr_core.errors import CompilerError
 from fjr_core.numerics.c_library import ffi_of
 from fjr_core.numerics.jit import shared_object
 from fjr_core.runtime.library import declarations
 
-COMMON = ("ring", "cdr", "loop")
-"""Parts of every native loop, in the order in which they are included."""
+PORTABLE, COMMON = ("clock", "ring", "cdr"), ("clock", "ring", "cdr", "loop")
+"""Parts of every native loop, in the order in which they are included; the portable ones need no headers of ROS 2."""
 WARNINGS = ("-Wall", "-Wextra", "-Wno-unused-function")
 _FEATURES = "#define _GNU_SOURCE\n#include <math.h>\n#include <string.h>\n"
 
@@ -27,6 +29,9 @@ class NativeError(Exception):
 class Program:
     """A library in C and its declarations: `lib` holds the functions, `ffi` makes their arguments."""
 
+    without_thread = ""
+    """Why a program of `hosted` has no native thread; "" if it has."""
+
     def __init__(
         self,
         name: str,
@@ -34,21 +39,56 @@ class Program:
         sources: Sequence[str],
         values: Mapping[str, int] | None = None,
         base: str = "",
+        ros: bool = True,
     ) -> None:
-        """Build the library from the texts of headers and sources, or find it in the cache; raises NativeError.
+        """Build the library from the texts of headers and sources, or find it in the cache.
 
         values: macros that are numbers. base: C text that comes before the headers. Types of `ffi` are its own: `cast`
-        makes them of pointers to the same types of another library.
+        makes them of pointers to the same types of another library. ros: use the headers and libraries of ROS 2; raise
+        NativeError if that cannot be built. Else raise CompilerError without a C compiler.
         """
         macros = dict(values or {})
         self.ffi = ffi_of(declarations("\n".join([base, *headers]), macros))
         defined = [f"#define {macro} {value}\n" for macro, value in macros.items()]
         text = [_FEATURES, *defined, base, *headers, *sources]
         try:
-            path = shared_object(name, "\n".join(text), [*WARNINGS, *ros_options()])
+            path = shared_object(name, "\n".join(text), [*WARNINGS, *(ros_options() if ros else ())])
             self.lib: Any = self.ffi.dlopen(path)
         except (CompilerError, OSError) as error:
+            if not ros:
+                raise
             raise NativeError(str(error)) from None
+
+    @classmethod
+    def hosted(
+        cls,
+        name: str,
+        package: str,
+        headers: Sequence[str],
+        sources: Sequence[str],
+        thread: str,
+        values: Mapping[str, int] | None = None,
+        base: str = "",
+    ) -> Program:
+        """Build C files of the folder native of a package with their native host, the files `thread`.h and `thread`.c.
+
+        Where that cannot be built they are built without it, for rclpy's executor alone; see `without_thread`.
+        """
+        declared, defined = ([_text(file, package) for file in files] for files in (headers, sources))
+        host = [_text(f"{thread}.{kind}", package) for kind in "hc"]
+        try:
+            texts = [*common_headers(), *declared, host[0]], [*common_sources(), *defined, host[1]]
+            return cls(name, *texts, values, base)
+        except NativeError as error:
+            portable = [_text(f"{part}.c") for part in PORTABLE]
+            found = cls(name, [*common_headers(), *declared], [*portable, *defined], values, base, ros=False)
+            found.without_thread = str(error)
+            return found
+
+    def array(self, values: np.ndarray) -> Any:
+        """Return a pointer to the numbers of a contiguous array; it keeps the array alive."""
+        kind = {"f": "double[]", "i": "int32_t[]" if values.itemsize == 4 else "int64_t[]"}[values.dtype.kind]
+        return self.ffi.from_buffer(kind, values)
 
     def cast(self, struct: str, pointers: Mapping[str, Any]) -> dict[str, Any]:
         """Return pointers by the names of the fields of a structure, with the types of these fields."""
@@ -89,5 +129,5 @@ def _prefix() -> Path:
     raise NativeError("librcl.so is not loaded; expected rclpy to load it")
 
 
-def _text(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+def _text(name: str, package: str = "fjr_msgs_py") -> str:
+    return (files(package) / "native" / name).read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from ..native.entities import NativeSubscription
+from ..native.loop import NativeSubscription
 
 LISTENING = 0.25  # s
 MATCHING = 1.0  # s
@@ -54,6 +54,10 @@ class ConflictingPublishers:
         """Return the topics with a publisher that did not exist at the last call."""
         before, self._others = self._others, self._found()
         return sorted({other.topic for gid, other in self._others.items() if gid not in before})
+
+    def others_appeared(self) -> bool:
+        """Return whether a publisher exists that did not at the last call of `appeared`."""
+        return not self._found().keys() <= self._others.keys()
 
     @property
     def known(self) -> tuple[bytes, int]:

@@ -16,7 +16,7 @@ from fjr_core import FjrError
 LONGEST = 500  # characters of a sentence about a request
 
 
-class Host(Protocol):
+class NodeProcess(Protocol):
     """The process of a node."""
 
     def end(self, error: FjrError) -> None:
@@ -37,7 +37,7 @@ class EndingNode(Node):
     values: dict[str, Any]
     starting: ClassVar[bool] = False
     """Whether a process builds the node; it then looks at `ended` itself."""
-    host: Host | None = None
+    host: NodeProcess | None = None
     """The process, if the node has its own (fjr_msgs_py/node/process.py)."""
     ended: FjrError | None = None
     """The error that ended the node."""

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Declare and check the parameters of a node by their table in fjr_core.config."""
+"""Parameters of a node: declaration, descriptors, check, changes while it runs."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, ParameterType, SetParametersResult
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter as RosParameter
 
@@ -18,9 +19,54 @@ from fjr_core.config.nodes import OwnParameters, all_parameters, is_of_others, n
 from fjr_core.config.parameter import Parameter, Value, complete, is_option, refuse_unknown, resembling, unread_options
 
 from .command_line import for_any_node, overruled, same_value
-from .descriptor import descriptor
 from .failure import LONGEST, EndingNode
 from .participant import exchange_as_processes_do
+
+_TYPES = {
+    bool: ParameterType.PARAMETER_BOOL,
+    int: ParameterType.PARAMETER_INTEGER,
+    float: ParameterType.PARAMETER_DOUBLE,
+    str: ParameterType.PARAMETER_STRING,
+}
+_LIST_TYPES = {float: ParameterType.PARAMETER_DOUBLE_ARRAY, str: ParameterType.PARAMETER_STRING_ARRAY}
+
+
+def descriptor(parameter: Parameter, managed: bool) -> ParameterDescriptor:
+    """Return the ROS descriptor of a parameter; managed: of a lifecycle node."""
+    read_only = not parameter.dynamic and not managed
+    description = f"{parameter.description} [{parameter.unit}]" if parameter.unit else parameter.description
+    message = ParameterDescriptor(name=parameter.name, description=description, read_only=read_only)
+    kind = type(parameter.default)
+    if isinstance(parameter.default, tuple):
+        message.type = _LIST_TYPES[type(parameter.default[0])]
+    else:
+        message.type = _TYPES[kind]
+    bounded = math.isfinite(parameter.minimum) and math.isfinite(parameter.maximum)
+    if kind is float and bounded:
+        message.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
+    if kind is int and bounded:
+        message.integer_range = [IntegerRange(from_value=int(parameter.minimum), to_value=int(parameter.maximum))]
+    message.additional_constraints = "; ".join(filter(None, [_constraints(parameter), _when(parameter, managed)]))
+    return message
+
+
+def _when(parameter: Parameter, managed: bool) -> str:
+    if parameter.dynamic:
+        return "may change while the node is active" if managed else "may change while the node runs"
+    return "may change only while the node is unconfigured" if managed else "fixed while the node runs"
+
+
+def _constraints(parameter: Parameter) -> str:
+    if parameter.choices:
+        return f"one of {parameter.listed_choices}"
+    if parameter.infinite:
+        least = f"at least {parameter.minimum}, " if math.isfinite(parameter.minimum) else ""
+        return f"{least}infinite for none"
+    if math.isfinite(parameter.minimum) and not math.isfinite(parameter.maximum):
+        return f"finite, at least {parameter.minimum}"
+    example = parameter.default[0] if isinstance(parameter.default, tuple) else parameter.default
+    return parameter.constraint or ("finite" if isinstance(example, float) else "")
+
 
 _SIM_TIME = "use_sim_time"
 _FOREIGN = (_SIM_TIME, "start_type_description_service", "qos_overrides.")

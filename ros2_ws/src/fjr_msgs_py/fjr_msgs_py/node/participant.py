@@ -18,8 +18,7 @@ import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
-from .environment import domain_fault, ensure_log_folder
-from .loading import SIGNALS
+from .loading import SIGNALS, domain_fault, ensure_log_folder
 from .scheduling import ahead_of_new_threads
 
 if TYPE_CHECKING:

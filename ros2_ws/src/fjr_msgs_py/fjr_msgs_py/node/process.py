@@ -97,7 +97,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
 
 
 class _Host:
-    """The process of a node (failure.Host), and the loop that serves the callbacks of the node."""
+    """The process of a node (failure.NodeProcess), and the loop that serves the callbacks of the node."""
 
     ended: FjrError | None = None
     _granted = ""

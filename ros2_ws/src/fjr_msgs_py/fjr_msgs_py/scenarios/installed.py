@@ -13,7 +13,7 @@ def installed(kind: str) -> dict[str, Path]:
     try:
         folder = Path(get_package_share_directory("fjr_bringup"), kind)
     except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
-        from fjr_msgs_py.console.ros2_tools import INSTALLATION
+        from fjr_msgs_py.console.ros2 import INSTALLATION
         from fjr_msgs_py.scenarios.library import ScenarioError  # loads CasADi
 
         raise ScenarioError(f"package fjr_bringup is not installed here; {INSTALLATION}") from error

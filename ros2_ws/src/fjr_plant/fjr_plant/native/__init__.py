@@ -1,2 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated robot and its time bases in C: one text for the native loop and for rclpy's executors."""
+"""The plant in C."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from fjr_msgs_py.native.program import Program
+
+NO_TIME = 2**63 - 1
+"""FJR_NO_TIME."""
+
+
+@cache
+def plant_program() -> Program:
+    """Return the program of this process, compiled and cached; raises CompilerError without a C compiler."""
+    headers = ("robot.h", "channel.h", "plant.h")
+    sources = ("robot.c", "channel.c", "time_base.c", "real_time.c", "lock_step.c")
+    return Program.hosted("fjr_plant", "fjr_plant", headers, sources, "plant_loop")

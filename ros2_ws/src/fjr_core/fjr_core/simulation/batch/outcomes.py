@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.checks import Array
-from ...runtime.event_kinds import KINDS, STARTS_REFUSED, STOPS
+from ...runtime.events import KINDS, STARTS_REFUSED, STOPS
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,12 +23,11 @@ from ...motions.reference import Reference
 from ...numerics import jit
 from ...numerics.c_library import ffi_of
 from ...numerics.jit import program_digest
-from ...runtime.c_function import CFunction
-from ...runtime.library import HEADER, StepLibrary, c_text, declarations, text
+from ...runtime.library import HEADER, CFunction, StepLibrary, c_text, declarations, text
 from ...runtime.measurement_model import Measurement
-from ...runtime.reference_struct import ReferenceStruct
+from ...runtime.reference import ReferenceStruct
 from ...runtime.safety_settings import Settings
-from ...runtime.settings_struct import Model, model_functions, settings_struct
+from ...runtime.structs import Model, model_functions, settings_struct
 from ...runtime.velocity_observer import VelocityObserver
 from .uncertain_robot import UncertainPlant
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.numerics.parameter_field import Parameter, declared
-from fjr_core.runtime.event_kinds import ERRORS, KINDS, WARNINGS
+from fjr_core.runtime.events import ERRORS, KINDS, SENTENCES, WARNINGS
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.runtime.wiring_fault import SENTENCES
 
 from ..c_code import number, quoted
 from ..step_code import Controller

@@ -12,7 +12,7 @@ from pathlib import Path
 from fjr_core.files.importing import is_named, load
 from fjr_core.law.interfaces import StaticLaw
 from fjr_design.studies.comparison import job, markdown, pool, report, results, suite
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 
 PAGE, RESULTS, CACHE = "comparison.html", "comparison.json", "kept"

@@ -8,7 +8,7 @@ from typing import Any
 
 from fjr_core.errors import CompareError
 from fjr_design.studies.comparison.results import Row, best_in, extent, table_rows
-from fjr_msgs_py.console.formatting import DASH
+from fjr_msgs_py.console.output import DASH
 
 BEGIN, END = "<!-- fjr compare: begin -->", "<!-- fjr compare: end -->"
 

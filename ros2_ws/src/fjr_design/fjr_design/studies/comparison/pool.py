@@ -17,9 +17,8 @@ from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError
 from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_design.studies.comparison.job import Job, Result, work
-from fjr_msgs_py.console.formatting import plural
-from fjr_msgs_py.console.interrupt import Interrupted
-from fjr_msgs_py.console.progress import progress_bar
+from fjr_msgs_py.console.ending import Interrupted
+from fjr_msgs_py.console.output import plural, progress_bar
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total} laws on robots, {elapsed} < {remaining}"
 QUIET = 2.0  # s until the progress bar appears

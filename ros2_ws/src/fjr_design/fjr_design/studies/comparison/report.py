@@ -12,7 +12,7 @@ from fjr_core.files.importing import is_named
 from fjr_design.studies.comparison.report_figures import comparison_plots, looks, place_of
 from fjr_design.studies.comparison.results import Row, Value, extent, rows
 from fjr_monitor.report import html
-from fjr_msgs_py.console.formatting import number, plural
+from fjr_msgs_py.console.output import number, plural
 
 HOW = (
     "Drag over a plot to enlarge it, double-click to go back. All results are in comparison.json in the same folder. "

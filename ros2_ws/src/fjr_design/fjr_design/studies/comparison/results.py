@@ -13,7 +13,7 @@ from fjr_core.extensions.law_registry import law_kind
 from fjr_design.experiments.comparison.perturbations import PERTURBATIONS, Direction, directions
 from fjr_design.studies.comparison.job import Job, Result
 from fjr_design.studies.comparison.suite import NOMINAL, Suite
-from fjr_msgs_py.console.formatting import DASH, number, percent, plural
+from fjr_msgs_py.console.output import DASH, number, percent, plural
 
 SHORT = {
     "pd_gravity": "PD + gravity",

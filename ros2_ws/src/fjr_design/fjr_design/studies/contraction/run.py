@@ -21,8 +21,8 @@ from fjr_monitor.analysis.commands import ANSWERS
 from fjr_monitor.analysis.run_data import STATES
 from fjr_monitor.recording.reader import Array, read_bag
 from fjr_msgs_py import names
-from fjr_msgs_py.console.interrupt import Interrupted
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.ending import Interrupted
+from fjr_msgs_py.console.output import Result
 
 QUIET = 2.0  # s until the progress bar appears
 MISMATCH = "the plant differs from the model of the controller: x(t) jumps between samples of the virtual system\n"

@@ -24,10 +24,8 @@ from fjr_design.studies.monte_carlo.report import write_page
 from fjr_design.studies.monte_carlo.report_figures import sweep_plots
 from fjr_design.studies.monte_carlo.store import Store, open_store
 from fjr_design.studies.monte_carlo.sweep_file import SweepFile
-from fjr_msgs_py.console.formatting import number, percent, plural
-from fjr_msgs_py.console.interrupt import Interrupted
-from fjr_msgs_py.console.progress import progress_bar
-from fjr_msgs_py.console.result import Result
+from fjr_msgs_py.console.ending import Interrupted
+from fjr_msgs_py.console.output import Result, number, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.installed import installed
 

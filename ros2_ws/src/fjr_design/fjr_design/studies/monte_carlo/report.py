@@ -13,7 +13,7 @@ from fjr_design.experiments.monte_carlo.sweep import Sweep
 from fjr_design.studies.monte_carlo.store import Store
 from fjr_monitor.plotting.figure import Plot
 from fjr_monitor.report import html
-from fjr_msgs_py.console.formatting import number, percent
+from fjr_msgs_py.console.output import number, percent
 
 ROWS = {
     "rms": ("RMS error", "rad"),

@@ -33,10 +33,8 @@ from fjr_design.studies.tuning import tuning_file
 from fjr_design.studies.tuning.evaluation import Evaluation
 from fjr_design.studies.tuning.picture import draw
 from fjr_design.studies.tuning.store import open_store
-from fjr_msgs_py.console.formatting import number, percent, plural
-from fjr_msgs_py.console.interrupt import Interrupted
-from fjr_msgs_py.console.progress import progress_bar
-from fjr_msgs_py.console.result import Result, json_text
+from fjr_msgs_py.console.ending import Interrupted
+from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"

@@ -12,7 +12,7 @@ from fjr_design.experiments.tuning.candidates import Point, Range, run_candidate
 from fjr_design.experiments.tuning.goal import Figures, Score, joined
 from fjr_design.studies.monte_carlo.pool import AHEAD, LOOK, Workers, result_of
 from fjr_design.studies.tuning.store import Part, TuningStore
-from fjr_msgs_py.console.interrupt import Interrupted
+from fjr_msgs_py.console.ending import Interrupted
 
 SMALL, LARGE, MANY = 16, 200, 1000
 """Runs of a part: of a few draws, of at least MANY draws."""

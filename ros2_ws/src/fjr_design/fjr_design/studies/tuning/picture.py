@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fjr_core.numerics.checks import Array
 from fjr_design.experiments.tuning.goal import Figures
 from fjr_monitor.plotting.picture import COLOURS, GREY, LEGEND, STYLE
-from fjr_msgs_py.console.formatting import percent
+from fjr_msgs_py.console.output import percent
 
 if TYPE_CHECKING:
     from fjr_design.studies.tuning.command import Tuned

@@ -12,7 +12,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.monitoring.thresholds import LONGEST_GAP
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.wiring_fault import WiringFault
+from fjr_core.runtime.events import WiringFault
 
 from ..delay_estimation import acting, effort_delay
 from ..innovations import innovations, needed

@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command loop of an active controller: a JointState in, an effort out, in C (controller_loop.h) on either host."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import JointState
+
+from fjr_core import FjrError, Measurement
+from fjr_core.config.controller import auxiliary_period
+from fjr_core.config.process import NATIVE, process_settings
+from fjr_core.runtime.control_step import Command, ControlStep
+from fjr_core.runtime.events import NEVER, STATES, State
+from fjr_core.runtime.measurement_model import JointSample
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.cdr import float_array, joint_state
+from fjr_msgs_py.messages.joint_states import StateReader
+from fjr_msgs_py.native.loop import NativeMessage, NativeReader, Ring
+from fjr_msgs_py.native.program import NativeError
+from fjr_msgs_py.node import process
+
+from .certificate import LiveCertificate
+from .command_topics import CommandConflictError, CommandTopics
+from .host import Host, NativeHost, RclpyHost
+from .native import controller_program, step_functions
+from .reports import ANSWERED, RECEIVED, Refusals, Reports
+
+SILENCE_CHECKS = 10  # per state_timeout
+READING_PERIOD = 0.05  # s
+READING_PERIOD_SIMULATED = 0.02  # s; simulated time stands still while the queue is full
+RECORDS = 4096  # 4 s at 1 kHz
+LOST = "samples not reported"
+AT_ONCE = 1024  # records between two callbacks of other parts of the node
+IN_PYTHON = "the law or the observer is evaluated in Python (compile is false, or a law of one's own)"
+CHANGES = {
+    "start": "FJR_START",
+    "apply": "FJR_APPLY",
+    "use_gains": "FJR_USE_GAINS",
+    "follow": "FJR_FOLLOW",
+    "hold": "FJR_DO_HOLD",
+    "resume": "FJR_DO_RESUME",
+}
+"""Requests by the functions of step.h that change a controller."""
+
+Listener = Callable[[JointSample, Command], None]
+
+
+class LoopError(FjrError):
+    """The command loop has ended by itself."""
+
+
+class CommandLoop:
+    """Publish a command on both command topics for each state from `start` to `stop`; otherwise nothing.
+
+    Between the two the controller of `step` is a copy, and the loop is its owner. Listeners and reports get each sample
+    from a queue, a READING_PERIOD later. A conflicting publisher (see CommandTopics) that is found at the first state
+    triggers `on_conflict`. program: the compiled loop.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        step: ControlStep,
+        measurement: Measurement,
+        reports: Reports,
+        on_conflict: Callable[[CommandConflictError], None],
+    ) -> None:
+        """Build the loop, subscribe to the states and create the publishers of reference and tracking error."""
+        self._node, self._reports, self._on_conflict, self._controls = node, reports, on_conflict, step
+        self._simulated = bool(node.get_parameter("use_sim_time").value)
+        joints = node.values["joints"]
+        n, qos = len(joints), names.sample_qos(node)
+        self.program = program = controller_program(n, len(step.memory))
+        self._controller = program.ffi.new("struct fjr_controller*")
+        reader = StateReader(joints, measurement)
+        fields = 0b001 | (0b100 if measurement.by_torque else 0) | (0 if measurement.observed else 0b010)
+        self._reader = NativeReader(program, reader.names, fields)
+        efforts, moving = (0, 0, n), (n, n, 0)
+        self._messages = {
+            "effort": NativeMessage(program, float_array(",".join(joints), n), (n,)),
+            "command": NativeMessage(program, joint_state(joints, efforts), efforts),
+            "reference": NativeMessage(program, joint_state(joints, moving), moving),
+            "error": NativeMessage(program, joint_state(joints, moving), moving),
+        }
+        self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
+        shared = {"model": step.model, "controller": self._controller, "copy": step.controller}
+        given = {
+            **program.cast("struct fjr_controller_loop", shared),
+            **{name: message.pointer for name, message in self._messages.items()},
+            "step": step_functions(program, step.library),
+            "reader": self._reader.pointer,
+            "records": self._ring.pointer,
+            "refusals": self._refusals.pointer,
+            "simulated": self._simulated,
+            "auxiliary": (round(auxiliary_period(node.values, self._simulated) * 1e9), 0),
+        }
+        self._struct = program.ffi.new("struct fjr_controller_loop*", given)
+        topics = (names.REFERENCE, names.TRACKING_ERROR)
+        self._publishers = [node.create_publisher(JointState, topic, qos) for topic in topics]
+        self._host = self._chosen_host()
+        self._listeners: list[tuple[Listener, Callable[[], bool]]] = []
+        self._certificate: LiveCertificate | None = None
+        self._lost, self.active = 0, False
+
+    def _chosen_host(self) -> Host:
+        """Return the host of the parameter `executor`; log the reason if it is another one than wanted."""
+        if self._node.values["executor"] == NATIVE:
+            why = self.program.without_thread if self._controls.in_c else IN_PYTHON
+            try:
+                if not why:
+                    return NativeHost(self._node, self.program, self._struct)
+            except NativeError as error:
+                why = str(error)
+            self._node.get_logger().info(f"the command loop runs in rclpy's executor instead of a native thread: {why}")
+        return RclpyHost(self._node, self.program, self._struct, self._controls.raise_failure, self._report)
+
+    @property
+    def native(self) -> bool:
+        """Whether a native thread answers the states."""
+        return isinstance(self._host, NativeHost)
+
+    def add_listener(self, listener: Listener, wants: Callable[[], bool] = lambda: True) -> None:
+        """Call `listener` for each sample some time after its command was sent, while `wants()`."""
+        self._listeners.append((listener, wants))
+
+    def certify(self, certificate: LiveCertificate) -> None:
+        """Evaluate and publish the certificate of each sample from the next start on."""
+        self._certificate, certificate.recertify = certificate, self._recertify
+        self._struct.certificate, self._struct.certified = certificate.pointer, certificate.message
+        self._publishers.append(certificate.publisher)
+
+    def start(self, state_timeout: float, since: int = 0) -> None:
+        """Publish commands from the next state on that arrives at `since` [ns, steady clock] or later.
+
+        An earlier one is ignored: a conflicting publisher may not be discovered yet.
+        Raise CommandConflictError if another process publishes on a command topic.
+        """
+        self._topics = CommandTopics(self._node, self._reports)
+        struct, ffi = self._struct, self.program.ffi
+        struct.alone, struct.sends, struct.since = self.program.lib.FJR_UNASKED, 0, since
+        struct.silence_period = round(state_timeout / SILENCE_CHECKS * 1e9)
+        struct.silence_check = time.monotonic_ns() + struct.silence_period
+        struct.reason = ffi.NULL
+        self._state = State.WAITING
+        ffi.memmove(self._controller, self._controls.controller, ffi.sizeof("struct fjr_controller"))
+        self._controls.owner = self
+        if self._certificate is not None:
+            self._certificate.restart()
+        publishers = [*self._topics.publishers, *self._publishers]
+        self._host.start(self._topics, publishers, process_settings(self._node.values).priority)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        period = READING_PERIOD_SIMULATED if self._simulated else READING_PERIOD
+        self._timers = [self._node.create_timer(period, self._read, clock=steady)]
+        if self._simulated:
+            clock = self._node.get_clock()
+            self._timers.append(self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=clock))
+        self.active = True
+
+    def stop(self) -> None:
+        """Publish the stop effort if a command was sent before, and end the command loop."""
+        if not self.active:
+            return
+        self.active = False
+        for timer in self._timers:
+            self._node.destroy_timer(timer)
+        self._host.stop()
+        self._request("FJR_SEND_STOP")
+        self._controls.owner = None
+        self._report()
+        process.flush(*self._topics.publishers)
+        self._topics.close()
+
+    def close(self) -> None:
+        """Destroy all subscriptions and publishers."""
+        self.stop()
+        self._host.close()
+        for publisher in self._publishers[:2]:  # that of the certificate is its own
+            self._node.destroy_publisher(publisher)
+
+    def abandon(self) -> None:
+        """Stop serving, and destroy the subscriptions that the node does not know, before the node is destroyed."""
+        self._host.close()
+        if self.active:
+            self._topics.end_search()
+
+    # The owner of the controller.
+
+    def change(self, what: str, *pointers: Any, time: int = 0) -> None:
+        """Let the host call fjr_WHAT of step.h between two samples."""
+        self._request(CHANGES[what], *pointers, time=time)
+
+    def copy(self) -> None:
+        """Bring the controller of the step up to date."""
+        self._request("FJR_COPY")
+
+    @contextmanager
+    def between_samples(self) -> Iterator[None]:
+        """Let states wait until the end of the block, with the controller of the step up to date."""
+        self._host.hold(True)
+        try:
+            self.copy()
+            yield
+        finally:
+            self._host.hold(False)
+
+    def check_silence(self, now: int) -> None:
+        """Send the stop effort once per silence; now [ns]: of the clock of the stamps."""
+        self._request("FJR_CHECK_SILENCE", time=now)
+
+    def _request(self, kind: str, *pointers: Any, time: int = 0) -> None:
+        """Let the host serve a request of enum fjr_controller_request, and wait for it."""
+        ffi = self.program.ffi
+        first, second, *_ = (*pointers, ffi.NULL, ffi.NULL)
+        arguments = ffi.new("struct fjr_arguments*", (first, second, time))
+        self._host.run(getattr(self.program.lib, kind), arguments)
+
+    def _recertify(self, gains: Any, beta: Any) -> None:
+        """Let the loop use other gains for the certificate; records with those before are read first."""
+        if self.active:
+            self.copy()
+            self._report()
+        self._request("FJR_RECERTIFY", gains, beta)
+
+    def _on_silence(self) -> None:
+        self.check_silence(self._node.get_clock().now().nanoseconds)
+
+    # What Python reads.
+
+    def _read(self) -> None:
+        """Read the queue; end the node if the loop has ended by itself."""
+        runs = self._host.runs  # before its last records are read
+        self.copy()
+        self._report()
+        if not runs and self.active:
+            if isinstance(self._host.failure, BaseException):
+                raise self._host.failure
+            raise LoopError(f"the {self._host.name} failed: {self._host.failure}; the stop effort was sent")
+        if self.active:
+            self._resolve_doubt()
+
+    def _resolve_doubt(self) -> None:
+        """Listen to publishers that were found before the first command: deactivate, or let the loop answer."""
+        lib, struct = self.program.lib, self._struct
+        try:
+            if struct.alone == lib.FJR_NOT_ALONE:
+                self._topics.check_alone()
+                struct.alone = lib.FJR_ALONE
+            if struct.alone == lib.FJR_ALONE:
+                self._topics.end_search()
+        except CommandConflictError as error:
+            self._on_conflict(error)
+
+    def _report(self) -> None:
+        """Report refused messages, records, events and counters; all records once the loop has ended."""
+        self._refusals.report()
+        while len(records := self._ring.take(AT_ONCE)):
+            self._on_records(records)
+            if self._host.runs:  # other callbacks of the node come first; in simulated time the loop waits
+                break
+        if self._ring.lost > self._lost:
+            self._lost = self._ring.lost
+            self._reports.warn(LOST, "samples were not reported: the process of the node has too little time")
+            self._reports.count[LOST] = self._lost
+        self._reports.count[RECEIVED] = self._struct.received
+        self._reports.count[ANSWERED] = self._struct.answered
+        self._reports.publish_events()
+
+    def _on_records(self, records: NDArray[Any]) -> None:
+        """Process records; a report by their stamps covers all up to its own and none after it."""
+        start = 0
+        for k, stamp in enumerate(records["sample"]["stamp"].tolist() if self._simulated else (), start=1):
+            if self._reports.due(stamp) or k == len(records):
+                self._process(records[start:k])
+                self._reports.at(stamp)
+                start = k
+        self._process(records[start:])
+
+    def _process(self, records: NDArray[Any]) -> None:
+        if not len(records):
+            return
+        if self._certificate is not None:
+            self._certificate.on_records(records)
+        listeners = [listener for listener, wants in self._listeners if wants()]
+        for record in records if listeners else ():
+            sample, command = _sample_of(record), _command_of(record["command"])
+            for listener in listeners:
+                listener(sample, command)
+        states = records["command"]["state"]
+        last = np.append(STATES.index(self._state), states[:-1])
+        for state in states[states != last].tolist():
+            self._state = STATES[state]
+            if self._state is State.TRACKING:
+                self._reports.announce("tracking", "tracking: the effort is the law's own")
+
+
+def _sample_of(record: Any) -> JointSample:
+    """Return the sample of a struct fjr_record, with the motor position that the law was evaluated at."""
+    sample = record["sample"]
+    return JointSample(int(sample["stamp"]), sample["link"], record["command"]["position"][len(sample["link"]) :])
+
+
+def _command_of(found: Any) -> Command:
+    """Return a struct fjr_command as the control step does."""
+    jets, start = found["jets"].reshape(-1, len(found["u"])), int(found["bound_start"])
+    return Command(
+        found["u"],
+        jets,
+        float(found["V"]),
+        found["velocity"],
+        STATES[found["state"]],
+        bool(found["restarted"]),
+        found["position"],
+        None if start == NEVER else start,
+    )

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Report counters on /diagnostics and events on ~/events; log each kind of event and of refused message once."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import Event
+from fjr_msgs_py.messages.joint_states import MessageError, StateReader
+from fjr_msgs_py.native.loop import LARGEST
+from fjr_msgs_py.native.program import Program
+from fjr_msgs_py.node.reports import STAMP, EventWriter, Health
+
+RECEIVED, ANSWERED = "states received", "states answered"
+EXPECTED = (
+    RECEIVED,
+    ANSWERED,
+    "states repeated",
+    "recoveries",
+    "resumes",
+    "efforts rate limited",
+    "gains changed",
+    "settings changed",
+    "references changed",
+    "holds",
+    "trajectories accepted",
+    "trajectories given up",
+)
+
+
+class Reports(Health):
+    """Counters and events of the node together with those of its control step."""
+
+    def __init__(self, node: Node, step: ControlStep, events: EventWriter, robot: str) -> None:
+        """Create the publisher; robot: name in the hardware_id of the diagnostics."""
+        super().__init__(node, (RECEIVED, ANSWERED), robot)
+        self._step, self._events = step, events
+        self._expected |= set(EXPECTED)
+        inspect.getframeinfo(sys._getframe())  # the first line of the log costs 25 ms: pay it before samples arrive
+
+    def event(self, event: Event) -> None:
+        """Publish an event, and count and log it by its level and kind."""
+        if event.level == "info":
+            self.count[event.kind] += 1
+            if self.is_new(event.kind):
+                self._node.get_logger().info(event.sentence)
+        elif event.level == "error":
+            self.error(event.kind, event.sentence)
+        else:
+            self.warn(event.kind, event.sentence)
+        values = dict(event.values) if event.stamp is None else {**event.values, STAMP: event.stamp}
+        self._events.publish(event.level, event.kind, event.sentence, values)
+
+    def announce(self, kind: str, sentence: str) -> None:
+        """Publish an event that is not counted, and log it the first time."""
+        if self.is_new(kind):
+            self._node.get_logger().info(sentence)
+        self._events.publish("info", kind, sentence)
+
+    def publish_events(self) -> None:
+        """Publish the events of the control step since the last call."""
+        while self._step.events:
+            self.event(self._step.events.popleft())
+
+    def publish(self) -> None:
+        """Publish the counters; the number of the control step is used for a kind that both count."""
+        for kind, number in self._step.counters.items():
+            self.count[kind] = max(number, self.count[kind])
+        for name, seconds in self._step.seconds.items():
+            self.value(f"seconds {name}", f"{seconds:.3f}")
+        self.value("state", self._step.state.value)
+        super().publish()
+
+
+class Refusals:
+    """Count the states that C has refused, by kind, and log the first of each with the sentence of the Python reader.
+
+    pointer: struct fjr_refusals*.
+    """
+
+    def __init__(self, program: Program, reader: StateReader, health: Health) -> None:
+        ffi = program.ffi
+        self._reader, self._health, self._ffi = reader, health, ffi
+        kinds = len(ffi.new("struct fjr_refusals*").count)
+        self._first = ffi.new("uint8_t[]", kinds * LARGEST)
+        self.pointer = ffi.new("struct fjr_refusals*", {"room": LARGEST, "first": self._first})
+        self._errors: dict[int, MessageError] = {}
+        self._reported = [0] * kinds
+
+    def report(self) -> None:
+        """Report what was refused since the last call."""
+        for kind, count in enumerate(self.pointer.count):
+            for _ in range(count - self._reported[kind]):
+                self._health.refuse("state", self._error(kind))
+            self._reported[kind] = count
+
+    def _error(self, kind: int) -> MessageError:
+        if kind not in self._errors:
+            size = self.pointer.size[kind]
+            self._errors[kind] = self._reason(bytes(self._ffi.buffer(self._first + kind * LARGEST, size)))
+        return self._errors[kind]
+
+    def _reason(self, data: bytes) -> MessageError:
+        """Return the error with which the reader refuses the message."""
+        try:
+            self._reader.read(deserialize_message(data, JointState))
+        except rclpy_implementation.RMWError:
+            pass
+        except MessageError as error:
+            return error
+        return MessageError("not a message", f"{len(data)} bytes are no JointState; expected one")

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names, levels and sentences of the events and counters of the control step."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any
+
+from .safety_settings import Settings
+
+NEVER = -(2**63)
+"""FJR_NEVER: no stamp."""
+
+STOPS, STARTS_REFUSED = "stops", "starts refused"
+"""Kinds of the events that end tracking."""
+KINDS = (
+    "states older than the last",
+    "states stale",
+    "states repeated",
+    "jumps doubted",
+    "reference restarts",
+    "silences",
+    "forward jumps",
+    "observer restarts",
+    "recoveries",
+    STARTS_REFUSED,
+    STOPS,
+    "stops: wiring",
+    "stops: link position",
+    "stops: motor position",
+    "stops: link velocity",
+    "stops: motor velocity",
+    "stops: deflection",
+    "stops: tracking error",
+    "stops: law",
+    "resumes",
+    "efforts not finite",
+    "efforts saturated",
+    "efforts rate limited",
+    "gains changed",
+    "settings changed",
+    "references changed",
+    "holds",
+)
+"""Names of the counters, in the order of enum fjr_kind in step.h."""
+ERRORS = (STARTS_REFUSED, STOPS, "efforts not finite")
+WARNINGS = ("reference restarts", "silences", "forward jumps", "observer restarts", "efforts saturated")
+"""Kinds of events by level; all others inform."""
+
+SENTENCES = {
+    "effort sign": "the effort of {joints} acts with the wrong sign",
+    "efforts exchanged": "the efforts of {joints} are exchanged",
+    "encoder sign": "the {side} encoder of {joints} has the wrong sign",
+    "encoders exchanged": "the {side} encoders of {joints} are exchanged",
+    "velocity sign": "the {side} velocity of {joints} has the sign opposite to its position's slope",
+    "velocity of another joint": "the {side} velocity of {first} is that of {last}",
+}
+"""Sentence of each kind of fault, in the order of enum fjr_wiring_kind in step.h."""
+SIDES = ("link", "motor")
+
+
+@dataclass(frozen=True, order=True)
+class WiringFault:
+    """Fault of the wiring.
+
+    kind: one of SENTENCES. joints: indices, two if joints are exchanged. side: "link" or "motor".
+    """
+
+    kind: str
+    joints: tuple[int, ...]
+    side: str
+
+    @classmethod
+    def of(cls, found: Any) -> WiringFault | None:
+        """Return a struct fjr_wiring_fault as a fault, None if it is none."""
+        joints = tuple(found.joint[0 : found.count])
+        return cls(list(SENTENCES)[found.kind], joints, SIDES[found.side]) if joints else None
+
+    def sentence(self, names: Sequence[str]) -> str:
+        """Describe the fault with the names of the joints."""
+        named = [names[j] for j in self.joints]
+        joints = " and ".join(named)
+        return SENTENCES[self.kind].format(joints=joints, side=self.side, first=named[0], last=named[-1])
+
+
+INFO, WARN, ERROR = "info", "warn", "error"
+SIMPLE = {
+    "reference restarts": (WARN, "the time of the states jumped back: the reference starts again"),
+    "forward jumps": (WARN, "the time of the states jumped forward"),
+    "observer restarts": (WARN, "the velocity observer was reset: a gap, or a state without an effort"),
+    "efforts not finite": (ERROR, "the effort is not finite for a state: the stop effort is sent instead"),
+    "gains changed": (INFO, "gains changed: the certificate starts again"),
+    "settings changed": (INFO, "limits and stop policy changed"),
+    "holds": (INFO, "hold: the motion comes to a standstill"),
+}
+"""Level and sentence of the events without values."""
+AFTER_GAP = 5_000_000_000
+"""A stop within this time [ns] after a gap of the states names the gap."""
+LIMITED = {
+    "link position": ("q_l", "position"),
+    "motor position": ("q_m", "position"),
+    "link velocity": ("dq_l", "velocity"),
+    "motor velocity": ("dq_m", "velocity"),
+    "deflection": ("q_m - q_l", "position"),
+    "tracking error": ("q_l - q_ld", "position"),
+}
+"""Limited quantities: symbol, and field of Units."""
+
+
+class State(str, Enum):
+    """Operating state of the tracker, in the order of enum fjr_state."""
+
+    WAITING = "waiting"  # for the first sample
+    JOINING = "joining"  # transition from the measured state to the reference, or bumpless transfer of the effort
+    TRACKING = "tracking"
+    STOPPED = "stopped"  # the stop policy acts until resume()
+
+
+STATES = tuple(State)
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event: level info, warn or error; kind: name of its counter; stamp [ns]: of its sample, if it has one."""
+
+    level: str
+    kind: str
+    sentence: str
+    values: Mapping[str, float | str] = field(default_factory=dict)
+    stamp: int | None = None
+
+
+class Journal:
+    """Events of a ControlStep as sentences: the newest hundred unread ones, and the reason of the last stop.
+
+    followed: names of the references requested, in order.
+    """
+
+    def __init__(self, step: Any) -> None:
+        self._step, self._read = step, 0
+        self.events: deque[Event] = deque(maxlen=100)
+        self.reason = ""
+        self.followed: deque[str] = deque()
+
+    def update(self) -> None:
+        """Read the events since the last call."""
+        journal = self._step.controller.journal
+        size = len(journal.event)
+        for k in range(max(self._read, journal.events - size), journal.events):
+            found = journal.event[k % size]
+            event = replace(self._event(found), stamp=None if found.stamp == NEVER else found.stamp)
+            if event.kind in (STOPS, STARTS_REFUSED):
+                self.reason = event.sentence
+            self.events.append(event)
+        self._read = journal.events
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Return how often each kind was counted; kinds that never were are absent."""
+        journal, joints = self._step.controller.journal, self._step.settings.joints
+        counts = dict(zip(KINDS, journal.count, strict=True))
+        counts |= {f"efforts saturated: {joint}": k for joint, k in zip(joints, journal.saturated, strict=True)}
+        return Counter({kind: k for kind, k in counts.items() if k})
+
+    def _event(self, found: Any) -> Event:
+        kind, settings = KINDS[found.kind], self._step.settings
+        if kind in SIMPLE:
+            level, sentence = SIMPLE[kind]
+            return Event(level, kind, sentence)
+        if kind in (STOPS, STARTS_REFUSED):
+            return self._stop(kind, found, settings)
+        if kind == "silences":
+            return Event(WARN, kind, f"no state for more than {found.value:g} s: the stop effort is sent")
+        if kind == "recoveries":
+            how = (
+                f"transition to the reference within {found.value:g} s" if found.value else "tracking continues at once"
+            )
+            return Event(INFO, kind, f"recovery: {how}")
+        if kind == "references changed":
+            return Event(INFO, kind, f"another reference: {self.followed.popleft()}")
+        joints = [joint for i, joint in enumerate(settings.joints) if found.detail >> i % 31 & 1]
+        return Event(WARN, kind, f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]})
+
+    def _stop(self, kind: str, found: Any, settings: Settings) -> Event:
+        joint = settings.joints[found.joint] if found.joint >= 0 else ""
+        values: dict[str, float | str] = {"joint": joint} if joint else {}
+        if not math.isnan(found.value):
+            values |= {"value": found.value, "limit": found.limit}
+        if kind == STARTS_REFUSED:
+            return Event(ERROR, kind, _refusal(found, joint, settings), values)
+        cause = KINDS[found.detail].removeprefix("stops: ")
+        if cause == "wiring":
+            fault = WiringFault.of(self._step.controller.journal.wiring)
+            sentence = fault.sentence(settings.joints) if fault is not None else cause
+        else:
+            sentence = self._step.law_failure if cause == "law" else _violation(cause, found, joint, settings)
+        return Event(ERROR, kind, f"stopped: {sentence}{self._after_gap(found.stamp)}", values)
+
+    def _after_gap(self, stamp: int) -> str:
+        """Return that the stop follows a gap of the states, or nothing."""
+        stamps = self._step.controller.stamps
+        since = stamp - stamps.gap_end
+        if stamps.gap_end == NEVER or not 0 <= since <= AFTER_GAP:
+            return ""
+        return f"; {since * 1e-9:.2g} s before, a gap of {stamps.gap * 1e-9:.2g} s without states had ended"
+
+    def outside(self) -> str:
+        """Return which limit the last state violates, "" if none."""
+        found = self._step.ffi.new("struct fjr_event*")
+        if not self._step.lib.fjr_is_outside(self._step.controller, found):
+            return ""
+        settings = self._step.settings
+        cause = KINDS[found.detail].removeprefix("stops: ")
+        return _violation(cause, found, settings.joints[found.joint], settings)
+
+
+def _violation(cause: str, found: Any, joint: str, settings: Settings) -> str:
+    symbol, quantity = LIMITED[cause]
+    unit, side = getattr(settings.units[found.joint], quantity), "at least" if found.below else "at most"
+    return f"{cause} of {joint}: {symbol} = {found.value:.6g} {unit}; expected {side} {found.limit:.6g} {unit}"
+
+
+def _refusal(found: Any, joint: str, settings: Settings) -> str:
+    unit = settings.units[found.joint].position
+    return (
+        f"start refused: |q_l - q_ld| of {joint} is {found.value:.6g} {unit}; "
+        f"expected at most {found.limit:.6g} {unit}, or a start.join_time above 0"
+    )

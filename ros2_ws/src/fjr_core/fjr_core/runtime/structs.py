@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Structures of step.h in memory, with all that they point to: settings, model, certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..law.interfaces import SampledLaw, StaticLaw
+from ..law.vdpbc import TrackingLaw
+from ..model.robot import Robot
+from ..numerics.checks import Array
+from ..numerics.jit import compiled, machine_code
+from ..numerics.symbolic import dense_function, symbols
+from ..robust.law import RobustLaw
+from .library import CFunction, StepLibrary, WorkSpace
+from .measurement_model import Measurement
+from .safety_settings import GRAVITY_HOLD, Settings
+from .velocity_observer import VelocityObserver
+
+LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
+"""Settings that are the largest magnitude of a quantity, in the order of struct fjr_settings."""
+
+
+def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw | SampledLaw) -> Any:
+    """Return struct fjr_settings: limits and durations of the settings, B_m and K_md of the law's robot."""
+    struct, static = library.ffi.new("struct fjr_settings *"), getattr(law, "law", law)
+    magnitudes = [np.asarray(getattr(settings, name)) for name in LIMITED]
+    upper = [settings.link_position_upper, settings.motor_position_upper, *magnitudes]
+    lower = [settings.link_position_lower, settings.motor_position_lower, *(-size for size in magnitudes)]
+    arrays = {
+        "effort": settings.effort,
+        "effort_rate": settings.effort_rate,
+        "lower": np.concatenate(lower),
+        "upper": np.concatenate(upper),
+        "start_error": settings.start_error,
+        "acceleration": settings.acceleration,
+        "B_inverse": np.linalg.inv(law.robot.B_m),
+        "hold_damping": getattr(static, "hold_damping", np.zeros_like(law.robot.B_m)),
+    }
+    for name, array in arrays.items():
+        setattr(struct, name, np.ravel(array).tolist())
+    for name in ("ramp_time", "start_join_time", "recovery_join_time", "hold_deceleration"):
+        setattr(struct, name, getattr(settings, name))
+    struct.state_timeout = round(settings.state_timeout * 1e9)
+    struct.gravity_hold = settings.on_stop == GRAVITY_HOLD
+    struct.wiring_check = settings.wiring_check
+    return struct
+
+
+class Model:
+    """struct fjr_model of a law with or without robust action; `pointer` is valid as long as this object lives.
+
+    law_failed: called after each evaluation of a law in Python; True if it failed. functions: model_functions, e.g.
+    compiled. sharing: further functions that use the same work space.
+    """
+
+    def __init__(
+        self,
+        library: StepLibrary,
+        law: SampledLaw,
+        observer: VelocityObserver | None = None,
+        measurement: Measurement | None = None,
+        simulated: bool = False,
+        law_failed: Callable[[], bool] | None = None,
+        functions: Mapping[str, ca.Function] | None = None,
+        sharing: Sequence[ca.Function] = (),
+    ) -> None:
+        self._ffi, self._law_failed, n = library.ffi, law_failed, law.robot.n
+        self._functions = dict(functions or _ready(model_functions(law, observer)))
+        self._sharing = list(sharing)
+        self.pointer = library.ffi.new("struct fjr_model *")
+        self._point()
+        self.pointer.has_memory = len(law.memory) > 0
+        self.pointer.memory = law.memory.tolist() or [0.0]
+        self.pointer.lead, self.pointer.simulated = round(law.lead * 1e9), simulated
+        self.pointer.bandwidth = observer.bandwidth if observer is not None else 0.0
+        write_robot(self.pointer, law.robot)
+        self._measure(measurement or Measurement(n))
+
+    @property
+    def in_c(self) -> bool:
+        """True if no function is evaluated in Python."""
+        return all(machine_code(function) is not None for function in self._functions.values())
+
+    def use(self, law: SampledLaw) -> None:
+        """Replace the law by one of the same robot and a controller state of the same length."""
+        function = law_function(law)
+        if function is not self._functions["law"]:
+            self._functions["law"] = function
+            self._point()
+
+    def _point(self) -> None:
+        """Let the structure point to the functions and to memory for their temporary values."""
+        failed = {"law": self._law_failed}
+        self._held = [CFunction(self._ffi, f, failed.get(name)) for name, f in self._functions.items()]
+        for name, each in zip(self._functions, self._held, strict=True):
+            setattr(self.pointer, name, each.pointer)
+        self._work = WorkSpace(self._ffi, [*self._functions.values(), *self._sharing])
+        self._work.lend(self.pointer)
+
+    def _measure(self, measurement: Measurement) -> None:
+        n = measurement.n
+        self.pointer.torque = measurement.by_torque
+        self.pointer.gear_ratio = np.broadcast_to(measurement.gear_ratio, (n,)).tolist()
+        if measurement.K is not None:
+            self.pointer.compliance = np.linalg.inv(measurement.K).ravel().tolist()
+
+
+def model_functions(law: SampledLaw, observer: VelocityObserver | None = None) -> dict[str, ca.Function]:
+    """Return the functions of struct fjr_model by their names; the wiring is checked where velocities are measured."""
+    rigid = rigid_arm_functions(law.robot)
+    if observer is None:
+        return {"law": law_function(law), **rigid}
+    return {"law": law_function(law), "gravity": rigid["gravity"], "observer": observer.function}
+
+
+def _ready(functions: dict[str, ca.Function]) -> dict[str, ca.Function]:
+    """Return the functions with those of the rigid arm compiled if the law is."""
+    if machine_code(functions["law"]) is None:
+        return functions
+    return {name: compiled(f) if name in ("gravity", "dynamics") else f for name, f in functions.items()}
+
+
+def law_function(law: SampledLaw) -> Any:
+    """Return the function of a law that C calls: its compiled step, or that of the static law alone."""
+    if isinstance(law, RobustLaw):
+        return law.ready_step
+    static = getattr(law, "law", None)
+    return static.measured_function if isinstance(static, StaticLaw) else law.step_function
+
+
+def rigid_arm_functions(robot: Robot) -> dict[str, ca.Function]:
+    """Return gravity: q_l -> grad P_l (n,), and dynamics: (q_l, dq_l) -> M_l (n, n), C(q_l, dq_l) dq_l (n,)."""
+    s, links = symbols(q_l=robot.n, dq_l=robot.n), robot.links
+    q_l, dq_l = s.values()
+    weight, moving = {"grad_P_l": links.grad_P_l(q_l)}, {"M_l": links.M_l(q_l), "coriolis": links.C(q_l, dq_l, dq_l)}
+    gravity = dense_function("gravity", {"q_l": q_l}, weight, cse=True)
+    return {"gravity": gravity, "dynamics": dense_function("dynamics", s, moving, cse=True)}
+
+
+def write_robot(model: Any, robot: Robot) -> None:
+    """Write the constant matrices of a robot to a struct fjr_model, by rows."""
+    for name in ("K", "M_m", "B_m", "D_l", "D_m"):
+        setattr(model, name, np.ravel(getattr(robot, name)).tolist())
+
+
+class CertificateStruct:
+    """The certificate of a law; `pointer` is a struct fjr_certificate*, valid as long as this object lives.
+
+    ffi: with the types of step.h. functions: certify, predict and law, machine code or not. longest [s]: between two
+    samples that are compared.
+    """
+
+    def __init__(self, ffi: Any, functions: Mapping[str, ca.Function], law: TrackingLaw, longest: float) -> None:
+        self._held = {name: CFunction(ffi, function) for name, function in functions.items()}
+        self._work, self._ffi = WorkSpace(ffi, list(functions.values())), ffi
+        self.pointer = ffi.new("struct fjr_certificate *")
+        for name, function in self._held.items():
+            setattr(self.pointer, name, function.pointer)
+        self._work.lend(self.pointer)
+        self.pointer.B_m = np.ravel(law.robot.B_m).tolist()
+        self.pointer.longest, self.pointer.bounded = longest, True
+        self._gains: Array | None = None
+
+    def keep(self, law: TrackingLaw) -> Any:
+        """Return the gains of a law for C; those before are released by the next call."""
+        self._before, self._gains = self._gains, np.ascontiguousarray(law.gain_values, dtype=float)
+        return self._ffi.from_buffer("double[]", self._gains)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a command prints: its result as text or JSON, numbers for readers, progress on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Result:
+    """text: printed by default; values: printed as JSON instead if asked for; code: exit code."""
+
+    text: str
+    values: Mapping[str, Any]
+    code: int = 0
+
+    def show(self, as_json: bool) -> int:
+        """Print the text, or one JSON document; return the exit code."""
+        print(json_text(self.values, indent=2) if as_json else self.text, flush=True)
+        return self.code
+
+
+def json_text(values: Any, indent: int | None = None) -> str:
+    """Return values as JSON: paths as text, arrays as lists, numbers that are not finite as null."""
+    return json.dumps(finite(values), indent=indent, default=str, allow_nan=False)
+
+
+def finite(value: Any) -> Any:
+    """Return the value with None for numbers that are not finite, and arrays and tuples as lists."""
+    if hasattr(value, "tolist"):  # NumPy's arrays and numbers
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+DASH = "\N{EN DASH}"
+
+
+def number(value: float | None, unit: str = "", digits: int = 3) -> str:
+    """Return 0.0123, 1234, or 1.2 times a power of ten in superscripts; a dash for None or a value not finite."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    size = abs(value)
+    if 0 < size < 1e-3 or size >= 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}"
+    else:
+        text = f"{value:.{digits}g}" if size < 10**digits else f"{value:.0f}"
+    return f"{text} {unit}" if unit else text
+
+
+def interval(low: float, high: float, most: int = 8) -> str:
+    """Return an interval with as many digits as tell its ends apart, 3 to `most`."""
+    for digits in range(3, most + 1):
+        ends = number(low, digits=digits), number(high, digits=digits)
+        if ends[0] != ends[1]:
+            break
+    return f"{ends[0]} to {ends[1]}"
+
+
+def percent(fraction: float | None, digits: int = 2) -> str:
+    """Return a fraction in percent, as 99.86 %; a dash for None or a value not finite."""
+    if fraction is None or not math.isfinite(fraction):
+        return DASH
+    return f"{100 * fraction:.{digits}f} %"
+
+
+def sentence(text: str) -> str:
+    """Return a clause as a sentence: with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def milliseconds(microseconds: float | None) -> str:
+    """Return microseconds as milliseconds, as 0.28 ms."""
+    return number(None if microseconds is None else microseconds * 1e-3, "ms")
+
+
+def plural(count: int, one: str, many: str = "") -> str:
+    """Return a count with its noun, as 1 state or 2 states."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+BEAT = 2.0  # s
+
+
+def progress_bar(line: str, form: str, **options: Any) -> Any:
+    """Return tqdm's bar of this format on a terminal; elsewhere print the line, and the bar shows nothing."""
+    from tqdm import tqdm
+
+    terminal = sys.stderr.isatty()
+    if not terminal:
+        note(line)
+    width = shutil.get_terminal_size().columns  # 80 if the terminal has no size; tqdm would draw nothing
+    return tqdm(bar_format=form, disable=not terminal, file=sys.stderr, ncols=width, **options)
+
+
+def note(line: str) -> None:
+    """Print a line on stderr."""
+    print(line, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def phase(text: str) -> Iterator[None]:
+    """Announce a step on stderr; while it lasts, print every BEAT how long it has taken."""
+    start = time.monotonic()
+    note(text)
+    with heartbeat(lambda: f"{text}: {time.monotonic() - start:.0f} s"):
+        yield
+
+
+@contextmanager
+def heartbeat(line: Callable[[], str]) -> Iterator[None]:
+    """Print a line on stderr every BEAT until the block ends."""
+    ended = threading.Event()
+
+    def beat() -> None:
+        while not ended.wait(BEAT):
+            note(line())
+
+    thread = threading.Thread(target=beat, name="heartbeat", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What this installation offers: ROS 2's own command or that of fjr, and a DDS profile with quick discovery.
+
+The wheels of ROS 2 hold no `ros2` command. Where it is installed it is preferred: it knows every type and option.
+Where it is not, `fjr` has the few commands that a run needs. This module loads nothing slow.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+from pathlib import Path
+
+from ..node.loading import domain_fault, ensure_log_folder
+
+INSTALLATION = (
+    "expected the wheel fjr in this Python environment, or a workspace that is built (make build) and sourced "
+    "(. ros2_ws/install/setup.sh)"
+)
+
+
+def ros2_path() -> str | None:
+    """Return the path of the ROS command line; None if it is not installed, as with ROS 2 from wheels."""
+    return shutil.which("ros2")
+
+
+def installed_command(ros2: str, fjr: str) -> str:
+    """Return the command `ros2 ...` if ROS 2's command line is installed, otherwise `fjr ...`."""
+    return f"ros2 {ros2}" if ros2_path() else f"fjr {fjr}"
+
+
+def play_command(bag: Path) -> str:
+    """Return the command that plays a bag."""
+    name = shlex.quote(str(bag))
+    return installed_command(f"bag play {name}", f"play {name}")
+
+
+def refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
+    """Raise FjrError, naming the `command` of ros2 to use, if ros2 is on the PATH, unless forced."""
+    if not force and (found := ros2_path()):
+        from fjr_core.errors import FjrError  # loads CasADi
+
+        raise FjrError(f"{found} does this better: use `{command}` ({advantage}), or add --force")
+
+
+def discover_quickly() -> None:
+    """Use a DDS profile with quick discovery unless the user set another; set the folder of the ROS 2 logs.
+
+    Raises FjrError for an invalid ROS_DOMAIN_ID.
+    """
+    from ament_index_python.packages import get_package_share_directory  # loaded on use
+
+    if fault := domain_fault():
+        from fjr_core.errors import FjrError  # loads CasADi
+
+        raise FjrError(fault)
+    ensure_log_folder()
+    profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))

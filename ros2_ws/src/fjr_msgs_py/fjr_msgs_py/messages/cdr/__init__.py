@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Read and write serialised messages (CDR) in place."""

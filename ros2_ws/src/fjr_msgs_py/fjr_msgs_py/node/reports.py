@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes report: counters on /diagnostics, events, certificates, the diagnosis of the last second, the URDF."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray, String
+
+from ..messages.joint_states import MessageError
+from ..names import DIAGNOSTICS, EVENTS, LATCHED, ROBOT_DESCRIPTION, full_name
+
+SECOND = 1_000_000_000
+
+
+class CertificateValues(NamedTuple):
+    """Storage function and energy at one state.
+
+    V [J]: storage function of the law. dV_predicted [W]: dV/dt of the model under the effort sent.
+    dV_measured [W]: mean dV/dt since the last state. bound [J]: continuous-time bound of V, -1 while the law does not
+    determine the effort. H [J]: energy of the robot, with dH/dt = supplied - dissipated [W].
+    """
+
+    V: float
+    dV_predicted: float
+    dV_measured: float
+    bound: float
+    H: float
+    supplied: float
+    dissipated: float
+
+
+LABELS = ("sec", "nanosec", *CertificateValues._fields)
+
+
+def labelled(message: Float64MultiArray) -> dict[str, float]:
+    """Return the numbers of an array by label; empty if their labels are incomplete.
+
+    The labels are one per dimension, or separated by commas in a single dimension.
+    """
+    labels = [dimension.label for dimension in message.layout.dim]
+    if len(labels) == 1:
+        labels = labels[0].split(",")
+    if len(labels) != len(message.data) or not all(labels):
+        return {}
+    return {label.strip(): float(value) for label, value in zip(labels, message.data, strict=True)}
+
+
+STAMP = "stamp_ns"
+"""Key of the stamp of the sample that an event belongs to."""
+LEVELS = {"info": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
+
+
+class EventWriter:
+    """Publisher of events: DiagnosticStatus with level, kind as name, one sentence as message, and values."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(DiagnosticStatus, EVENTS, QoSProfile(depth=100))
+
+    def publish(self, level: str, kind: str, sentence: str, values: Mapping[str, float | str] | None = None) -> None:
+        """Publish an event of level info, warn or error."""
+        pairs = [KeyValue(key=key, value=str(value)) for key, value in (values or {}).items()]
+        self._publisher.publish(DiagnosticStatus(level=LEVELS[level], name=kind, message=sentence, values=pairs))
+
+    def close(self) -> None:
+        """Destroy the publisher."""
+        self._node.destroy_publisher(self._publisher)
+
+
+VERDICT_LEVELS = {
+    "holding": DiagnosticStatus.OK,
+    "degraded": DiagnosticStatus.WARN,
+    "violated": DiagnosticStatus.ERROR,
+    "unknown": DiagnosticStatus.OK,
+}
+"""Level of the status by kind of the diagnosis."""
+
+
+def diagnosis_status(
+    name: str, kind: str, causes: Sequence[str], sentence: str, figures: Mapping[str, float]
+) -> DiagnosticStatus:
+    """Return the status `name` of a diagnosis of this kind, with its causes and its finite figures."""
+    values = {"verdict": kind, "causes": ", ".join(causes)}
+    values |= {key: f"{value:.6g}" for key, value in figures.items() if math.isfinite(value)}
+    return DiagnosticStatus(
+        level=VERDICT_LEVELS[kind],
+        name=name,
+        message=f"Degraded: {sentence}" if kind == "degraded" else sentence,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def publish_description(node: Node, urdf: str) -> Publisher:
+    """Publish the URDF once on robot_description; late subscribers receive it while the publisher exists."""
+    publisher = node.create_publisher(String, ROBOT_DESCRIPTION, LATCHED)
+    publisher.publish(String(data=urdf))
+    return publisher
+
+
+PERIOD = 1.0  # s
+_PERIOD_NS = round(PERIOD * 1e9)
+
+
+class Health:
+    """Counters of a node, published once a second and whenever `publish` is called.
+
+    expected: counters of a healthy run. Any other nonzero counter makes the status WARN; a counter of `error` makes
+    it ERROR. With use_sim_time the second is measured by the stamps given to `at`, so that reports are repeatable.
+    """
+
+    def __init__(self, node: Node, expected: tuple[str, ...], robot: str = "") -> None:
+        """Create the publisher. robot: its name; namespace and robot form the hardware_id of every status."""
+        self._count: Counter[str] = Counter(dict.fromkeys(expected, 0))
+        self._counters: list[Callable[[], Mapping[str, int]]] = []
+        self._node = node
+        self._hardware = f"{node.get_namespace()}/{robot}".strip("/")
+        self._expected = set(expected)
+        self._errors: set[str] = set()
+        self._values: dict[str, str] = {}
+        self._others: list[Callable[[], DiagnosticStatus]] = []
+        self._logged: set[str] = set()
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        self._by_stamps = bool(node.get_parameter("use_sim_time").value)
+        self._stamp = self._reported = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = None if self._by_stamps else node.create_timer(PERIOD, self.publish, clock=steady)
+
+    @property
+    def count(self) -> Counter[str]:
+        """The counters, with the present values of those that are kept elsewhere."""
+        for counters in self._counters:
+            for key, value in counters().items():
+                self._count[key] = value
+        return self._count
+
+    def add_counters(self, counters: Callable[[], Mapping[str, int]]) -> None:
+        """Report counters that are kept elsewhere; they only grow."""
+        self._counters.append(counters)
+
+    def refuse(self, what: str, error: MessageError) -> None:
+        """Count a rejected message; log the reason the first time that its kind occurs."""
+        self.count[f"{what} refused: {error.kind}"] += 1
+        self.tell_refusal(what, error)
+
+    def tell_refusal(self, what: str, error: MessageError) -> None:
+        """Log the reason of a rejected message, which is counted elsewhere, the first time that its kind occurs."""
+        sentence = f"{what} refused: {error} (logged once; counted on {DIAGNOSTICS})"
+        self.tell(f"{what} refused: {error.kind}", sentence)
+
+    def warn(self, kind: str, sentence: str) -> None:
+        """Count an unwanted event; log the sentence as a warning the first time that this kind occurs."""
+        self.count[kind] += 1
+        self.tell(kind, sentence)
+
+    def tell(self, kind: str, sentence: str) -> None:
+        """Log a sentence as a warning the first time that this kind occurs."""
+        if self.is_new(kind):
+            self._node.get_logger().warning(sentence)
+
+    def error(self, kind: str, sentence: str) -> None:
+        """Count an event that makes the status ERROR; log the sentence as an error the first time."""
+        self._errors.add(kind)
+        self.count[kind] += 1
+        if self.is_new(kind):
+            self._node.get_logger().error(sentence)
+
+    def is_new(self, kind: str) -> bool:
+        """Return True at the first call with this kind."""
+        new = kind not in self._logged
+        self._logged.add(kind)
+        return new
+
+    def value(self, key: str, text: str) -> None:
+        """Report a value in addition to the counters, from the next report on."""
+        self._values[key] = text
+
+    def add_status(self, status: Callable[[], DiagnosticStatus]) -> None:
+        """Publish another status with each report; `status` is called to make it."""
+        self._others.append(status)
+
+    def due(self, stamp: int) -> bool:
+        """Return True if `at` publishes a report at this stamp [ns]."""
+        return self._by_stamps and not 0 <= stamp - self._reported < _PERIOD_NS
+
+    def at(self, stamp: int) -> None:
+        """Set the current stamp [ns]; with use_sim_time publish a report once per second of stamps."""
+        if self._by_stamps:
+            due, self._stamp = self.due(stamp), stamp
+            if due:
+                self._reported = stamp
+                self.publish()
+
+    def close(self) -> None:
+        """Destroy timer and publisher."""
+        if self._timer:
+            self._node.destroy_timer(self._timer)
+        self._node.destroy_publisher(self._publisher)
+
+    def publish(self) -> None:
+        """Publish the counters."""
+        count = self.count
+        unwanted = [key for key, value in count.items() if value and key not in self._expected]
+        status = DiagnosticStatus(
+            level=self._level(unwanted),
+            name=full_name(self._node),
+            message=", ".join(unwanted) or "ok",
+            values=[KeyValue(key=key, value=str(value)) for key, value in count.items()]
+            + [KeyValue(key=key, value=text) for key, text in self._values.items()],
+        )
+        message = DiagnosticArray(status=[status, *(other() for other in self._others)])
+        for each in message.status:
+            each.hardware_id = self._hardware
+        message.header.stamp = self._now()
+        self._publisher.publish(message)
+
+    def _now(self) -> Time:
+        if not self._by_stamps:
+            return self._node.get_clock().now().to_msg()
+        sec, nanosec = divmod(self._stamp, 1_000_000_000)
+        return Time(sec=sec, nanosec=nanosec)
+
+    def _level(self, unwanted: list[str]) -> bytes:
+        if self._errors & set(unwanted):
+            return DiagnosticStatus.ERROR
+        return DiagnosticStatus.WARN if unwanted else DiagnosticStatus.OK

@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Common time base of real time and lock-step: run, pause and advance the robot time."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from fjr_core import FjrError
+from fjr_core.config.process import NATIVE
+from fjr_msgs_py import names
+from fjr_msgs_py.messages.cdr import joint_state
+from fjr_msgs_py.messages.joint_states import EffortReader
+from fjr_msgs_py.native.loop import NativeMessage
+from fjr_msgs_py.node.parameters import ParameterNode
+from fjr_msgs_py.node.reports import Health
+
+from .channel import Transport
+from .host import Events, Hosted, NativePlantHost, PlantHost, RclpyPlantHost
+from .native import NO_TIME, plant_program
+from .simulated_robot import SimulatedRobot
+
+
+def steady() -> int:
+    """Return the time of the steady clock [ns]."""
+    return time.monotonic_ns()
+
+
+def seconds(stamp: int) -> str:
+    """Format a stamp [ns] in seconds with all digits."""
+    sec, nanosec = divmod(stamp, 1_000_000_000)
+    return f"{sec}.{nanosec:09d}"
+
+
+class DeferredReply:
+    """Reply to a waiting client; given once, at any time."""
+
+    def __init__(self, response: Trigger.Response, send: Callable[[Trigger.Response, Any], None]) -> None:
+        self._response = response
+        self._send = send
+        self._given = self._sent = False
+        self._complete = Lock()  # the reply may be given by another thread than that of the service
+        self._header: Any = None
+
+    def give(self, success: bool, message: str) -> None:
+        """Send the reply to the client."""
+        self._response.success, self._response.message = success, message
+        self._given = True
+        self._send_when_complete()
+
+    def address(self, header: Any) -> None:
+        """Set the address of the client."""
+        self._header = header
+        self._send_when_complete()
+
+    def _send_when_complete(self) -> None:
+        with self._complete:
+            if self._given and self._header is not None and not self._sent:
+                self._sent = True
+                self._send(self._response, self._header)
+
+
+class DeferredTrigger:
+    """Trigger service whose callback receives a DeferredReply, to be given now or later.
+
+    It works with every executor of rclpy. The events executor of 7.1 does not accept coroutines as service callbacks;
+    therefore the response that the executor sends when the callback returns is held back until it is complete.
+    """
+
+    def __init__(self, node: Node, name: str, callback: Callable[[DeferredReply], None]) -> None:
+        self._callback = callback
+        self._service = node.create_service(Trigger, name, self._on_request)
+        self._send = self._service.send_response
+        self._service.send_response = self._keep
+        self._reply: DeferredReply
+
+    def _on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._reply = DeferredReply(response, self._send)
+        self._callback(self._reply)
+        return response
+
+    def _keep(self, _: Trigger.Response, header: Any) -> None:
+        self._reply.address(header)
+
+
+WATCH_PERIOD = 0.05  # s between ticks in lock-step
+
+
+class SendError(FjrError):
+    """A message that could not be sent."""
+
+
+class TimeBase(ABC):
+    """Time base that runs, pauses or advances the robot; a sample has the stamp `offset` + robot time, see plant.h.
+
+    An effort acts until the next one, at most for command_timeout of robot time; then the effort is zero. The host
+    calls the C; what is rare runs here, between two messages of the host.
+    """
+
+    lock_step = False
+    moving = ""
+    """Sentence about the first command."""
+
+    def __init__(self, node: ParameterNode, robot: SimulatedRobot, transport: Transport, health: Health) -> None:
+        self._node, self._robot, self._transport, self._health = node, robot, transport, health
+        self._reader = EffortReader(node.values["joints"])
+        self._program: Any = plant_program()
+        self._lib = self._program.lib
+        self._samples = 0
+        self._reply: DeferredReply | None = None
+        self._raised = False  # the error of the fault was raised
+        qos = names.sample_qos(node, self.lock_step)
+        self._publishers = [node.create_publisher(JointState, names.JOINT_STATES, qos)]
+        others: dict[int, Callable[[int], None]] = {
+            self._lib.FJR_MOVING: lambda _: self._log_once(self.moving),
+            self._lib.FJR_ADVANCED: lambda _: self._end_advance(True, ""),
+            self._lib.FJR_SECOND: self._health.at,
+            self._lib.FJR_FIRST_ANSWER: lambda _: self._on_first_answer(),
+        }
+        self._events = Events(self._program, self._health, lambda data: self._read(data), others)
+        self.plant = self._built()
+        self._health.add_counters(lambda: self._events.counts(self.plant))
+
+    def _built(self) -> Any:
+        """Return struct fjr_plant."""
+        program, values, n = self._program, self._node.values, len(self._node.values["joints"])
+        ffi = program.ffi
+        self._arrays = [np.zeros(2 + 6 * n), np.zeros(2 + 6 * n), np.zeros(n)]
+        self._pointers = [program.array(each) for each in self._arrays]
+        named = names.state_names(values["joints"])
+        lengths = ((2 * n, 0, 2 * n), (2 * n, 2 * n, 2 * n))
+        self._messages = [NativeMessage(program, joint_state(named, each), each) for each in lengths]
+        plant = ffi.new("struct fjr_plant*")
+        plant.robot, transport = self._robot.pointer, self._transport
+        plant.states, plant.commands = transport.states.pointer, transport.commands.pointer
+        plant.times = transport.times.pointer
+        plant.state = [message.pointer for message in self._messages]
+        plant.sample, plant.held, plant.effort = self._pointers
+        plant.notify = self._events.notify
+        plant.command_timeout = round(values["command_timeout"] * 1e9)
+        plant.paused = values["start_paused"]
+        plant.by_stamps = bool(self._node.get_parameter("use_sim_time").value)
+        plant.origin = plant.late_at = plant.between = plant.awaited = plant.other = NO_TIME
+        return plant
+
+    def _serve(self, kind: type, topic: str, command: Any, tick: Any, simulated: bool = False) -> None:
+        """Start the host for commands of a type on a topic, handled by these functions in C."""
+        node = self._node
+        hosted = Hosted(
+            node, self._program, self.plant, self.lock_step, kind, topic, self._publishers, command, tick, self._fail
+        )
+        why = self._without_loop(simulated)
+        self.host: PlantHost
+        if why:
+            period = WATCH_PERIOD if self.lock_step else self._transport.period * 1e-9
+            self.host = RclpyPlantHost(hosted, simulated, period)
+            if node.values["executor"] == NATIVE:
+                node.get_logger().info(f"the plant runs in rclpy's executor instead of a native thread: {why}")
+        else:
+            self.host = NativePlantHost(hosted)
+
+    def _without_loop(self, simulated: bool) -> str:
+        """Return why rclpy's executor serves the plant; "" if a native loop does."""
+        if self._node.values["executor"] != NATIVE:
+            return "another executor is selected"
+        if simulated:
+            return "the time comes from /clock"
+        if not self._robot.in_machine_code:
+            return "the plant is evaluated in Python (compile is false, or a plant of one's own)"
+        return self._program.without_thread
+
+    @property
+    def stamp(self) -> int:
+        """Stamp [ns] of the present robot time."""
+        return self.offset + self._robot.time
+
+    @property
+    def shown(self) -> int:
+        """Stamp [ns] of the last sample."""
+        return int(self.plant.shown)
+
+    @property
+    def offset(self) -> int:
+        """Stamp [ns] of robot time 0."""
+        return int(self.plant.offset)
+
+    @property
+    def paused(self) -> bool:
+        """True if robot time is paused."""
+        return bool(self.plant.paused)
+
+    def reset(self) -> None:
+        """Return to the initial state and discard all messages in transit."""
+        self._end_advance(False, "reset")
+        self.host.run(self._reset)
+
+    def _reset(self) -> None:
+        self._robot.reset()
+        self.plant.last_command = 0
+        self._transport.reset()
+        self._check(self._restart())
+
+    def pause(self, wanted: bool) -> None:
+        """Pause or resume robot time."""
+        self.host.run(lambda: self._pause(wanted))
+
+    def _pause(self, wanted: bool) -> None:
+        self._end_advance(False, "paused" if wanted else "resumed")
+        if wanted and not self.paused:
+            self._check(self._catch_up())
+        if wanted != self.paused:
+            self.plant.paused = wanted
+            if not wanted:
+                self._check(self._resume())
+
+    def advance(self, samples: int, reply: DeferredReply) -> None:
+        """Advance a paused robot by `samples`; reply when that is done or refused."""
+        self.host.run(lambda: self._advance(samples, reply))
+
+    def _advance(self, samples: int, reply: DeferredReply) -> None:
+        refusal = self._refusal()
+        if refusal:
+            reply.give(False, refusal)
+            return
+        self._samples = self.plant.left = samples
+        self._reply = reply
+        self._check(self._begin_advance())
+
+    def change(self, action: Callable[[], None]) -> None:
+        """Integrate up to the present and then call an action that changes the robot; its FjrError is raised."""
+
+        def caught_up() -> None:
+            self._check(self._catch_up())
+            action()
+
+        self.host.run(caught_up)
+
+    def end(self) -> None:
+        """Reply to a waiting client that the advance has ended early."""
+        self._end_advance(False, "ended")
+
+    def close(self) -> None:
+        """Stop serving commands."""
+        self.host.close()
+
+    # Functions in C, which return a fault.
+
+    @abstractmethod
+    def _restart(self) -> int:
+        """Restart with the robot at its initial state."""
+
+    @abstractmethod
+    def _resume(self) -> int:
+        """Resume after a pause."""
+
+    @abstractmethod
+    def _begin_advance(self) -> int:
+        """Start an advance."""
+
+    def _catch_up(self) -> int:
+        """Integrate up to the present, before a change takes effect."""
+        return 0
+
+    def _refusal(self) -> str:
+        if not self.paused:
+            return "robot time is running; expected a paused robot: call ~/pause with true first"
+        left = self.plant.left
+        return f"already advancing: {left} of {self._samples} samples are left" if left else ""
+
+    def _end_advance(self, success: bool, why: str) -> None:
+        """Reply to the client that waits for the end of an advance."""
+        reply, self._reply = self._reply, None
+        if reply is None:
+            return
+        done, self.plant.left = self._samples - self.plant.left, 0
+        how = f"advanced by {done} samples" if success else f"{why} after {done} of {self._samples} samples"
+        reply.give(success, f"{how}: the time is {seconds(self.stamp)} s")
+
+    # Faults of the C.
+
+    def _check(self, fault: int) -> None:
+        if fault:
+            self._raised = True
+            raise self._error_of(fault, "")
+
+    def _error_of(self, fault: int, reason: str) -> FjrError:
+        """Return the error of an enum fjr_fault; reason: of the native loop."""
+        if self._events.error is not None:
+            return self._events.error
+        if fault == self._lib.FJR_NOT_SENT:
+            return SendError(f"a message could not be sent: {reason or 'the publisher failed'}")
+        return self._robot.error(fault)
+
+    def _fail(self, reason: str) -> None:
+        """End the node after a fault; called on any thread."""
+        node = self._node
+        if node.ended is None and not self._raised:
+            node.end(self._error_of(self.plant.fault, reason))
+
+    def _on_first_answer(self) -> None:  # noqa: B027  # in lock-step only
+        """Check that the first command may be accepted; raises FjrError."""
+
+    @abstractmethod
+    def _read(self, data: bytes) -> None:
+        """Read a serialised command as Python does; raises MessageError with the reason."""
+
+    def _log_once(self, sentence: str) -> None:
+        if self._health.is_new(sentence):
+            self._node.get_logger().info(sentence)

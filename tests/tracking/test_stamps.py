@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that are older than the last, late, doubted or repeated, and gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import NEVER, State
+from fjr_core.runtime.library import constant
+from tracking.tracked import LAW, MS, SECOND, SINE, sample, settings, tracker_at
+
+
+def test_older_sample_has_no_command_and_a_repeated_one_the_same_command() -> None:
+    tracker = tracker_at(0, 300 * MS)
+    newest = tracker.command(sample(300 * MS, 0.4, 0.5), 300 * MS)
+    assert tracker.command(sample(200 * MS, 0.4, 0.5), 301 * MS) is None
+    again = tracker.command(sample(300 * MS, 0.4, 0.5), 302 * MS)
+    assert newest is not None
+    assert again is not None
+    assert newest.u == again.u
+    assert tracker.counters == {"states older than the last": 1, "states repeated": 2}
+
+
+@pytest.mark.parametrize(
+    ("before", "stamp", "arrival"),
+    [(299 * MS, 300 * MS, 902 * MS), (300 * MS, 300 * MS, 902 * MS), (None, 890 * MS, 1_500 * MS)],
+    ids=["back", "back, repeated", "stale"],
+)
+def test_another_time_line_starts_the_reference_again(before: int | None, stamp: int, arrival: int) -> None:
+    tracker = tracker_at(0, 400 * MS, 900 * MS)
+    if before is not None:
+        assert tracker.command(sample(before, 0.5, 0.5), arrival - MS) is None
+    again = tracker.command(sample(stamp, 0.5, 0.5), arrival)
+    assert again is not None
+    assert again.restarted
+    np.testing.assert_array_equal(again.jets, SINE.jets(0.0))
+    np.testing.assert_array_equal(again.u, tracker_at(0).command(sample(0, 0.5, 0.5), 0).u)  # type: ignore[union-attr]
+    doubted = {} if before is None else {"jumps doubted": 1}
+    assert tracker.counters == {"reference restarts": 1, **doubted}
+
+
+@pytest.mark.parametrize("jump", [10 * SECOND, -10 * SECOND, -600 * MS])
+def test_single_wrong_stamp_changes_nothing(jump: int) -> None:
+    tracker, twin = tracker_at(20 * SECOND), tracker_at(20 * SECOND)
+    for k in range(1, 5):
+        stamp = 20 * SECOND + k * MS
+        if k % 2:
+            assert tracker.command(sample(stamp + jump, 0.4, 0.5), stamp) is None
+            continue
+        commands = [t.command(sample(stamp, 0.5, 0.5), stamp) for t in (tracker, twin)]
+        np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
+    assert tracker.counters == {"jumps doubted": 2}
+
+
+def test_jumps_that_do_not_confirm_each_other_are_ignored_until_a_silence() -> None:
+    tracker = tracker_at(SECOND)
+    for k, stamp in enumerate((9 * SECOND, 3 * SECOND, 12 * SECOND)):
+        assert tracker.command(sample(stamp, 0.5, 0.5), SECOND + k * MS) is None
+    assert tracker.silence(2 * SECOND) is not None
+    assert tracker.command(sample(30 * SECOND, 0.5, 0.5), 2 * SECOND) is not None
+    assert tracker.counters == {"jumps doubted": 3, "silences": 1, "recoveries": 1}
+
+
+def test_jump_is_confirmed_at_once_in_simulated_time() -> None:
+    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
+    tracker.command(sample(20 * SECOND, 0.5, 0.5), 0)
+    assert tracker.command(sample(30 * SECOND, 0.5, 0.5), MS) is not None
+    assert tracker.command(sample(0, 0.5, 0.5), 2 * MS).restarted  # type: ignore[union-attr]
+    assert tracker.counters == {"forward jumps": 1, "recoveries": 1, "reference restarts": 1}
+
+
+def test_in_simulated_time_a_pause_is_no_silence_and_a_short_jump_back_is_a_restart() -> None:
+    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
+    for k in range(3):
+        assert tracker.command(sample(k * MS, 0.5, 0.5), 10 * k * SECOND) is not None
+    assert not tracker.counters["recoveries"]
+    assert tracker.command(sample(0, 0.5, 0.5), 20 * SECOND) is None
+    assert tracker.command(sample(0, 0.5, 0.5), 21 * SECOND).restarted  # type: ignore[union-attr]
+    assert tracker.silence(400 * MS) is None
+    assert tracker.silence(501 * MS) is not None
+
+
+WAITING, PAUSE = int(constant("WAITING")), int(constant("PAUSE"))
+LATENCY = 200_000  # ns, from stamp to arrival
+US = 1000
+
+
+def running(seconds: float = 0.2, period: int = MS, **given: object) -> ControlStep:
+    """Return a tracker that answered samples until `seconds` after SECOND; its clocks differ by LATENCY."""
+    tracker = ControlStep(LAW, SINE, settings(**given))
+    for stamp in range(SECOND, SECOND + round(seconds * 1e9) + 1, period):
+        assert tracker.command(sample(stamp, 0.5, 0.5), stamp + LATENCY) is not None
+    return tracker
+
+
+def waits_until(tracker: ControlStep) -> int:
+    return int(tracker.lib.fjr_waits_until(tracker.controller))
+
+
+@pytest.mark.parametrize("hiccup", [0, 4 * MS])
+@pytest.mark.parametrize("pause", [50 * MS, 300 * MS, 1000 * MS])
+def test_of_the_samples_that_waited_only_the_newest_is_answered(pause: int, hiccup: int) -> None:
+    tracker, last = running(), SECOND + 200 * MS
+    woken = last + pause + LATENCY
+    stamps = range(last + MS, last + pause + 50 * MS, MS)  # the last ones are sent while the first are handed over
+    answered = []
+    for k, stamp in enumerate(stamps):
+        arrival = max(woken + 20 * US * k + (hiccup if k > 20 else 0), stamp + LATENCY)
+        if tracker.command(sample(stamp, 0.4, 0.5), arrival) is not None:
+            answered.append(arrival - stamp)
+    assert len(answered) > 10
+    assert all(age <= LATENCY + constant("LATER") for age in answered)
+    assert tracker.counters["states stale"] == len(stamps) - len(answered)
+    assert tracker.counters["recoveries"] == (pause > 100 * MS)
+    assert waits_until(tracker) == NEVER
+
+
+def test_a_sample_that_waited_is_answered_if_no_newer_one_comes() -> None:
+    tracker, stamp = running(), SECOND + 201 * MS
+    arrival = stamp + 300 * MS
+    assert tracker.command(sample(stamp, 0.4, 0.5), arrival) is None
+    assert waits_until(tracker) == arrival + WAITING
+    assert tracker.command(sample(stamp, 0.4, 0.5), arrival + WAITING) is not None
+    assert waits_until(tracker) == NEVER
+    assert "states stale" not in tracker.counters
+
+
+def test_a_robot_whose_clock_stood_still_is_answered_after_a_moment() -> None:
+    """Its samples come at their own pace, all of them older than before."""
+    tracker, last = running(state_timeout=0.5), SECOND + 200 * MS
+    answers = [
+        tracker.command(sample(last + k * MS, 0.5, 0.5), last + k * MS + 300 * MS) is not None for k in range(1, 51)
+    ]
+    assert answers.index(True) == WAITING // MS
+    assert all(answers[WAITING // MS :])
+    assert tracker.state is State.TRACKING
+    assert "recoveries" not in tracker.counters
+
+
+def test_slow_samples_of_a_slow_clock_are_all_answered() -> None:
+    """Without a pause before them nothing waits, however much slower than the arrivals the stamps are."""
+    tracker = ControlStep(LAW, SINE, settings())
+    for k in range(200):
+        assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * (PAUSE - 1)) is not None
+
+
+def test_in_simulated_time_every_sample_is_answered() -> None:
+    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
+    for k in range(100):
+        assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * SECOND) is not None
+
+
+@pytest.mark.parametrize("period", [MS, 50 * MS])
+def test_a_gap_longer_than_the_usual_interval_is_a_recovery(period: int) -> None:
+    tracker, last = running(0.5, period), SECOND + 500 * MS
+    stamp = last + 150 * MS
+    assert tracker.command(sample(stamp, 0.5, 0.5), stamp + LATENCY) is not None
+    assert tracker.counters["recoveries"] == (period == MS)
+
+
+def test_a_stop_after_a_gap_names_the_gap() -> None:
+    tracker, stamp = running(link_velocity=1.0), SECOND + 500 * MS
+    for k, dq in enumerate((0.0, 0.5, 1.5)):
+        tracker.command(sample(stamp + k * MS, 0.5, 0.5, dq), stamp + k * MS + LATENCY)
+    assert tracker.state is State.STOPPED
+    assert "link velocity of joint1: dq_l = 1.5 rad/s; expected at most 1 rad/s" in tracker.reason
+    assert tracker.reason.endswith("; 0.002 s before, a gap of 0.3 s without states had ended")
+
+
+def test_outside_names_the_limit_that_keeps_a_stopped_controller_stopped() -> None:
+    tracker = running(link_position_upper=1.0)
+    stamp = SECOND + 201 * MS
+    assert tracker.outside() == ""
+    tracker.command(sample(stamp, 4.5, 4.5), stamp + LATENCY)
+    assert tracker.outside() == "link position of joint1: q_l = 4.5 rad; expected at most 1 rad"
+    tracker.command(sample(stamp + MS, 0.5, 0.5), stamp + MS + LATENCY)
+    assert tracker.outside() == ""
+    np.testing.assert_equal(tracker.state, State.STOPPED)
