@@ -13,6 +13,9 @@ from rcl_interfaces.msg import ParameterType
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import all_parameters
+from fjr_core.config.plant import plant_parameters
 from fjr_plant.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf

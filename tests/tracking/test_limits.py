@@ -15,6 +15,7 @@ from fjr_core.config.controller import controller_parameters, safety, safety_par
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event, State
+from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import LAW, MS, TWO, TWO_SINES, Passed, paper_law, sample, settings, two_link_law
 
 INF = float("inf")

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import all_parameters
 from fjr_core.motions.point_to_point import Hold, standing
 from fjr_core.motions.spline import Spline
 from fjr_core.runtime.control_step import ControlStep

@@ -14,6 +14,7 @@ from fjr_core.config.plant import channel_errors, period_jitter, random_seed, se
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
+from fjr_core.numerics.symbolic import not_converged
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant

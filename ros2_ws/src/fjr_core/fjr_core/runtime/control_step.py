@@ -15,10 +15,13 @@ from ..law.interfaces import StaticLaw, raise_failure
 from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
+from ..numerics.symbolic import NumericFunction
+from ..robust.law import Robust, RobustLaw, sampled_law
 from .events import NEVER, STATES, Event, Journal, State
 from .library import step_library
 from .measurement_model import JointSample, Measurement
 from .reference import ReferenceStruct
+from .safety_settings import Settings
 from .structs import Model, law_function, model_functions, settings_struct
 from .velocity_observer import VelocityObserver
 

@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError, StateError
+from ..law.linearized import equilibria_at, plant_matrices
 from ..model.configuration_sampling import checked_configurations
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Coordinates, Robot
