@@ -37,7 +37,7 @@ LAYERS = {
         "testing",
     ),
     "fjr_msgs_py": ("names", "messages", "native", "node", "console", "scenarios"),
-    "fjr_monitor": ("diagnosis", "recording scene", "analysis", "plotting", "report", "watch", "cli"),
+    "fjr_monitor": ("diagnosis scene", "recording", "report", "watch", "cli"),
     "fjr_plant": ("native", "channel", "sensors", "simulated_robot", "timing", "plant_node", "executable"),
     "fjr_controller": ("tracking", "ros", "native", "trajectory", "components", "controller_node", "executable"),
     "fjr_design": (

@@ -27,11 +27,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from fjr_bringup.runner.run import JOINT_COMMANDS, _Run
-from fjr_monitor.recording import message_types
-from fjr_monitor.recording.reader import Bag, BagError, header_stamp, read_bag
-from fjr_monitor.recording.recorder import QUEUE_DEPTH, Recorder, Track
+from fjr_monitor.recording import topic as message_types
+from fjr_monitor.recording.bag import Bag, BagError, header_stamp, read_bag
+from fjr_monitor.recording.recorder import QUEUE_DEPTH, BagWriter, Recorder, Track
 from fjr_monitor.recording.topic import Topic
-from fjr_monitor.recording.writer import BagWriter
 from fjr_msgs_py.node.participant import leave
 from system.talker import TALKER
 from time_limits import Limit

@@ -19,9 +19,9 @@ from mcap.writer import CompressionType, Writer
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import CompressionMode
 
-from fjr_monitor.recording import message_types
-from fjr_monitor.recording.reader import Bag, BagError, read_bag
-from fjr_monitor.recording.writer import BagWriter
+from fjr_monitor.recording import topic as message_types
+from fjr_monitor.recording.bag import Bag, BagError, read_bag
+from fjr_monitor.recording.recorder import BagWriter
 from fuzzing import answer, bytes_of, fuzzed
 from system.bags import rewritten
 
@@ -109,13 +109,6 @@ def test_a_flipped_bit_in_the_length_of_a_chunk_costs_at_most_that_chunk(whole: 
             assert bag.notes or len(messages(bag)) == SENT
 
 
-def test_index_turned_into_a_message_by_a_flipped_bit_is_skipped(whole: Path, folder: Path) -> None:
-    data = content(whole)
-    for _, end in chunks(data, folder):
-        assert data[end] ^ 2 == 5  # turns the kind from message index to message
-        assert messages(read_bag(written(folder, flipped(data, end, 1)))) == ALL
-
-
 @fuzzed(60)
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
 def test_any_flipped_bit_costs_at_most_one_chunk(whole: Path, folder: Path, place: float, bit: int) -> None:
@@ -169,7 +162,7 @@ def test_bags_of_other_writers_are_read_damaged_or_not(
     for place in range(600, len(data) // 2, len(data) // 25):
         bag = read_bag(written(folder, flipped(data, place, 5)))
         assert len(messages(bag)) > SENT / 2
-        assert bag.notes
+        assert bag.notes or messages(bag) == ALL  # damage to an index that is not needed
 
 
 def test_times_beyond_63_bits_are_left_out(folder: Path) -> None:

@@ -15,8 +15,7 @@ from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.one_step_prediction import Prediction
 from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import diagnose
-from fjr_monitor.diagnosis.innovations import innovations, needed
-from fjr_monitor.diagnosis.record import Ends, Record
+from fjr_monitor.diagnosis.record import Ends, Record, innovations, needed
 
 PERIOD, DURATION = 1e-3, 2.5
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)

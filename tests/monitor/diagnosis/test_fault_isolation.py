@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -16,9 +15,8 @@ from fjr_core.model.payload import PayloadArm
 from fjr_core.monitoring.axes import Axes
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
-from fjr_monitor.diagnosis.fault_isolation import isolation
-from fjr_monitor.diagnosis.fault_isolation.added_body import SECOND_MOMENTS, body_torques
-from fjr_monitor.diagnosis.fault_isolation.velocity_consistency import velocity_faults
+from fjr_monitor.diagnosis.fault_isolation import UNKNOWN, unexplained, velocity_faults
+from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Finding, Hypothesis, body_torques
 from fjr_monitor.diagnosis.record import Record
 
 PERIOD, DURATION = 1e-3, 1.5
@@ -58,12 +56,12 @@ def test_healthy_run_has_no_finding() -> None:
 
 
 def test_holding_names_no_torque_that_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:
-    unexplained = isolation.Finding(isolation.UNKNOWN, "", "", 0.0, "", 0.0, "no single fault explains the torque")
-    monkeypatch.setattr("fjr_monitor.diagnosis.diagnosis.isolate", lambda *_: (unexplained,))
+    nothing = Finding(UNKNOWN, "", "", 0.0, "", 0.0, "no single fault explains the torque")
+    monkeypatch.setattr("fjr_monitor.diagnosis.diagnosis.isolate", lambda *_: (nothing,))
     healthy = verdict()
     assert healthy.kind == "holding"
     assert healthy.findings == ()
-    assert unexplained.sentence not in healthy.sentence
+    assert nothing.sentence not in healthy.sentence
 
 
 @pytest.mark.parametrize(
@@ -117,8 +115,8 @@ def test_velocity_that_contradicts_the_position_is_isolated_without_a_model(kind
     changed = {"velocity scale": 1.05 * velocity, "velocity sign": -velocity}
     late = np.vstack([velocity[:1], velocity[:1], velocity[:-2]])
     velocity[:, 2] = changed.get(kind, late)[:, 2]
-    (fault,) = velocity_faults(replace(healthy, velocity=velocity))
-    assert (fault.kind, fault.channel) == (kind, 2)
+    (fault,) = velocity_faults(replace(healthy, velocity=velocity), NAMES)
+    assert (fault.kind, fault.joint, fault.side) == (kind, "shoulder", "motor")
     assert fault.size == pytest.approx(size, rel=0.05)
 
 
@@ -146,5 +144,5 @@ def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
 
 @pytest.mark.parametrize(("share", "named"), [(0.05, False), (0.3, True)])
 def test_nearest_kind_is_named_only_if_it_explains_a_tenth(share: float, named: bool) -> None:
-    best = SimpleNamespace(fault=SimpleNamespace(kind="inertia", side="motor", joint=0))
-    assert ("inertia (motor of a)" in isolation._unknown(best, share, ["a"]).sentence) is named
+    nearest = Hypothesis("inertia", 0, "motor", "kg m^2", np.zeros((1, 2, 1)))
+    assert ("inertia (motor of a)" in unexplained(nearest, share, ["a"]).sentence) is named

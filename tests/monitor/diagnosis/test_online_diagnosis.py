@@ -8,10 +8,9 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.monitoring.axes import Axes
+from fjr_monitor.diagnosis.delay_estimation import WINDOW, Latency
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
-from fjr_monitor.diagnosis.latency import WINDOW, Latency
-from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
-from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
 
 PERIOD, BETA = 1e-3, 10.0
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)

@@ -18,8 +18,7 @@ from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST
 from fjr_monitor.diagnosis.cause_errors import CauseErrors
 from fjr_monitor.diagnosis.diagnosis import Judged, diagnose
-from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
-from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.storage_budget import StorageBudget
 

@@ -13,7 +13,7 @@ from fjr_core.config.reference_file import effort_limits, motion_of_file, motion
 from fjr_core.errors import ParameterError
 from fjr_core.motions.sampled_motion import SampledMotion
 from fjr_core.motions.waypoints import waypoints
-from fjr_monitor.recording.echo import absolute
+from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.discovery import discover_quickly
 from fjr_msgs_py.console.interrupt import stoppable
 from fjr_msgs_py.console.result import Result

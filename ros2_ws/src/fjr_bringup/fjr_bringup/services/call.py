@@ -7,7 +7,7 @@ from typing import Any
 
 from fjr_bringup.services.client import ServiceError, service_client
 from fjr_core.config import ros_yaml
-from fjr_monitor.recording.echo import absolute
+from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.messages.plain import fill, plain
 
 

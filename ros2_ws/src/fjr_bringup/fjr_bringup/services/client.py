@@ -15,8 +15,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from fjr_core.errors import FjrError
-from fjr_monitor.recording.echo import nodes_seen
-from fjr_monitor.recording.message_types import interface_class
+from fjr_monitor.recording.topic import interface_class
+from fjr_monitor.recording.topics import nodes_seen
 from fjr_msgs_py.node.participant import own_node
 
 POLL = 0.05  # s

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 
 from fjr_bringup.services.client import ServiceClient, ServiceError, service_client
-from fjr_monitor.recording.echo import absolute
+from fjr_monitor.recording.topics import absolute
 
 
 @dataclass(frozen=True)

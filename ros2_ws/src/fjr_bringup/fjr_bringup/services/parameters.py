@@ -8,7 +8,7 @@ from typing import Any
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 
 from fjr_bringup.services.client import ServiceError, service_client
-from fjr_monitor.recording.echo import absolute
+from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.messages.parameters import parameter_message, parameter_value
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fjr_core.numerics.checks import Array
 from fjr_design.posterior.result import DEFLECTION, Fit
-from fjr_monitor.plotting.figure import Line, Plot, colour
+from fjr_monitor.report.html import Line, Plot, colour
 
 LONGEST_LAG = 1.0  # s
 MOST_LAGS = 1000
