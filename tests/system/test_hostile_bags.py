@@ -200,6 +200,19 @@ def test_small_file_cannot_cause_a_large_allocation(whole: Path, folder: Path) -
     assert bag.notes
 
 
+def test_an_index_beyond_the_file_costs_its_chunk_at_most(whole: Path, folder: Path) -> None:
+    """The checksum of the summary is 0, which stands for none."""
+    data = content(whole)
+    begin, end = chunks(data, folder)[0]
+    index = struct.pack("<QQ", begin, end - begin)
+    place = data.rindex(index)
+    for wrong in ((2**63 + 5, end - begin), (begin, 2**62)):
+        changed = data[:place] + struct.pack("<QQ", *wrong) + data[place + len(index) :]
+        bag = read_bag(written(folder, changed[:-12] + bytes(4) + changed[-8:]))
+        assert messages(bag)[-len(ALL) + IN_CHUNK :] == ALL[IN_CHUNK:]
+        assert bag.notes or messages(bag) == ALL
+
+
 def test_bytes_of_another_format_are_refused(folder: Path) -> None:
     for suffix in (".mcap", ".db3"):
         for data in (b"not a bag, but long enough to be one", bytes(1000), b"SQLite format 3\0", b"\x89MCAP0\r\n"):

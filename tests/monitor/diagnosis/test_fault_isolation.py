@@ -18,8 +18,9 @@ from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 from fjr_monitor.diagnosis.fault_isolation import UNKNOWN, unexplained, velocity_faults
 from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Finding, Hypothesis, body_torques
 from fjr_monitor.diagnosis.record import Record
+from monitor.diagnosis.loops import PERIOD, recorded
 
-PERIOD, DURATION = 1e-3, 1.5
+DURATION = 1.5
 MODEL = fjr.planar_two_link()
 NAMES = ("shoulder", "elbow")
 AXES = replace(Axes.plain(2), names=NAMES)
@@ -32,19 +33,10 @@ def law() -> fjr.TrackingLaw:
 
 def record(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Record:
     """Run the loop with another robot than the model, or with offsets (4n,) of positions and velocities."""
-    plant, offset = fjr.Plant(robot), np.zeros(8) if offset is None else offset
+    by = np.zeros(8) if offset is None else offset
     reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    x, rows = np.zeros(8), []
-    for k in range(round(DURATION / PERIOD)):
-        q, dq = x[:4] + offset[:4], np.concatenate(robot.velocities(x)) + offset[4:]
-        jets = reference.jets(k * PERIOD)
-        u = law().measured_command(q, dq, jets)[0]
-        rows.append((k * PERIOD, q, dq, jets, u))
-        for _ in range(4):
-            x = plant.step(x, u, PERIOD / 4)
-    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
-    unlimited = np.full(2, np.inf)
-    return Record(t, position, velocity, jets, u, None, None, None, PERIOD, unlimited)
+    samples = round(DURATION / PERIOD)
+    return recorded(law(), reference, np.zeros(8), samples, robot, lambda q, dq: (q + by[:4], dq + by[4:]))
 
 
 def verdict(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Diagnosis:

@@ -8,9 +8,8 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.monitoring.axes import Axes
-from fjr_monitor.diagnosis.delay_estimation import WINDOW, Latency
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
-from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import WINDOW, Latency, OnlineCertificate, OnlineDiagnosis
 
 PERIOD, BETA = 1e-3, 10.0
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)

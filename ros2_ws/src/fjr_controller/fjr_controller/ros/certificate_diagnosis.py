@@ -16,9 +16,8 @@ from fjr_core.law.robust import Robust
 from fjr_core.monitoring.axes import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.library import StepLibrary
-from fjr_monitor.diagnosis.delay_estimation import Latency
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, unknown
-from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import Latency, OnlineCertificate, OnlineDiagnosis
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.diagnosis import diagnosis_status
 

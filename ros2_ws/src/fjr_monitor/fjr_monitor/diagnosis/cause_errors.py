@@ -30,6 +30,8 @@ from fjr_monitor.diagnosis.delay_estimation import Acting
 from fjr_monitor.diagnosis.record import Innovations, foreseen
 from fjr_monitor.diagnosis.storage_budget import CAUSES, blocks_of, foreign, state_change
 
+EMPTY: Array = np.zeros((0, 0, 0))
+
 
 @dataclass(frozen=True)
 class CauseErrors:
@@ -53,36 +55,34 @@ def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array
     return np.asarray(np.linalg.solve(momenta, (Phi + Gamma @ F) @ momenta))
 
 
-def cause_errors(
-    found: Innovations,
-    acted: Acting,
-    robot: Robot,
-    period: float,
-    limit: Array,
-    loops: Array,
-    start: Array | None = None,
-    before: int = 0,
-    total: int | None = None,
-) -> tuple[CauseErrors, Array]:
-    """Return the errors due to the causes in the complete blocks of the intervals, and the final e (4n, 4) of each.
+class CausePropagation:
+    """The state error e (4n, 4) due to each of CAUSES, propagated from interval to interval; zero at first.
 
-    loops (m, 4n, 4n): closed loops at m configurations, spread evenly over `total` intervals, of which `before` came
-    before these; None: these are all. start (4n, 4): e of each cause before the first interval; None: zero.
+    loops (m, 4n, 4n): closed loops at m configurations, spread evenly over `total` intervals; None: over those of each
+    call.
     """
-    count, n = len(found) // BLOCK * BLOCK, robot.n
-    total = total or count
-    w = disturbances(found, acted, robot, period, limit)
-    e = np.zeros((4 * n, len(CAUSES))) if start is None else start
-    steps = np.maximum(1, np.round(found.dt / period)).astype(int)
-    made = np.zeros((count, len(CAUSES), n))
-    for k in range(count):
-        loop = loops[(before + k) * len(loops) // total]
-        for _ in range(steps[k]):
-            e = loop @ e
-        e = e + w[k]
-        made[k] = e[:n].T
-    own = found.tracking[:count] - made.sum(axis=1)
-    return CauseErrors(_peaks(made), _peaks(own)), e
+
+    def __init__(self, robot: Robot, loops: Array = EMPTY, total: int | None = None) -> None:
+        self.loops = loops
+        self._robot, self._total, self._done = robot, total, 0
+        self._e = np.zeros((4 * robot.n, len(CAUSES)))
+
+    def errors(self, found: Innovations, acted: Acting, period: float, limit: Array) -> CauseErrors:
+        """Return the errors due to the causes in the complete blocks of the next intervals."""
+        count, n, loops = len(found) // BLOCK * BLOCK, self._robot.n, self.loops
+        before, total = (0, count) if self._total is None else (self._done, self._total)
+        w = disturbances(found, acted, self._robot, period, limit)
+        steps = np.maximum(1, np.round(found.dt / period)).astype(int)
+        made = np.zeros((count, len(CAUSES), n))
+        for k in range(count):
+            loop = loops[(before + k) * len(loops) // total]
+            for _ in range(steps[k]):
+                self._e = loop @ self._e
+            self._e = self._e + w[k]
+            made[k] = self._e[:n].T
+        self._done += count
+        own = found.tracking[:count] - made.sum(axis=1)
+        return CauseErrors(*(np.abs(blocks_of(values)).max(axis=1) for values in (made, own)))
 
 
 def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
@@ -101,13 +101,6 @@ def _outdated(found: Innovations, period: float) -> Array:
     samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
     share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
     return np.asarray((found.law - law) * share[:, None])
-
-
-def _peaks(values: Array) -> Array:
-    return np.asarray(np.abs(blocks_of(values)).max(axis=1))
-
-
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -133,7 +126,7 @@ class Grading:
         self._envelope = np.zeros(len(tolerance))
         self._all, self._settled = (Grade({}, True) for _ in range(2))
 
-    def add(self, made: CauseErrors, judged: Flags) -> None:
+    def add(self, made: CauseErrors, judged: NDArray[np.bool_]) -> None:
         """Add blocks; judged (b,): those that count."""
         total, own = made.peaks.sum(axis=1), made.own.copy()
         for value in own:  # the running maximum, multiplied by the decay from block to block

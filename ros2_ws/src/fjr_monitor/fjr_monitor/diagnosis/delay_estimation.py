@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimate the input delay by regressing the effort that the motor equation requires on time-shifted commands.
 
-All estimates follow from sums over the intervals, so that a record may come in parts of any length. `Latency` estimates
-the delay from a state to its command when the clock of the stamps has an unknown offset.
+All estimates follow from sums over the intervals, so that a record may come in parts of any length.
 """
 
 from __future__ import annotations
@@ -21,10 +20,9 @@ from fjr_monitor.diagnosis.record import Innovations, needed
 
 BEFORE = 2 * thresholds.OLDEST + 2
 """Intervals before a part of which the sent efforts, or their changes, may still act in it."""
-WINDOW = 1000
-"""States over which the offset of a clock is estimated."""
 AFTER = thresholds.CLIPPED_FOR - 1
 """Intervals after a part that decide whether a motor was saturated in it."""
+_COLUMNS = thresholds.OLDEST + 4
 
 
 class EffortDelay(NamedTuple):
@@ -117,9 +115,6 @@ class DelaySums:
         power, shared = float(b[used] @ products @ b[used]), float(b[used] @ products @ y[used])
         fraction = float(np.clip(shared / power, 0.0, 1.0)) if power > 0 else 0.0
         return fraction, self._square(y - fraction * b)
-
-
-_COLUMNS = thresholds.OLDEST + 4
 
 
 class ActingSums:
@@ -244,30 +239,3 @@ def _clipped(sent: Array, acting: Array, largest: Array) -> NDArray[np.bool_]:
         for start, end in edges.reshape(-1, 2):
             kept[start:end, j] = end - start >= thresholds.CLIPPED_FOR
     return kept
-
-
-class Latency:
-    """Time from each state to its command [s] without the shortest transport delay of a state.
-
-    Arrival minus stamp is the clock offset plus the transport delay. The minimum over the last one to two WINDOWs
-    estimates the offset. A constant transport delay cannot be distinguished from the clock offset and is not included;
-    variations of the delay are.
-    """
-
-    def __init__(self) -> None:
-        self.forget()
-
-    def forget(self) -> None:
-        """Discard the estimate of the clock offset."""
-        self._count, self._before, self._least = 0, float("inf"), float("inf")
-
-    def of(self, stamp: int, arrival: int, sent: int) -> float:
-        """Return the latency [s] of a state with this stamp, time of arrival and send time of its command [ns].
-
-        arrival and sent are read from the same clock.
-        """
-        if self._count == WINDOW:
-            self._count, self._before, self._least = 0, self._least, float("inf")
-        self._count += 1
-        self._least = min(self._least, arrival - stamp)
-        return (sent - stamp - min(self._before, self._least)) * 1e-9

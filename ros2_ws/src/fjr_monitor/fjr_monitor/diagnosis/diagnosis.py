@@ -20,7 +20,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
 from fjr_core.stability.linearization import linearize
 
-from .cause_errors import CauseErrors, Grade, Grading, cause_errors, closed_loop, detail
+from .cause_errors import CauseErrors, CausePropagation, Grade, Grading, closed_loop, detail
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
 from .fault_isolation import LONGEST, UNKNOWN, Finding, isolate
 from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
@@ -29,6 +29,13 @@ from .storage_budget import CAUSES, StorageBudget, floor, foreign, growth, highe
 SAMPLING, SATURATION = "sampling", "saturation"
 NO_DECAY = "V does not decay as guaranteed"
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
+_EXPLANATIONS = {
+    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
+    SATURATION: "the effort was saturated at a limit",
+    "delay": "the effort acted late",
+    "loss": "states or efforts were lost",
+    SAMPLING: "the loop is unstable at this sample period",
+}
 
 
 @dataclass(frozen=True)
@@ -192,10 +199,10 @@ class _Judging:
         self._robot, self._beta, self._acting, self._total = law.robot, beta, acted, total
         self._tolerated = axes.storage(law)
         self._radius = float(linearize(law, visited).radii(period).max())
-        self._loops = closed_loop(law, visited, period)
+        whole = total // thresholds.BLOCK * thresholds.BLOCK
+        self._propagation = CausePropagation(law.robot, closed_loop(law, visited, period), whole)
         self._judged = Judged(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
         self._parts, self._done, self._period = _Parts(law), 0, period
-        self._state: Array | None = None
         self._rise = (np.inf, np.nan)
         self._highest: Array = np.zeros((2, 0))
         self._V = np.zeros(2)  # largest in the first and in the last third
@@ -227,17 +234,7 @@ class _Judging:
         acted = self._acting.acting(kept, needed(kept, robot))
         blocks, ahead = slice(begin, begin + whole), slice(begin, begin + whole + 1)  # a gap shows in the next law
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
-        made, self._state = cause_errors(
-            kept.rows(ahead),
-            acted.rows(ahead),
-            robot,
-            period,
-            limit,
-            self._loops,
-            self._state,
-            self._done,
-            self._total // thresholds.BLOCK * thresholds.BLOCK,
-        )
+        made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
         self._judged.add(budget, made)
         self._follow(kept.rows(slice(begin, begin + every)), acted.age)
         self._done += every
@@ -321,15 +318,6 @@ class Judged:
 def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
     """Return "unknown" with the reason."""
     return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
-
-
-_EXPLANATIONS = {
-    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
-    SATURATION: "the effort was saturated at a limit",
-    "delay": "the effort acted late",
-    "loss": "states or efforts were lost",
-    SAMPLING: "the loop is unstable at this sample period",
-}
 
 
 def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str, float]) -> Diagnosis:

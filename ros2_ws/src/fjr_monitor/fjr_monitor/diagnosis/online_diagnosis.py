@@ -25,7 +25,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.certificate_struct import CertificateStruct
 from fjr_core.runtime.control_step import NEVER
 from fjr_core.runtime.library import StepLibrary, step_library
-from fjr_monitor.diagnosis.cause_errors import CauseErrors, cause_errors, closed_loop
+from fjr_monitor.diagnosis.cause_errors import EMPTY, CauseErrors, CausePropagation, closed_loop
 from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, Judged, unknown
 from fjr_monitor.diagnosis.record import Innovations, needed
@@ -34,6 +34,7 @@ from fjr_monitor.diagnosis.storage_budget import StorageBudget, growth, rises, s
 _FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
 """Fields of Innovations, with the names of struct fjr_certified."""
 CAPACITY = 640  # intervals; at least the latest half is kept
+WINDOW = 1000  # states over which the offset of a clock is estimated
 BLOCKS = 50  # per diagnosis: 1 s at 1 kHz
 TOGETHER = 5  # blocks that are processed at once, or fewer for a diagnosis
 DELAY_WINDOW = 200  # intervals from which the input delay is estimated
@@ -175,8 +176,7 @@ class OnlineDiagnosis:
         """Discard all blocks and estimates."""
         self._blocks.clear()
         self._new, self._period, self._change, self._lowest = 0, 0.0, 0.0, np.inf
-        self._loop: Array | None = None
-        self._state: Array | None = None
+        self._propagation = CausePropagation(self._law.robot)
 
     def look(self, beta: float, count: int = 1) -> None:
         """Process `count` more intervals; beta [1/s]: guaranteed rate of V."""
@@ -199,7 +199,7 @@ class OnlineDiagnosis:
         self._period, self._change = _usual(seen.dt), FORGETTING * self._change
         if not seen.latency.any():
             self._age = effort_delay(seen, self._law.robot)
-        self._loop = None  # linearise again at the current reference
+        self._propagation.loops = EMPTY  # linearise again at the current reference
         risen = [each for _, _, each in self._blocks]
         judged = Judged(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
         for each in self._blocks:
@@ -232,15 +232,42 @@ class OnlineDiagnosis:
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)
-        if self._loop is None:
-            self._loop = closed_loop(self._law, self._online_certificate.jets[None, 0], self._period)
+        if not len(self._propagation.loops):
+            self._propagation.loops = closed_loop(self._law, self._online_certificate.jets[None, 0], self._period)
         robot, limit = self._law.robot, self._limit
         risen = rises(seen, limit, self._lowest)[:, -size:]
         self._lowest = float(risen[1, -1])
-        made, self._state = cause_errors(found, acted, robot, self._period, limit, self._loop, self._state)
+        made = self._propagation.errors(found, acted, self._period, limit)
         return storage_budget(found, acted, robot, self.beta, self._period, limit), made, risen
 
 
 def _usual(dt: Array) -> float:
     """Return the sample period [s]: the lower quartile of the intervals, which gaps do not affect."""
     return float(np.quantile(dt, 0.25))
+
+
+class Latency:
+    """Time from each state to its command [s] without the shortest transport delay of a state.
+
+    Arrival minus stamp is the clock offset plus the transport delay. The minimum over the last one to two WINDOWs
+    estimates the offset. A constant transport delay cannot be distinguished from the clock offset and is not included;
+    variations of the delay are.
+    """
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard the estimate of the clock offset."""
+        self._count, self._before, self._least = 0, float("inf"), float("inf")
+
+    def of(self, stamp: int, arrival: int, sent: int) -> float:
+        """Return the latency [s] of a state with this stamp, time of arrival and send time of its command [ns].
+
+        arrival and sent are read from the same clock.
+        """
+        if self._count == WINDOW:
+            self._count, self._before, self._least = 0, self._least, float("inf")
+        self._count += 1
+        self._least = min(self._least, arrival - stamp)
+        return (sent - stamp - min(self._before, self._least)) * 1e-9

@@ -27,6 +27,9 @@ LEAD = 2
 """States of the part before that a part of a record repeats: an interval needs the effort before it."""
 PART = 8192
 """States of a part: what one pass over a record holds in memory."""
+SERIES = ("t", "position", "velocity", "jets", "u", "u_applied", "sent", "answered")
+HUGE = 1e30
+"""Positions and velocities below which V does not overflow."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,6 @@ class Record:
             yield self.rows(slice(start - begin, start + size), begin)
 
 
-SERIES = ("t", "position", "velocity", "jets", "u", "u_applied", "sent", "answered")
-
-
 class Ends:
     """The first and the last states of a record that comes in parts; most: how many of each."""
 
@@ -116,10 +116,6 @@ class Ends:
         whole: Record = replace(every[0], **joined)
         excess = max(0, self._last - self._most)
         return whole.rows(np.r_[: self._first, self._first + excess : len(whole.t)]) if excess else whole
-
-
-HUGE = 1e30
-"""Positions and velocities below which V does not overflow."""
 
 
 @dataclass(frozen=True)

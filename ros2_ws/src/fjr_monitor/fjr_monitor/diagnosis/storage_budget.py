@@ -21,6 +21,7 @@ from fjr_monitor.diagnosis.delay_estimation import Acting
 from fjr_monitor.diagnosis.record import Innovations, foreseen
 
 CAUSES = ("model mismatch", "saturation", "delay", "loss")
+CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,7 @@ class StorageBudget:
 
     causes (b, 4) [J]: contribution of each of CAUSES. hold (b,) [J]: growth of V in the ideal sampled loop, with the
     known latency, above the bound exp(-2 beta dt). slack (b,) [J]: decay of V below that bound. noise (b,) [J]: what
-    measurement noise explains. judged (b,): true if every effort is that of the law or at its limit. V (b,) [J]: at
-    the end of the block.
+    measurement noise explains. judged (b,): true if every effort is that of the law or at its limit.
     """
 
     causes: Array
@@ -38,7 +38,6 @@ class StorageBudget:
     slack: Array
     noise: Array
     judged: NDArray[np.bool_]
-    V: Array
 
 
 def storage_budget(
@@ -68,7 +67,6 @@ def storage_budget(
         slack=_sums(np.maximum(-excess, 0.0)),
         noise=np.abs(_sums(residual - within) - mismatch) + SIGNIFICANT * uncertain + np.abs(_sums(unsure)),
         judged=_sums(foreign(found, limit).astype(float)) == 0,
-        V=blocks_of(found.V1)[:, -1],
     )
 
 
@@ -130,9 +128,6 @@ def blocks_of(values: Array) -> Array:
 def _sums(values: Array) -> Array:
     sums: Array = blocks_of(values).sum(axis=1)
     return sums
-
-
-CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
 
 
 def rises(found: Innovations, limit: Array, lowest: float = np.inf, before: float = np.nan) -> Array:

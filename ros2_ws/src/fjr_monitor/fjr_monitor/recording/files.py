@@ -206,8 +206,9 @@ class _McapFile:
             self._count = Statistics.read(content).message_count
 
     def _bytes(self, position: int, length: int) -> bytes:
+        position = min(position, self._size)  # of an index that may be damaged, as the length
         self._stream.seek(position)
-        return self._stream.read(length)
+        return self._stream.read(min(length, self._size - position))
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:

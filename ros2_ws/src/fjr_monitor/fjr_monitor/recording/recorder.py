@@ -37,6 +37,11 @@ from fjr_msgs_py.node.participant import leave
 METADATA_VERSION = 9
 ROS_DISTRO = "jazzy"
 DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # in C where PyYAML was built with libyaml
+QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
+BATCH = 500  # messages taken of one topic before the next has its turn: no fast topic keeps the others waiting
+DRAIN_PERIOD = 0.01  # s
+DISCOVERY_PERIOD = 0.1  # s
+FLUSH_PERIOD = 0.5  # s; a kill loses at most this much and the batch in progress
 
 
 @dataclass
@@ -157,13 +162,6 @@ def _topic_entry(channel: RecordedTopic) -> dict[str, Any]:
         "type_description_hash": channel.type_hash,
     }
     return {"topic_metadata": topic, "message_count": channel.count}
-
-
-QUEUE_DEPTH = 5000  # messages per topic between two drains: 5 s at 1 kHz
-BATCH = 500  # messages taken of one topic before the next has its turn: no fast topic keeps the others waiting
-DRAIN_PERIOD = 0.01  # s
-DISCOVERY_PERIOD = 0.1  # s
-FLUSH_PERIOD = 0.5  # s; a kill loses at most this much and the batch in progress
 
 
 @dataclass

@@ -7,7 +7,7 @@ read several times rather than held in memory: once to find its states, then par
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +21,6 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.event_kinds import STARTS_REFUSED, STOPS
 from fjr_monitor.diagnosis.record import LEAD, PART, Record
 from fjr_monitor.recording.bag import Bag, JointTable, Times
 from fjr_monitor.recording.signals import (
@@ -30,16 +29,17 @@ from fjr_monitor.recording.signals import (
     EFFORTS,
     REFERENCE,
     STATES,
+    ControllerStop,
     EstimatedStates,
     RecordedReference,
     RecordedStates,
     States,
+    StopWatch,
     commands_of,
 )
 from fjr_monitor.recording.timing import CountedTimes
 from fjr_monitor.recording.topic import BagError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.events import STAMP
 
 AROUND = 2048  # states before and after a part with which its commands, repeats and reference are looked up
 JUMP = 0.5  # s; a larger step back in stamps starts a new section (reset, looped bag)
@@ -47,48 +47,6 @@ TAIL = 1.0  # s; states after the last command that are dropped without a note
 END = 2**63 - 1
 OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
 DIAGNOSTICS, EVENTS = "/diagnostics", f"/{names.CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
-HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
-
-
-@dataclass(frozen=True)
-class ControllerStop:
-    """A stop of the controller. at_s [s]: time since the start of the run; heading: event; reason: one sentence."""
-
-    at_s: float
-    heading: str
-    reason: str
-
-    @property
-    def sentence(self) -> str:
-        """Heading and reason."""
-        return f"{self.heading}: {self.reason}"
-
-
-class StopWatch:
-    """The first stop among the events of a controller, at the time of the last state before it.
-
-    events: each with its send time [ns]. An event without a stamp is assigned to the last state sent before it.
-    """
-
-    def __init__(self, events: Sequence[tuple[Any, int]]) -> None:
-        first: tuple[Any, int] = next((each for each in events if each[0].name in HEADINGS), (None, 0))
-        self._event, when = first
-        pairs = {} if self._event is None else {pair.key: pair.value for pair in self._event.values}
-        self._stamped = STAMP in pairs
-        self._when = int(pairs.get(STAMP, when))
-        self._at = 0.0
-
-    def add(self, stamps: Any, sent: Any, t: Any) -> None:
-        """Take states: stamps and send times (k,) [ns], and times t (k,) [s] since the start of the run."""
-        before = (stamps if self._stamped else sent) <= self._when
-        self._at = float(t[before][-1]) if before.any() else self._at
-
-    def stop(self) -> ControllerStop | None:
-        """Return the stop; None if the controller never stopped."""
-        if self._event is None:
-            return None
-        _, _, reason = self._event.message.partition(": ")
-        return ControllerStop(self._at, HEADINGS[self._event.name].format(self._at), reason)
 
 
 @dataclass(frozen=True, kw_only=True)

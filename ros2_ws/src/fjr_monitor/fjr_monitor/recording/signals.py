@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of a recorded run: its states, the commands that answer them, its reference with four derivatives.
+"""Signals of a recorded run: states, commands that answer them, reference with four derivatives, the controller's stop.
 
 The scenario's reference is used where it was tracked; elsewhere the recorded one is differentiated numerically.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +18,21 @@ from fjr_core.config.measurement import measurement
 from fjr_core.config.scenario import Scenario
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.event_kinds import STARTS_REFUSED, STOPS
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_monitor.diagnosis.record import LEAD
 from fjr_monitor.recording.bag import Bag, JointTable, Rows, Times, in_order
 from fjr_msgs_py import names
+from fjr_msgs_py.messages.events import STAMP
 
 STATES = f"/{names.JOINT_STATES}"
+HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
 SCANNED_MESSAGES = 1000  # for joint names
+ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
+AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
+REFERENCE = names.REFERENCE.replace("~", f"/{names.CONTROLLER}")
+SAME = 1e-9  # rad, rad/s, relative to the size of the reference: resolution of stamps in ns
+DEGREE = 5  # of the spline through the recorded velocities: its third derivative is d4q_ld
 
 
 @dataclass(frozen=True)
@@ -138,10 +148,6 @@ def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
     return np.unique(stamp, return_index=True)[1]
 
 
-ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
-AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
-
-
 def commands_of(states: States, table: JointTable | None, stamped: bool) -> tuple[Array, Times]:
     """Return the command of each of k states: u (k, n) [N m], send time (k,) [ns]; NaN and -1 without a command.
 
@@ -167,11 +173,6 @@ def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArra
     """Find each stamp in the sorted `others`: return row indices, and a mask of the stamps that were found."""
     place = np.minimum(np.searchsorted(others, stamps), len(others) - 1)
     return place, others[place] == stamps
-
-
-REFERENCE = names.REFERENCE.replace("~", f"/{names.CONTROLLER}")
-SAME = 1e-9  # rad, rad/s, relative to the size of the reference: resolution of stamps in ns
-DEGREE = 5  # of the spline through the recorded velocities: its third derivative is d4q_ld
 
 
 class RecordedReference:
@@ -238,3 +239,44 @@ class RecordedReference:
             return ()
         other = "another reference than the scenario's was tracked: its derivatives are numerical"
         return (f"from {self._start:.3f} s on {other}",)
+
+
+@dataclass(frozen=True)
+class ControllerStop:
+    """A stop of the controller. at_s [s]: time since the start of the run; heading: event; reason: one sentence."""
+
+    at_s: float
+    heading: str
+    reason: str
+
+    @property
+    def sentence(self) -> str:
+        """Heading and reason."""
+        return f"{self.heading}: {self.reason}"
+
+
+class StopWatch:
+    """The first stop among the events of a controller, at the time of the last state before it.
+
+    events: each with its send time [ns]. An event without a stamp is assigned to the last state sent before it.
+    """
+
+    def __init__(self, events: Sequence[tuple[Any, int]]) -> None:
+        first: tuple[Any, int] = next((each for each in events if each[0].name in HEADINGS), (None, 0))
+        self._event, when = first
+        pairs = {} if self._event is None else {pair.key: pair.value for pair in self._event.values}
+        self._stamped = STAMP in pairs
+        self._when = int(pairs.get(STAMP, when))
+        self._at = 0.0
+
+    def add(self, stamps: Any, sent: Any, t: Any) -> None:
+        """Take states: stamps and send times (k,) [ns], and times t (k,) [s] since the start of the run."""
+        before = (stamps if self._stamped else sent) <= self._when
+        self._at = float(t[before][-1]) if before.any() else self._at
+
+    def stop(self) -> ControllerStop | None:
+        """Return the stop; None if the controller never stopped."""
+        if self._event is None:
+            return None
+        _, _, reason = self._event.message.partition(": ")
+        return ControllerStop(self._at, HEADINGS[self._event.name].format(self._at), reason)

@@ -24,6 +24,11 @@ from rosbags.typesys.store import Typestore
 
 from fjr_core.errors import FjrError
 
+Times = NDArray[np.int64]
+TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+LONGEST_DEFINITION = 2**20  # characters
+LATEST = 2**63  # ns
+
 
 class SchemaError(FjrError):
     """The class or definition of a message type is not installed."""
@@ -87,12 +92,6 @@ def _nested_types(node: Any) -> set[str]:
     if isinstance(node, (tuple, list)):
         return set().union(*(_nested_types(value) for value in node))
     return set()
-
-
-Times = NDArray[np.int64]
-TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
-LONGEST_DEFINITION = 2**20  # characters
-LATEST = 2**63  # ns
 
 
 class BagError(FjrError):

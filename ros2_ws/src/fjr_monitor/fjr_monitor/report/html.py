@@ -29,6 +29,20 @@ DRAWN = 4000  # points of a line; longer lines are decimated to the minimum and 
 STORED = 40_000  # values of all lines of a plot, so that pages of many joints stay small
 DRAWABLE = 1e12  # larger magnitudes are not drawn
 COLOURS = 7  # --c1 .. --c7 of page.css
+TEMPLATES = "report/templates"
+SCRIPT, STYLE, THREE = "uPlot.iife.js", "uPlot.min.css", "three.min.js"
+ASSETS = {  # file -> distribution, whose package is not imported, and folder
+    SCRIPT: ("uplot-python", "uplot/static"),
+    STYLE: ("uplot-python", "uplot/static"),
+    THREE: ("jupyter-threejs-sage", "jupyter_threejs_sage/static/r130"),
+}
+HEADINGS = {
+    "holding": "The certificate holds",
+    "degraded": "Degraded",
+    "violated": "Violated",
+    "unknown": "No verdict",
+    "late": "No verdict: the machine was late",
+}
 
 
 @dataclass(frozen=True)
@@ -185,22 +199,6 @@ def drawable(values: Array, log: bool = False) -> Array:
     """Return the values with NaN for those that an axis cannot show: huge ones, and on a log axis those <= 1e-37."""
     good = (np.abs(values) < DRAWABLE) & ((values > 1e-37) | (not log))
     return np.where(good, values, np.nan)
-
-
-TEMPLATES = "report/templates"
-SCRIPT, STYLE, THREE = "uPlot.iife.js", "uPlot.min.css", "three.min.js"
-ASSETS = {  # file -> distribution, whose package is not imported, and folder
-    SCRIPT: ("uplot-python", "uplot/static"),
-    STYLE: ("uplot-python", "uplot/static"),
-    THREE: ("jupyter-threejs-sage", "jupyter_threejs_sage/static/r130"),
-}
-HEADINGS = {
-    "holding": "The certificate holds",
-    "degraded": "Degraded",
-    "violated": "Violated",
-    "unknown": "No verdict",
-    "late": "No verdict: the machine was late",
-}
 
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ from fjr_monitor.recording.run import Recording, RunData
 STEADY_AFTER = 2.0  # s; metrics "after 2 s" exclude the transient
 SETTLED = 0.02  # of the initial error
 AT_LIMIT = 1.0 - 1e-6  # share of an effort limit from which a command counts as saturated
+DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
 
 
 @dataclass(frozen=True)
@@ -195,9 +196,6 @@ class Tracked:
             return math.nan, None
         j = int(np.nanargmax(values))
         return float(values[j]), self._run.joints[j]
-
-
-DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
 
 
 @dataclass(frozen=True)

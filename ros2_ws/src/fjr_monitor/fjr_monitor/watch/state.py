@@ -13,6 +13,12 @@ import numpy as np
 from fjr_msgs_py.names import motor_name
 
 LEVELS = ("ok", "warn", "error", "stale")  # of a diagnostic_msgs/DiagnosticStatus, by number
+WINDOW = 2_000_000_000  # ns; window of the timing statistics
+HISTORY = 120  # values of V
+EVENTS = 6  # shown
+STALE = 5.0  # s without a diagnostic message
+NANO = 1e-9
+Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -81,15 +87,6 @@ class View:
     health: tuple[NodeHealth, ...] = ()
     events: tuple[LoopEvent, ...] = ()
     missing: tuple[str, ...] = ()
-
-
-WINDOW = 2_000_000_000  # ns; window of the timing statistics
-HISTORY = 120  # values of V
-EVENTS = 6  # shown
-STALE = 5.0  # s without a diagnostic message
-NANO = 1e-9
-
-Values = Mapping[str, float]
 
 
 class Watched:
