@@ -10,7 +10,7 @@ import fjr_core as fjr
 from fjr_core.monitoring.axes import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
-from fjr_monitor.diagnosis.cause_errors import closed_loop
+from fjr_monitor.diagnosis.causes import closed_loop
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.record import Record
 from monitor.diagnosis.loops import PERIOD, recorded

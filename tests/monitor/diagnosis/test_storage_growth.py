@@ -17,11 +17,10 @@ from fjr_core.monitoring.axes import Axes
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.cause_errors import CauseErrors
+from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
 from fjr_monitor.diagnosis.diagnosis import Judged, diagnose
 from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.storage_budget import StorageBudget
 from monitor.diagnosis.loops import recorded
 
 ROBOT = fjr.planar_two_link()

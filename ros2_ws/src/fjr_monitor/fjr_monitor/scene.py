@@ -54,109 +54,6 @@ class Mesh:
         }
 
 
-def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
-    """Read an STL, OBJ, DAE or other mesh file that trimesh knows, scaled by (3,); raises MeshError in one sentence."""
-    if path.is_file() and path.stat().st_size > LARGEST:
-        raise MeshError(f"{path} has more than {LARGEST // 2**20} MiB")
-    try:
-        corners = (_collada if path.suffix.lower() == ".dae" else _mesh)(path)
-    except ImportError as error:
-        raise MeshError(f"the package {error.name}, which reads meshes, is not installed") from None
-    except Exception:  # the readers raise many types
-        raise MeshError(f"{path} cannot be read as a mesh") from None
-    if not (len(corners) and np.isfinite(corners).all()):
-        raise MeshError(f"{path} has no triangle, or a vertex that is not finite")
-    return Mesh(corners.reshape(-1, 3) * scale, np.arange(3 * len(corners)).reshape(-1, 3))
-
-
-def _mesh(path: Path) -> NDArray[np.float64]:
-    """Return the corners (m, 3, 3) of all triangles of a file."""
-    import trimesh
-
-    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-    return np.asarray(mesh.vertices, dtype=float)[mesh.faces]
-
-
-def _collada(path: Path) -> NDArray[np.float64]:
-    """Return the corners (m, 3, 3) of all triangles of a COLLADA scene; raise ValueError beyond MOST_NODES.
-
-    pycollada skips what it cannot read, such as textures. trimesh has no limit of nodes.
-    """
-    from collada import Collada, DaeError
-    from collada.polylist import Polylist
-    from collada.scene import GeometryNode
-    from collada.triangleset import TriangleSet
-
-    def placed(node: Any, pose: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-        if next(nodes) > MOST_NODES:
-            raise ValueError(f"more than {MOST_NODES} nodes")
-        for part in node.geometry.primitives if isinstance(node, GeometryNode) else ():
-            triangles = part.triangleset() if isinstance(part, Polylist) else part
-            if isinstance(triangles, TriangleSet):
-                yield (triangles.vertex @ pose[:3, :3].T + pose[:3, 3])[triangles.vertex_index]
-        for child in getattr(node, "children", ()):
-            yield from placed(child, pose @ getattr(node, "matrix", np.eye(4)))
-
-    nodes = count(1)
-    document = Collada(str(path), ignore=[DaeError])
-    return np.concatenate([part for node in document.scene.nodes for part in placed(node, np.eye(4))])
-
-
-def decimated(mesh: Mesh, most: int) -> Mesh:
-    """Return the mesh with at most about `most` triangles: vertices of one cell of a grid become their mean."""
-    for cells in CELLS:
-        reduced = _clustered(mesh, cells)
-        if len(reduced.triangles) <= most:
-            break
-    return reduced
-
-
-def _clustered(mesh: Mesh, cells: int) -> Mesh:
-    low = mesh.vertices.min(axis=0)
-    side = max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-9) / cells
-    key = ((mesh.vertices - low) / side).astype(np.int64) @ np.array([1, 2**20, 2**40])
-    _, place, count = np.unique(key, return_inverse=True, return_counts=True)
-    sums = np.stack([np.bincount(place, column) for column in mesh.vertices.T], axis=1)
-    corners = place[mesh.triangles]
-    a, b, c = corners.T
-    return Mesh(sums / count[:, None], corners[(a != b) & (b != c) & (c != a)])
-
-
-def _text(numbers: NDArray[Any]) -> str:
-    return base64.b64encode(numbers.tobytes()).decode()
-
-
-def skeleton(
-    joints: Sequence[Mapping[str, Any]], tips: Mapping[str, Sequence[float] | None], thickness: float = THICKNESS
-) -> dict[str, list[dict[str, Any]]]:
-    """Return the shapes of the links in `tips`, in their frames, as values for arm.js.
-
-    joints: those of the scene. tips: where each link to draw ends if it has no further joint (3,) [m]; None: not known.
-    thickness: radius of a capsule, relative to the reach of the arm.
-    """
-    ends: dict[str, list[Sequence[float]]] = {name: [] for name in tips}
-    for joint in joints:
-        if joint["parent"] in ends:
-            ends[joint["parent"]].append(joint["xyz"])
-    for name, tip in tips.items():
-        if not ends[name] and tip is not None:
-            ends[name].append(tip)
-    reach = sum(float(np.linalg.norm(joint["xyz"])) for joint in joints)
-    reach += sum(float(np.linalg.norm(each)) for points in ends.values() for each in points) / max(1, len(joints))
-    radius = thickness * (reach or STANDARD)
-    shapes: dict[str, list[dict[str, Any]]] = {name: [] for name in tips}
-    for name, points in ends.items():
-        for end in points:
-            if np.linalg.norm(end) > SMALLEST:
-                shapes[name].append({"kind": "capsule", "size": [radius], "to": [*map(float, end)], "colour": None})
-    for joint in joints:  # a cylinder along the axis, about the origin of the child
-        if joint["child"] in shapes and joint["kind"] != "fixed":
-            along = 3.0 * radius * np.asarray(joint["axis"]) / np.linalg.norm(joint["axis"])
-            hub = {"kind": "hub", "size": [1.5 * radius], "to": [*map(float, along)], "colour": None}
-            shapes[joint["child"]].append(hub)
-    return shapes
-
-
 def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any]:
     """Return root, joints, links, meshes and notes of a URDF text; raises RobotError if it is not a valid URDF.
 
@@ -265,3 +162,106 @@ def _numbers(
     if len(values) != count or not all(abs(value) < most for value in values):
         raise ValueError(attribute)
     return values
+
+
+def skeleton(
+    joints: Sequence[Mapping[str, Any]], tips: Mapping[str, Sequence[float] | None], thickness: float = THICKNESS
+) -> dict[str, list[dict[str, Any]]]:
+    """Return the shapes of the links in `tips`, in their frames, as values for arm.js.
+
+    joints: those of the scene. tips: where each link to draw ends if it has no further joint (3,) [m]; None: not known.
+    thickness: radius of a capsule, relative to the reach of the arm.
+    """
+    ends: dict[str, list[Sequence[float]]] = {name: [] for name in tips}
+    for joint in joints:
+        if joint["parent"] in ends:
+            ends[joint["parent"]].append(joint["xyz"])
+    for name, tip in tips.items():
+        if not ends[name] and tip is not None:
+            ends[name].append(tip)
+    reach = sum(float(np.linalg.norm(joint["xyz"])) for joint in joints)
+    reach += sum(float(np.linalg.norm(each)) for points in ends.values() for each in points) / max(1, len(joints))
+    radius = thickness * (reach or STANDARD)
+    shapes: dict[str, list[dict[str, Any]]] = {name: [] for name in tips}
+    for name, points in ends.items():
+        for end in points:
+            if np.linalg.norm(end) > SMALLEST:
+                shapes[name].append({"kind": "capsule", "size": [radius], "to": [*map(float, end)], "colour": None})
+    for joint in joints:  # a cylinder along the axis, about the origin of the child
+        if joint["child"] in shapes and joint["kind"] != "fixed":
+            along = 3.0 * radius * np.asarray(joint["axis"]) / np.linalg.norm(joint["axis"])
+            hub = {"kind": "hub", "size": [1.5 * radius], "to": [*map(float, along)], "colour": None}
+            shapes[joint["child"]].append(hub)
+    return shapes
+
+
+def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
+    """Read an STL, OBJ, DAE or other mesh file that trimesh knows, scaled by (3,); raises MeshError in one sentence."""
+    if path.is_file() and path.stat().st_size > LARGEST:
+        raise MeshError(f"{path} has more than {LARGEST // 2**20} MiB")
+    try:
+        corners = (_collada if path.suffix.lower() == ".dae" else _mesh)(path)
+    except ImportError as error:
+        raise MeshError(f"the package {error.name}, which reads meshes, is not installed") from None
+    except Exception:  # the readers raise many types
+        raise MeshError(f"{path} cannot be read as a mesh") from None
+    if not (len(corners) and np.isfinite(corners).all()):
+        raise MeshError(f"{path} has no triangle, or a vertex that is not finite")
+    return Mesh(corners.reshape(-1, 3) * scale, np.arange(3 * len(corners)).reshape(-1, 3))
+
+
+def _mesh(path: Path) -> NDArray[np.float64]:
+    """Return the corners (m, 3, 3) of all triangles of a file."""
+    import trimesh
+
+    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+    return np.asarray(mesh.vertices, dtype=float)[mesh.faces]
+
+
+def _collada(path: Path) -> NDArray[np.float64]:
+    """Return the corners (m, 3, 3) of all triangles of a COLLADA scene; raise ValueError beyond MOST_NODES.
+
+    pycollada skips what it cannot read, such as textures. trimesh has no limit of nodes.
+    """
+    from collada import Collada, DaeError
+    from collada.polylist import Polylist
+    from collada.scene import GeometryNode
+    from collada.triangleset import TriangleSet
+
+    def placed(node: Any, pose: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+        if next(nodes) > MOST_NODES:
+            raise ValueError(f"more than {MOST_NODES} nodes")
+        for part in node.geometry.primitives if isinstance(node, GeometryNode) else ():
+            triangles = part.triangleset() if isinstance(part, Polylist) else part
+            if isinstance(triangles, TriangleSet):
+                yield (triangles.vertex @ pose[:3, :3].T + pose[:3, 3])[triangles.vertex_index]
+        for child in getattr(node, "children", ()):
+            yield from placed(child, pose @ getattr(node, "matrix", np.eye(4)))
+
+    nodes = count(1)
+    document = Collada(str(path), ignore=[DaeError])
+    return np.concatenate([part for node in document.scene.nodes for part in placed(node, np.eye(4))])
+
+
+def decimated(mesh: Mesh, most: int) -> Mesh:
+    """Return the mesh with at most about `most` triangles: vertices of one cell of a grid become their mean."""
+    for cells in CELLS:
+        reduced = _clustered(mesh, cells)
+        if len(reduced.triangles) <= most:
+            break
+    return reduced
+
+
+def _clustered(mesh: Mesh, cells: int) -> Mesh:
+    low = mesh.vertices.min(axis=0)
+    side = max(float(np.ptp(mesh.vertices, axis=0).max()), 1e-9) / cells
+    key = ((mesh.vertices - low) / side).astype(np.int64) @ np.array([1, 2**20, 2**40])
+    _, place, count = np.unique(key, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(place, column) for column in mesh.vertices.T], axis=1)
+    corners = place[mesh.triangles]
+    a, b, c = corners.T
+    return Mesh(sums / count[:, None], corners[(a != b) & (b != c) & (c != a)])
+
+
+def _text(numbers: NDArray[Any]) -> str:
+    return base64.b64encode(numbers.tobytes()).decode()

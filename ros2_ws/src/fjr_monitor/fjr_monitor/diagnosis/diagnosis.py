@@ -20,11 +20,25 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
 from fjr_core.stability.linearization import linearize
 
-from .cause_errors import CauseErrors, CausePropagation, Grade, Grading, closed_loop, detail
+from .causes import (
+    CAUSES,
+    CauseErrors,
+    CausePropagation,
+    Grade,
+    Grading,
+    StorageBudget,
+    closed_loop,
+    detail,
+    floor,
+    foreign,
+    growth,
+    highest,
+    rises,
+    storage_budget,
+)
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
 from .fault_isolation import LONGEST, UNKNOWN, Finding, isolate
 from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
-from .storage_budget import CAUSES, StorageBudget, floor, foreign, growth, highest, rises, storage_budget
 
 SAMPLING, SATURATION = "sampling", "saturation"
 NO_DECAY = "V does not decay as guaranteed"

@@ -25,11 +25,19 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.certificate_struct import CertificateStruct
 from fjr_core.runtime.control_step import NEVER
 from fjr_core.runtime.library import StepLibrary, step_library
-from fjr_monitor.diagnosis.cause_errors import EMPTY, CauseErrors, CausePropagation, closed_loop
+from fjr_monitor.diagnosis.causes import (
+    EMPTY,
+    CauseErrors,
+    CausePropagation,
+    StorageBudget,
+    closed_loop,
+    growth,
+    rises,
+    storage_budget,
+)
 from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, Judged, unknown
 from fjr_monitor.diagnosis.record import Innovations, needed
-from fjr_monitor.diagnosis.storage_budget import StorageBudget, growth, rises, storage_budget
 
 _FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
 """Fields of Innovations, with the names of struct fjr_certified."""
