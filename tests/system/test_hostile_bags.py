@@ -19,9 +19,9 @@ from mcap.writer import CompressionType, Writer
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import CompressionMode
 
-from fjr_monitor.recording import topic as message_types
 from fjr_monitor.recording.bag import Bag, BagError, read_bag
 from fjr_monitor.recording.recorder import BagWriter
+from fjr_monitor.recording.topic import Topic, definition, type_hash, typestore
 from fuzzing import answer, bytes_of, fuzzed
 from system.bags import rewritten
 
@@ -31,7 +31,7 @@ SENT = CHUNKS * IN_CHUNK
 
 
 def message(k: int) -> bytes:
-    store = message_types.typestore()
+    store = typestore()
     header, stamp = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
     values = np.array([float(k), -float(k)])
     state = store.types[TYPE](header(stamp(k, 0), ""), ["a", "b"], values, values, values)
@@ -46,7 +46,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a closed bag of CHUNKS chunks."""
     folder = tmp_path_factory.mktemp("whole") / "bag"
     writer = BagWriter(folder)
-    channel = writer.add_topic(TOPIC, TYPE, [QoSProfile(depth=1)], message_types.type_hash(TYPE))
+    channel = writer.add_topic(TOPIC, TYPE, [QoSProfile(depth=1)], type_hash(TYPE))
     for k, data in enumerate(ALL):
         writer.write(channel, 10**18 + k, 10**18 + k, k, data)
         if k % IN_CHUNK == IN_CHUNK - 1:
@@ -141,8 +141,8 @@ def made(path: Path, compression: CompressionType, chunked: bool, change: Callab
     return path
 
 
-def fill(writer: Writer, times: tuple[int, ...] = (), definition: bytes = b"") -> None:
-    number = writer.register_schema(TYPE, "ros2msg", definition or message_types.definition(TYPE).encode())
+def fill(writer: Writer, times: tuple[int, ...] = (), text: bytes = b"") -> None:
+    number = writer.register_schema(TYPE, "ros2msg", text or definition(TYPE).encode())
     channel = writer.register_channel(TOPIC, "cdr", number)
     for k, data in enumerate(ALL):
         writer.add_message(channel, k, data, k)
@@ -183,8 +183,6 @@ def test_a_definition_that_is_not_utf8_is_needed_for_unknown_types_only(folder: 
 @pytest.mark.parametrize("text", ["import os", "int32 x\nstring s='", "\xff", "=" * 70, "a/b/C[] c", "x" * 2**21])
 def test_invalid_definitions_are_reported_in_one_sentence(name: str, text: str) -> None:
     from mcap.records import Message
-
-    from fjr_monitor.recording.topic import Topic
 
     topic = Topic("/t", name, text, [Message(0, 0, ALL[0], 0, 0)])
     with pytest.raises(BagError, match="/t "):
