@@ -18,9 +18,9 @@ from pathlib import Path
 from mcap.records import Message
 
 from bench.figures import Figure
-from fjr_monitor.recording.message_types import type_hash
-from fjr_monitor.recording.reader import Bag, header_stamp, in_order, read_bag
-from fjr_monitor.recording.writer import BagWriter
+from fjr_monitor.recording.bag import Bag, header_stamp, in_order, read_bag
+from fjr_monitor.recording.recorder import BagWriter
+from fjr_monitor.recording.topic import type_hash
 from fjr_msgs_py import names
 
 MINUTES = 60.0

@@ -9,8 +9,8 @@ import pytest
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from fjr_monitor.watch.node import FjrWatch
-from fjr_monitor.watch.state import Event, Health, JointLine, Timing, View, Watched
+from fjr_monitor.watch.app import FjrWatch
+from fjr_monitor.watch.state import JointLine, LoopEvent, LoopTiming, NodeHealth, View, Watched
 from fjr_monitor.watch.terminal import log_bar, signed_bar, sparkline
 from fjr_msgs_py.node.reports import labelled
 from nodes.harness import Ros
@@ -26,7 +26,7 @@ FULL = View(
         JointLine("joint2", 1.0, 0.0, None, None, 3.0, None, 6.0),
     ),
     silence=0.01,
-    timing=Timing(999.6, (1e-3, 1.1e-3, 2e-3), (2e-4, 3e-4, 4e-4), 2),
+    timing=LoopTiming(999.6, (1e-3, 1.1e-3, 2e-3), (2e-4, 3e-4, 4e-4), 2),
     certificate={
         "stamp sec": 1.0,
         "V": 0.125,
@@ -37,11 +37,11 @@ FULL = View(
     },
     history=(1.0, 0.1, 0.01),
     health=(
-        Health("fjr_controller", 0, "ok", "tracking"),
-        Health("fjr_controller: certificate", 2, "violated: delay"),
-        Health("fjr_plant", 1, "states lost"),
+        NodeHealth("fjr_controller", 0, "ok", "tracking"),
+        NodeHealth("fjr_controller: certificate", 2, "violated: delay"),
+        NodeHealth("fjr_plant", 1, "states lost"),
     ),
-    events=(Event(3.25, 1, "holds", "the reference stands still"),),
+    events=(LoopEvent(3.25, 1, "holds", "the reference stands still"),),
     missing=("/left/robot_description",),
 )
 
@@ -159,9 +159,9 @@ def test_invalid_description_gives_no_limits(urdf: str) -> None:
 
 def test_silent_node_is_stale() -> None:
     watched = Watched("t")
-    watched.health(1.0, Health("fjr_plant", 0, "ok"))
+    watched.health(1.0, NodeHealth("fjr_plant", 0, "ok"))
     assert watched.view(2.0).health[0].level == 0
-    assert watched.view(9.0).health[0] == Health("fjr_plant", 3, "no diagnostics for 8 s; the last: ok")
+    assert watched.view(9.0).health[0] == NodeHealth("fjr_plant", 3, "no diagnostics for 8 s; the last: ok")
 
 
 def array(labels: list[str], data: list[float]) -> Float64MultiArray:

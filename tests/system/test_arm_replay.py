@@ -12,7 +12,7 @@ import pytest
 
 from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
-from fjr_monitor.scene.urdf_scene import scene
+from fjr_monitor.scene import scene
 from system.browser import Browser
 from system.executables import scenario
 from system.shared_runs import DURATION, shared_run

@@ -27,11 +27,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from fjr_bringup.runner import JOINT_COMMANDS, _Run
-from fjr_monitor.recording import message_types
-from fjr_monitor.recording.reader import Bag, BagError, header_stamp, read_bag
-from fjr_monitor.recording.recorder import QUEUE_DEPTH, Recorder, Track
-from fjr_monitor.recording.topic import Topic
-from fjr_monitor.recording.writer import BagWriter
+from fjr_monitor.recording.bag import Bag, BagError, header_stamp, read_bag
+from fjr_monitor.recording.recorder import QUEUE_DEPTH, BagWriter, Recorder, Track
+from fjr_monitor.recording.topic import Topic, type_hash, typestore
 from fjr_msgs_py.node.participant import leave
 from system.talker import TALKER
 from time_limits import Limit
@@ -50,7 +48,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 def joint_state(k: int) -> bytes:
     """Return a serialised JointState of varying size, order and content, without undefined padding bytes."""
-    store = message_types.typestore()
+    store = typestore()
     header, stamp, kind = (
         store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", JOINT_STATE)
     )
@@ -177,7 +175,7 @@ def test_topics_keep_type_hash_and_quality_of_service(recorded: tuple[Path, list
     }
     assert {"/joint_states", "/rosout", "/parameter_events"} <= set(topics)
     for topic in topics.values():
-        assert topic["type_description_hash"] == message_types.type_hash(topic["type"])
+        assert topic["type_description_hash"] == type_hash(topic["type"])
         assert topic["serialization_format"] == "cdr"
     (offered,) = topics["/joint_states"]["offered_qos_profiles"]
     assert (offered["reliability"], offered["durability"]) == ("reliable", "volatile")

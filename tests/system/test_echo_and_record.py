@@ -14,7 +14,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from fjr_monitor.recording.reader import read_bag
+from fjr_monitor.recording.bag import read_bag
 from system.executables import LOCKSTEP, SLOW, TIME_LIMIT, Executable, fjr, fjr_here, running
 from time_limits import Limit
 

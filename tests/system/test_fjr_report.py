@@ -17,11 +17,11 @@ import yaml
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_monitor.analysis import run_data
-from fjr_monitor.analysis.metrics import Metrics, make_report
-from fjr_monitor.analysis.run_data import Recording, RunData
-from fjr_monitor.recording.reader import header_stamp, read_bag
-from fjr_monitor.recording.writer import BagWriter
+from fjr_monitor.recording import run as run_data
+from fjr_monitor.recording.bag import header_stamp, read_bag
+from fjr_monitor.recording.recorder import BagWriter
+from fjr_monitor.recording.run import Recording, RunData
+from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Columns, Shown
 from system.bags import STORE, in_chunks, rewritten
 from system.executables import fjr_here, scenario
@@ -238,7 +238,7 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
         metrics = Metrics(recording)
         shown = Shown(metrics)
         metrics.read(shown.add)
-        found.append((parts, make_report("run", metrics, 1.0).as_json(), shown, recording))
+        found.append((parts, metrics.report("run", 1.0).as_json(), shown, recording))
     (one, whole, shown, _), (many, pieces, in_parts, _) = found
     assert len(one) == 1
     assert len(many) > 3

@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from websockets.sync.client import ClientConnection, connect
 
 from fjr_core.urdf.tree import UrdfFrames
-from fjr_monitor.watch.foxglove_server import FoxgloveError, FoxgloveServer, frame_transforms
+from fjr_monitor.watch.foxglove import FoxgloveError, FoxgloveServer, frame_transforms
 from system.executables import TIME_LIMIT, Executable, fjr_here, lockstep_loop, wait_for
 from time_limits import Limit
 
@@ -115,7 +115,7 @@ def test_late_client_receives_the_description_and_ctrl_c_ends(watch: Executable)
 def test_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(FoxgloveError, match=r"is not installed; expected it from: pip install foxglove-sdk$"):
-        FoxgloveServer(0, lambda _: None)
+        FoxgloveServer(None, "fjr_controller", {}, 0)
 
 
 def test_port_in_use_is_one_sentence() -> None:
@@ -123,7 +123,7 @@ def test_port_in_use_is_one_sentence() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(FoxgloveError, match=rf"port {taken.getsockname()[1]} cannot be used .*expected a free one"):
-            FoxgloveServer(taken.getsockname()[1], lambda _: None)
+            FoxgloveServer(None, "fjr_controller", {}, taken.getsockname()[1])
 
 
 @pytest.mark.parametrize(
@@ -131,6 +131,7 @@ def test_port_in_use_is_one_sentence() -> None:
     [
         (["--foxglove", "--once"], "--foxglove shows the loop until Ctrl-C; expected it without --once"),
         (["--foxglove", "--json"], "--foxglove shows the loop until Ctrl-C; expected it without --json"),
+        (["--browser", "--once"], "--browser shows the loop until Ctrl-C; expected it without --once"),
         (["--foxglove", "--browser"], "--browser shows the loop until Ctrl-C; expected it without --foxglove"),
         (["--port", "9000"], "--port is given without --browser or --foxglove"),
         (["--foxglove", "--port", "70000"], "expected 0 to 65535"),

@@ -21,7 +21,7 @@ from fjr_design.studies.comparison.job import Job
 from fjr_design.studies.monte_carlo import command as monte_carlo_command
 from fjr_design.studies.monte_carlo.store import open_store
 from fjr_design.studies.monte_carlo.sweep_file import usual
-from fjr_monitor.cli.report import _known
+from fjr_monitor.report.write import known_of
 from fjr_msgs_py.scenarios import library
 from fuzzing import answer, bytes_of, documents, fuzzed, texts
 
@@ -162,4 +162,4 @@ def test_changed_kept_result_is_computed_again(tmp_path: Path, monkeypatch: pyte
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"planned_s": "5", "not_recorded": [], "failure": 3}'])
 def test_invalid_entries_of_an_earlier_report_are_ignored(text: str, tmp_path: Path) -> None:
     (tmp_path / "report.json").write_text(text)
-    assert _known(tmp_path / "report.json") == {}
+    assert known_of(tmp_path / "report.json") == {}

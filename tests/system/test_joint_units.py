@@ -18,7 +18,6 @@ from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_design.cli.check import check_rows
 from fjr_design.cli.preflight import checked
-from fjr_monitor.analysis import headlines
 from fjr_monitor.report.write import report_run
 from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit
@@ -91,8 +90,8 @@ def test_run_names_joint_and_unit_of_each_metric(file: Path, tmp_path: Path) -> 
 def test_single_joint_is_not_named(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     shutil.copytree(shared_run(tmp_path_factory, "paper_k31"), tmp_path / "paper_k31")
     report = report_run("paper_k31", tmp_path / "paper_k31", 0.1).report
-    assert headlines.peak_effort_and_share(report) == "26.2 N m"
-    assert (headlines.position_unit(report), headlines.effort_unit(report)) == ("rad", "N m")
+    assert report.peak_effort_and_share() == "26.2 N m"
+    assert (report.position_unit, report.effort_unit) == ("rad", "N m")
 
 
 def test_robot_has_the_units_of_its_joints(arm: Scenario) -> None:

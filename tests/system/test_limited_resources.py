@@ -16,7 +16,7 @@ import pytest
 from envsetup.quoting import quote_paths
 from fjr_bringup.node_process import executable
 from fjr_core.files.text_file import write_text
-from fjr_monitor.recording.reader import read_bag
+from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.report.write import write_with_fallback
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.node.loading import ensure_log_folder

@@ -41,8 +41,7 @@ def is_sound(browser: Browser) -> None:
     assert min(browser.coloured()) > DRAWN, dict(zip(names(browser), browser.coloured(), strict=True))
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize(("name", "dark"), [*zip(SCENARIOS, (False, True, True, False), strict=True)])
 def test_the_page_of_every_scenario_draws_all_its_plots(pages: Path, browser: Browser, name: str, dark: bool) -> None:
     browser.open(pages / name / "report.html", dark=dark)
     is_sound(browser)

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_monitor.analysis.controller_stop import ControllerStop
-from fjr_monitor.analysis.metrics import Report
-from fjr_monitor.recording.reader import read_bag
-from fjr_monitor.report.paper_claim import Claim, paper_claim
+from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.signals import ControllerStop
+from fjr_monitor.report.comparison_page import Claim, paper_claim
+from fjr_monitor.report.metrics import Report
 from fjr_monitor.report.write import RunSummary, compare, report_bag
 from system.browser import Browser
 from system.shared_runs import shared_run

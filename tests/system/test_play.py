@@ -19,10 +19,10 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from fjr_monitor.recording import reader
-from fjr_monitor.recording.play import due
-from fjr_monitor.recording.reader import in_order, read_bag
+from fjr_monitor.recording import bag as reader
+from fjr_monitor.recording.bag import in_order, read_bag
 from fjr_monitor.recording.topic import BagError
+from fjr_monitor.recording.topics import due
 from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
 from system.documented import documented_keys

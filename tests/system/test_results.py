@@ -15,11 +15,10 @@ from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.app import main
 from fjr_bringup.cli.run import _result
 from fjr_core.config.scenario import load_scenario
-from fjr_monitor.analysis.controller_stop import ControllerStop
-from fjr_monitor.cli.report import report as report_bags
-from fjr_monitor.recording.reader import read_bag
+from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.signals import ControllerStop
 from fjr_monitor.report import html
-from fjr_monitor.report.run_report import write_run_page
+from fjr_monitor.report.run_page import write_run_page
 from fjr_monitor.report.write import RunSummary, compare, report_bag, table
 from fjr_msgs_py.console import output as progress
 from fjr_msgs_py.console.ending import Exit

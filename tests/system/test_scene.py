@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError
-from fjr_monitor.scene import urdf_scene
-from fjr_monitor.scene.mesh import Mesh, MeshError, decimated, read_mesh
-from fjr_monitor.scene.urdf_scene import scene
+from fjr_monitor import scene as urdf_scene
+from fjr_monitor.scene import Mesh, MeshError, decimated, read_mesh, scene
 from system.executables import scenario
 
 INERTIAL = """<inertial><origin xyz="0 0 0.2"/><mass value="1"/>

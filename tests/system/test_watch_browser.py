@@ -140,8 +140,3 @@ def test_browsers_that_disconnect_early_print_nothing(page: BrowserPage, capfd: 
 def test_a_used_port_is_refused_in_one_sentence(page: BrowserPage) -> None:
     said = fjr_here("watch", "--browser", "--port", str(urlsplit(page.url).port), code=1)
     assert "cannot be used" in said
-
-
-@pytest.mark.parametrize("other", ["--once", "--json"])
-def test_other_outputs_are_refused_together_with_the_browser(other: str) -> None:
-    assert "expected it without" in fjr_here("watch", "--browser", other, code=2)

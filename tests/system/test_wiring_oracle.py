@@ -14,8 +14,8 @@ import fjr_core as fjr
 from core.oracles.wiring import NumericCheck
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
+from fjr_monitor.diagnosis.fault_isolation import WiringCheck
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.wiring import WiringCheck
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 

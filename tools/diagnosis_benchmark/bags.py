@@ -9,12 +9,11 @@ import numpy as np
 
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
-from fjr_monitor.analysis.commands import match_stamps
-from fjr_monitor.analysis.states import first_of_each_stamp
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.recording.message_types import type_hash
-from fjr_monitor.recording.reader import JointTable, read_bag
-from fjr_monitor.recording.writer import BagWriter
+from fjr_monitor.recording.bag import JointTable, read_bag
+from fjr_monitor.recording.recorder import BagWriter
+from fjr_monitor.recording.signals import first_of_each_stamp, match_stamps
+from fjr_monitor.recording.topic import type_hash
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter
 

@@ -17,7 +17,7 @@ import fjr_core as fjr
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust
-from fjr_monitor.plotting.picture import COLOURS, STYLE
+from fjr_monitor.report.picture import COLOURS, STYLE
 
 from .loops import PERIOD, errors, heavier, pushed, rms
 

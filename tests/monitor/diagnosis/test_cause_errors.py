@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,10 +10,11 @@ import fjr_core as fjr
 from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
-from fjr_monitor.diagnosis.cause_errors import closed_loop
+from fjr_monitor.diagnosis.causes import closed_loop
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.record import Record
-from monitor.diagnosis.test_diagnosis import DURATION, LAW, PERIOD, REFERENCE, record
+from monitor.diagnosis.loops import PERIOD, recorded
+from monitor.diagnosis.test_diagnosis import DURATION, LAW, REFERENCE, record
 
 SETTLED = 1.5  # s
 EXPLAINED = 0.3  # relative tolerance of the attributed error
@@ -63,16 +62,9 @@ def test_the_grade_compares_the_error_with_the_tolerance() -> None:
 
 def test_encoder_offset_of_0p1_mrad_is_degraded() -> None:
     """No signal measures the offset; the error that it causes in the measured positions is within the tolerance."""
-    plant, offset = fjr.Plant(LAW.robot), np.array([1e-4, 0.0])
-    x, rows = LAW.robot.state(0.5, 0.5, 0.0, 0.0), []
-    for k in range(round(DURATION / PERIOD)):
-        q, dq = x[:2] + offset, np.concatenate(LAW.robot.velocities(x))
-        jets = REFERENCE.jets(k * PERIOD)
-        u = LAW.measured_command(q, dq, jets)[0]
-        rows.append((k * PERIOD, q, dq, jets, u))
-        x = plant.step(x, u, PERIOD)
-    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
-    seen = replace(record(), t=t, position=position, velocity=velocity, jets=jets, u=u)
+    start, offset = LAW.robot.state(0.5, 0.5, 0.0, 0.0), np.array([1e-4, 0.0])
+    samples = round(DURATION / PERIOD)
+    seen = recorded(LAW, REFERENCE, start, samples, sensed=lambda q, dq: (q + offset, dq), steps=1)
     verdict = diagnose(seen, LAW)
     assert verdict.kind == "degraded"
     assert verdict.errors["model mismatch"][0] == pytest.approx(np.abs(tracking(seen)).max(), rel=EXPLAINED)

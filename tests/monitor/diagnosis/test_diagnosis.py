@@ -14,10 +14,10 @@ from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.monitoring.thresholds import Axes
 from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import diagnose
-from fjr_monitor.diagnosis.innovations import innovations, needed
-from fjr_monitor.diagnosis.record import Ends, Record
+from fjr_monitor.diagnosis.record import Ends, Record, innovations, needed
+from monitor.diagnosis.loops import PERIOD, recorded
 
-PERIOD, DURATION = 1e-3, 2.5
+DURATION = 2.5
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
 REFERENCE = fjr.Sine(1.0, 1.0)
 
@@ -118,18 +118,16 @@ def test_missing_states_are_a_loss() -> None:
 
 def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
     """Run the loop with white velocity noise [rad/s] and the effort saturated at the limit [N m]."""
-    plant, rng = fjr.Plant(LAW.robot), np.random.default_rng(7)
-    x, rows = LAW.robot.state(0.5, 0.5, 0.0, 0.0), []
-    for k in range(round(DURATION / PERIOD)):
-        q, dq = x[:2], np.concatenate(LAW.robot.velocities(x)) + noise * rng.standard_normal(2)
-        jets = REFERENCE.jets(k * PERIOD)
-        u = np.clip(LAW.measured_command(q, dq, jets)[0], -limit, limit)
-        rows.append((k * PERIOD, q, dq, jets, u))
-        for _ in range(4):
-            x = plant.step(x, u, PERIOD / 4)
-    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
-    given = {"t": t, "position": position, "velocity": velocity, "jets": jets, "u": u}
-    return replace(record(), **given, effort_limit=np.array([limit]))
+    rng = np.random.default_rng(7)
+    return recorded(
+        LAW,
+        REFERENCE,
+        LAW.robot.state(0.5, 0.5, 0.0, 0.0),
+        round(DURATION / PERIOD),
+        sensed=lambda q, dq: (q, dq + noise * rng.standard_normal(2)),
+        commanded=lambda u: np.clip(u, -limit, limit),
+        limit=limit,
+    )
 
 
 def test_effort_at_its_limit_is_saturation() -> None:

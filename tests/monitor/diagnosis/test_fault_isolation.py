@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -16,12 +15,12 @@ from fjr_core.model.rigid_arm import PayloadArm
 from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
-from fjr_monitor.diagnosis.fault_isolation import isolation
-from fjr_monitor.diagnosis.fault_isolation.added_body import SECOND_MOMENTS, body_torques
-from fjr_monitor.diagnosis.fault_isolation.velocity_consistency import velocity_faults
+from fjr_monitor.diagnosis.fault_isolation import UNKNOWN, unexplained, velocity_faults
+from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Finding, Hypothesis, body_torques
 from fjr_monitor.diagnosis.record import Record
+from monitor.diagnosis.loops import PERIOD, recorded
 
-PERIOD, DURATION = 1e-3, 1.5
+DURATION = 1.5
 MODEL = fjr.planar_two_link()
 NAMES = ("shoulder", "elbow")
 AXES = replace(Axes.plain(2), names=NAMES)
@@ -34,19 +33,10 @@ def law() -> fjr.TrackingLaw:
 
 def record(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Record:
     """Run the loop with another robot than the model, or with offsets (4n,) of positions and velocities."""
-    plant, offset = fjr.Plant(robot), np.zeros(8) if offset is None else offset
+    by = np.zeros(8) if offset is None else offset
     reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    x, rows = np.zeros(8), []
-    for k in range(round(DURATION / PERIOD)):
-        q, dq = x[:4] + offset[:4], np.concatenate(robot.velocities(x)) + offset[4:]
-        jets = reference.jets(k * PERIOD)
-        u = law().measured_command(q, dq, jets)[0]
-        rows.append((k * PERIOD, q, dq, jets, u))
-        for _ in range(4):
-            x = plant.step(x, u, PERIOD / 4)
-    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
-    unlimited = np.full(2, np.inf)
-    return Record(t, position, velocity, jets, u, None, None, None, PERIOD, unlimited)
+    samples = round(DURATION / PERIOD)
+    return recorded(law(), reference, np.zeros(8), samples, robot, lambda q, dq: (q + by[:4], dq + by[4:]))
 
 
 def verdict(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Diagnosis:
@@ -58,12 +48,12 @@ def test_healthy_run_has_no_finding() -> None:
 
 
 def test_holding_names_no_torque_that_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:
-    unexplained = isolation.Finding(isolation.UNKNOWN, "", "", 0.0, "", 0.0, "no single fault explains the torque")
-    monkeypatch.setattr("fjr_monitor.diagnosis.diagnosis.isolate", lambda *_: (unexplained,))
+    nothing = Finding(UNKNOWN, "", "", 0.0, "", 0.0, "no single fault explains the torque")
+    monkeypatch.setattr("fjr_monitor.diagnosis.diagnosis.isolate", lambda *_: (nothing,))
     healthy = verdict()
     assert healthy.kind == "holding"
     assert healthy.findings == ()
-    assert unexplained.sentence not in healthy.sentence
+    assert nothing.sentence not in healthy.sentence
 
 
 @pytest.mark.parametrize(
@@ -117,8 +107,8 @@ def test_velocity_that_contradicts_the_position_is_isolated_without_a_model(kind
     changed = {"velocity scale": 1.05 * velocity, "velocity sign": -velocity}
     late = np.vstack([velocity[:1], velocity[:1], velocity[:-2]])
     velocity[:, 2] = changed.get(kind, late)[:, 2]
-    (fault,) = velocity_faults(replace(healthy, velocity=velocity))
-    assert (fault.kind, fault.channel) == (kind, 2)
+    (fault,) = velocity_faults(replace(healthy, velocity=velocity), NAMES)
+    assert (fault.kind, fault.joint, fault.side) == (kind, "shoulder", "motor")
     assert fault.size == pytest.approx(size, rel=0.05)
 
 
@@ -146,5 +136,5 @@ def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
 
 @pytest.mark.parametrize(("share", "named"), [(0.05, False), (0.3, True)])
 def test_nearest_kind_is_named_only_if_it_explains_a_tenth(share: float, named: bool) -> None:
-    best = SimpleNamespace(fault=SimpleNamespace(kind="inertia", side="motor", joint=0))
-    assert ("inertia (motor of a)" in isolation._unknown(best, share, ["a"]).sentence) is named
+    nearest = Hypothesis("inertia", 0, "motor", "kg m^2", np.zeros((1, 2, 1)))
+    assert ("inertia (motor of a)" in unexplained(nearest, share, ["a"]).sentence) is named

@@ -9,9 +9,7 @@ import pytest
 import fjr_core as fjr
 from fjr_core.monitoring.thresholds import Axes
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
-from fjr_monitor.diagnosis.latency import WINDOW, Latency
-from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
-from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import WINDOW, Latency, OnlineCertificate, OnlineDiagnosis
 
 PERIOD, BETA = 1e-3, 10.0
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)

@@ -14,15 +14,14 @@ from hypothesis import strategies as st
 
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST, Axes
-from fjr_monitor.diagnosis.cause_errors import CauseErrors
+from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST
+from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
 from fjr_monitor.diagnosis.diagnosis import Judged, diagnose
-from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
-from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.storage_budget import StorageBudget
+from monitor.diagnosis.loops import recorded
 
-PERIOD = 1e-3
 ROBOT = fjr.planar_two_link()
 GAINS = fjr.Gains(
     Lambda_l=16.0,
@@ -35,7 +34,6 @@ GAINS = fjr.Gains(
 LAW = fjr.TrackingLaw(ROBOT, GAINS)
 BALANCE = Certificate(LAW)
 REFERENCE = fjr.Sine([0.5, 0.7], [2.0, 3.0])
-LARGEST = 1e3  # rad; a robot beyond this position has diverged
 NOMINAL = ((1.0, 0.0), (0.0, 1.0))
 WIRINGS = (NOMINAL, ((0.0, 1.0), (1.0, 0.0)), ((-1.0, 0.0), (0.0, 1.0)), ((1.0, 0.0), (0.0, -1.0)))
 
@@ -53,24 +51,14 @@ def record(
     wiring: matrix from sent to acting efforts. delay: in samples. stiffness: ratio of plant to model.
     offset [rad]: of both joints at the start.
     """
-    real = replace(ROBOT, K=stiffness * ROBOT.K)
-    plant, x, rows = fjr.Plant(real), real.state([offset] * 2, [offset] * 2, [0, 0], [0, 0]), []
-    efforts = [np.zeros(2)] * delay
-    for k in range(samples):
-        if not np.abs(x).max() < LARGEST:
-            break
-        velocity, jets = np.concatenate(real.velocities(x)), REFERENCE.jets(k * PERIOD)
-        u, _ = LAW.measured_command(x[:4], velocity, jets)
-        rows.append((k * PERIOD, x[:4], velocity, jets, u))
+    real, efforts = replace(ROBOT, K=stiffness * ROBOT.K), [np.zeros(2)] * delay
+
+    def acting(u: Array) -> Array:
         efforts.append(u)
-        try:
-            for _ in range(2):
-                x = plant.step(x, np.array(wiring) @ efforts[k], PERIOD / 2)
-        except fjr.StateError:
-            break
-    t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
-    limit = np.full(2, np.inf)
-    return Record(t, position, velocity, jets, u, None, None, None, PERIOD, limit)
+        return np.array(wiring) @ efforts.pop(0)
+
+    start = real.state([offset] * 2, [offset] * 2, [0, 0], [0, 0])
+    return recorded(LAW, REFERENCE, start, samples, real, acting=acting, steps=2)
 
 
 def growth(seen: Record) -> float:
@@ -139,7 +127,7 @@ def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) ->
     causes = np.zeros((count, 4))
     causes[:above, 2] = 1.0
     nothing = np.zeros(count)
-    blocks = StorageBudget(causes, nothing, nothing, nothing, np.ones(count, dtype=bool), np.ones(count))
+    blocks = StorageBudget(causes, nothing, nothing, nothing, np.ones(count, dtype=bool))
     peaks = np.zeros((count, 4, 2))
     peaks[:above, 2] = error
     judged = Judged(0.9, Axes.plain(2))

@@ -23,7 +23,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from fjr_bringup.clients import PlantClient
 from fjr_bringup.node_process import NodeError, NodeProcess
 from fjr_core.errors import FjrError
-from fjr_monitor.recording.reader import header_stamp
+from fjr_monitor.recording.bag import header_stamp
 from fjr_monitor.recording.recorder import Recorder
 from fjr_monitor.recording.run_folder import RunFolder
 from fjr_msgs_py import names

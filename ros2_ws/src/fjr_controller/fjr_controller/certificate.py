@@ -22,9 +22,7 @@ from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import StepLibrary
 from fjr_core.runtime.structs import CertificateStruct
 from fjr_monitor.diagnosis.diagnosis import unknown
-from fjr_monitor.diagnosis.latency import Latency
-from fjr_monitor.diagnosis.online_certificate import OnlineCertificate
-from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import Latency, OnlineCertificate, OnlineDiagnosis
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array
 from fjr_msgs_py.native.loop import NativeMessage

@@ -16,7 +16,7 @@ from fjr_core.errors import FjrError
 from fjr_core.numerics.jit import require_compiler
 from fjr_design.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
 from fjr_monitor.recording.topic import BagError
-from fjr_monitor.report.paper_claim import Claim, paper_claim
+from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
 from fjr_msgs_py.console.ending import Exit, stoppable
 from fjr_msgs_py.console.output import Result, percent, phase

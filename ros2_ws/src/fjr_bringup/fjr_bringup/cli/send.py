@@ -13,7 +13,7 @@ from fjr_core.config.controller import effort_limits
 from fjr_core.config.reference import motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
 from fjr_core.motions.sampled_motion import SampledMotion, waypoints
-from fjr_monitor.recording.echo import absolute
+from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.ros2 import discover_quickly

@@ -12,7 +12,7 @@ from rcl_interfaces.srv import DescribeParameters, SetParameters
 
 from fjr_bringup.clients import ClientError, service_client
 from fjr_core.config import ros_yaml
-from fjr_monitor.recording.echo import absolute
+from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.ros2 import discover_quickly, refuse_over_ros2
 from fjr_msgs_py.messages.plain import fill, parameter_message, parameter_value, plain

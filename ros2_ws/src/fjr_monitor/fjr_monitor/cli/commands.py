@@ -36,7 +36,7 @@ def report(**given: Any) -> Any:
 
     BAG is the folder of a run, the folder of a bag, or an .mcap or .db3 file.
     """
-    return implementation("fjr_monitor.cli.report").report(**given)
+    return implementation("fjr_monitor.report.write").report(**given)
 
 
 @COMMANDS.command()
@@ -53,7 +53,7 @@ def report(**given: Any) -> Any:
 @json_lines
 def echo(**given: Any) -> Any:
     """Print the messages of a topic, as `ros2 topic echo`."""
-    return implementation("fjr_monitor.cli.live").echo_topic(**given)
+    return implementation("fjr_monitor.recording.topics").echo(**given)
 
 
 @command()
@@ -66,7 +66,7 @@ def record(**given: Any) -> Any:
 
     All topics are recorded unless some are named.
     """
-    return implementation("fjr_monitor.cli.live").record_topics(**given)
+    return implementation("fjr_monitor.recording.topics").record(**given)
 
 
 @command()
@@ -81,7 +81,7 @@ def play(**given: Any) -> Any:
     BAG is the folder of a run, the folder of a bag, or an .mcap or .db3 file. All topics but the commands to a robot
     are played unless some are named. Ctrl-C ends.
     """
-    return implementation("fjr_monitor.cli.live").play_bag(**given)
+    return implementation("fjr_monitor.recording.topics").play(**given)
 
 
 @COMMANDS.command()
@@ -117,4 +117,4 @@ def watch(**given: Any) -> Any:
     The displayed effort limits are those of SCENARIO, by default those of the URDF on /robot_description. So is the arm
     of --browser.
     """
-    return implementation("fjr_monitor.cli.live").watch_loop(**given)
+    return implementation("fjr_monitor.watch.app").watch(**given)

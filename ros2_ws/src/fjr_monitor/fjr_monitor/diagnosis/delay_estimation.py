@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring import thresholds
 from fjr_core.numerics.checks import Array
-
-from .innovations import Innovations, needed
+from fjr_monitor.diagnosis.record import Innovations, needed
 
 BEFORE = 2 * thresholds.OLDEST + 2
 """Intervals before a part of which the sent efforts, or their changes, may still act in it."""
 AFTER = thresholds.CLIPPED_FOR - 1
 """Intervals after a part that decide whether a motor was saturated in it."""
+_COLUMNS = thresholds.OLDEST + 4
 
 
 class EffortDelay(NamedTuple):
@@ -86,10 +86,13 @@ class DelaySums:
         """
         difference, _, *steps, after, before = np.eye(_COLUMNS)
         undelayed = self._square(difference)
+        yy, yb, bb = (self._products[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+        explained = np.divide(yb**2, bb, out=np.zeros_like(bb), where=bb > 0)  # by a constant factor on each effort
+        scaled = float(np.maximum(yy - explained, 0.0).sum())
         fits = [self._fit(difference - sum(steps[:d], np.zeros(_COLUMNS)), step) for d, step in enumerate(steps)]
         whole = min(range(thresholds.OLDEST), key=lambda d: fits[d][1])
         fraction, left = fits[whole]
-        accepted = left < min((1 - thresholds.EXPLAINED) * undelayed, self._scaled())
+        accepted = left < min((1 - thresholds.EXPLAINED) * undelayed, scaled)
         if self._measured:
             measured, residual = self._fit(difference - after, before - after)
             if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:
@@ -112,14 +115,6 @@ class DelaySums:
         power, shared = float(b[used] @ products @ b[used]), float(b[used] @ products @ y[used])
         fraction = float(np.clip(shared / power, 0.0, 1.0)) if power > 0 else 0.0
         return fraction, self._square(y - fraction * b)
-
-    def _scaled(self) -> float:
-        """Return the residual sum of squares of the best fit by a constant factor on each effort."""
-        yy, yb, bb = (self._products[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
-        return float(np.maximum(yy - np.divide(yb**2, bb, out=np.zeros_like(bb), where=bb > 0), 0.0).sum())
-
-
-_COLUMNS = thresholds.OLDEST + 4
 
 
 class ActingSums:
@@ -237,15 +232,10 @@ def _clipped(sent: Array, acting: Array, largest: Array) -> NDArray[np.bool_]:
     """Return where (k, n) the motor is saturated: at its largest torque for CLIPPED_FOR intervals, commanded more."""
     size = np.abs(acting)
     at_most = size >= (1 - thresholds.CLIPPED_LEVEL) * largest
-    more = (np.abs(sent) > (1 + thresholds.CLIPPED_BY) * size) & (sent * acting > 0)
-    return _runs(at_most & more, thresholds.CLIPPED_FOR)
-
-
-def _runs(flags: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
-    """Return the flags (k, n) that belong to runs of at least `length` along the first axis."""
+    flags = at_most & (np.abs(sent) > (1 + thresholds.CLIPPED_BY) * size) & (sent * acting > 0)
     kept = np.zeros_like(flags)
     for j, column in enumerate(flags.T):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
         for start, end in edges.reshape(-1, 2):
-            kept[start:end, j] = end - start >= length
+            kept[start:end, j] = end - start >= thresholds.CLIPPED_FOR
     return kept

@@ -19,17 +19,36 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
 from fjr_core.stability.linearization import linearize
 
-from .cause_errors import CauseErrors, cause_errors, closed_loop
+from .causes import (
+    CAUSES,
+    CauseErrors,
+    CausePropagation,
+    Grade,
+    Grading,
+    StorageBudget,
+    closed_loop,
+    detail,
+    floor,
+    foreign,
+    growth,
+    highest,
+    rises,
+    storage_budget,
+)
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
-from .fault_isolation.isolation import LONGEST, UNKNOWN, Finding, isolate
-from .grading import Grade, Grading, detail
-from .innovations import Innovations, held, innovations, latency, needed
-from .record import PART, Ends, Record
-from .storage_budget import CAUSES, StorageBudget, foreign, storage_budget
-from .storage_growth import floor, growth, highest, rises
+from .fault_isolation import LONGEST, UNKNOWN, Finding, isolate
+from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
 
 SAMPLING, SATURATION = "sampling", "saturation"
+NO_DECAY = "V does not decay as guaranteed"
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
+_EXPLANATIONS = {
+    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
+    SATURATION: "the effort was saturated at a limit",
+    "delay": "the effort acted late",
+    "loss": "states or efforts were lost",
+    SAMPLING: "the loop is unstable at this sample period",
+}
 
 
 @dataclass(frozen=True)
@@ -71,30 +90,13 @@ def diagnose(
     tolerances of the joints; None: Axes.plain. velocities_measured: false if an observer estimates them; faults are
     then not isolated, nor in a loop that is unstable at its sample period. size: states that are processed at once.
     """
-    running = PartwiseDiagnosis(law, Outline.of(record), axes)
+    step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
+    running = PartwiseDiagnosis(law, len(record.t), step, bool(latency(record).any()), axes)
     for part in record.parts(size):
         running.learn(part)
     for part in record.parts(size):
         running.judge(part, beta)
     return running.result(velocities_measured)
-
-
-@dataclass(frozen=True)
-class Outline:
-    """What a diagnosis must know of a record before its first part.
-
-    states: their number. step [s]: median time between two. timed: whether latencies are known.
-    """
-
-    states: int
-    step: float
-    timed: bool
-
-    @classmethod
-    def of(cls, record: Record) -> Outline:
-        """Return the outline of a whole record."""
-        step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
-        return cls(len(record.t), step, bool(latency(record).any()))
 
 
 class PartwiseDiagnosis:
@@ -103,9 +105,14 @@ class PartwiseDiagnosis:
     Memory does not grow with the record, except by one number for each BLOCK of intervals.
     """
 
-    def __init__(self, law: TrackingLaw, outline: Outline, axes: Axes | None = None) -> None:
-        """axes: names, units and tolerances of the joints; None: Axes.plain."""
-        self._law, self._outline, self._axes = law, outline, axes or Axes.plain(law.robot.n)
+    def __init__(self, law: TrackingLaw, states: int, step: float, timed: bool, axes: Axes | None = None) -> None:
+        """Start without parts of a record, of which is known what follows.
+
+        states: their number. step [s]: median time between two. timed: whether latencies are known. axes: names, units
+        and tolerances of the joints; None: Axes.plain.
+        """
+        self._law, self._axes = law, axes or Axes.plain(law.robot.n)
+        self._step, self._timed, self._stride = step, timed, max(1, states // CONFIGURATIONS)
         self._delay = DelaySums(law.robot.n)
         self._ages = [ActingSums(age, law.robot.n) for age in CANDIDATES]
         self._ends = Ends(LONGEST // 2)
@@ -120,7 +127,7 @@ class PartwiseDiagnosis:
         with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
             found, begin = self._parts.add(part, None, valued=False), self._parts.begin
             required = needed(found, self._law.robot)
-            regular = regular_changes(found, self._outline.step, self._outline.timed, begin)
+            regular = regular_changes(found, self._step, self._timed, begin)
             self._delay.add(found, required, regular)
             for age in self._ages:
                 age.add(found, required, regular, begin)
@@ -128,8 +135,8 @@ class PartwiseDiagnosis:
         self._parts.done(found, len(found) - begin)
         self._ends.add(part)
         self._moving |= bool(np.isfinite(part.velocity).any())
-        stride, q_ld = max(1, self._outline.states // CONFIGURATIONS), part.jets[part.begin :, 0]
-        rows = q_ld[-self._states % stride :: stride]  # a diverging robot may be anywhere else
+        q_ld = part.jets[part.begin :, 0]
+        rows = q_ld[-self._states % self._stride :: self._stride]  # a diverging robot may be anywhere else
         self._visited.append(rows[np.isfinite(rows).all(axis=1)])
         self._states += len(q_ld)
 
@@ -167,7 +174,7 @@ class PartwiseDiagnosis:
         acted = next(each for each in self._ages if each.age[::2] == age[::2])
         acted.age = age
         beta = self._law.rate(visited).beta if beta is None else beta
-        return _Judging(self._law, self._axes, beta, self._outline.step, visited, acted, self._learned)
+        return _Judging(self._law, self._axes, beta, self._step, visited, acted, self._learned)
 
 
 class _Parts:
@@ -205,10 +212,10 @@ class _Judging:
         self._robot, self._beta, self._acting, self._total = law.robot, beta, acted, total
         self._tolerated = axes.storage(law)
         self._radius = float(linearize(law, visited).radii(period).max())
-        self._loops = closed_loop(law, visited, period)
+        whole = total // thresholds.BLOCK * thresholds.BLOCK
+        self._propagation = CausePropagation(law.robot, closed_loop(law, visited, period), whole)
         self._judged = Judged(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
         self._parts, self._done, self._period = _Parts(law), 0, period
-        self._state: Array | None = None
         self._rise = (np.inf, np.nan)
         self._highest: Array = np.zeros((2, 0))
         self._V = np.zeros(2)  # largest in the first and in the last third
@@ -231,7 +238,7 @@ class _Judging:
         figures = {**self._figures, "spectral radius": self._radius}
         first, last = self._V
         if self._radius >= 1 and not (last < thresholds.FALLEN * first):
-            return violated((SAMPLING,), figures)
+            return violated(NO_DECAY, (SAMPLING,), figures)
         return self._judged.conclude(growth(self._highest, self._judged.floor(self._tolerated)), figures)
 
     def _take(self, kept: Innovations, whole: int, every: int) -> None:
@@ -240,17 +247,7 @@ class _Judging:
         acted = self._acting.acting(kept, needed(kept, robot))
         blocks, ahead = slice(begin, begin + whole), slice(begin, begin + whole + 1)  # a gap shows in the next law
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
-        made, self._state = cause_errors(
-            kept.rows(ahead),
-            acted.rows(ahead),
-            robot,
-            period,
-            limit,
-            self._loops,
-            self._state,
-            self._done,
-            self._total // thresholds.BLOCK * thresholds.BLOCK,
-        )
+        made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
         self._judged.add(budget, made)
         self._follow(kept.rows(slice(begin, begin + every)), acted.age)
         self._done += every
@@ -312,7 +309,8 @@ class Judged:
         order = np.argsort(-strongest, kind="stable")
         causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
         if grown > thresholds.DIVERGED:  # the hold is the cause if it added more to V than the decay removed
-            return diverged(causes or ((SAMPLING,) if self._hold > self._slack else ()), figures)
+            causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
+            return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
         if self._blocks < thresholds.FEWEST:
             states = int(figures.get("intervals", self._blocks * thresholds.BLOCK))
             fewest = thresholds.FEWEST * thresholds.BLOCK
@@ -335,35 +333,19 @@ def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
     return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
 
 
-_EXPLANATIONS = {
-    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
-    SATURATION: "the effort was saturated at a limit",
-    "delay": "the effort acted late",
-    "loss": "states or efforts were lost",
-    SAMPLING: "the loop is unstable at this sample period",
-}
-
-
 def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str, float]) -> Diagnosis:
     """Return "degraded" for known causes whose errors are within the tolerance, otherwise "violated"."""
     size, why = detail(causes, found.errors, axes), _why(causes)
     if causes and found.within and SATURATION not in causes:
         sentence = f"{size}, within the tolerance: {why}"
         return Diagnosis("degraded", causes, sentence, figures, found.errors, size)
-    sentence = f"V does not decay as guaranteed: {why}" + (f"; {size}" if size else "")
+    sentence = f"{NO_DECAY}: {why}" + (f"; {size}" if size else "")
     return Diagnosis("violated", causes, sentence, figures, found.errors, size)
 
 
-def violated(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
-    """Return "violated" with the causes, the strongest first."""
-    sentence = f"V does not decay as guaranteed: {_why(causes)}"
-    return Diagnosis("violated", causes, sentence, figures, {}, ", ".join(causes))
-
-
-def diverged(causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
-    """Return "violated" for a run in which V grew."""
-    sentence = f"V grew to {figures['growth of V']:.2g} times its floor: {_why(causes)}"
-    return Diagnosis("violated", causes, sentence, figures, {}, ", ".join(causes))
+def violated(what: str, causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
+    """Return "violated" with what was seen and the causes, the strongest first."""
+    return Diagnosis("violated", causes, f"{what}: {_why(causes)}", figures, {}, ", ".join(causes))
 
 
 def _why(causes: tuple[str, ...]) -> str:

@@ -1,30 +1,162 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnose the running robot block by block, with the thresholds of the offline diagnosis."""
+"""Diagnose the running robot block by block, with the thresholds of the offline diagnosis.
+
+The control step in C evaluates certificate and innovations, one state at a time.
+"""
 
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 import numpy.ma  # np.median would load it while the robot moves
+from numpy.typing import NDArray
 
+from fjr_core.errors import StateError
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.monitoring.thresholds import BLOCK, OLDEST, Axes
+from fjr_core.monitoring.certificate import Certificate, Prediction
+from fjr_core.monitoring.thresholds import BLOCK, LONGEST, OLDEST, Axes
+from fjr_core.motions.reference import JETS
+from fjr_core.numerics.c_library import record_type
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import NEVER
+from fjr_core.runtime.library import StepLibrary, step_library
+from fjr_core.runtime.structs import CertificateStruct
+from fjr_monitor.diagnosis.causes import (
+    EMPTY,
+    CauseErrors,
+    CausePropagation,
+    StorageBudget,
+    closed_loop,
+    growth,
+    rises,
+    storage_budget,
+)
+from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, Judged, unknown
+from fjr_monitor.diagnosis.record import Innovations, needed
 
-from .cause_errors import CauseErrors, cause_errors, closed_loop
-from .delay_estimation import EffortDelay, acting, effort_delay
-from .diagnosis import Diagnosis, Judged, unknown
-from .innovations import needed
-from .online_certificate import OnlineCertificate
-from .storage_budget import StorageBudget, storage_budget
-from .storage_growth import growth, rises
-
+_FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
+"""Fields of Innovations, with the names of struct fjr_certified."""
+CAPACITY = 640  # intervals; at least the latest half is kept
+WINDOW = 1000  # states over which the offset of a clock is estimated
 BLOCKS = 50  # per diagnosis: 1 s at 1 kHz
 TOGETHER = 5  # blocks that are processed at once, or fewer for a diagnosis
 DELAY_WINDOW = 200  # intervals from which the input delay is estimated
 IN_REAL_TIME = 3 * BLOCK  # intervals for the delay in real time, where latency varies
 FORGETTING = 0.9  # factor per diagnosis on the largest change of effort so far
+
+
+class OnlineCertificate:
+    """Certificate of the latest state and innovations of the latest intervals; not thread-safe.
+
+    `certify` evaluates fjr_certify of step.h, as the hosts in C do; without machine code of the law it calls Python.
+    position (2n,) [rad], jets (5, n): latest state and reference. records: certified, command (1,), the structures of
+    the latest state, by their names. Raises CompilerError without a C compiler.
+    """
+
+    def __init__(self, law: TrackingLaw, library: StepLibrary | None = None) -> None:
+        """library: the control step of the law with its robust action; None: that without."""
+        self._n, self._library = law.robot.n, library or step_library(law.robot.n)
+        certificate, prediction = Certificate(law), Prediction(law)
+        self.functions = {
+            "certify": certificate.function,
+            "predict": prediction.function,
+            "law": law.measured_function,
+        }
+        """Functions of struct fjr_certificate by name."""
+        ffi = self._library.ffi
+        self.struct = CertificateStruct(ffi, self.functions, law, LONGEST)
+        self._pointers, self.records = {}, {}
+        for name in ("certified", "command"):
+            self.records[name] = made = np.zeros(1, record_type(ffi, ffi.typeof(f"struct fjr_{name}")))
+            self._pointers[name] = ffi.from_buffer(f"struct fjr_{name}[]", made.view(np.uint8))
+        command = self.records["command"]
+        self.position, self._velocity, self._u = (command[name][0] for name in ("position", "velocity", "u"))
+        self.jets = command["jets"].reshape(JETS, self._n)
+        self._kept: NDArray[Any] = np.zeros(CAPACITY, self.records["certified"].dtype)
+        self._latencies, self._tracking, self._latency = np.zeros(CAPACITY), np.zeros((CAPACITY, self._n)), 0.0
+        self.use(law)
+
+    def use(self, law: TrackingLaw) -> None:
+        """Use a law made by `with_gains`; discard the intervals and start the bound on V again."""
+        self.struct.pointer.gains = self.struct.keep(law)
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard the intervals; the next state has no predecessor."""
+        self.count = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Let the next state have no predecessor, and start the bound on V again."""
+        self._library.lib.fjr_certificate_restart(self.struct.pointer)
+
+    def certify(
+        self,
+        stamp: int,
+        position: Array,
+        velocity: Array,
+        jets: Array,
+        u: Array,
+        bound_start: int | None = None,
+        restarted: bool = False,
+    ) -> Any:
+        """Evaluate the certificate of the next state, its reference and its command; return struct fjr_certified.
+
+        stamp [ns]; position, velocity (2n,), jets (5, n), u (n,) [N m]. bound_start [ns]: stamp from which the bound on
+        V holds; None: no bound. restarted: it has no predecessor. The result is valid until the next state. Raises
+        StateError if a function has no result.
+        """
+        self.position[:], self._velocity[:], self.jets[:], self._u[:] = position, velocity, jets, u
+        command, found = self._pointers["command"][0], self._pointers["certified"]
+        command.bound_start, command.restarted = NEVER if bound_start is None else bound_start, restarted
+        if not self._library.lib.fjr_certify(self.struct.pointer, self._pointers["command"], stamp, found):
+            raise StateError(f"the certificate of the state at {stamp} ns cannot be evaluated; expected a finite state")
+        return found[0]
+
+    def take(self, stamp: int, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> Any:
+        """Certify the next state and append it; latency [s]: delay of its command, 0: not known."""
+        found = self.certify(stamp, position, velocity, jets, u)
+        self.append(**self.records, latency=np.array([latency]))
+        return found
+
+    def append(self, certified: NDArray[Any], command: NDArray[Any], latency: Array) -> int:
+        """Append the intervals that end at k states, at most CAPACITY / 2; return the number of intervals.
+
+        certified, command (k,): struct fjr_certified and fjr_command of each state; a state that does not follow
+        another one ends no interval. latency (k,) [s]: of these commands.
+        """
+        n, before = self._n, np.append(self._latency, latency[:-1])
+        rows: NDArray[np.bool_] = certified["follows"] != 0
+        new = int(np.count_nonzero(rows))
+        self._latency = float(latency[-1])
+        np.copyto(self.position, command["position"][-1])
+        np.copyto(self.jets, command["jets"][-1].reshape(self.jets.shape))
+        if not new:
+            return 0
+        if self.count + new > CAPACITY:
+            half = CAPACITY // 2
+            for kept in (self._kept, self._latencies, self._tracking):
+                kept[:half] = kept[self.count - half : self.count].copy()
+            self.count = half
+        to, plain = slice(self.count, self.count + new), np.dtype((np.void, certified.itemsize))
+        self._kept.view(plain)[to] = certified.view(plain)[rows]  # bytes: to copy field by field is slow
+        self._latencies[to] = np.minimum(before[rows] / certified["dt"][rows], 1.0)
+        self._tracking[to] = command["position"][rows, :n] - command["jets"][rows, :n]
+        self.count += new
+        return new
+
+    def last(self, count: int, before: int = 0) -> Innovations:
+        """Return at most the last `count` intervals, without the `before` latest ones."""
+        end = self.count - before
+        rows = slice(max(0, end - count), end)
+        found = {name: np.ascontiguousarray(self._kept[field][rows]) for name, field in _FIELDS.items()}
+        k = len(found["dt"])
+        unmeasured = {name: np.full((k, self._n), np.nan) for name in ("before", "after")}
+        own = {"latency": self._latencies[rows].copy(), "tracking": self._tracking[rows].copy()}
+        return Innovations(**found, **unmeasured, **own, answered=np.ones(k, dtype=bool))
 
 
 class OnlineDiagnosis:
@@ -50,8 +182,7 @@ class OnlineDiagnosis:
         """Discard all blocks and estimates."""
         self._blocks.clear()
         self._new, self._period, self._change, self._lowest = 0, 0.0, 0.0, np.inf
-        self._loop: Array | None = None
-        self._state: Array | None = None
+        self._propagation = CausePropagation(self._law.robot)
 
     def look(self, beta: float, count: int = 1) -> None:
         """Process `count` more intervals; beta [1/s]: guaranteed rate of V."""
@@ -74,27 +205,28 @@ class OnlineDiagnosis:
         self._period, self._change = _usual(seen.dt), FORGETTING * self._change
         if not seen.latency.any():
             self._age = effort_delay(seen, self._law.robot)
-        self._loop = None  # linearise again at the current reference
+        self._propagation.loops = EMPTY  # linearise again at the current reference
         risen = [each for _, _, each in self._blocks]
         judged = Judged(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
         for each in self._blocks:
             judged.add(*each[:2])
         grown = growth(np.hstack(risen), judged.floor(self._axes.storage(self._law)))
-        return judged.conclude(grown, self._figures())
-
-    def _estimate_delay(self) -> None:
-        """Estimate the delay; in real time only from the largest changes of the effort, since latency varies."""
-        seen = self._online_certificate.last(IN_REAL_TIME, self._new)
-        if seen.latency.any():
-            change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())
-            if change > self._change:
-                self._age, self._change = effort_delay(seen, self._law.robot), change
+        samples = self._age.whole + self._age.fraction
+        figures = {"effort age": samples * float(np.median(seen.dt)), "beta": self.beta, "last V": float(seen.V1[-1])}
+        return judged.conclude(grown, figures)
 
     def _process(self, count: int) -> None:
-        """Add the oldest `count` blocks that are not yet processed; keep the last BLOCKS or a few more."""
+        """Add the oldest `count` blocks that are not yet processed; keep the last BLOCKS or a few more.
+
+        In real time the input delay is estimated from the largest changes of the effort only, since latency varies.
+        """
         self._new -= count * BLOCK
         with np.errstate(all="ignore"):  # as in the offline diagnosis
-            self._estimate_delay()
+            seen = self._online_certificate.last(IN_REAL_TIME, self._new)
+            if seen.latency.any():
+                change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())
+                if change > self._change:
+                    self._age, self._change = effort_delay(seen, self._law.robot), change
             self._blocks.append(self._latest_blocks(count * BLOCK))
         while sum(len(made[0].hold) for made in self._blocks) - len(self._blocks[0][0].hold) >= BLOCKS:
             self._blocks.popleft()
@@ -106,20 +238,42 @@ class OnlineDiagnosis:
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)
-        if self._loop is None:
-            self._loop = closed_loop(self._law, self._online_certificate.jets[None, 0], self._period)
+        if not len(self._propagation.loops):
+            self._propagation.loops = closed_loop(self._law, self._online_certificate.jets[None, 0], self._period)
         robot, limit = self._law.robot, self._limit
         risen = rises(seen, limit, self._lowest)[:, -size:]
         self._lowest = float(risen[1, -1])
-        made, self._state = cause_errors(found, acted, robot, self._period, limit, self._loop, self._state)
+        made = self._propagation.errors(found, acted, self._period, limit)
         return storage_budget(found, acted, robot, self.beta, self._period, limit), made, risen
-
-    def _figures(self) -> dict[str, float]:
-        seen = self._online_certificate.last(DELAY_WINDOW)
-        samples = self._age.whole + self._age.fraction
-        return {"effort age": samples * float(np.median(seen.dt)), "beta": self.beta, "last V": float(seen.V1[-1])}
 
 
 def _usual(dt: Array) -> float:
     """Return the sample period [s]: the lower quartile of the intervals, which gaps do not affect."""
     return float(np.quantile(dt, 0.25))
+
+
+class Latency:
+    """Time from each state to its command [s] without the shortest transport delay of a state.
+
+    Arrival minus stamp is the clock offset plus the transport delay. The minimum over the last one to two WINDOWs
+    estimates the offset. A constant transport delay cannot be distinguished from the clock offset and is not included;
+    variations of the delay are.
+    """
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard the estimate of the clock offset."""
+        self._count, self._before, self._least = 0, float("inf"), float("inf")
+
+    def of(self, stamp: int, arrival: int, sent: int) -> float:
+        """Return the latency [s] of a state with this stamp, time of arrival and send time of its command [ns].
+
+        arrival and sent are read from the same clock.
+        """
+        if self._count == WINDOW:
+            self._count, self._before, self._least = 0, self._least, float("inf")
+        self._count += 1
+        self._least = min(self._least, arrival - stamp)
+        return (sent - stamp - min(self._before, self._least)) * 1e-9

@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A record of a run: what was measured and sent at each instant."""
+"""A record of a run, what was measured and sent at each instant, and its innovations.
+
+An innovation is a measured state minus its one-step-ahead prediction by the model.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
+from fjr_core.model.robot import Robot
+from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
+from fjr_core.monitoring.thresholds import LONGEST_GAP
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints, span
@@ -19,6 +26,9 @@ LEAD = 2
 """States of the part before that a part of a record repeats: an interval needs the effort before it."""
 PART = 8192
 """States of a part: what one pass over a record holds in memory."""
+SERIES = ("t", "position", "velocity", "jets", "u", "u_applied", "sent", "answered")
+HUGE = 1e30
+"""Positions and velocities below which V does not overflow."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +84,6 @@ class Record:
             yield self.rows(slice(start - begin, start + size), begin)
 
 
-SERIES = ("t", "position", "velocity", "jets", "u", "u_applied", "sent", "answered")
-
-
 class Ends:
     """The first and the last states of a record that comes in parts; most: how many of each."""
 
@@ -108,3 +115,153 @@ class Ends:
         whole: Record = replace(every[0], **joined)
         excess = max(0, self._last - self._most)
         return whole.rows(np.r_[: self._first, self._first + excess : len(whole.t)]) if excess else whole
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Innovations of k intervals between consecutive states, in order of time.
+
+    dt (k,) [s]: lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and predicted for the
+    second with the sent effort held. sent, law (k, n) [N m]: sent effort, and effort of the law at the first state.
+    before, after (k, n) [N m]: measured effort of the motors at both states, NaN: not measured. error (k, 4n): measured
+    minus predicted positions and velocities of the second state. slope (k, 4n): dV/d of these there. answered (k,):
+    true if the first state received a command. older (k, n) [N m]: effort sent before. latency (k,): delay of the
+    command by send times as a fraction of the interval, during which the older effort still acts; 0: not known.
+    tracking (k, n) [rad]: q_l - q_ld at the second state.
+    """
+
+    dt: Array
+    V0: Array
+    V1: Array
+    predicted: Array
+    sent: Array
+    law: Array
+    before: Array
+    after: Array
+    error: Array
+    slope: Array
+    answered: NDArray[np.bool_]
+    older: Array
+    latency: Array
+    tracking: Array
+
+    def __len__(self) -> int:
+        return len(self.dt)
+
+    def rows(self, rows: slice | Array) -> Innovations:
+        """Return the selected intervals."""
+        return Innovations(*(getattr(self, name)[rows] for name in _NAMES))
+
+    def followed_by(self, later: Innovations) -> Innovations:
+        """Return these intervals and later ones."""
+        return Innovations(*(np.concatenate([getattr(self, name), getattr(later, name)]) for name in _NAMES))
+
+
+_NAMES = tuple(f.name for f in fields(Innovations))
+
+
+def innovations(
+    record: Record,
+    balance: Certificate,
+    prediction: Prediction,
+    series: CertificateSeries | None = None,
+    before: Array | None = None,
+    valued: bool = True,
+) -> Innovations:
+    """Return the innovations of the intervals that `consecutive` selects; of a part, those that end in it.
+
+    series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
+    state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
+    """
+    k, n = record.u.shape
+    if series is None and valued:
+        series = balance.along(record.position, record.velocity, record.jets)
+    sent, dt = held(record.u, before), np.diff(record.t)
+    first = consecutive(record, np.isfinite(series.V) if series else _has_storage(record, balance), before)
+    older = sent[np.maximum(first - 1, 0)]
+    second, q, dq = first + 1, record.position, record.velocity
+    q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
+    unknown = np.full((k, 4 * n), np.nan)
+    V, u_law, slope = (series.V, series.u_law, series.slope) if series else (unknown[:, 0], unknown[:, :n], unknown)
+    predicted = balance.along(q_next, dq_next, record.jets[second]).V if valued else V[second]
+    applied = unknown[:, :n] if record.u_applied is None else record.u_applied
+    return Innovations(
+        dt=dt[first],
+        V0=V[first],
+        V1=V[second],
+        predicted=predicted,
+        sent=sent[first],
+        law=u_law[first],
+        before=applied[first],
+        after=applied[second],
+        error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
+        slope=slope[second],
+        answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
+        older=np.where(np.isfinite(older), older, sent[first]),
+        latency=latency(record)[first] / dt[first],
+        tracking=q[second, :n] - record.jets[second, 0],
+    )
+
+
+def consecutive(
+    record: Record, known: NDArray[np.bool_] | None = None, before: Array | None = None
+) -> NDArray[np.intp]:
+    """Return the rows with two measured consecutive states, without a gap and with a known effort.
+
+    known (k,): further condition on each state. before: as of `innovations`. A gap is longer than LONGEST_GAP sample
+    periods.
+    """
+    finite = np.isfinite(np.hstack([record.position, record.velocity])).all(axis=1)
+    good = np.asarray(finite if known is None else finite & known)
+    dt, answered = np.diff(record.t), np.asarray(np.isfinite(held(record.u, before)).all(axis=1))
+    pairs = good[:-1] & good[1:] & answered[:-1]
+    pairs[: max(record.begin - 1, 0)] = False
+    return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
+
+
+def _has_storage(record: Record, balance: Certificate) -> NDArray[np.bool_]:
+    """Return at which states (k,) V is finite, if the state is; only at huge ones it may overflow."""
+    huge = (np.abs(np.hstack([record.position, record.velocity])) > HUGE).any(axis=1)
+    known: NDArray[np.bool_] = ~np.asarray(huge)
+    known[huge] = np.isfinite(balance.along(record.position[huge], record.velocity[huge], record.jets[huge]).V)
+    return known
+
+
+def latency(record: Record) -> Array:
+    """Return the time from each state to its command (k,) [s], at most one sample period; 0 where not known."""
+    if record.lockstep or record.sent is None or record.answered is None:
+        return np.zeros(len(record.t))
+    known = np.nan_to_num(np.asarray(record.answered) - np.asarray(record.sent))
+    return np.asarray(np.clip(known, 0.0, record.sample_period))
+
+
+def held(u: Array, before: Array | None = None) -> Array:
+    """Return efforts (k, n) with the previous one in place of a missing one (NaN); before (n,): the one before all."""
+    came = np.isfinite(u).all(axis=1)
+    last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
+    return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan if before is None else before)
+
+
+def needed(found: Innovations, robot: Robot) -> Array:
+    """Return the mean effort (k, n) [N m] that the motor equation requires in each interval.
+
+    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: measured minus predicted generalised momenta of
+    the motors, as in A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
+    2003. The part that the known latency explains is subtracted.
+    """
+    residual: Array = found.error[:, 3 * robot.n :] @ _effort(robot) / found.dt[:, None]
+    return found.sent + residual - foreseen(found)
+
+
+def foreseen(found: Innovations) -> Array:
+    """Return the mean deviation (k, n) [N m] from the sent effort due to the known latency.
+
+    The older effort acts until the command arrives.
+    """
+    return np.asarray(found.latency[:, None] * (found.older - found.sent))
+
+
+@lru_cache(maxsize=8)
+def _effort(robot: Robot) -> Array:
+    """Return (B_m^-1 M_m)' (n, n), which maps accelerations to efforts."""
+    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)

@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page of a run shows of it: every state of a short run, the extremes of each signal in a longer one."""
+"""What the page of a run shows of it: every state of a short run, the extremes of a longer one, the moving arm."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.config.robot import description, locked_positions
 from fjr_core.numerics.checks import Array
-from fjr_monitor.analysis.metrics import Metrics
-from fjr_monitor.analysis.run_data import RunData
-from fjr_monitor.analysis.storage import Power
-from fjr_monitor.plotting.figure import extremes
+from fjr_monitor.recording.run import RunData
+from fjr_monitor.report.html import ArmReplay, extremes
+from fjr_monitor.report.metrics import Metrics
+from fjr_monitor.report.performance import Power
+from fjr_monitor.scene import scene
+from fjr_msgs_py.console.output import number
 
 EVERY = 40_000  # states of a run of which all are kept
 BUCKETS = 1_000  # parts of a longer run; of each the least and the largest value of every signal are kept
+VISIBLE = 0.3  # rad or m, of the largest deflection as magnified at first
+FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 FRAMES = 900  # of the motion of an arm; the page interpolates between them
 
 
@@ -106,8 +111,25 @@ class Shown:
         """V / V(0); V itself where the run starts without error."""
         return self.states["V"] / (self.metrics.decay.initial or 1.0)
 
-    @property
-    def relative_bound(self) -> Array:
-        """exp(-2 beta t), times V(0) as relative_storage is."""
-        first, decay = self.metrics.decay.initial, np.exp(-2.0 * self.metrics.decay.beta * self.states["t"])
-        return first * decay / (first or 1.0)
+
+def arm_replay(data: Shown) -> ArmReplay | None:
+    """Return the replay of a run; None without positions of the links. Raises ParameterError, RobotError."""
+    values, frames, joints = data.run.scenario.controller_values, data.frames, data.run.joints
+    link, motor = frames["q_l"], frames["q_m"]
+    if not np.isfinite(link).any():
+        return None
+    title, sizes = "The motion of the links", data.deflection
+    if np.isfinite(sizes).any():
+        joint = int(np.nanargmax(sizes))
+        largest = number(float(sizes[joint]), data.run.units[joint].position)
+        springs, at = ("springs deflect", f", at {joints[joint]}") if len(joints) > 1 else ("spring deflects", "")
+        title = f"The {springs} by at most {largest}{at}"
+    factor = magnification(motor - link)
+    arm = scene(description(values), locked_positions(values))
+    return ArmReplay(title, arm, joints, frames["t"], link, motor, frames["q_ld"], factor)
+
+
+def magnification(deflection: Array) -> int:
+    """Return the largest of FACTORS with which the deflections (k, n) stay below VISIBLE; 1 if none is known."""
+    largest = float(np.nanmax(np.abs(deflection), initial=0.0))
+    return max((factor for factor in FACTORS if factor * largest <= VISIBLE), default=1) if largest else 1

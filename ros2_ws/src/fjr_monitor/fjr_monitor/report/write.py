@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write report.json, report.html and overview.png of a run; format the table at the end of a command."""
+"""Write report.json, report.html and overview.png of runs; `fjr report` does so from bags of any robot."""
 
 from __future__ import annotations
 
 import errno
+import os
 import sys
 import tempfile
 import warnings
@@ -16,18 +17,32 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_core.numerics.one_line import at_least
-from fjr_monitor.analysis import headlines
-from fjr_monitor.analysis.metrics import Metrics, Report, make_report
-from fjr_monitor.analysis.run_data import Recording
-from fjr_monitor.recording.reader import Bag, read_bag
-from fjr_monitor.report.paper_claim import Claim
-from fjr_monitor.report.shown import Shown
+from fjr_core.errors import FjrError, RecordError
+from fjr_core.files.text_file import read_json
+from fjr_monitor.recording.bag import Bag, bag_folder, read_bag
+from fjr_monitor.recording.files import files_of
+from fjr_monitor.recording.run import Recording
+from fjr_monitor.report.comparison_page import Claim, Compared, write_comparison
+from fjr_monitor.report.metrics import Metrics, Report
+from fjr_monitor.report.run_page import draw_overview, write_run_page
+from fjr_monitor.report.shown import Shown, arm_replay
+from fjr_msgs_py.console.ending import Exit
+from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.provenance import Provenance, provenance
 from fjr_msgs_py.console.ros2 import play_command
+from fjr_msgs_py.scenarios import library
 
-PAGE, METRICS, COMPARISON = "report.html", "report.json", "comparison.html"
+SCENARIO, PAGE, METRICS, COMPARISON = "scenario.yaml", "report.html", "report.json", "comparison.html"
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
+LARGE = 50e6  # bytes: reading a larger bag is announced
+KNOWN: dict[str, Any] = {
+    "scenario": str,
+    "planned_s": (int, float),
+    "not_recorded": dict,
+    "failure": str,
+    "provenance": dict,
+}
+"""Entries of an earlier report that the bag lacks, with their types."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +85,9 @@ def report_run(
     duration: planned duration [s]; None: up to the last answered state. skipped: topics that could not be recorded.
     failure: why the run ended early. pages: false for report.json only.
     """
-    scenario, bag = load_scenario(folder / "scenario.yaml", user_code=False), read_bag(folder / "bag")
+    scenario, bag = load_scenario(folder / SCENARIO, user_code=False), read_bag(folder / "bag")
     summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages, provenance())
     if pages and summary.data.metrics.energy_known and summary.data.metrics.efforts_known:
-        from fjr_monitor.report.overview import draw_overview  # matplotlib is half a second of imports
-
         with without_warnings():
             write_with_fallback(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
     return summary
@@ -100,24 +113,24 @@ def report_bag(
         metrics = Metrics(run)
         data = Shown(metrics)
         metrics.read(*([data.add] if pages else []))
-        report = replace(
-            make_report(name, metrics, duration or metrics.seconds + run.sample_period),
-            not_recorded=dict(skipped or {}),
-            failure=failure,
-            planned_s=duration,
-            provenance=recorded,
-        )
+        length = duration or metrics.seconds + run.sample_period
+        unrecorded = {"not_recorded": dict(skipped or {}), "failure": failure, "planned_s": duration}
+        report = metrics.report(name, length, provenance=recorded, **unrecorded)
 
         def write(place: Path) -> None:
             report.write(place / METRICS)
             if pages:
-                from fjr_monitor.report.arm_replay import arm_replay
-                from fjr_monitor.report.run_report import write_run_page  # Jinja2 takes a tenth of a second
-
                 write_run_page(place / PAGE, data, report, arm_replay(data))
 
         folder = write_with_fallback(folder, write)
     return RunSummary(folder, report, data, scenario, name, pages)
+
+
+def compare(summaries: Sequence[RunSummary], folder: Path, claim: Claim | None = None) -> Path:
+    """Write comparison.html of several runs into a folder; claim: what they show together."""
+    with without_warnings():
+        runs = [Compared(each.label, each.data, each.report, each.folder / PAGE, each.notes) for each in summaries]
+        return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs, claim)) / COMPARISON
 
 
 def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
@@ -146,15 +159,6 @@ def without_warnings() -> Iterator[None]:
         yield
 
 
-def compare(summaries: Sequence[RunSummary], folder: Path, claim: Claim | None = None) -> Path:
-    """Write comparison.html of several runs into a folder; claim: what they show together."""
-    from fjr_monitor.report.runs_report import Compared, write_comparison
-
-    with without_warnings():
-        runs = [Compared(each.label, each.data, each.report, each.folder / PAGE, each.notes) for each in summaries]
-        return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs, claim)) / COMPARISON
-
-
 def table(summaries: Sequence[RunSummary]) -> str:
     """Return why controllers stopped, a table with one line per run, and the faults found."""
     head = ("scenario", "peak effort", "error after 2 s", "answered in time", "V decays at (at least)", "verdict")
@@ -171,34 +175,32 @@ def stops(summaries: Sequence[RunSummary]) -> list[str]:
     return [f"{each.label}: {each.report.stop.sentence}" for each in summaries if each.report.stop]
 
 
+def output_paths(summaries: Sequence[RunSummary]) -> str:
+    """Return the paths of the pages and the JSON files."""
+    return "\n".join(["", *(f"{each.label}: {', '.join(map(str, each.files))}" for each in summaries)])
+
+
+def play_hint(bag: Path) -> str:
+    """Return a line with the command that plays a bag."""
+    storage = next(bag.glob("*.mcap"), bag)
+    return f"play a bag: {play_command(bag)}   (or open {storage} in Foxglove or PlotJuggler)"
+
+
 def _row(label: str, report: Report) -> tuple[str, ...]:
-    counts = report.counts
+    counts, storage, verdict = report.counts, report.storage, report.verdict
     in_time = _number(counts.answered_in_time_fraction and 100 * counts.answered_in_time_fraction, "{:.2f} %")
+    decay, kind = "-", verdict.kind + (f": {verdict.detail}" if verdict.detail else "")
+    if storage is not None:
+        measured = _number(storage.measured_decay_rate_per_s, "{:.1f}")
+        decay = f"{measured} ({storage.basis}: {storage.least}) 1/s"
     return (
         label + (" (lock-step)" if report.lockstep else ""),
-        headlines.peak_effort_and_share(report, _effort),
-        headlines.steady_error(report, _error),
+        report.peak_effort_and_share(_effort),
+        report.steady_error(_error),
         f"{in_time} of {counts.nominal}",
-        _decay(report),
-        _verdict(report),
+        decay,
+        {"stopped": "stopped", "late": "none: the machine was late"}.get(report.status, kind),
     )
-
-
-def _verdict(report: Report) -> str:
-    if report.status == "stopped":
-        return "stopped"
-    if report.status == "late":
-        return "none: the machine was late"
-    return report.verdict.kind + (f": {report.verdict.detail}" if report.verdict.detail else "")
-
-
-def _decay(report: Report) -> str:
-    storage = report.storage
-    if storage is None:
-        return "-"
-    basis = "proven" if storage.guarantee_is_proven else "sampled"
-    measured = _number(storage.measured_decay_rate_per_s, "{:.1f}")
-    return f"{measured} ({basis}: {at_least(storage.guaranteed_decay_rate_per_s, 3)}) 1/s"
 
 
 def _effort(value: float, unit: str) -> str:
@@ -215,12 +217,93 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
-def output_paths(summaries: Sequence[RunSummary]) -> str:
-    """Return the paths of the pages and the JSON files."""
-    return "\n".join(["", *(f"{each.label}: {', '.join(map(str, each.files))}" for each in summaries)])
+@dataclass(frozen=True)
+class Source:
+    """A bag with its name and scenario, and the folder of its report."""
+
+    bag: Path
+    name: str
+    scenario: Path
+    folder: Path
 
 
-def play_hint(bag: Path) -> str:
-    """Return a line with the command that plays a bag."""
-    storage = next(bag.glob("*.mcap"), bag)
-    return f"play a bag: {play_command(bag)}   (or open {storage} in Foxglove or PlotJuggler)"
+def report(bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str) -> Result:
+    """Report each bag, and compare them if there are several; the result has failed if any bag failed.
+
+    scenario: of the robot; None: that next to each bag. output: folder of the reports; None: next to each bag.
+    """
+    summaries: list[RunSummary] = []
+    failures: list[str] = []
+    namespace = f"/{namespace}" if (namespace := namespace.strip("/")) else ""
+    for path in bags:
+        try:
+            source = source_of(path, scenario, output, [each.folder for each in summaries])
+            summaries.append(_report(source, namespace))
+        except (FjrError, OSError) as error:
+            failures.append(str(error) if str(path) in str(error) else f"{path}: {error}")
+    if not summaries:
+        print("".join(f"fjr: {failure}\n" for failure in failures[:-1]), end="", file=sys.stderr)
+        raise RecordError(failures[-1])
+    names = [each.label for each in summaries]  # or the folder if two runs have the same scenario
+    summaries = [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
+    missing = [f"{each.label}: {note}" for each in summaries for note in each.report.missing]
+    print("".join(f"fjr: {loss}\n" for loss in (*failures, *missing)), end="", file=sys.stderr)
+    page = None
+    if len(summaries) > 1:
+        common = Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))
+        page = compare(summaries, output or common)
+    lines = [table(summaries), output_paths(summaries), *([f"side by side: {page}"] if page else [])]
+    values = {"runs": [each.values for each in summaries], "comparison": page, "failures": failures}
+    return Result("\n".join(lines), values, Exit.FAILED if failures else Exit.DONE)
+
+
+def _report(source: Source, namespace: str) -> RunSummary:
+    size = sum(file.stat().st_size for file in files_of(bag_folder(source.bag)) if file.is_file())
+    if size > LARGE:
+        print(f"fjr: reading {source.bag}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
+    known = known_of(source.scenario.with_name(METRICS))
+    return report_bag(
+        source.name,
+        read_bag(source.bag, namespace),
+        load_scenario(source.scenario, user_code=False),
+        source.folder,
+        duration=known.get("planned_s"),
+        skipped=known.get("not_recorded"),
+        failure=known.get("failure", ""),
+        recorded=Provenance.read(known.get("provenance")),
+    )
+
+
+def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequence[Path]) -> Source:
+    """Return bag, name, scenario file and report folder, none of those taken; raise ScenarioError without one."""
+    if path.is_symlink():  # such as that to the newest run: the report names a folder that does not change
+        path = path.parent / path.readlink()
+    above = [path, *path.resolve().parents[:2]]
+    run = next((folder for folder in above if (folder / SCENARIO).is_file()), None)  # the run that the bag belongs to
+    if scenario is not None:
+        file = library.find(scenario)
+    elif run is not None:
+        file = run / SCENARIO
+    else:
+        files_of(bag_folder(path))  # raises first if the path is no bag
+        raise library.ScenarioError(
+            f"no scenario for {path}: expected {SCENARIO} next to the bag, or --scenario NAME or FILE"
+        )
+    name = path.resolve().name if scenario is None else path.resolve().stem
+    if run is not None:
+        name = Path(known_of(run / METRICS).get("scenario", "")).name or run.resolve().name
+    default = run if run is not None else path.with_name(f"{path.resolve().stem}_report")
+    folder = first = default if output is None else output / name
+    number = 2
+    while folder in taken:
+        folder, number = first.with_name(f"{first.name}-{number}"), number + 1
+    return Source(path, name, file, folder)
+
+
+def known_of(path: Path) -> Mapping[str, Any]:
+    """Return the entries of an earlier report that the bag lacks; none if there is no valid one."""
+    try:
+        found = read_json(path)
+    except (OSError, ValueError):
+        return {}
+    return {name: found[name] for name, kind in KNOWN.items() if isinstance(found.get(name), kind)}

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr watch`: display a running control loop in the terminal, ten times a second, until Ctrl-C."""
+"""`fjr watch`: display a running control loop ten times a second, until Ctrl-C, without disturbing it.
+
+No executor: `FjrWatch.listen` empties the queues a few times a second. For most states only the times are read from the
+serialised bytes; one message per call is deserialised. Subscriptions are best effort, so that no publisher waits for a
+slow terminal.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +13,37 @@ import sys
 import threading
 import time
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
+from click import UsageError
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from rich.console import Console
 from rich.live import Live
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
 
 from fjr_core.config.controller import safety
 from fjr_core.config.robot import description, locked_positions
-from fjr_core.config.scenario import Scenario
-from fjr_monitor.recording.echo import ELSEWHERE, TopicError, nodes_seen
-from fjr_monitor.watch.node import FjrWatch
-from fjr_monitor.watch.state import View, Watched
+from fjr_monitor.recording.bag import header_stamp
+from fjr_monitor.recording.topics import ELSEWHERE, TopicError, nodes_seen
+from fjr_monitor.watch.state import NodeHealth, View, Watched
 from fjr_monitor.watch.terminal import render
+from fjr_msgs_py import names
+from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import json_text
+from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.node.participant import own_node
+from fjr_msgs_py.node.reports import labelled
+from fjr_msgs_py.scenarios import library
 
+DEPTH = 4000  # messages between two calls of `listen`
 PERIOD = 0.1  # s between updates of a terminal
 FRAME = 0.04  # s between updates of a browser
 PLAIN_PERIOD = 1.0  # s between updates of other outputs
@@ -33,122 +51,228 @@ LOOK = 1.0  # s between queries of the ROS graph
 PATIENCE = 2.0  # s until a notice that it is waiting
 
 
-@dataclass(frozen=True)
-class Options:
-    """What to watch: namespace, remaps FROM:=TO, name of the controller.
+def watch(
+    scenario: str | None,
+    namespace: str,
+    controller: str,
+    once: bool,
+    timeout: float,
+    remaps: tuple[str, ...],
+    browser: bool,
+    foxglove: bool,
+    port: int | None,
+    as_json: bool,
+) -> None:
+    """Display a running control loop until Ctrl-C, or serve Foxglove.
 
-    once [s]: show one view and exit, after at most this wait for states and diagnostics; None: show views until Ctrl-C.
-    as_json: print one JSON document a view. port: show the loop in a browser, at this port of localhost, 0: any.
+    scenario: source of effort limits and of the arm in 3D; None: the robot description. once: show one view, after at
+    most `timeout` [s], or raise TopicError. port: of browser or Foxglove; None or 0: any free one, or Foxglove's own.
     """
+    _refuse_conflicts({"--browser": browser, "--foxglove": foxglove}, {"--once": once, "--json": as_json}, port)
+    limits, urdf, locked = _known(scenario) if scenario else ({}, "", {})
+    discover_quickly()
+    rules = [f"__ns:=/{namespace.strip('/')}"] if namespace.strip("/") else []
+    arguments = [part for rule in (*rules, *remaps) for part in ("-r", rule)]
+    with stoppable() as stop:
+        if foxglove:
+            from fjr_monitor.watch import foxglove as server  # SciPy, which other displays do not need
 
-    namespace: str = "/"
-    remaps: tuple[str, ...] = ()
-    controller: str = "fjr_controller"
-    once: float | None = None
-    as_json: bool = False
-    port: int | None = None
+            server.serve(arguments, controller, locked, server.PORT if port is None else port, stop)
+            return
+        watched = Watched(f"fjr watch {namespace}", limits)
+        with own_node("fjr_watch", arguments) as node:
+            display = _Display(FjrWatch(node, watched, controller), watched, stop)
+            if once:
+                display.once(node, timeout, as_json)
+            elif browser:
+                display.in_browser(port or 0, urdf, locked)
+            else:
+                display.in_terminal(as_json)
+
+
+def _known(scenario: str) -> tuple[dict[str, float], str, Mapping[str, float]]:
+    """Return the effort limits [N m] by joint, the URDF and the positions of locked joints [rad, m] of a scenario."""
+    loaded = library.load(scenario, robot_only=True)
+    values, efforts = loaded.controller_values, safety(loaded.controller_values, loaded.robot).effort
+    limits = zip(loaded.joints, np.asarray(efforts).tolist(), strict=True)
+    return (
+        {joint: limit for joint, limit in limits if np.isfinite(limit)},
+        description(values),
+        locked_positions(values),
+    )
+
+
+def _refuse_conflicts(displays: dict[str, bool], terminal: dict[str, bool], port: int | None) -> None:
+    """Raise UsageError for two displays, for options of the terminal with one, and for a port without one.
+
+    displays, terminal: whether each option is given.
+    """
+    chosen = [option for option, given in (displays | terminal).items() if given]
+    if any(displays.values()) and len(chosen) > 1:
+        raise UsageError(f"{chosen[0]} shows the loop until Ctrl-C; expected it without {chosen[1]}")
+    if port is not None and not any(displays.values()):
+        raise UsageError(f"--port is given without {' or '.join(displays)}; expected one of them")
+
+
+class _Display:
+    """Views of a loop until `stop`."""
+
+    def __init__(self, listener: FjrWatch, watched: Watched, stop: threading.Event) -> None:
+        self._listener, self._watched, self._stop = listener, watched, stop
+        self._console = Console(highlight=False)
+
+    def in_terminal(self, as_json: bool) -> None:
+        """Show views in the terminal; as_json, or where there is none: print one after the other."""
+        if as_json or not self._console.is_terminal:
+            for view in self._views(PLAIN_PERIOD):
+                self._print(view, as_json)
+            return
+        with Live(console=self._console, screen=True, auto_refresh=False) as live:
+            for view in self._views(PERIOD):
+                live.update(render(view, self._console.width), refresh=True)
+
+    def in_browser(self, port: int, urdf: str, locked: Mapping[str, float]) -> None:
+        """Show the arm of a URDF, or of the robot description if it is empty, on a page at a port; 0: any."""
+        from fjr_monitor.watch.browser import BrowserPage  # Jinja2 and the mesh reader
+
+        with BrowserPage(port, self._watched.title, locked) as page:
+            print(f"watch the arm at {page.url} until Ctrl-C", flush=True)
+            if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+                webbrowser.open(page.url)
+            for view in self._views(FRAME):
+                page.show(asdict(view), urdf or self._watched.urdf)
+
+    def once(self, node: Node, timeout: float, as_json: bool) -> None:
+        """Print one view, once states and diagnostics came; raise TopicError if neither came within `timeout` [s]."""
+        begin, notified = time.monotonic(), False
+        for view in self._views(PERIOD):
+            waited = time.monotonic() - begin
+            late = waited > timeout
+            heard = view.timing is not None, bool(view.health)
+            if all(heard) or (late and any(heard)):
+                self._print(replace(view, missing=tuple(self._listener.missing())), as_json)
+                return
+            if late:
+                seen = f"no state and no diagnostics for {timeout:g} s on {', '.join(self._listener.waited_for)}"
+                raise TopicError(f"{seen}; {nodes_seen(node)}; {ELSEWHERE}")
+            if waited > PATIENCE and not notified:
+                notified = True
+                print(f"fjr: waiting for states and diagnostics; {nodes_seen(node)}", file=sys.stderr, flush=True)
+
+    def _views(self, period: float) -> Iterator[View]:
+        missing: list[str] = []
+        next_query = time.monotonic() + LOOK  # discovery is complete by then
+        while True:
+            now = time.monotonic()
+            self._listener.listen(now)
+            if now >= next_query:
+                missing, next_query = self._listener.missing(), now + LOOK
+            yield self._watched.view(now, missing)
+            if self._stop.wait(period):
+                return
+
+    def _print(self, view: View, as_json: bool) -> None:
+        if as_json:
+            print(json_text(asdict(view)), flush=True)
+        else:
+            self._console.print(render(view, self._console.width))
+
+
+class FjrWatch:
+    """Subscribe with a node, under its namespace and remaps; pass all messages to `watched`."""
+
+    def __init__(self, node: Node, watched: Watched, controller: str = names.CONTROLLER) -> None:
+        """controller: name of the node that owns the ~/ topics."""
+        self._node, self._watched = node, watched
+        self._now = 0.0
+        self._space = f"{node.get_namespace()}/".lstrip("/")
+        own = {name: name.replace("~", controller) for name in (names.TRACKING_ERROR, names.CERTIFICATE, names.EVENTS)}
+        self._topics: list[str] = []
+        self._stamped = [
+            (self._subscribe(JointState, names.JOINT_STATES), watched.sent, self._on_state),
+            (self._subscribe(JointState, names.JOINT_COMMANDS), watched.answered, self._on_command),
+        ]
+        self._newest = [
+            (
+                self._subscribe(JointState, own[names.TRACKING_ERROR], 1),
+                lambda m: watched.error(_by_name(m, m.position)),
+            ),
+            (self._subscribe(Float64MultiArray, own[names.CERTIFICATE], 1), lambda m: watched.certificate(labelled(m))),
+            (self._subscribe(Float64MultiArray, names.EFFORT_COMMANDS, 1), self._on_efforts),
+            (self._subscribe(String, names.ROBOT_DESCRIPTION, 1, names.LATCHED), lambda m: watched.description(m.data)),
+        ]
+        self._every = [
+            (self._subscribe(DiagnosticArray, names.DIAGNOSTICS, 100), self._on_diagnostics),
+            (self._subscribe(DiagnosticStatus, own[names.EVENTS], 100), self._on_event),
+        ]
+        self._joints: list[str] = []
+        self._named_efforts = False
+
+    def listen(self, now: float) -> None:
+        """Process all new messages; `now` [s]: the current time."""
+        self._now = now
+        for subscription, on_times, on_last in self._stamped:
+            taken = drained(subscription)
+            on_times([(header_stamp(data), info["source_timestamp"]) for data, info in taken])
+            for data, _ in taken[-1:]:
+                on_last(deserialize_message(data, subscription.msg_type))
+        for subscription, on_newest in self._newest:
+            for data, _ in drained(subscription)[-1:]:
+                on_newest(deserialize_message(data, subscription.msg_type))
+        for subscription, on_each in self._every:
+            for data, _ in drained(subscription):
+                on_each(deserialize_message(data, subscription.msg_type))
 
     @property
-    def arguments(self) -> list[str]:
-        """Command-line arguments as after --ros-args."""
-        rules = [f"__ns:=/{self.namespace.strip('/')}"] if self.namespace.strip("/") else []
-        return [part for rule in (*rules, *self.remaps) for part in ("-r", rule)]
+    def waited_for(self) -> tuple[str, str]:
+        """Return the topics of states and diagnostics."""
+        return self._stamped[0][0].topic_name, self._every[0][0].topic_name
+
+    def missing(self) -> list[str]:
+        """Return the topics without a publisher; one of the two command topics is enough."""
+        silent = [topic for topic in self._topics if not self._node.count_publishers(topic)]
+        commands = {self._stamped[1][0].topic_name, self._newest[2][0].topic_name}
+        return silent if commands <= set(silent) else [topic for topic in silent if topic not in commands]
+
+    def _subscribe(self, kind: type, topic: str, depth: int = DEPTH, qos: QoSProfile | None = None) -> Subscription:
+        profile = qos or QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        subscription = self._node.create_subscription(kind, topic, lambda _: None, profile, raw=True)
+        self._topics.append(subscription.topic_name)
+        return subscription
+
+    def _on_state(self, message: JointState) -> None:
+        self._joints = [name for name in message.name if not name.endswith(names.motor_name(""))]
+        self._watched.state(self._now, _by_name(message, message.position), _by_name(message, message.velocity))
+
+    def _on_command(self, message: JointState) -> None:
+        self._named_efforts = True
+        self._watched.effort(_by_name(message, message.effort))
+
+    def _on_efforts(self, message: Float64MultiArray) -> None:
+        """Use these efforts without JointState commands: by label, else in the joint order of the states."""
+        if not self._named_efforts:
+            in_order = dict(zip(self._joints, message.data))  # noqa: B905
+            self._watched.effort(labelled(message) or in_order)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if not status.name.startswith(self._space):
+                continue  # of another robot
+            values = {pair.key: pair.value for pair in status.values}
+            health = NodeHealth(status.name, status.level[0], status.message, values.get("state", ""))
+            self._watched.health(self._now, health)
+
+    def _on_event(self, message: DiagnosticStatus) -> None:
+        self._watched.event(self._now, message.level[0], message.name, message.message)
 
 
-@dataclass(frozen=True)
-class Known:
-    """What a scenario tells about the robot: effort limits [N m] by joint, URDF, positions of locked joints [rad, m].
-
-    Without a scenario the robot description tells it.
-    """
-
-    limits: Mapping[str, float] = field(default_factory=dict)
-    urdf: str = ""
-    locked: Mapping[str, float] = field(default_factory=dict)
+def _by_name(message: JointState, values: Sequence[float]) -> dict[str, float]:
+    return dict(zip(message.name, values))  # noqa: B905 (a field may be empty)
 
 
-def known(scenario: Scenario) -> Known:
-    """Return what a scenario tells about the robot of its controller."""
-    values = scenario.controller_values
-    return Known(effort_limits(scenario), description(values), locked_positions(values))
-
-
-def effort_limits(scenario: Scenario) -> Mapping[str, float]:
-    """Return the effort limits [N m] of the controller of a scenario, by joint."""
-    limits = np.asarray(safety(scenario.controller_values, scenario.robot).effort)
-    return {joint: float(limit) for joint, limit in zip(scenario.joints, limits, strict=True) if np.isfinite(limit)}
-
-
-def watch(options: Options, robot: Known, stop: threading.Event) -> None:
-    """Show the view until `stop`, or once; raise TopicError if nothing is there to be shown once."""
-    watched = Watched(f"fjr watch {options.namespace}", robot.limits)
-    console = Console(highlight=False)
-    with own_node("fjr_watch", options.arguments) as node:
-        listener = FjrWatch(node, watched, options.controller)
-        show = _as_json if options.as_json else lambda view: console.print(render(view, console.width))
-        if options.once is not None:
-            _once(node, listener, watched, show, options.once, stop)
-        elif options.port is not None:
-            _in_browser(listener, watched, robot, options, stop)
-        elif options.as_json:
-            for view in _views(listener, watched, PLAIN_PERIOD, stop):
-                show(view)
-        elif console.is_terminal:
-            with Live(console=console, screen=True, auto_refresh=False) as live:
-                for view in _views(listener, watched, PERIOD, stop):
-                    live.update(render(view, console.width), refresh=True)
-        else:
-            for view in _views(listener, watched, PLAIN_PERIOD, stop):
-                show(view)
-
-
-def _in_browser(listener: FjrWatch, watched: Watched, robot: Known, options: Options, stop: threading.Event) -> None:
-    from fjr_monitor.watch.browser import BrowserPage  # Jinja2 and the mesh reader
-
-    with BrowserPage(options.port or 0, f"fjr watch {options.namespace}", robot.locked) as page:
-        print(f"watch the arm at {page.url} until Ctrl-C", flush=True)
-        if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-            webbrowser.open(page.url)
-        for view in _views(listener, watched, FRAME, stop):
-            page.show(asdict(view), robot.urdf or watched.urdf)
-
-
-def _as_json(view: View) -> None:
-    print(json_text(asdict(view)), flush=True)
-
-
-def _views(listener: FjrWatch, watched: Watched, period: float, stop: threading.Event) -> Iterator[View]:
-    missing: list[str] = []
-    next_query = time.monotonic() + LOOK  # discovery is complete by then
-    while True:
-        now = time.monotonic()
-        listener.listen(now)
-        if now >= next_query:
-            missing, next_query = listener.missing(), now + LOOK
-        yield watched.view(now, missing)
-        if stop.wait(period):
-            return
-
-
-def _once(
-    node: Node,
-    listener: FjrWatch,
-    watched: Watched,
-    show: Callable[[View], None],
-    timeout: float,
-    stop: threading.Event,
-) -> None:
-    begin, notified = time.monotonic(), False
-    for view in _views(listener, watched, PERIOD, stop):
-        waited = time.monotonic() - begin
-        late = waited > timeout
-        heard = view.timing is not None, bool(view.health)
-        if all(heard) or (late and any(heard)):
-            show(replace(view, missing=tuple(listener.missing())))
-            return
-        if late:
-            seen = f"no state and no diagnostics for {timeout:g} s on {', '.join(listener.waited_for)}"
-            raise TopicError(f"{seen}; {nodes_seen(node)}; {ELSEWHERE}")
-        if waited > PATIENCE and not notified:
-            notified = True
-            print(f"fjr: waiting for states and diagnostics; {nodes_seen(node)}", file=sys.stderr, flush=True)
+def drained(subscription: Subscription) -> list[tuple[bytes, Any]]:
+    """Empty a queue; return the serialised messages with their infos."""
+    found = []
+    while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
+        found.append(taken)
+    return found

@@ -13,7 +13,7 @@ from typing import Any
 
 from fjr_core.errors import FjrError
 from fjr_monitor.report.html import environment
-from fjr_monitor.scene.urdf_scene import scene
+from fjr_monitor.scene import scene
 from fjr_msgs_py.console.output import json_text
 
 HOST = "127.0.0.1"
@@ -51,17 +51,15 @@ class BrowserPage:
         """Send a view (View as a dictionary) to the open pages, and the scene of the URDF if it has changed."""
         events = {"view": json_text(view)}
         if urdf and urdf != self._urdf:
-            self._urdf, events["scene"] = urdf, json_text(self._scene(urdf))
+            self._urdf = urdf
+            try:
+                events["scene"] = json_text(scene(urdf, self._locked))
+            except FjrError as error:
+                events["scene"] = json_text({"error": str(error)})
         with self._changed:
             self._events |= events
             self._count += 1
             self._changed.notify_all()
-
-    def _scene(self, urdf: str) -> dict[str, Any]:
-        try:
-            return scene(urdf, self._locked)
-        except FjrError as error:
-            return {"error": str(error)}
 
     @contextmanager
     def stream(self) -> Iterator[Iterator[str]]:
@@ -128,7 +126,9 @@ class _Answer(BaseHTTPRequestHandler):
             self.wfile.write(self.server.content)
         elif self.path == "/events":
             self._begin("text/event-stream")
-            self._stream()
+            with suppress(OSError), self.server.source.stream() as events:  # OSError: the page was closed
+                for event in events:
+                    self.wfile.write(event.encode())
         else:
             self.send_error(404)
 
@@ -138,11 +138,6 @@ class _Answer(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
         self.send_header("Content-Security-Policy", SAFE)
         self.end_headers()
-
-    def _stream(self) -> None:
-        with suppress(OSError), self.server.source.stream() as events:  # OSError: the page was closed
-            for event in events:
-                self.wfile.write(event.encode())
 
     def log_message(self, format: str, *args: object) -> None:
         """Print nothing: the terminal shows the address only."""

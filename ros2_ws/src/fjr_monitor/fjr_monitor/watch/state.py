@@ -13,6 +13,12 @@ import numpy as np
 from fjr_msgs_py.names import motor_name
 
 LEVELS = ("ok", "warn", "error", "stale")  # of a diagnostic_msgs/DiagnosticStatus, by number
+WINDOW = 2_000_000_000  # ns; window of the timing statistics
+HISTORY = 120  # values of V
+EVENTS = 6  # shown
+STALE = 5.0  # s without a diagnostic message
+NANO = 1e-9
+Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,7 @@ class JointLine:
 
 
 @dataclass(frozen=True)
-class Timing:
+class LoopTiming:
     """Timing over the last 2 s: state rate [1/s]; median, 99th percentile and maximum of period and latency [s]."""
 
     rate: float
@@ -45,7 +51,7 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class Health:
+class NodeHealth:
     """Latest diagnostic status of a node or component: level 0 (ok) to 3 (stale)."""
 
     name: str
@@ -55,7 +61,7 @@ class Health:
 
 
 @dataclass(frozen=True)
-class Event:
+class LoopEvent:
     """An event of the controller, `age` [s] ago."""
 
     age: float
@@ -75,21 +81,12 @@ class View:
     title: str
     joints: tuple[JointLine, ...] = ()
     silence: float | None = None
-    timing: Timing | None = None
+    timing: LoopTiming | None = None
     certificate: dict[str, float] | None = None
     history: tuple[float, ...] = ()
-    health: tuple[Health, ...] = ()
-    events: tuple[Event, ...] = ()
+    health: tuple[NodeHealth, ...] = ()
+    events: tuple[LoopEvent, ...] = ()
     missing: tuple[str, ...] = ()
-
-
-WINDOW = 2_000_000_000  # ns; window of the timing statistics
-HISTORY = 120  # values of V
-EVENTS = 6  # shown
-STALE = 5.0  # s without a diagnostic message
-NANO = 1e-9
-
-Values = Mapping[str, float]
 
 
 class Watched:
@@ -97,7 +94,7 @@ class Watched:
 
     def __init__(self, title: str, effort_limits: Values | None = None) -> None:
         """effort_limits [N m] by joint: take precedence over those of the robot description."""
-        self._title = title
+        self.title = title
         self.urdf = ""  # as last received
         self._given_limits = dict(effort_limits or {})
         self._limits: dict[str, float] = {}
@@ -112,8 +109,8 @@ class Watched:
         self._answered: dict[int, int] = {}  # send time [ns] of the command by the stamp of its state
         self._certificate: dict[str, float] | None = None
         self._history: deque[float] = deque(maxlen=HISTORY)
-        self._health: dict[str, tuple[float, Health]] = {}
-        self._events: deque[tuple[float, Event]] = deque(maxlen=EVENTS)
+        self._health: dict[str, tuple[float, NodeHealth]] = {}
+        self._events: deque[tuple[float, LoopEvent]] = deque(maxlen=EVENTS)
 
     def state(self, now: float, position: Values, velocity: Values) -> None:
         """Store measured positions [rad] and velocities [rad/s] by name."""
@@ -154,13 +151,13 @@ class Watched:
         if "V" in values:
             self._history.append(values["V"])
 
-    def health(self, now: float, status: Health) -> None:
+    def health(self, now: float, status: NodeHealth) -> None:
         """Store the latest status of a node."""
         self._health[status.name] = now, status
 
     def event(self, now: float, level: int, kind: str, sentence: str) -> None:
         """Store an event."""
-        self._events.appendleft((now, Event(0.0, level, kind, sentence)))
+        self._events.appendleft((now, LoopEvent(0.0, level, kind, sentence)))
 
     def description(self, urdf: str) -> None:
         """Store a URDF, and read effort limits and prismatic joints from it; in an invalid one none is found."""
@@ -176,23 +173,26 @@ class Watched:
 
     def view(self, now: float, missing: Sequence[str] = ()) -> View:
         """Return the content to display."""
+        seen = list(self._position) or list(self._effort)
+        motors = {motor_name(name) for name in seen}
+        health = []
+        for name in sorted(self._health):
+            then, status = self._health[name]
+            if now - then > STALE:
+                said = f"no diagnostics for {now - then:.0f} s; the last: {status.message}"
+                status = replace(status, level=3, message=said)
+            health.append(status)
         return View(
-            title=self._title,
-            joints=tuple(self._line(name) for name in self._joints()),
+            title=self.title,
+            joints=tuple(self._line(name) for name in seen if name not in motors),
             silence=None if self._last_state is None else max(0.0, now - self._last_state),
             timing=self._timing(),
             certificate=self._certificate,
             history=tuple(self._history),
-            health=tuple(self._aged(now, *self._health[name]) for name in sorted(self._health)),
+            health=tuple(health),
             events=tuple(replace(event, age=now - then) for then, event in self._events),
             missing=tuple(missing),
         )
-
-    def _joints(self) -> list[str]:
-        """Return the joint names without the motor names."""
-        names = list(self._position) or list(self._effort)
-        motors = {motor_name(name) for name in names}
-        return [name for name in names if name not in motors]
 
     def _line(self, name: str) -> JointLine:
         q_l, q_m = self._position.get(name), self._position.get(motor_name(name))
@@ -208,7 +208,7 @@ class Watched:
             prismatic=name in self._prismatic,
         )
 
-    def _timing(self) -> Timing | None:
+    def _timing(self) -> LoopTiming | None:
         if len(self._sent) < 2:
             return None
         sent = np.array([time for _, time in self._sent], dtype=float) * NANO
@@ -217,12 +217,7 @@ class Watched:
         unanswered = len(self._sent) - len(latencies) - pending
         latency = _percentiles(np.array(latencies) * NANO) if latencies else None
         rate = (len(sent) - 1) / max(sent[-1] - sent[0], NANO)
-        return Timing(float(rate), _percentiles(np.diff(sent)), latency, unanswered if latencies else 0)
-
-    def _aged(self, now: float, then: float, status: Health) -> Health:
-        if now - then <= STALE:
-            return status
-        return replace(status, level=3, message=f"no diagnostics for {now - then:.0f} s; the last: {status.message}")
+        return LoopTiming(float(rate), _percentiles(np.diff(sent)), latency, unanswered if latencies else 0)
 
 
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:

@@ -11,7 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from fjr_monitor.watch.state import LEVELS, Health, JointLine, View
+from fjr_monitor.watch.state import LEVELS, JointLine, NodeHealth, View
 
 ERROR_DECADES = (-6.0, 0.0)  # log10 of rad, at an empty and a full bar
 WIDE = 118  # characters
@@ -151,29 +151,23 @@ def _signed(value: float | None) -> str:
 
 
 def _certificate(view: View) -> Panel:
+    """Render the numbers of the certificate, a sparkline of V with the range of its values, and the diagnosis."""
     diagnoses = [_status(status) for status in view.health if "certificate" in status.name]
     if view.certificate is None:
         parts: list[RenderableType] = [Text("no certificate received", style="dim")]
     else:
-        parts = [_numbers(view.certificate), _history(view.history)]
+        values = view.certificate
+        numbers = [
+            f"{name} {values[key]:.3g} {unit}" if math.isfinite(values[key]) else f"{name} {NOTHING}"
+            for key, name, unit in CERTIFICATE
+            if key in values and not (key == "bound" and values[key] < 0)  # negative: no bound
+        ]
+        finite = [value for value in view.history if math.isfinite(value)]
+        line = Text("log V  ").append(sparkline(view.history, HISTORY), style="cyan")
+        if finite:
+            line.append(f"  {min(finite):.0e} .. {max(finite):.0e} J", style="dim")
+        parts = [Columns(numbers, padding=(0, 3)), line]
     return Panel(Group(*parts, *diagnoses), title="certificate", title_align="left", border_style="dim")
-
-
-def _numbers(values: dict[str, float]) -> Columns:
-    values = {key: value for key, value in values.items() if key != "bound" or value >= 0}  # negative: no bound
-    known = (
-        f"{name} {values[key]:.3g} {unit}" if math.isfinite(values[key]) else f"{name} {NOTHING}"
-        for key, name, unit in CERTIFICATE
-        if key in values
-    )
-    return Columns(known, padding=(0, 3))
-
-
-def _history(values: tuple[float, ...]) -> Text:
-    """Return a sparkline of V with the range of its values."""
-    finite = [value for value in values if math.isfinite(value)]
-    line = Text("log V  ").append(sparkline(values, HISTORY), style="cyan")
-    return line.append(f"  {min(finite):.0e} .. {max(finite):.0e} J", style="dim") if finite else line
 
 
 def _health(view: View) -> Panel:
@@ -182,7 +176,7 @@ def _health(view: View) -> Panel:
     return Panel(content, title="health", title_align="left", border_style="dim")
 
 
-def _status(status: Health) -> Text:
+def _status(status: NodeHealth) -> Text:
     level = LEVELS[min(status.level, len(LEVELS) - 1)]
     line = Text().append(f"{level:5} ", style=f"bold {COLOURS[level]}").append(status.name)
     state = f" [{status.state}]" if status.state else ""

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from fjr_core.numerics.checks import Array
 from fjr_design.studies.comparison.results import Row, law_without_additions, rows
-from fjr_monitor.plotting.figure import Line, Plot
-from fjr_monitor.recording.reader import Array
+from fjr_monitor.report.html import Line, Plot
 
 AXIS_LABELS = {
     "stiffness": ("Wrong stiffness", "true stiffness / the model's", 1.0),

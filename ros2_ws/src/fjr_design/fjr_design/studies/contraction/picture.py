@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_design.stability.contraction import Contraction, Measured
-from fjr_monitor.plotting.picture import COLOURS, GREY, STYLE
-from fjr_monitor.recording.reader import Array
+from fjr_monitor.report.picture import COLOURS, GREY, STYLE
 
 SHOWN = 3  # joints
 FLOOR = 1e-12  # relative to the start; rounding level of a distance

@@ -14,12 +14,13 @@ import numpy as np
 from tqdm import tqdm
 
 from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_design.stability.contraction import Contraction, Measured, contraction, scattered
 from fjr_design.studies.contraction.picture import draw
-from fjr_monitor.analysis.commands import ANSWERS
-from fjr_monitor.analysis.run_data import STATES
-from fjr_monitor.recording.reader import Array, read_bag
+from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.run import STATES
+from fjr_monitor.recording.signals import ANSWERS
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result

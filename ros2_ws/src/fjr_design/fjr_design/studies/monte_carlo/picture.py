@@ -15,8 +15,8 @@ from fjr_design.experiments.monte_carlo.sensitivity import Summary
 from fjr_design.studies.monte_carlo.report import headline
 from fjr_design.studies.monte_carlo.report_figures import SHOWN
 from fjr_design.studies.monte_carlo.store import Store
-from fjr_monitor.plotting.figure import Plot
-from fjr_monitor.plotting.picture import COLOURS, GREY, LEGEND, STYLE, draw_plot
+from fjr_monitor.report.html import Plot
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, STYLE, draw_plot
 
 WIDTH = 42  # characters of a line over a plot
 

@@ -11,7 +11,6 @@ from fjr_design.experiments.monte_carlo.distributions import FIXED
 from fjr_design.experiments.monte_carlo.sensitivity import Summary
 from fjr_design.experiments.monte_carlo.sweep import Sweep
 from fjr_design.studies.monte_carlo.store import Store
-from fjr_monitor.plotting.figure import Plot
 from fjr_monitor.report import html
 from fjr_msgs_py.console.output import number, percent
 

@@ -12,7 +12,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch.draws import UNITS
 from fjr_design.experiments.monte_carlo.sensitivity import Effect, Summary
 from fjr_design.studies.monte_carlo.store import Store
-from fjr_monitor.plotting.figure import Line, Plot
+from fjr_monitor.report.html import Line, Plot
 from fjr_msgs_py.console.output import percent
 
 SHOWN = 4  # drawn parameters

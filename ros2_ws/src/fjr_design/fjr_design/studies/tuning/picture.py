@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_design.experiments.tuning.goal import Figures
-from fjr_monitor.plotting.picture import COLOURS, GREY, LEGEND, STYLE
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, STYLE
 from fjr_msgs_py.console.output import percent
 
 if TYPE_CHECKING:

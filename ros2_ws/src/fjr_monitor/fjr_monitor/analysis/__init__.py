@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Turn a recorded run into arrays and metrics."""

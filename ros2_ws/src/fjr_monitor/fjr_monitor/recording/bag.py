@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read a bag of any size: what it holds, its messages by receive time, joint states as arrays by joint name."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from mcap.records import Message
+from numpy.typing import NDArray
+
+from fjr_core.numerics.checks import Array
+from fjr_monitor.recording.files import files_of, read_file
+from fjr_monitor.recording.topic import BagError, Contents, Times, Topic
+from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
+
+JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+AHEAD_MESSAGES, AHEAD_BYTES = 40_000, 2**26
+"""What is read ahead, and sorted, at most: the first limit that is reached counts."""
+
+
+Rows = slice | NDArray[np.intp] | NDArray[np.bool_]
+Table = TypeVar("Table", bound="JointTable")
+
+
+@dataclass(frozen=True)
+class JointTable:
+    """A JointState topic as arrays: k messages, n joints in the requested order; absent values are NaN."""
+
+    stamp: Times  # (k,) header stamp [ns]
+    publish_time: Times  # (k,) send time [ns]
+    position: Array  # (k, n)
+    velocity: Array  # (k, n)
+    effort: Array  # (k, n)
+
+    @classmethod
+    def empty(cls, n: int) -> JointTable:
+        """Return a table of no message of n joints."""
+        times, values = np.zeros(0, dtype=np.int64), np.zeros((0, n))
+        return cls(times, times, values, values, values)
+
+    def rows(self: Table, rows: Rows) -> Table:
+        """Return the selected messages."""
+        return replace(self, **{name: values[rows] for name, values in vars(self).items()})
+
+    def followed_by(self, later: JointTable) -> JointTable:
+        """Return these messages and later ones."""
+        return JointTable(*map(np.concatenate, zip(vars(self).values(), vars(later).values(), strict=True)))
+
+
+@dataclass(frozen=True)
+class Bag:
+    """What a bag holds; its messages are read when they are asked for, so that its size does not matter.
+
+    topics: those with messages. complete: closed by the recorder; namespace: of its nodes; notes: one sentence a loss.
+    A topic without an exact match is searched for in all namespaces; an ambiguous match is an error.
+    """
+
+    path: Path
+    topics: dict[str, Topic]
+    complete: bool
+    namespace: str = ""
+    notes: tuple[str, ...] = ()
+
+    def holds(self, name: str) -> bool:
+        """Return whether a topic has messages."""
+        return self._full_name(name) is not None
+
+    def held(self, name: str) -> Topic:
+        """Return a topic without its messages; raise BagError, listing the recorded topics, if it has none."""
+        found = self._full_name(name)
+        if found is None:
+            held = ", ".join(sorted(self.topics)) or ("nothing" if self.complete else "nothing, and was not closed")
+            raise BagError(f"{self.path} holds no message of {self.namespace}{name}; it holds {held}")
+        return self.topics[found]
+
+    def topic(self, name: str) -> Topic:
+        """Return a topic with all its messages in memory; raise BagError as `held` does."""
+        found = self.held(name)
+        return replace(found, messages=[message for _, message in in_order(self.path, (found.name,))])
+
+    def _full_name(self, name: str) -> str | None:
+        if self.namespace + name in self.topics:
+            return self.namespace + name
+        others = [] if self.namespace else [topic for topic in self.topics if topic.endswith(name)]
+        if len(others) > 1:
+            raise BagError(f"{self.path} holds {' and '.join(sorted(others))}: name one of them by its --namespace")
+        return others[0] if others else None
+
+    def joints(self, name: str, joints: Sequence[str]) -> JointTable:
+        """Return a whole JointState topic as arrays with columns in the order of `joints`; raise BagError."""
+        return self.table(self.topic(name), joints)
+
+    def table(self, topic: Topic, joints: Sequence[str]) -> JointTable:
+        """Return the messages of a topic of JointStates, or of efforts in the order of `joints`, as arrays."""
+        if topic.type_name == FLOATS:
+            return _efforts(topic, len(joints))
+        if topic.type_name != JOINT_STATE:
+            raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
+        if not topic.messages:
+            return JointTable.empty(len(joints))
+        (first,) = topic.decode(topic.messages[:1])
+        arrays = joint_state_arrays([message.data for message in topic.messages], first)
+        if arrays is None:  # messages that differ in names or lengths
+            found = topic.decoded
+            stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
+            return JointTable(stamps, topic.publish_time, *(_columns(found, what, joints) for what in FIELDS))
+        stamp, values = arrays
+        return JointTable(stamp, topic.publish_time, *(_named(values[what], first.name, joints) for what in FIELDS))
+
+    def batches(self, names: Collection[str], leading: str, size: int) -> Iterator[dict[str, Topic]]:
+        """Yield the messages of topics, as they were sent, in batches of `size` messages of the leading topic.
+
+        A message that was received late, beside busy programs for example, has its place among the others.
+        """
+        full = {self.held(name).name: name for name in names}
+        batch = {name: replace(self.topics[each], messages=[]) for each, name in full.items()}
+        for each, message in in_order(self.path, full, sent=True):
+            messages = batch[full[each]].messages
+            messages.append(message)
+            if full[each] == leading and len(messages) == size:
+                yield batch
+                batch = {name: replace(topic, messages=[]) for name, topic in batch.items()}
+        yield batch
+
+
+def read_bag(path: str | Path, namespace: str = "") -> Bag:
+    """Return what a bag holds, given its folder, one of its files or the folder of a run; raise BagError.
+
+    namespace: of the topics, empty or with a leading slash.
+    """
+    path, contents, complete = bag_folder(Path(path)), Contents(), True
+    for file in files_of(path):
+        messages = read_file(file, contents)
+        while True:
+            try:
+                topic, message = next(messages)
+            except StopIteration as end:
+                complete &= bool(end.value)
+                break
+            topic.note(message)
+    topics = {name: topic for name, topic in contents.topics.items() if topic.count}
+    return Bag(path, topics, complete, namespace, tuple(contents.notes))
+
+
+def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator[tuple[str, Message]]:
+    """Yield topic and message of the named topics by receive time, or by the time they were sent; raise BagError.
+
+    Messages are sorted as far as AHEAD_MESSAGES and AHEAD_BYTES reach; recorders write them almost sorted.
+    """
+    ahead: list[tuple[int, str, Message]] = []
+    size, wanted = 0, frozenset(names)
+    contents = Contents(wanted=wanted)
+    for file in files_of(bag_folder(path)):
+        for topic, message in read_file(file, contents):
+            if topic.name not in wanted:
+                continue
+            ahead.append((message.publish_time if sent else message.log_time, topic.name, message))
+            size += len(message.data)
+            if len(ahead) > AHEAD_MESSAGES or size > AHEAD_BYTES:
+                ahead.sort(key=itemgetter(0))
+                half = max(1, len(ahead) // 2)
+                for _, name, each in ahead[:half]:
+                    yield name, each
+                del ahead[:half]
+                size = sum(len(each.data) for _, _, each in ahead)
+    ahead.sort(key=itemgetter(0))
+    for _, name, message in ahead:
+        yield name, message
+
+
+def bag_folder(path: Path) -> Path:
+    """Return the folder of the bag of a run; any other path as it is."""
+    return path / "bag" if (path / "bag").is_dir() else path
+
+
+def _named(values: Array, names: Sequence[str], joints: Sequence[str]) -> Array:
+    """Return the columns of the named joints, (k, n), of values (k, at most the number of names)."""
+    table = np.full((len(values), len(joints)), np.nan)
+    for column, joint in enumerate(joints):
+        place = names.index(joint) if joint in names else -1
+        if 0 <= place < values.shape[1]:
+            table[:, column] = values[:, place]
+    return table
+
+
+def _efforts(topic: Topic, n: int) -> JointTable:
+    """Return the efforts of n joints in arrays of numbers, which carry no stamp; other lengths are left out."""
+    valid = [
+        (m.publish_time, each.data)
+        for m, each in zip(topic.messages, topic.decoded, strict=True)
+        if len(each.data) == n
+    ]
+    times = np.array([sent for sent, _ in valid], dtype=np.int64)
+    nothing = np.full((len(valid), n), np.nan)
+    return JointTable(times, times, nothing, nothing, np.array([data for _, data in valid]).reshape(-1, n))
+
+
+def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:
+    """Return the field `what` of the named joints, (k, n)."""
+    table = np.full((len(messages), len(joints)), np.nan)
+    places: dict[tuple[str, ...], list[int]] = {}
+    for row, message in enumerate(messages):
+        names, values = tuple(message.name), getattr(message, what)
+        if names not in places:
+            places[names] = [names.index(joint) if joint in names else -1 for joint in joints]
+        for column, place in enumerate(places[names]):
+            if 0 <= place < len(values):
+                table[row, column] = values[place]
+    return table
+
+
+def header_stamp(data: bytes) -> int:
+    """Return the stamp [ns] of a serialised message that starts with a std_msgs/Header."""
+    sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return int(sec) * 10**9 + int(nanosec)

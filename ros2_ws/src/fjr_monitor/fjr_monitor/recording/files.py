@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read the files of a bag (MCAP, SQLite, compressed by rosbag2) as far as they are readable.
+
+Damage to an MCAP file costs the chunks in which it lies, to a SQLite file the messages of its page. The file of a
+killed run (no index, no metadata.yaml, an incomplete last record) yields everything up to its end. `Contents.notes`
+lists the losses.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+import struct
+import tempfile
+import zlib
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, suppress
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, ChunkIndex, Message, Schema, Statistics
+
+from fjr_monitor.recording.topic import LATEST, BagError, Contents, Messages, Topic, has_times, typestore
+from fjr_msgs_py.console.output import plural
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD, FOOTER, MESSAGE = struct.Struct("<BQ"), struct.Struct("<QQI"), struct.Struct("<HIQQ")
+LARGEST_RECORD = 2**30  # bytes
+MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # decompressed over compressed size; bytes always allowed
+BLOCK = 2**20  # bytes of a checksum that are read at a time
+UNREADABLE = (McapError, struct.error, ValueError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError)
+MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id"
+MOST_GAPS = 100  # of a SQLite file
+COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return the files of a bag, given its folder or one of its files; raise BagError."""
+    if not path.exists():
+        raise BagError(f"{path} does not exist; expected the folder of a bag or of a run, or an .mcap or .db3 file")
+    if path.is_file():
+        if path.suffix in READERS:
+            return [path]
+        raise BagError(f"{path} is not a bag: expected an .mcap or .db3 file, or a folder that holds some")
+    with suppress(OSError):  # no metadata; parsing all of it would take longer
+        if COMPRESSED.search((path / "metadata.yaml").read_text(encoding="utf-8", errors="replace")):
+            return [path]
+    files = sorted(file for suffix in READERS for file in path.glob(f"*{suffix}"))
+    if files:
+        return files
+    raise BagError(f"{path} is not a bag: expected a folder with .mcap or .db3 files in it, or such a file")
+
+
+def read_file(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of one of files_of; topics, losses and the number of messages are added to `contents`."""
+    if path.is_file() and path.stat().st_size == 0:
+        return False
+    return (yield from READERS.get(path.suffix, read_compressed)(path, contents))
+
+
+def read_mcap(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of an MCAP file; raise BagError."""
+    before = contents.count
+    with open(path, "rb") as stream:
+        begin = stream.read(len(MAGIC))
+        if sum(a == b for a, b in zip(begin, MAGIC, strict=False)) < min(len(begin), 6):
+            raise BagError(f"{path} is not an MCAP file: it begins with other bytes")
+        file = _McapFile(stream, contents)
+        yield from file.messages()
+    read = contents.count - before
+    if not read and (file.damage or file.invalid):
+        raise BagError(f"{path} is not a readable MCAP file: it is damaged at byte {(file.damage or [0])[0]}")
+    contents.notes += file.losses(path.name, read)
+    return file.closed
+
+
+class _McapFile:
+    """An open MCAP file. closed: it ends as a closed one; damage: byte positions; invalid: number of unusable messages.
+
+    A file with an intact summary is read by its index of chunks, each verified by its checksum. Any other file, such as
+    that of a killed recorder or one without chunks, is read from front to back up to its first incomplete record.
+    """
+
+    def __init__(self, stream: BinaryIO, contents: Contents) -> None:
+        self._stream, self._contents = stream, contents
+        self._size = stream.seek(0, 2)
+        self.closed = self._size > 2 * len(MAGIC) and self._bytes(self._size - len(MAGIC), len(MAGIC)) == MAGIC
+        self.damage: list[int] = []
+        self.invalid = 0
+        self._schemas: dict[int, Schema] = {}
+        self._topics: dict[int, Topic] = {}
+        self._index: list[ChunkIndex] = []
+        self._count: int | None = None  # messages; None: not in the summary
+
+    def messages(self) -> Iterator[tuple[Topic, Message]]:
+        """Yield all undamaged messages."""
+        summary = self._summary()
+        try:
+            for kind, begin, end in records(summary):
+                self._define(kind, summary, begin, end)
+        except UNREADABLE:
+            self._index.clear()
+        if not self._index:
+            yield from self._in_sequence()
+        for each in sorted(self._index, key=lambda index: index.chunk_start_offset):
+            content = self._bytes(each.chunk_start_offset, each.chunk_length)[HEAD.size :]
+            yield from self._undamaged(each.chunk_start_offset, Opcode.CHUNK, content)
+
+    def losses(self, name: str, read: int) -> Iterator[str]:
+        """Yield one sentence for each kind of loss; read: number of messages."""
+        places = [str(position) for position in sorted(set(self.damage))]
+        if places:
+            known = self._count is not None and self._count >= read
+            lost = f"{(self._count or 0) - read} of {self._count}" if known else "an unknown number of"
+            where = ", ".join(places[:3]) + (f" and {len(places) - 3} more places" if len(places) > 3 else "")
+            yield f"{name} is damaged at byte {where}; {lost} messages are lost"
+        if self.invalid:
+            yield f"{name}: {plural(self.invalid, 'message')} of no known topic or with a time beyond 63 bits left out"
+
+    def _summary(self) -> bytes:
+        """Return the records of an undamaged summary; nothing without one."""
+        end = self._size - len(MAGIC) - FOOTER.size
+        if end < HEAD.size or self._bytes(end - HEAD.size, HEAD.size) != HEAD.pack(Opcode.FOOTER, FOOTER.size):
+            return b""
+        begin, _, checksum = FOOTER.unpack(self._bytes(end, FOOTER.size))
+        if not len(MAGIC) <= begin < end or end - begin > LARGEST_RECORD:
+            return b""
+        summary = self._bytes(begin, end + FOOTER.size - 4 - begin)
+        return summary[: end - HEAD.size - begin] if checksum in (0, zlib.crc32(summary)) else b""
+
+    def _in_sequence(self) -> Iterator[tuple[Topic, Message]]:
+        """Yield messages from front to back."""
+        position = len(MAGIC)
+        while position < self._size:
+            head = self._bytes(position, HEAD.size)
+            kind, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
+            following = position + HEAD.size + length
+            if not kind or length > LARGEST_RECORD or following > self._size:
+                self.damage += [position] * self.closed  # else the recorder was killed
+                return
+            content = self._bytes(position + HEAD.size, length)
+            if kind in (Opcode.DATA_END, Opcode.FOOTER):
+                self.closed |= kind == Opcode.DATA_END
+                if kind == Opcode.DATA_END and not self.damage and not self._agrees(content, position):
+                    self.damage.append(position)
+                return
+            yield from self._undamaged(position, kind, content)
+            position = following
+
+    def _agrees(self, content: bytes, end: int) -> bool:
+        """Return whether the record at the end of the data has their checksum, or none."""
+        wanted, checksum = int.from_bytes(content[:4], "little"), 0
+        for position in range(0, end if wanted else 0, BLOCK):
+            checksum = zlib.crc32(self._bytes(position, min(BLOCK, end - position)), checksum)
+        return checksum == wanted
+
+    def _undamaged(self, position: int, kind: int, content: bytes) -> Iterator[tuple[Topic, Message]]:
+        """Yield the messages of the record at a position; note damage."""
+        try:
+            data = unpacked(content) if kind == Opcode.CHUNK else HEAD.pack(kind, len(content)) + content
+            yield from self._inside(data)
+        except UNREADABLE:
+            self.damage.append(position)
+
+    def _inside(self, data: bytes) -> Iterator[tuple[Topic, Message]]:
+        """Yield the messages among records one after the other; raise ValueError if the last is incomplete."""
+        wanted, topics = self._contents.wanted, self._topics
+        for kind, begin, end in records(data):
+            if kind != Opcode.MESSAGE:
+                self._define(kind, data, begin, end)
+                continue
+            if end - begin < MESSAGE.size:
+                raise ValueError("incomplete message")
+            number, sequence, log_time, publish_time = MESSAGE.unpack_from(data, begin)
+            topic = topics.get(number)
+            if topic is None or log_time >= LATEST or publish_time >= LATEST:
+                self.invalid += 1
+                continue
+            self._contents.count += 1
+            if wanted is None or topic.name in wanted:
+                yield topic, Message(number, log_time, data[begin + MESSAGE.size : end], publish_time, sequence)
+
+    def _define(self, kind: int, data: bytes, begin: int, end: int) -> None:
+        """Take a record that is not a message."""
+        if kind not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK_INDEX, Opcode.STATISTICS):
+            return
+        content = ReadDataStream(BytesIO(data[begin:end]))
+        if kind == Opcode.SCHEMA:
+            schema = Schema.read(content)
+            self._schemas[schema.id] = schema
+        elif kind == Opcode.CHANNEL:
+            channel = Channel.read(content)
+            if (found := self._schemas.get(channel.schema_id)) is not None:
+                text = found.data.decode("utf-8", "replace")
+                self._topics[channel.id] = self._contents.topic(channel.topic, found.name, text)
+        elif kind == Opcode.CHUNK_INDEX:
+            self._index.append(ChunkIndex.read(content))
+        else:
+            self._count = Statistics.read(content).message_count
+
+    def _bytes(self, position: int, length: int) -> bytes:
+        position = min(position, self._size)  # of an index that may be damaged, as the length
+        self._stream.seek(position)
+        return self._stream.read(min(length, self._size - position))
+
+
+def records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield kind, begin and end of the records in a chunk or summary; raise ValueError if the last is incomplete."""
+    position, size = 0, len(data)
+    while position < size:
+        if size - position < HEAD.size:
+            raise ValueError("incomplete record")
+        kind, length = HEAD.unpack_from(data, position)
+        begin = position + HEAD.size
+        position = begin + length
+        if position > size:
+            raise ValueError("record longer than its container")
+        yield kind, begin, position
+
+
+def unpacked(content: bytes) -> bytes:
+    """Decompress the records of a chunk; raise one of UNREADABLE for a wrong checksum or an implausible size."""
+    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+    if chunk.uncompressed_size > max(SMALLEST_LIMIT, MOST_EXPANSION * len(chunk.data)):
+        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
+    data = chunk.data
+    if chunk.compression == "zstd":
+        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+            data = reader.read(chunk.uncompressed_size)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, chunk.uncompressed_size)
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("wrong checksum")
+    return data
+
+
+def read_sqlite(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of a SQLite file, which holds receive times only, in the order of the file."""
+    before = contents.count
+    with open(path, "rb") as stream:
+        header = stream.read(32)
+    size = int.from_bytes(header[16:18], "big")
+    page = 2**16 if size <= 1 else size
+    if len(header) == 32 and int.from_bytes(header[28:32], "big") * page > path.stat().st_size:  # SQLite refuses it
+        with tempfile.TemporaryDirectory() as folder:
+            notes = list(contents.notes)
+            yield from _SqliteFile(_with_actual_page_count(path, page, Path(folder)), contents).messages()
+            contents.notes = notes  # reported as a bag that was not closed
+        return False
+    whole = yield from _SqliteFile(path, contents).messages()
+    if not whole and contents.count == before:
+        contents.notes.append(f"{path.name} is damaged; no message in it can be read")
+    return whole
+
+
+def _with_actual_page_count(path: Path, page: int, folder: Path) -> Path:
+    """Return a copy whose header holds the number of pages [page bytes] that are there."""
+    copy, pages = folder / path.name, path.stat().st_size // page
+    shutil.copyfile(path, copy)
+    with copy.open("r+b") as stream:
+        stream.seek(28)
+        stream.write(pages.to_bytes(4, "big"))
+        stream.truncate(pages * page)
+    return copy
+
+
+class _SqliteFile:
+    """A SQLite file of rosbag2, read by increasing number of message; damaged places are left out."""
+
+    def __init__(self, path: Path, contents: Contents) -> None:
+        self._path, self._contents = path, contents
+        self._topics: dict[int, Topic] = {}
+        self._invalid = self._gaps = 0
+
+    def messages(self) -> Messages:
+        """Yield all readable messages; return False if some are damaged. Raise BagError if it is not a SQLite bag."""
+        try:
+            with closing(sqlite3.connect(f"{self._path.absolute().as_uri()}?mode=ro", uri=True)) as self._database:
+                self._read_topics()
+                following: int | None = -(2**63)
+                while following is not None:
+                    following = yield from self._read_from(following)
+        except (sqlite3.Error, OverflowError, ValueError) as error:
+            if "malformed" in str(error):
+                return False
+            raise BagError(f"{self._path} is not a readable SQLite bag: {error}") from error
+        name, notes = self._path.name, self._contents.notes
+        if self._gaps:
+            notes.append(f"{name} is damaged in {plural(self._gaps, 'place')}; the messages there are lost")
+        if self._invalid:
+            notes.append(f"{name}: {plural(self._invalid, 'message')} of no known topic or without a time left out")
+        return not self._gaps
+
+    def _read_topics(self) -> None:
+        self._database.text_factory = lambda text: text.decode("utf-8", "replace")
+        kinds = dict(self._database.execute("SELECT name, sql FROM sqlite_master WHERE name IN ('topics', 'messages')"))
+        for name in ("topics", "messages"):
+            if not str(kinds.get(name)).upper().startswith("CREATE TABLE"):  # a view could yield rows without end
+                raise BagError(f"{self._path} is not a readable SQLite bag: no such table: {name}")
+        for number, topic, type_name in self._database.execute("SELECT id, name, type FROM topics"):
+            self._topics[number] = self._contents.topic(str(topic), str(type_name), "")
+
+    def _read_from(self, first: int) -> Generator[tuple[Topic, Message], None, int | None]:
+        """Yield messages from number `first` on; return the number after a damaged page, None at the end."""
+        last = first - 1
+        try:
+            for row in self._database.execute(MESSAGES, (first,)):
+                last = row[0]
+                yield from self._valid(*row)
+        except sqlite3.DatabaseError as error:
+            if "malformed" not in str(error):
+                raise
+            while (row := self._one(last + 1)) is not None:  # the cursor reads ahead of the rows it yields
+                last = row[0]
+                yield from self._valid(*row)
+            self._gaps += 1
+            return self._next_after(max(last, 0)) if self._gaps < MOST_GAPS else None
+        return None
+
+    def _next_after(self, last: int) -> int | None:
+        """Find the least readable number after `last` by doubling, then bisection; None if there is none."""
+        step = 1
+        while self._one(last + step) is None:
+            step *= 2
+            if step > 2**32:
+                return None
+        low, high = step // 2, step
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if self._one(last + middle) else (middle, high)
+        return last + high
+
+    def _one(self, number: int) -> tuple[int, object, object, object] | None:
+        """Return the first message from a number on; None if it is unreadable."""
+        try:
+            return self._database.execute(f"{MESSAGES} LIMIT 1", (number,)).fetchone()
+        except sqlite3.DatabaseError:
+            return None
+
+    def _valid(self, _number: int, topic: object, time: object, data: object) -> Iterator[tuple[Topic, Message]]:
+        """Yield a message if it has a known topic, a time and bytes."""
+        if isinstance(topic, int) and topic in self._topics and isinstance(time, int) and isinstance(data, bytes):
+            message = Message(topic, time, data, time, 0)
+            if has_times(message):
+                self._contents.count += 1
+                yield self._topics[topic], message
+                return
+        self._invalid += 1
+
+
+def read_compressed(folder: Path, contents: Contents) -> Messages:
+    """Yield the messages of a folder compressed by rosbag2, read by the rosbags library; raise BagError."""
+    from rosbags.highlevel import AnyReader  # loads its readers of ROS 1 and 2, which other bags do not need
+
+    try:
+        with AnyReader([folder], default_typestore=typestore()) as reader:
+            for connection, time, data in reader.messages():
+                topic = contents.topic(connection.topic, connection.msgtype, connection.msgdef.data)
+                message = Message(connection.id, time, data, time, 0)
+                if has_times(message):
+                    contents.count += 1
+                    yield topic, message
+    except Exception as error:  # any error of the library
+        raise BagError(f"{folder} is not a readable compressed bag: {error or type(error).__name__}") from error
+    return True
+
+
+READERS: dict[str, Callable[[Path, Contents], Messages]] = {".mcap": read_mcap, ".db3": read_sqlite}

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Page that compares several runs, comparison.html, with its plots and the claim of the paper's simulations.
+
+Paper, section 4: with K = 3.1 in place of 31 N m/rad the loop still converges and the transient time is maintained, but
+the effort overshoots considerably more.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fjr_core.model.robot import joined
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import at_least
+from fjr_monitor.recording.timing import CountedTimes
+from fjr_monitor.report import html
+from fjr_monitor.report.html import DRAWN, Line, Plot, colour, decimated, drawable
+from fjr_monitor.report.metrics import Report
+from fjr_monitor.report.shown import Shown
+from fjr_msgs_py.console.output import number
+
+SAME = 0.2  # largest relative difference of two settling times that count as equal
+COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe", "late": "maybe"}
+POINTS = 240  # of a distribution curve
+SHORTEST = 1e-3  # ms
+TRANSIENT = 0.6  # s
+
+
+@dataclass(frozen=True)
+class Claim:
+    """The paper's claim in one sentence. kind: holding if the runs show it, else unknown. title: of the page, if so."""
+
+    kind: str
+    heading: str
+    sentence: str
+    title: str = ""
+
+
+def paper_claim(stiff: Report, soft: Report, stiffness: tuple[float, float]) -> Claim:
+    """Return the claim for two runs with the same law and gains; stiffness of their joints [N m/rad], stiff first."""
+    reasons = [*_reasons(stiff, soft)]
+    storages = [each.storage for each in (stiff, soft) if each.storage is not None]
+    if reasons or len(storages) < 2:
+        return Claim("unknown", "The paper's claim is not shown", f"{'; '.join(reasons)}.")
+    softer = number(stiffness[0] / stiffness[1], digits=2)
+    efforts = f"from {stiff.peak_effort()} to {soft.peak_effort()}"
+    settled = _both([each.tracking.settling_time_2_percent_s for each in (stiff, soft)], "s")
+    decay = _both([each.measured_decay_rate_per_s for each in storages], "1/s")
+    least = f"{at_least(min(each.guaranteed_decay_rate_per_s for each in storages), 3)} 1/s"
+    basis = "proven" if all(each.guarantee_is_proven for each in storages) else "sampled"
+    sentence = (
+        f"The same law with the same gains tracks with a joint {softer} times softer: with "
+        f"{_both(stiffness, 'N m/rad')} the link error settles within 2 % of its start in {settled}, V decays at "
+        f"{decay} ({basis}: at least {least}), and the peak effort rises {efforts}."
+    )
+    title = f"A joint {softer} times softer: the link moves alike, the effort rises {efforts}"
+    return Claim("holding", "The paper's claim", sentence, title)
+
+
+def _both(values: Sequence[float | None], unit: str) -> str:
+    """Format two values as 40.6 and 72.3 1/s, or one if they read the same."""
+    texts = list(dict.fromkeys(map(number, values)))
+    return f"{' and '.join(texts)} {unit}"
+
+
+def _reasons(stiff: Report, soft: Report) -> Iterator[str]:
+    """Yield why the runs do not show the claim."""
+    for each in (stiff, soft):
+        storage, settled = each.storage, each.tracking.settling_time_2_percent_s
+        if each.stop:
+            yield f"{each.scenario}: {each.stop.heading}"
+        elif each.advice:
+            yield f"{each.scenario}: {each.advice}"
+        elif each.status not in ("holding", "degraded"):
+            yield f"{each.scenario}: {each.verdict.sentence.rstrip('.')}"
+        elif settled is None:
+            yield f"{each.scenario}: the link error does not settle within {number(each.duration_s, 's')}"
+        elif storage is None or (storage.measured_decay_rate_per_s or 0.0) < storage.guaranteed_decay_rate_per_s:
+            yield f"{each.scenario}: V does not decay at the guaranteed rate"
+    times = [each.tracking.settling_time_2_percent_s for each in (stiff, soft)]
+    if None not in times and abs(times[0] - times[1]) > SAME * max(times):  # type: ignore[operator,type-var]
+        yield f"the transients differ: {number(times[0], 's')} and {number(times[1], 's')}"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One of several runs: unique label, data and report, path of its own page, notes on how it was made."""
+
+    label: str
+    data: Shown
+    report: Report
+    page: Path
+    notes: tuple[str, ...] = ()
+
+
+def write_comparison(path: Path, runs: Sequence[Compared], claim: Claim | None = None) -> None:
+    """Write the page of two runs or more; claim: what the first two show together. Raises AssetError."""
+    labels = " · ".join(run.label for run in runs)
+    plots = [*(transients(runs[:2]) if claim else []), *side_by_side_plots(runs)]
+    links = [Path(os.path.relpath(run.page, path.parent)).as_posix() for run in runs]
+    notes = [f"{run.label}: {note}" for run in runs for note in (*run.notes, *run.report.missing)]
+    title = claim.title if claim and claim.title else labels
+    given: dict[str, Any] = {"labels": labels, "claim": claim, "runs": runs, "links": links, "colours": COLOURED}
+    html.write_page(path, "runs.html", title, plots, notes=notes, **given)
+
+
+def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
+    """Return the plots that are not empty, in the order of the page."""
+    errors = [run.data.states["largest_error"] for run in runs]
+    efforts = [run.data.states["largest_effort"] for run in runs]
+    latencies = [run.data.metrics.clock.latencies for run in runs]
+    periods = [run.data.metrics.clock.periods for run in runs]
+    largest = "The largest {} of all joints at each state; log axis."
+    error, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("error", "position"), ("|u|", "effort")))
+    drawn = [
+        _over_time("error", "Tracking error", largest.format("|q_l − q_ld|"), runs, errors, error),
+        _over_time("effort", "Effort", largest.format("|u|"), runs, efforts, effort),
+        storages(runs),
+        _distribution("latency", "From state to command", "answered later", runs, latencies),
+        _distribution("period", "From state to state", "that came later", runs, periods),
+    ]
+    return [plot for plot in drawn if not plot.is_empty]
+
+
+def transients(runs: Sequence[Compared]) -> list[Plot]:
+    """Return the plots of link position and effort of one joint over the first TRANSIENT seconds, on linear axes."""
+    shown = [(run, run.data.states["t"] <= TRANSIENT) for run in runs]
+    times = np.unique(np.concatenate([run.data.states["t"][early] for run, early in shown]))
+    reference = shown[0][0].data.states
+
+    def lines(name: str) -> list[Line]:
+        columns = [(run, run.data.states["t"], run.data.states[name][:, 0]) for run, _ in shown]
+        return [
+            Line(run.label, np.interp(times, t, column, np.nan, np.nan), colour(i), 2.0)
+            for i, (run, t, column) in enumerate(columns)
+        ]
+
+    desired = Line("reference", np.interp(times, reference["t"], reference["q_ld"][:, 0]), "grey", 4.0)
+    position, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("q_l", "position"), ("u", "effort")))
+    alike, apart = "Link position: both joints converge alike", "Effort: the softer joint needs far more"
+    return [
+        Plot("positions", alike, "The first joint.", times, [desired, *lines("q_l")], y_label=position, place="claim"),
+        Plot("efforts", apart, "The first joint.", times, lines("u"), y_label=effort, place="claim"),
+    ]
+
+
+def _units(runs: Sequence[Compared], what: str) -> str:
+    return joined(getattr(each, what) for run in runs for each in run.data.run.units)
+
+
+def storages(runs: Sequence[Compared]) -> Plot:
+    """Plot V / V(0), with the bounds dashed."""
+    relative = [drawable(run.data.relative_storage, log=True) for run in runs]
+    floor = min(float(np.nanmin(values, initial=1e-3)) for values in relative) / 30.0
+    caption = "V relative to its start; dashed: the bound exp(−2βt) of each run."
+    plot = _over_time("storage", "Storage V and its bound", caption, runs, relative, "V(t) / V(0)")
+    lines = [*plot.lines]
+    for i, metrics in enumerate(run.data.metrics for run in runs):
+        bound = np.exp(-2.0 * metrics.decay.beta * plot.x)
+        shown = (metrics.decay.initial > 0) & (bound > floor) & (plot.x <= metrics.seconds)
+        lines.append(Line("", np.where(shown, bound, np.nan), colour(i), 1.2, (6, 4)))
+    return replace(plot, lines=lines)
+
+
+def _over_time(
+    name: str, title: str, caption: str, runs: Sequence[Compared], values: Sequence[Array], label: str
+) -> Plot:
+    """Plot values over the union of the runs' times."""
+    rows = [decimated([column], DRAWN // len(runs)) for column in values]
+    times = np.unique(np.concatenate([run.data.states["t"][keep] for run, keep in zip(runs, rows, strict=True)]))
+    lines = [
+        Line(run.label, np.interp(times, run.data.states["t"][keep], column[keep], np.nan, np.nan), colour(i), 1.3)
+        for i, (run, keep, column) in enumerate(zip(runs, rows, values, strict=True))
+    ]
+    return Plot(name, title, caption, times, lines, y_label=label, y_log=True)
+
+
+def _distribution(name: str, title: str, what: str, runs: Sequence[Compared], values: Sequence[CountedTimes]) -> Plot:
+    """Plot the share of the states whose value [ms] is larger than a time."""
+    low = max(min([1.0, *(each.least * 1e-6 for each in values)]), SHORTEST)
+    high = max(SHORTEST, *(each.largest * 1e-6 for each in values))
+    times = np.asarray(np.geomspace(low / 1.05, max(high, low) * 1.05, POINTS), dtype=np.float64)
+    lines = [
+        Line(run.label, 100.0 * each.above(times * 1e6), colour(i))
+        for i, (run, each) in enumerate(zip(runs, values, strict=True))
+        if each.count
+    ]
+    caption = f"Share of the states {what} than the time on the axis; both axes log."
+    axes = {"x_label": "time [ms]", "y_label": "states [%]", "x_log": True, "y_log": True, "time": False}
+    return Plot(name, title, caption, times, lines, **axes)  # type: ignore[arg-type]

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compute the metrics of a run from its bag and scenario: report.json. Unknown metrics are null.
+
+docs/tables/json.md defines each metric.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from fjr_core.config.controller import axes
+from fjr_core.config.law import robust as build_robust
+from fjr_core.config.scenario import Scenario
+from fjr_core.files import importing as other_package
+from fjr_core.files.text_file import write_text
+from fjr_core.law.rate import NO_RATE, Rate
+from fjr_core.model.robot import joined
+from fjr_core.motions.domain import Domain
+from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, PartwiseDiagnosis, unknown
+from fjr_monitor.recording.run import Recording, RunData
+from fjr_monitor.recording.signals import ControllerStop
+from fjr_monitor.recording.timing import Clock, Counts, Timing
+from fjr_monitor.report.performance import (
+    Balance,
+    Decay,
+    Energy,
+    JointMetrics,
+    Power,
+    Storage,
+    Tracked,
+    Tracking,
+    power,
+)
+from fjr_msgs_py.console.output import number, percent
+from fjr_msgs_py.console.provenance import Provenance
+
+KEEPS_UP = 0.9  # fraction of states answered in time below which a violation shows the computer, not the law
+IN_TIME = 0.99  # the same, if delay or loss is the first cause
+FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
+VISITED = 200  # configurations of a run at which the rate is evaluated
+VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
+
+Status = Literal["stopped", "late", "holding", "degraded", "violated", "unknown"]
+Formatter = Callable[[float, str], str]  # (value, unit) -> text
+
+
+def four_digits(value: float, unit: str) -> str:
+    """Return a value and its unit with four digits."""
+    return number(value, unit, 4)
+
+
+@dataclass(frozen=True)
+class Report:
+    """All metrics of one run."""
+
+    scenario: str
+    duration_s: float
+    sample_period_s: float
+    lockstep: bool
+    bag: str
+    bag_complete: bool  # closed by the recorder; else run or recorder were killed
+    stop: ControllerStop | None  # first stop of the controller; null: it never stopped
+    verdict: Diagnosis
+    missing: tuple[str, ...]  # missing signals and their substitutes
+    tracking: Tracking
+    joints: list[JointMetrics]
+    storage: Storage | None  # null: V is unknown without motor positions
+    energy: Energy | None
+    timing: Timing
+    counts: Counts
+    diagnostics: dict[str, dict[str, str]]  # last diagnostics of each node
+    versions: dict[str, str]
+    not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why it was not recorded
+    failure: str = ""  # why the run ended early
+    planned_s: float | None = None  # planned duration; null: unknown
+    guesses: tuple[str, ...] = ()  # values of the robot that are guesses, a sentence for each kind
+    provenance: Provenance | None = None  # of the command that recorded the run; null: unknown
+
+    @property
+    def status(self) -> Status:
+        """Return the run in one word: "stopped", "late" if late answers explain a violation, otherwise the verdict.
+
+        Late answers explain a violation in real time if less than KEEPS_UP of the states were answered in time, or less
+        than IN_TIME and delay or loss is the first cause.
+        """
+        if self.stop:
+            return "stopped"
+        in_time = self.counts.answered_in_time_fraction
+        if self.verdict.kind != "violated" or self.lockstep or in_time is None:
+            return self.verdict.kind
+        enough = IN_TIME if self.verdict.causes[:1] in (("delay",), ("loss",)) else KEEPS_UP
+        return "late" if in_time < enough else "violated"
+
+    @property
+    def advice(self) -> str:
+        """Return what to do about a late computer, as a sentence; empty if it explains neither violation nor stop.
+
+        It explains a stop in real time if less than KEEPS_UP of the answers were in time.
+        """
+        answered, in_time = self.counts.answered or 0, self.counts.answered_in_time or 0
+        stopped_late = self.status == "stopped" and not self.lockstep and in_time < KEEPS_UP * answered
+        if self.status != "late" and not stopped_late:
+            return ""
+        seen = f"your machine answered late ({percent(self.counts.answered_in_time_fraction, 0)} of the states in time)"
+        return f"{seen}, so this run does not judge the law; try --lockstep"
+
+    @property
+    def position_unit(self) -> str:
+        """Return the position unit of the joints: rad, m, or both."""
+        return joined(each.position_unit for each in self.joints)
+
+    @property
+    def effort_unit(self) -> str:
+        """Return the effort unit of the joints: N m, N, or both."""
+        return joined(each.effort_unit for each in self.joints)
+
+    def peak_effort(self, write: Formatter = four_digits) -> str:
+        """Return the peak effort, e.g. 43.1 N m (joint2)."""
+        joint = self.tracking.peak_effort_joint
+        return write(self.tracking.peak_effort_nm, self._joint(joint).effort_unit) + self._at(joint)
+
+    def effort_share(self) -> str:
+        """Return the largest share of an effort limit, e.g. 68 % of its limit (joint4); empty without limits."""
+        share = self.tracking.largest_share_of_effort_limit
+        at = self._at(self.tracking.largest_share_joint)
+        return "" if share is None else f"{percent(share, 0)} of its limit{at}"
+
+    def peak_effort_and_share(self, write: Formatter = four_digits) -> str:
+        """Return both, e.g. 43.1 N m (joint2), 68 % of its limit (joint4)."""
+        return ", ".join(filter(None, (self.peak_effort(write), self.effort_share())))
+
+    def initial_error(self) -> str:
+        """Return the largest initial error, e.g. 0.5 rad (joint2)."""
+        worst = max(self.joints, key=lambda each: each.initial_error_rad)
+        return number(worst.initial_error_rad, worst.position_unit) + self._at(worst.joint)
+
+    def steady_error(self, write: Formatter = number) -> str:
+        """Return the largest error after 2 s, e.g. 1.4e-4 rad (joint2)."""
+        error, joint = self.tracking.max_error_after_2s_rad, self.tracking.max_error_after_2s_joint
+        return write(np.nan, "") if error is None else write(error, self._joint(joint).position_unit) + self._at(joint)
+
+    def _joint(self, name: str | None) -> JointMetrics:
+        """Return the metrics of a joint, of the first one for None."""
+        return next((each for each in self.joints if each.joint == name), self.joints[0])
+
+    def _at(self, joint: str | None) -> str:
+        return f" ({joint})" if joint and len(self.joints) > 1 else ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the metrics as JSON values; non-finite numbers become None."""
+        return dict(finite({"status": self.status, "advice": self.advice, **asdict(self)}))
+
+    def write(self, path: Path) -> None:
+        """Write the report as JSON."""
+        write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
+
+
+class Metrics:
+    """What is known of a run once all its parts were read twice: first what the second reading depends on.
+
+    decay, balance, tracked, clock: V, energies, tracking and timing of the second reading; seconds: time of its last
+    state.
+    """
+
+    def __init__(self, run: Recording) -> None:
+        self.run = run
+        visited, law = Visited(run.scenario, run.states), run.scenario.certified_law
+        self._diagnosis: PartwiseDiagnosis | None = None
+        if law is not None:
+            scales = axes(run.scenario.controller_values, run.scenario.robot)
+            self._diagnosis = PartwiseDiagnosis(law, run.states, run.step, not run.lockstep, scales)
+        self.efforts_known = self.energy_known = self._storage_known = False
+        for part in run.parts():
+            visited.add(part)
+            self.efforts_known |= bool(np.isfinite(part.u).any())
+            if self._diagnosis is not None:
+                self._diagnosis.learn(part)
+        rate = visited.rate()
+        self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
+        self.tracked, self.balance = Tracked(run), Balance()
+        self.clock = Clock(run.sample_period, run.lockstep)
+        self.seconds = 0.0
+
+    def read(self, also: Callable[[RunData, Power], None] = lambda part, flow: None) -> None:
+        """Read all parts for the second time; also: what else is to see each part and its power balance."""
+        for part in self.run.parts():
+            flow = power(part, self.run.scenario.robot.B_m)
+            self.energy_known = bool(np.isfinite(part.certificate.H[0])) if not part.begin else self.energy_known
+            self._storage_known |= bool(np.isfinite(part.V).any())
+            self.clock.add(part.t, part.sent, part.answered, part.begin)
+            self.tracked.add(part)
+            self.decay.add(part)
+            self.balance.add(flow)
+            if self._diagnosis is not None:
+                self._diagnosis.judge(part, self.decay.beta, part.certificate)
+            also(part, flow)
+            self.seconds = float(part.t[-1])
+
+    def verdict(self) -> Diagnosis:
+        """Return whether V decayed as guaranteed, and the causes if it did not."""
+        values = self.run.scenario.controller_values
+        if self._diagnosis is None:
+            return unknown(f"the law {values['law.type']} has no certificate")
+        if not self._storage_known:
+            return unknown("V is not known: the bag lacks links or motors")
+        if not self.efforts_known:
+            return unknown("no effort of the controller was recorded")
+        if not build_robust(values, self.run.scenario.robot.n).off:
+            return unknown("V does not include the disturbance estimate (robust.* is enabled)")
+        return self._diagnosis.result(self.run.velocities_measured)
+
+    def report(self, name: str, duration: float, **more: Any) -> Report:
+        """Return the report of `duration` seconds of stamped time; more: fields that the bag does not hold."""
+        run = self.run
+        lost = {topic: each.lost for topic, each in sorted(run.bag.topics.items())}
+        versions: dict[str, str] = {}
+        for each in VERSIONS:
+            with suppress(PackageNotFoundError):
+                versions[each] = version(each)
+        return Report(
+            scenario=name,
+            duration_s=duration,
+            sample_period_s=run.sample_period,
+            lockstep=run.lockstep,
+            bag=str(run.bag.path),
+            bag_complete=run.bag.complete,
+            stop=run.stop,
+            verdict=self.verdict(),
+            missing=(*run.bag.notes, *run.notes),
+            tracking=self.tracked.tracking(),
+            joints=self.tracked.joints(),
+            storage=self.decay.storage() if np.isfinite(self.decay.initial) else None,
+            energy=self.balance.energy() if self.energy_known else None,
+            timing=self.clock.timing(),
+            counts=self.clock.counts(duration, lost),
+            diagnostics=run.counters,
+            versions=versions,
+            guesses=run.scenario.robot_warnings,
+            **more,
+        )
+
+
+class Visited:
+    """The configurations that a run visited: their box, the largest step between two, and some of them."""
+
+    def __init__(self, scenario: Scenario, states: int) -> None:
+        self._scenario, self._stride = scenario, max(1, states // VISITED)
+        n = scenario.robot.n
+        self._least, self._largest, self._step = np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n)
+        self._some: list[Array] = []
+        self._count, self._finite = 0, True
+
+    def add(self, part: RunData) -> None:
+        """Add the new states of a part."""
+        q_l, new = part.q_l, part.q_l[part.begin :]
+        self._some.append(new[-self._count % self._stride :: self._stride].copy())
+        self._count += len(new)
+        self._finite = self._finite and bool(np.isfinite(new).all())
+        self._least, self._largest = (
+            np.minimum(self._least, new.min(axis=0)),
+            np.maximum(self._largest, new.max(axis=0)),
+        )
+        self._step = np.maximum(self._step, np.max(np.abs(np.diff(q_l, axis=0)), axis=0, initial=0.0))
+
+    def rate(self) -> Rate:
+        """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations.
+
+        For an arm of a URDF the proof holds on the smallest box that contains all visited positions and the largest
+        step between two of them.
+        """
+        law = self._scenario.certified_law
+        if law is None:
+            return NO_RATE
+        rate = law.rate()
+        if rate.proven or not self._finite:
+            return rate
+        farthest = max(np.abs(self._least).max(), np.abs(self._largest).max())
+        bounds = other_package.module_if_there("fjr_proofs.verification.inertia_bounds")
+        if bounds is None or not bounds.is_provable(self._scenario.robot) or farthest > FARTHEST:
+            return law.rate(np.concatenate(self._some))
+        domain = Domain(self._least - self._step, self._largest + self._step)
+        return law.proven_rate(domain, most_boxes=bounds.few_boxes(self._scenario.robot))

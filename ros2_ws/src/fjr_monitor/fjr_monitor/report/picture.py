@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draw the plots of a page with Matplotlib, for a picture in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from fjr_core.numerics.checks import Array
+from fjr_monitor.report.html import Line, Plot, drawable
+
+# Okabe and Ito's palette, distinguishable by colour-blind readers
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+GREY = "#666666"
+SHADES = {**{f"c{i}": shade for i, shade in enumerate(COLOURS, 1)}, "grey": "#A6A9B1", "bad": "#C0243C"}
+"""By the names of page.css."""
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SMALL = 8  # font size of captions and legends
+FEW = 6  # ticks of a logarithmic axis; with more, powers of ten only
+LABEL_GAP = 0.062  # of the height of the axes, between names
+LONGEST = 16  # characters of a name
+LEGEND: dict[str, Any] = {"fontsize": SMALL, "framealpha": 0.8, "edgecolor": "none", "markerscale": 3.0}
+STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": GREY,
+    "axes.grid": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.7,
+    "axes.axisbelow": True,
+    "savefig.dpi": 150,
+}
+
+
+def draw_plot(ax: Axes, plot: Plot, width: int) -> None:
+    """Draw a plot with title and caption, in lines of `width` characters, and a legend of what is not a plain line."""
+    ax.set(xlabel=plot.x_label, ylabel=plot.y_label)
+    ax.set_xscale("log" if plot.x_log else "linear")
+    ax.set_yscale("log" if plot.y_log else "linear")
+    for line in plot.lines:
+        if not line.unseen:
+            _draw_line(ax, plot, line)
+    if plot.band is not None:
+        upper, lower = (plot.lines[i].values for i in plot.band)
+        ax.fill_between(plot.x, lower, upper, step="post", color=COLOURS[0], alpha=0.25, lw=0)
+    caption = fill(plot.caption, width)
+    ax.text(0.0, 1.02, caption, transform=ax.transAxes, va="bottom", fontsize=SMALL, color=GREY)
+    ax.set_title(fill(plot.title, 4 * width // 5), pad=6 + 1.35 * SMALL * (1 + caption.count("\n")))
+    ax.set_ylim(*plot.y_range)
+    if plot.x_log:
+        _label_log_axis(ax, *ax.get_xlim())
+    if plot.y_log:  # in plain text: Matplotlib's own formulas take a tenth of the drawing
+        ax.yaxis.set_major_formatter(lambda value, _: f"10{str(round(np.log10(value))).translate(SUPERSCRIPTS)}")
+    ax.yaxis.get_offset_text().set_horizontalalignment("right")  # beside the caption
+    ax.minorticks_off()  # on log axes each is drawn by five artists, a third of the drawing time
+    if any(artist.get_label()[:1] not in ("", "_") for artist in (*ax.lines, *ax.collections)):
+        ax.legend(loc="lower right" if any(line.dots for line in plot.lines) else "upper right", **LEGEND)
+
+
+def _draw_line(ax: Axes, plot: Plot, line: Line) -> None:
+    values, colour = drawable(line.values, plot.y_log), SHADES[line.colour]
+    label = line.label if line.dash or line.dots or (line.fill and len(plot.lines) > 1) else ""
+    if line.fill:
+        least = plot.y_range[0] or 0.0
+        ax.fill_between(plot.x, least, values, step="post", color=colour, lw=0, label=label)
+    elif line.dots:
+        ax.plot(plot.x, values, ".", ms=2.2, color=colour, alpha=0.5, rasterized=True, label=label)
+    else:
+        style = {"drawstyle": "steps-post"} if line.step else {}
+        dashes = {"dashes": tuple(pixels / line.width for pixels in line.dash)} if line.dash else {}
+        ax.plot(plot.x, values, color=colour, lw=line.width, label=label, **style, **dashes)
+
+
+def _label_log_axis(ax: Axes, low: float, high: float) -> None:
+    """Set few ticks with plain numbers."""
+    ticks = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
+    shown = [tick for tick in ticks if low <= tick <= high]
+    shown = shown if len(shown) <= FEW else [tick for tick in ticks[::3] if low <= tick <= high]
+    ax.set_xticks(shown or [low], [f"{tick:g}" for tick in shown or [low]])
+
+
+def name_lines(ax: Axes, plot: Plot) -> None:
+    """Write the names of coloured lines at their ends, without overlap; a single line gets none."""
+    named = [line for line in plot.lines if line.label and line.colour.startswith("c") and not line.dash]
+    if len(named) < 2:
+        return
+    ax.get_ylim()  # updates transData
+    ends = {}
+    for i, line in enumerate(named):
+        known = drawable(line.values, plot.y_log)
+        known = known[np.isfinite(known)]
+        if known.size:
+            point = ax.transData.transform((plot.x[-1], known[-1]))
+            ends[i] = float(ax.transAxes.inverted().transform(point)[1])
+    names = labels([line.label for line in named])
+    for i, height in zip(ends, apart(np.array(list(ends.values()))), strict=True):
+        at, offset, systems = (plot.x[-1], height), (4, 0), ("data", "axes fraction")
+        style = {"color": SHADES[named[i].colour], "va": "center"}
+        ax.annotate(names[i], at, offset, xycoords=systems, textcoords="offset points", **style)
+
+
+def labels(names: Sequence[str]) -> list[str]:
+    """Return names of at most LONGEST characters, the last ones, without the ending _joint if all have it."""
+    end = "_joint" if all(name.endswith("_joint") for name in names) else ""
+    short = [name.removesuffix(end) for name in names]
+    return [name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}" for name in short]
+
+
+def apart(heights: Array) -> list[float]:
+    """Move heights at least LABEL_GAP apart with the least displacement; all within 0 and 1.
+
+    Close neighbours are centred on their mean.
+    """
+    order = np.argsort(heights)
+    groups: list[list[float]] = []
+    for place, height in enumerate(heights[order]):
+        groups.append([height - LABEL_GAP * place])
+        while len(groups) > 1 and np.mean(groups[-2]) > np.mean(groups[-1]):
+            groups[-2:] = [groups[-2] + groups[-1]]
+    highest = 1.0 - LABEL_GAP * (len(heights) - 1)
+    placed = [min(max(float(np.mean(group)), 0.0), highest) for group in groups for _ in group]
+    return [placed[rank] + LABEL_GAP * float(rank) for rank in np.argsort(order)]

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plots show all data, templates escape every value, pages are self-contained, verdicts have a heading and a colour."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from jinja2 import UndefinedError
+from rich.console import Console
+
+from fjr_monitor.diagnosis.diagnosis import Diagnosis
+from fjr_monitor.recording.timing import CountedTimes
+from fjr_monitor.report import comparison_page, html
+from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable
+from fjr_monitor.report.picture import LABEL_GAP, apart, labels
+from fjr_monitor.report.run_page import HALF, bins
+from fjr_monitor.watch.state import NodeHealth
+from fjr_monitor.watch.terminal import _status
+from fjr_msgs_py.console.output import finite, milliseconds, number, percent
+from fjr_msgs_py.node.reports import VERDICT_LEVELS
+
+VALUES = st.floats(-1e6, 1e6, width=32)
+
+
+@given(st.lists(arrays(float, 500, elements=VALUES), min_size=1, max_size=4), st.integers(20, 600))
+def test_decimated_lines_keep_minima_maxima_and_ends(columns: list[np.ndarray], limit: int) -> None:
+    rows = decimated(columns, limit)
+    assert (np.diff(rows) > 0).all()
+    assert rows[0] == 0
+    assert rows[-1] == 499
+    for column in columns:
+        assert column[rows].max() == column.max()
+        assert column[rows].min() == column.min()
+
+
+def test_a_plot_of_many_lines_stores_no_more_values_and_keeps_the_peaks() -> None:
+    values = np.random.default_rng(1).normal(size=(24, 20_000))
+    values[5, 7_777] = 9.0
+    plot = Plot("many", "", "", np.arange(20_000.0), [Line("", row) for row in values])
+    pool = Pool()
+    packed = plot.packed(pool)
+    columns = [unpacked(pool.arrays[line["values"]]) for line in packed["lines"]]
+    assert 0.5 * STORED < sum(map(len, columns)) <= STORED
+    assert columns[5].max() == 9.0
+
+
+def test_short_lines_are_not_decimated() -> None:
+    np.testing.assert_array_equal(decimated([np.arange(50.0)], 50), np.arange(50))
+
+
+def unpacked(text: str) -> np.ndarray:
+    kind, count, numbers = text.split(":")
+    found = np.frombuffer(base64.b64decode(numbers), dtype=f"<{kind}")
+    return np.full(int(count), found[0]) if len(found) < int(count) else found
+
+
+@given(arrays(float, st.integers(1, 30), elements=VALUES))
+def test_packed_arrays_round_trip(values: np.ndarray) -> None:
+    pool = Pool()
+    assert pool.add(values, np.float64) == pool.add(values.copy(), np.float64) == 0
+    assert pool.add(values) == 1
+    np.testing.assert_array_equal(unpacked(pool.arrays[0]), values)
+    np.testing.assert_array_equal(unpacked(pool.arrays[1]), values.astype(np.float32))
+
+
+def test_values_outside_any_axis_are_gaps() -> None:
+    values = np.array([1.0, 0.0, -2.0, np.inf, np.nan, 1e300])
+    np.testing.assert_array_equal(drawable(values), [1.0, 0.0, -2.0, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(drawable(values, log=True), [1.0] + 5 * [np.nan])
+
+
+@given(st.lists(st.integers(0, 10**11), max_size=200))
+def test_histograms_count_every_value(times: list[int]) -> None:
+    found = CountedTimes()
+    found.add(np.array(times, dtype=np.int64))
+    edges, heights = bins(found)
+    assert (np.diff(edges) > 0).all()
+    assert heights[heights > HALF].sum() == len(times)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (np.nan, "–"),
+        (0.0, "0"),
+        (26.2034, "26.2"),
+        (255.76, "256"),
+        (1234.5, "1234"),
+        (0.0123, "0.0123"),
+        (1.234e-5, "1.23·10⁻⁵"),
+        (-2e7, "-2.00·10⁷"),
+    ],
+)
+def test_numbers_are_formatted_readably(value: float | None, text: str) -> None:
+    assert number(value) == text
+
+
+def test_units_follow_numbers() -> None:
+    assert number(0.5, "s") == "0.5 s"
+    assert percent(0.99861) == "99.86 %"
+    assert milliseconds(310.0) == "0.31 ms"
+
+
+HOSTILE = "</script><b onload='x' title=\"y\">&amp;"
+OF_A_PAGE: dict[str, Any] = {
+    "kicker": HOSTILE,
+    "notes": [HOSTILE],
+    "tiles": [(HOSTILE, HOSTILE)],
+    "tables": [(HOSTILE, ["", HOSTILE], [[HOSTILE, HOSTILE]])],
+    "effects": [(HOSTILE, HOSTILE, HOSTILE, 0.5, 0.5)],
+    "influence_text": HOSTILE,
+    "json": html.as_json({HOSTILE: HOSTILE}),
+    "footer": HOSTILE,
+}
+
+
+def page(path: Path, **values: Any) -> str:
+    plot = Plot(HOSTILE, HOSTILE, HOSTILE, np.arange(2.0), [Line(HOSTILE, np.ones(2))])
+    html.write_page(path, "monte_carlo.html", HOSTILE, [plot], **values)
+    return path.read_text(encoding="utf-8")
+
+
+def test_every_value_of_a_page_is_escaped(tmp_path: Path) -> None:
+    text = page(tmp_path / "page.html", **OF_A_PAGE)
+    assert "<b onload" not in text
+    assert text.count("&lt;/script&gt;&lt;b onload=") >= len(OF_A_PAGE)
+    assert text.count("</script>") == 3
+
+
+def test_a_page_fetches_nothing_and_contains_the_plotting_library(tmp_path: Path) -> None:
+    text = page(tmp_path / "page.html", **OF_A_PAGE)
+    assert html.asset(html.SCRIPT) in text
+    assert html.asset(html.STYLE) in text
+    assert not re.search(r"<(?:script|link|img)[^>]*(?:src|href)=[\"'](?!data:)", text)
+
+
+def test_a_value_that_a_template_lacks_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(UndefinedError):
+        page(tmp_path / "page.html")
+
+
+@pytest.mark.parametrize("name", [html.SCRIPT, html.THREE])
+def test_a_missing_library_is_one_sentence(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(html.ASSETS, name, ("no-such-distribution", ""))
+    html.asset.cache_clear()
+    try:
+        with pytest.raises(
+            html.AssetError, match=f"^{name} .* is not installed; expected it from: pip install"
+        ) as error:
+            html.asset(name)
+    finally:
+        html.asset.cache_clear()
+    assert "\n" not in str(error.value)
+
+
+def test_without_a_library_no_page_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(html.ASSETS, html.SCRIPT, ("no-such-distribution", ""))
+    html.asset.cache_clear()
+    try:
+        with pytest.raises(html.AssetError):
+            page(tmp_path / "page.html", **OF_A_PAGE)
+    finally:
+        html.asset.cache_clear()
+    assert list(tmp_path.iterdir()) == []
+
+
+DEGRADED = Diagnosis(
+    "degraded",
+    ("delay",),
+    "delay makes 0.14 mrad at joint2, within the tolerance: the effort acted late",
+    {"violated share": 0.5},
+    {"delay": np.array([1e-4, 1.4e-4]), "loss": np.array([np.inf, 0.0])},
+    "delay makes 0.14 mrad at joint2",
+)
+
+
+def test_the_page_shows_the_number_in_amber() -> None:
+    line = html.environment().get_template("macros.html").module.verdict_line(DEGRADED)
+    assert 'class="verdict degraded"' in line
+    assert "Degraded: delay makes 0.14 mrad at joint2" in line
+    css = (files("fjr_monitor") / "report" / "templates" / "page.css").read_text(encoding="utf-8")
+    rule = re.search(r"\.degraded[^{]*\{([^}]*)\}", css)
+    assert rule is not None
+    assert "--doubt" in rule[1]
+    assert comparison_page.COLOURED["degraded"] == "maybe"
+
+
+def test_every_verdict_has_a_level_a_heading_and_a_colour() -> None:
+    kinds = {"holding", "degraded", "violated", "unknown"}
+    assert set(html.HEADINGS) == set(comparison_page.COLOURED) == {*kinds, "late"}
+    assert set(VERDICT_LEVELS) == kinds
+
+
+def test_the_terminal_shows_a_degraded_verdict_in_yellow() -> None:
+    level = int.from_bytes(VERDICT_LEVELS["degraded"], "little")
+    stream = io.StringIO()
+    status = NodeHealth("fjr_controller: certificate", level, f"Degraded: {DEGRADED.sentence}")
+    Console(file=stream, width=200, force_terminal=True, color_system="standard").print(_status(status))
+    assert "\x1b[1;33mwarn" in stream.getvalue()
+    assert "Degraded: delay makes 0.14 mrad at joint2" in stream.getvalue()
+
+
+def test_errors_by_cause_are_lists_in_the_report_and_null_where_not_finite() -> None:
+    assert json.loads(json.dumps(finite(DEGRADED.errors))) == {"delay": [1e-4, 1.4e-4], "loss": [None, 0.0]}
+
+
+@given(st.lists(st.floats(-2.0, 3.0), min_size=1, max_size=9))
+def test_joint_labels_are_within_the_axes_and_separated_in_order_only_if_they_overlap(heights: list[float]) -> None:
+    placed = np.array(apart(np.array(heights)))
+    order = np.argsort(placed)
+    assert np.all(np.diff(np.array(heights)[order]) >= 0)
+    assert np.all(np.diff(placed[order]) >= LABEL_GAP - 1e-9)
+    assert -1e-9 <= placed.min() <= placed.max() <= 1 + 1e-9
+    if placed.min() > 1e-9 and placed.max() < 1 - 1e-9:
+        np.testing.assert_allclose(np.mean(placed), np.mean(heights), atol=1e-9)
+    if np.all(np.diff(np.sort(heights)) >= LABEL_GAP) and 0 <= min(heights) <= max(heights) <= 1:
+        np.testing.assert_allclose(placed, heights, atol=1e-9)
+
+
+def test_joint_labels_are_short_and_differ() -> None:
+    assert labels(["shoulder_pan_joint", "elbow_joint"]) == ["shoulder_pan", "elbow"]
+    assert labels(["shoulder_pan_joint", "elbow"]) == ["…ulder_pan_joint", "elbow"]
+    assert labels(["panda_left_arm_joint1", "panda_left_arm_joint2"]) == ["…left_arm_joint1", "…left_arm_joint2"]
