@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST
+from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST, Axes
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
 from fjr_monitor.diagnosis.diagnosis import Judged, diagnose

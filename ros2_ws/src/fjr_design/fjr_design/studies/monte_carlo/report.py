@@ -12,6 +12,7 @@ from fjr_design.experiments.monte_carlo.sensitivity import Summary
 from fjr_design.experiments.monte_carlo.sweep import Sweep
 from fjr_design.studies.monte_carlo.store import Store
 from fjr_monitor.report import html
+from fjr_monitor.report.html import Plot
 from fjr_msgs_py.console.output import number, percent
 
 ROWS = {
