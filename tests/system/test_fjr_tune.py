@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.experiments.tuning.search import search
-from fjr_design.studies.monte_carlo.command import Options
-from fjr_design.studies.monte_carlo.pool import threads
-from fjr_design.studies.tuning.command import planned
-from fjr_design.studies.tuning.evaluation import Evaluation
-from fjr_design.studies.tuning.picture import pareto
-from fjr_design.studies.tuning.store import open_store
+from fjr_design.studies.study import threads
+from fjr_design.studies.sweep_file import Options
+from fjr_design.studies.tune import search
+from fjr_design.studies.tune_picture import pareto
+from fjr_design.studies.tune_run import Evaluation, open_store, planned
 from fjr_msgs_py.console.exit_codes import Exit
 from fjr_msgs_py.console.interrupt import Interrupted
 from system.documented import documented_keys

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.posterior.result import UNKNOWN, Identification
+from fjr_design.uncertainty.posterior import UNKNOWN, Identification
 from system.executables import fjr_here
 from system.motion_tables import MotionTable, one_joint, two_joints
 from system.shared_runs import shared_run

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.posterior.result import UNKNOWN, Estimate
+from fjr_design.uncertainty.posterior import UNKNOWN, Estimate
 from system.motion_tables import (
     PRIOR,
     MotionTable,

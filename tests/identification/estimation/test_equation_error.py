@@ -11,7 +11,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.elastic_joint import ElasticJoint, multi_sine, usual_record
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, WEAK
+from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, WEAK
 from fjr_identification.estimation import gauss_newton
 from fjr_identification.estimation.equation_error import equation_error, link_side, motor_side, rigid_along
 from fjr_identification.estimation.estimation_problem import Estimation

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fjr_design.posterior.result import IDENTIFIED, Estimate, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, Estimate, Identification
 from fjr_identification.estimation.hold_out import hold_out
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import Options, Prior

@@ -125,7 +125,7 @@ def _baseline_gains(values: Values, robot: Robot) -> Any:
 
 def _rule_gains(values: Values, robot: Robot, kind: LawKind) -> Any:
     if values[law.TUNED.name]:
-        return other_package.module("fjr_design.experiments.tuned_parameters").tuning(values).law.gains
+        return other_package.module("fjr_design.tuning.scenario_target").tuning(values).law.gains
     q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
     frequency, damping = number(values, law.NATURAL_FREQUENCY.name), number(values, law.DAMPING_RATIO.name)
     return kind.standard(robot, q_0, frequency, damping, sample_period(values))

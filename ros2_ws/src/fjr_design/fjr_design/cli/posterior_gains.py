@@ -17,10 +17,7 @@ from fjr_core.law.vdpbc.law import TrackingLaw
 from fjr_core.model.configuration_sampling import checked_configurations
 from fjr_core.model.equilibrium import equilibria_at
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.drawn_plants import MATRICES, check_joints, drawn_plants, kept_at_prior
-from fjr_design.posterior.identification_file import read_identification
-from fjr_design.posterior.result import Identification
-from fjr_design.stability.drawn_plants import (
+from fjr_design.uncertainty.drawn_loops import (
     CONFIDENCE,
     DrawnLoops,
     DrawnPlants,
@@ -28,6 +25,7 @@ from fjr_design.stability.drawn_plants import (
     draws_needed,
     largest_share,
 )
+from fjr_design.uncertainty.posterior import DELAY, MATRICES, drawn_plants, read_identification
 from fjr_msgs_py.console.progress import progress_bar
 
 DESIGN_DRAWS, WIDER = 200, 1.5  # from the posterior with standard deviations this many times as large
@@ -69,10 +67,10 @@ class Posterior:
     """Plants drawn from the identification in a file, for the robot of a scenario; raises ParameterError."""
 
     def __init__(self, path: Path, scenario: Scenario, seed: int) -> None:
-        self._found: Identification = read_identification(path)
-        check_joints(self._found, scenario.joints)
+        self._found = read_identification(path)
+        self._found.check_joints(scenario.joints)
         self._scenario, self._seed = scenario, seed
-        self.kept = tuple(kept_at_prior(self._found, (*MATRICES, "effort_delay")))
+        self.kept = tuple(self._found.kept_at_prior((*MATRICES, DELAY)))
         if self.kept:
             print(f"fjr: not identifiable, so not drawn: {', '.join(self.kept)}", file=sys.stderr)
 

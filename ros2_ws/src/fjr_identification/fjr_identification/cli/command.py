@@ -15,7 +15,7 @@ import numpy as np
 from fjr_core.errors import ParameterError
 from fjr_core.files.atomic_file import write_text
 from fjr_core.model.free_inertia import joints_without_inertia
-from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, WEAK, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.hold_out import HoldOut, hold_out
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import LOG, NONNEGATIVE
+from fjr_design.uncertainty.posterior import LOG, NONNEGATIVE
 
 from .elastic_arm import DYNAMIC, ElasticArm
 from .parameters import KINDS

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import DEFLECTION, Fit, Identification
+from fjr_design.uncertainty.posterior import DEFLECTION, Fit, Identification
 
 from .estimation_problem import Estimation
 from .gauss_newton import Optimum

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import Identification
+from fjr_design.uncertainty.posterior import Identification
 
 from .motion_record import MotionRecord
 from .parameters import Options, Prior

@@ -11,7 +11,7 @@ import numpy as np
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import Identification
+from fjr_design.uncertainty.posterior import Identification
 
 from .estimation_problem import SHORTEST, Estimation
 from .filtered_fit import confounded, filtered_fit, filtered_judgement, simulation_start

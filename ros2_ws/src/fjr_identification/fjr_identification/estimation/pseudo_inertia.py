@@ -20,7 +20,7 @@ from fjr_core.model.inertial_arm import InertialArm, pseudo_inertia
 from fjr_core.model.rigid_arm import ArmDynamics
 from fjr_core.model.rigid_body import Body
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import Identification
+from fjr_design.uncertainty.posterior import Identification
 
 from .parameters import PSEUDO_INERTIA
 

@@ -19,7 +19,7 @@ from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import Identification
+from fjr_design.uncertainty.posterior import Identification
 
 from .elastic_arm import ElasticArm, free_entries, position_torque
 from .initial_guess import decimated, filtered, inner, rigid_torque, shifted, smoothed

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import IDENTIFIED, LOG, WEAK
+from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, WEAK
 
 from .motion_record import MotionRecord
 from .parameters import KINDS, PSEUDO_INERTIA

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_design.posterior.result import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Identification
+from fjr_design.uncertainty.posterior import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Identification
 from fjr_identification.page.page_figures import fit_plots
 from fjr_identification.page.page_rows import BAR_HEAD, groups, reasons
 from fjr_monitor.report import html

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import DEFLECTION, Fit
+from fjr_design.uncertainty.posterior import DEFLECTION, Fit
 from fjr_monitor.plotting.figure import Line, Plot, colour
 
 LONGEST_LAG = 1.0  # s

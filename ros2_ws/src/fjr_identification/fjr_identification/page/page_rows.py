@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, WEAK, Estimate, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Estimate, Identification
 from fjr_msgs_py.console.formatting import DASH, interval, number
 
 COLOURS = {IDENTIFIED: "ok", WEAK: "maybe", UNKNOWN: "no"}

@@ -20,9 +20,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.model.urdf_inertia import with_inertias
 from fjr_core.model.urdf_parser import parse_xml
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.drawn_plants import MATRICES
-from fjr_design.posterior.result import UNKNOWN, Identification
 from fjr_design.scaffold.files import path_from
+from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Identification
 from fjr_identification.estimation.pseudo_inertia import corrected_bodies
 
 GEAR_RATIO = "robot.gear_ratio"
