@@ -64,7 +64,7 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
         "monte_carlo.html",
         headline(sweep, summary),
         plots,
-        kicker=f"Monte-Carlo study of {summary.runs:,} runs",
+        kicker=f"sweep of {summary.runs:,} runs",
         notes=_notes(sweep),
         tiles=_tiles(summary),
         tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],

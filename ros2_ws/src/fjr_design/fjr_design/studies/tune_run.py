@@ -13,7 +13,7 @@ import json
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -104,38 +104,64 @@ def law_of(document: object) -> str | None:
     return name
 
 
-@dataclass
-class TuningStore:
-    """Finished parts by (point, begin, end) of their runs; create it by `open_store`."""
+@dataclass(frozen=True)
+class Evaluation:
+    """Evaluates points of a study, and keeps each finished part in its folder; create it by `open_store`.
+
+    parts: figures by (point, begin, end) of their runs. on_progress: called with the number of runs of each part, also
+    of a kept one. Raises Interrupted when `stop` is set.
+    """
 
     folder: Path
     study: TuningStudy
     file: IO[str]
-    parts: dict[Part, Figures] = field(default_factory=dict)
+    parts: dict[Part, Figures]
+    workers: Workers
+    stop: threading.Event
+    on_progress: Callable[[int], object] = lambda runs: None
 
-    def keep(self, part: Part, figures: Figures) -> None:
+    def __call__(self, points: Sequence[Point], runs: Range) -> list[Score]:
+        """Return the scores of points over a range of runs."""
+        return [self.study.score(*each) for each in zip(points, self.figures(points, runs), strict=True)]
+
+    def figures(self, points: Sequence[Point], runs: Range) -> list[Figures]:
+        """Return the figures of points over a range of runs; empty if a point has no gains."""
+        parts = {point: list(_parts(point, runs)) for point in points}
+        text = self.study.text
+        missing = [(text, *part) for each in parts.values() for part in each if part not in self.parts]
+        if not self.workers.run(run_candidate, missing, lambda job, found: self._keep(job[1:], found), self.stop):
+            raise Interrupted(self.folder)
+        for _, begin, end in (part for each in parts.values() for part in each):
+            self.on_progress(end - begin)
+        return [joined([self.parts[part] for part in parts[point]]) for point in points]
+
+    def _keep(self, part: Part, figures: Figures) -> None:
         """Add a part and write it to the file."""
         point, begin, end = part
         plain = {name: values.tolist() for name, values in figures.items()}
-        line = json.dumps({"point": point, "begin": begin, "end": end, "figures": plain})
-        self.file.write(line + "\n")
+        self.file.write(json.dumps({"point": point, "begin": begin, "end": end, "figures": plain}) + "\n")
         self.file.flush()
         self.parts[part] = figures
 
 
-@contextmanager
-def open_store(folder: Path, study: TuningStudy, program: str) -> Iterator[TuningStore]:
-    """Open or create the store of a study, locked for this process; program: see study.opened.
+def _parts(point: Point, runs: Range) -> list[Part]:
+    begin, end = runs
+    size = LARGE if end - begin >= MANY else SMALL
+    return [(point, first, min(first + size, end)) for first in range(begin, end, size)]
 
-    Raise StoreError.
-    """
+
+@contextmanager
+def open_store(
+    folder: Path, study: TuningStudy, program: str, workers: Workers, stop: threading.Event
+) -> Iterator[Evaluation]:
+    """Open or create the folder of a study, locked for this process; program: see study.opened. Raise StoreError."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / EVALUATIONS
     with opened(folder / DESCRIPTION, json.loads(study.text), program, path.exists, "fjr tune"):
-        parts, whole = _read(path)
+        parts, length = _read(path)
         with path.open("a", encoding="utf-8") as file:
-            file.truncate(whole)
-            yield TuningStore(folder, study, file, parts)
+            file.truncate(length)
+            yield Evaluation(folder, study, file, parts, workers, stop)
 
 
 def _read(path: Path) -> tuple[dict[Part, Figures], int]:
@@ -154,41 +180,6 @@ def _read(path: Path) -> tuple[dict[Part, Figures], int]:
         found[part] = figures
         length += len(line)
     return found, length
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Evaluates points of the study of a store; raises Interrupted when `stop` is set.
-
-    on_progress: called with the number of runs of each part, also of a kept one.
-    """
-
-    store: TuningStore
-    workers: Workers
-    stop: threading.Event
-    on_progress: Callable[[int], object] = lambda runs: None
-
-    def __call__(self, points: Sequence[Point], runs: Range) -> list[Score]:
-        """Return the scores of points over a range of runs."""
-        study = self.store.study
-        return [study.score(point, found) for point, found in zip(points, self.figures(points, runs), strict=True)]
-
-    def figures(self, points: Sequence[Point], runs: Range) -> list[Figures]:
-        """Return the figures of points over a range of runs; empty if a point has no gains."""
-        parts = {point: list(_parts(point, runs)) for point in points}
-        text = self.store.study.text
-        missing = [(text, *part) for each in parts.values() for part in each if part not in self.store.parts]
-        if not self.workers.run(run_candidate, missing, lambda job, found: self.store.keep(job[1:], found), self.stop):
-            raise Interrupted(self.store.folder)
-        for _, begin, end in (part for each in parts.values() for part in each):
-            self.on_progress(end - begin)
-        return [joined([self.store.parts[part] for part in parts[point]]) for point in points]
-
-
-def _parts(point: Point, runs: Range) -> list[Part]:
-    begin, end = runs
-    size = LARGE if end - begin >= MANY else SMALL
-    return [(point, first, min(first + size, end)) for first in range(begin, end, size)]
 
 
 @dataclass(frozen=True)
@@ -232,11 +223,11 @@ def tune(
             return found[0]
 
         study = with_better_start(study, run)
-        with open_store(folder, study, study.sweep.loop.fingerprint) as store:
+        with open_store(folder, study, study.sweep.loop.fingerprint, workers, stop) as evaluate:
             total = study.draws * study.candidates + (FINALISTS + 1) * SELECTION * study.draws + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
-                tuned = _searched(study, Evaluation(store, workers, stop, bar.update))
+                tuned = _searched(study, replace(evaluate, on_progress=bar.update))
     return _shown(tuned, folder)
 
 
