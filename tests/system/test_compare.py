@@ -331,7 +331,11 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "imperfections": {"x": {"wind": 1.0}}}, "unknown imperfection 'wind'"),
     ({**QUICK, "imperfections": {"x": {"delay": "long"}}}, "'delay' of 'x' is 'long'; expected a number"),
     ({**QUICK, "imperfections": {"x": {"stiffness": -1.0}}}, "'stiffness' is -1.0; expected a positive factor"),
-    ({**QUICK, "margins": ["wind"]}, "unknown imperfection 'wind'"),
+    ({**QUICK, "imperfections": {"x": {"delay": -1e-3}}}, r"'delay' is -0.001; expected 0 or more \[s\]"),
+    (
+        {**QUICK, "margins": ["gust"]},
+        "unknown imperfection 'gust': expected one of stiffness, inertia, delay, noise, friction, load",
+    ),
     ({**QUICK, "margins": "delay"}, "'margins' is 'delay'; expected a list"),
     ({**QUICK, "duration": 0}, "duration is 0; expected a number in range"),
     ({**QUICK, "settle_after": 2.0}, "settle_after is 2.0; expected"),

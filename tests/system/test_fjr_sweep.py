@@ -50,13 +50,6 @@ def table(folder: Path) -> bytes:
     return (folder / "joint" / "table.parquet").read_bytes()
 
 
-def test_all_cores_give_the_bytes_of_one_core(tmp_path: Path) -> None:
-    name = sweep_file(tmp_path)
-    fjr_here("sweep", name, "--output", str(tmp_path / "one"))
-    fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "all"))
-    assert table(tmp_path / "one") == table(tmp_path / "all")
-
-
 def test_killed_study_is_resumed(tmp_path: Path) -> None:
     name = sweep_file(tmp_path, runs=800, duration=3.0)
     running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path / "killed"))

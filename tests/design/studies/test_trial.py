@@ -150,17 +150,6 @@ def test_constant_reference_is_refused() -> None:
         motion_demand(fjr.single_link(stiffness=31.0), fjr.Sine(amplitude=0.0, frequency=1.0, offset=0.3))
 
 
-@pytest.mark.parametrize(("name", "level"), [("stiffness", 0.0), ("inertia", -1.0), ("delay", -1e-3), ("load", np.nan)])
-def test_invalid_level_is_refused(name: str, level: float) -> None:
-    with pytest.raises(CompareError, match=f"'{name}' is .*; expected"):
-        IMPERFECTIONS[name].checked(level)
-
-
-def test_unknown_imperfection_error_lists_the_known_ones() -> None:
-    with pytest.raises(CompareError, match="'wind': expected one of stiffness, inertia, delay, noise, friction, load"):
-        directions(["wind"])
-
-
 def test_commands_are_saturated_at_the_limit() -> None:
     free = trial()
     limited = Trial(free.loop, free.demand, effort_limit=np.array([0.5]))

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from fjr_core.simulation.batch.parametric_robot import FRICTION
 from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
 
 from ..uncertainty import distributions
-from ..uncertainty.distributions import Distribution
+from ..uncertainty.distributions import Distribution, DrawnColumn
 from ..uncertainty.posterior import Identification, PosteriorDraws
 
 MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
@@ -37,15 +37,6 @@ REACH = 2.0
 """Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
 NOISE_SEED = "seed"
 Columns = dict[str, NDArray[Any]]
-
-
-class DrawnColumn(NamedTuple):
-    """A drawn number of each run: its column in the table, the field of Draws and entry in it, its distribution."""
-
-    column: str
-    name: str
-    entry: int
-    distribution: Distribution
 
 
 def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
@@ -211,10 +202,8 @@ class Sweep:
             if one.kind != distributions.FIXED:
                 each = [f"{name}.{joint}" for joint in self.scenario.joints] if one.each_joint else [name]
                 found += [DrawnColumn(column, name, i, one) for i, column in enumerate(each)]
-        for name, columns in self.identified.columns.items() if self.identified else ():
-            for label, entry, marginal in columns:
-                found.append(DrawnColumn(f"{name}.{label}" if label else name, name, entry, marginal))
-        return tuple(found)
+        posterior = self.identified.columns.values() if self.identified else ()
+        return (*found, *(each for columns in posterior for each in columns))
 
     @property
     def text(self) -> str:

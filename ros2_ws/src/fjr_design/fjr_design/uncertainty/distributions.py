@@ -6,7 +6,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -86,6 +86,15 @@ class Distribution:
         if self.kind == FIXED:
             return list(self.numbers) if len(self.numbers) > 1 else self.numbers[0]
         return {self.kind: list(self.numbers)} | ({EACH_JOINT: True} if self.each_joint else {})
+
+
+class DrawnColumn(NamedTuple):
+    """A drawn number of each run: its column in the table, the field of Draws and entry in it, its distribution."""
+
+    column: str
+    name: str
+    entry: int
+    distribution: Distribution
 
 
 def standard_normal(share: Array) -> Array:

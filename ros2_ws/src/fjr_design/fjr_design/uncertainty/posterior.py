@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from fjr_core.simulation.batch import draws
 from fjr_core.simulation.batch.draws import PARAMETERS, POINT
 
 from . import distributions
-from .distributions import LOG_NORMAL, NORMAL, Distribution
+from .distributions import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
 from .drawn_loops import DrawnPlants
 
 IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
@@ -214,14 +214,6 @@ def drawn_plants(found: Identification, robot: Robot, count: int, seed: int, wid
     return DrawnPlants(**columns, delay=found.by_joint(table, DELAY, np.zeros(robot.n)).max(axis=1))
 
 
-class Column(NamedTuple):
-    """A drawn number: label after the name of its parameter, "" for none; its entry; marginal distribution."""
-
-    label: str
-    entry: int
-    marginal: Distribution
-
-
 @dataclass(frozen=True, eq=False)
 class PosteriorDraws:
     """Draws of an identification as deviations from a robot with its joints.
@@ -237,26 +229,28 @@ class PosteriorDraws:
     def __post_init__(self) -> None:
         self.found.check_joints(self.joints)
         for name in MATRICES:
-            for column in self._columns(name):
-                if not self._own(name)[column.entry] > 0:
+            for joint, _ in self._marginals(name):
+                if not self._own(name)[self.joints.index(joint)] > 0:
                     raise ParameterError(
-                        f"{name} of {column.label} is 0 in the scenario; expected the identified robot file, "
+                        f"{name} of {joint} is 0 in the scenario; expected the identified robot file, "
                         "whose values the posterior scales"
                     )
 
     @cached_property
-    def columns(self) -> dict[str, tuple[Column, ...]]:
-        """Return the drawn numbers by deviation; those that are not identified are not drawn."""
-        found: dict[str, tuple[Column, ...]] = {}
+    def columns(self) -> dict[str, list[DrawnColumn]]:
+        """Return the drawn numbers by deviation, with their marginals; those that are not identified are not drawn."""
+        found: dict[str, list[DrawnColumn]] = {}
         for name, one in NAMES.items():
             if one.per == POINT:
-                axes = [(axis, i, self._columns(f"{name}_{axis}")) for i, axis in enumerate("xyz")]
-                found[one.name] = tuple(Column(axis, i, own[0].marginal) for axis, i, own in axes if own)
+                axes = [(axis, i, self._marginals(f"{name}_{axis}")) for i, axis in enumerate("xyz")]
+                each = [(f".{axis}", i, own[0][1]) for axis, i, own in axes if own]
             elif name == DELAY:
-                latest = max(self._columns(name), key=lambda column: column.marginal.numbers[0], default=None)
-                found[one.name] = (Column("", 0, latest.marginal),) if latest else ()
+                latest = max(self._marginals(name), key=lambda own: own[1].numbers[0], default=None)
+                each = [("", 0, latest[1])] if latest else []
             else:
-                found[one.name] = self._columns(name)
+                own = self._marginals(name)
+                each = [(f".{joint}" if joint else "", self.joints.index(joint) if joint else 0, m) for joint, m in own]
+            found[one.name] = [DrawnColumn(f"{one.name}{label}", one.name, i, marginal) for label, i, marginal in each]
         return {name: columns for name, columns in found.items() if columns}
 
     @property
@@ -285,26 +279,22 @@ class PosteriorDraws:
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the smallest and the largest value of a deviation, by its marginals."""
-        ranges = [column.marginal.range for column in self.columns[name]]
+        ranges = [column.distribution.range for column in self.columns[name]]
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
-    def _columns(self, name: str) -> tuple[Column, ...]:
-        """Return the drawn numbers of an estimated parameter, one per joint that has it, or one of the arm."""
-        columns = []
+    def _marginals(self, name: str) -> list[tuple[str, Distribution]]:
+        """Return joint ("" for the arm) and marginal distribution of each identified parameter of this name."""
+        found = []
         for k, index in enumerate(self.found.free):
-            each = self.found.estimates[index]
+            each, mean = self.found.estimates[index], float(self.found.mean[k])
             if each.name == name:
-                j = self.joints.index(each.joint) if each.joint else 0
-                own = self._own(name)[j]
-                columns.append(Column(each.joint, j, self._marginal(k, own if own > 0 else 1.0)))
-        return tuple(columns)
-
-    def _marginal(self, k: int, scale: float) -> Distribution:
-        mean = float(self.found.mean[k])
-        deviation = max(float(np.sqrt(self.found.covariance[k, k])), 1e-12)
-        if self.found.coordinates[k] == LOG:
-            return Distribution(LOG_NORMAL, (float(np.exp(mean)) / scale, deviation))
-        return Distribution(NORMAL, (mean / scale, deviation / scale))
+                own = self._own(name)[self.joints.index(each.joint) if each.joint else 0]
+                scale = float(own) if own > 0 else 1.0
+                deviation = max(float(np.sqrt(self.found.covariance[k, k])), 1e-12)
+                is_log = self.found.coordinates[k] == LOG
+                numbers = (float(np.exp(mean)) / scale, deviation) if is_log else (mean / scale, deviation / scale)
+                found.append((each.joint, Distribution(LOG_NORMAL if is_log else NORMAL, numbers)))
+        return found
 
     def _own(self, name: str) -> Array:
         """Return the values (n,) of the robot that the draws are divided by; 1 for levels."""
