@@ -27,7 +27,7 @@ import fjr_identification.estimation
 from bench import identification_cases
 from bench.identification_cases import MEASURED, Case, draw
 from fjr_core.errors import FjrError
-from fjr_design.posterior.result import LOG, UNKNOWN, Identification
+from fjr_design.uncertainty.posterior import LOG, UNKNOWN, Identification
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.parameters import KINDS, IdentifyOptions
 

@@ -20,8 +20,7 @@ from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import exit_codes, only_fjr, script, syntax_error
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
-from fjr_design.studies.comparison import suite
-from fjr_design.studies.monte_carlo import sweep_file
+from fjr_design.studies import suite, sweep_file
 from fjr_identification.record_map import read_map
 from system.executables import fjr_here
 from time_limits import HANG

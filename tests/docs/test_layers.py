@@ -59,10 +59,10 @@ LAYERS = {
         "executable",
     ),
     "fjr_design": (
-        "stability baselines",
-        "tuning posterior",
-        "experiments exports",
-        "scaffold studies",
+        "stability baselines uncertainty",
+        "tuning",
+        "exports studies",
+        "scaffold",
         "cli",
     ),
     "fjr_identification": (

@@ -14,7 +14,7 @@ import numpy as np
 
 from core.oracles.elastic_joint import TRUTH, ElasticJoint, usual_record
 from core.oracles.elastic_two_link import ElasticTwoLink, Recorded, recorded
-from fjr_design.posterior.result import Identification
+from fjr_design.uncertainty.posterior import Identification
 from system.executables import fjr_here
 
 Array = np.ndarray

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
+import re
 import signal
 import threading
 import time
@@ -19,12 +21,8 @@ import yaml
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.numerics import jit as jit_cache
-from fjr_design.studies.comparison import job as comparison_job
-from fjr_design.studies.comparison import markdown as comparison_markdown
-from fjr_design.studies.comparison import pool as comparison_pool
-from fjr_design.studies.comparison import report as comparison_report
-from fjr_design.studies.comparison import suite
-from fjr_design.studies.comparison.results import Row, Value, extent, rows
+from fjr_design.studies import compare_page, compare_run, suite
+from fjr_design.studies.compare_results import BEGIN, END, Metric, Row, Value, extent, markdown, marks, rows, table_rows
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
@@ -131,7 +129,7 @@ class Failing:
     def __init__(self, kill: bool) -> None:
         self.kill = kill
 
-    def __call__(self, job: comparison_job.Job, kept: Path) -> comparison_job.Result:
+    def __call__(self, job: compare_run.Job) -> compare_run.Values:
         if job.law.law == "v_dpbc":
             time.sleep(HANG)
         if self.kill:
@@ -143,29 +141,29 @@ class Failing:
 def test_failure_is_reported_while_other_jobs_run(
     kill: bool, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    jobs = comparison_job.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
-    monkeypatch.setattr(comparison_pool, "_done", Failing(kill))
+    jobs = compare_run.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
+    monkeypatch.setattr(compare_run, "work", Failing(kill))
     begun = time.monotonic()
     with pytest.raises(CompareError, match=words):
-        comparison_pool.run(jobs, tmp_path, 2, threading.Event())
+        compare_run.run(jobs, tmp_path, 2, threading.Event())
     assert time.monotonic() - begun < HANG
 
 
 def test_constant_reference_is_refused_in_one_sentence() -> None:
     still = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
-    job = comparison_job.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
+    job = compare_run.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
     with pytest.raises(CompareError, match="'still' of paper_k31: the reference is at rest"):
-        comparison_job.work(job, lambda _: None)
+        compare_run.work(job)
 
 
 def test_key_of_kept_results_depends_on_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    job = comparison_job.jobs(suite.read("mine", QUICK))[0]
+    job = compare_run.jobs(suite.read("mine", QUICK))[0]
     keys = [job.key, job.key]
     monkeypatch.setattr(jit_cache, "source_digest", lambda *_: "another")
-    comparison_job._source.cache_clear()
+    compare_run._source.cache_clear()
     keys.append(job.key)
     monkeypatch.undo()
-    comparison_job._source.cache_clear()
+    compare_run._source.cache_clear()
     assert job.key == keys[0] == keys[1]
     assert len(set(keys)) == 2
 
@@ -192,9 +190,9 @@ def test_robust_options_take_effect(found: dict[str, Any]) -> None:
 
 def test_best_of_a_row_agrees_with_the_numbers(found: dict[str, Any]) -> None:
     cells = {label: result["cells"] for label, result in found["results"]["one joint"].items()}
-    for row in (row for row in rows(found) if row.group == "errors slow"):
-        numbers = [cells[label]["slow"][row.what]["rms"] for label in cells]
-        tracking = [cells[label]["slow"][row.what]["tracks"] for label in cells]
+    for row in (row for row in rows(found) if row.metric.group == "errors slow"):
+        numbers = [cells[label]["slow"][row.metric.name]["rms"] for label in cells]
+        tracking = [cells[label]["slow"][row.metric.name]["tracks"] for label in cells]
         least = min(number for number, tracks in zip(numbers, tracking, strict=True) if tracks)
         assert row.best == tuple(n <= 1.05 * least and t for n, t in zip(numbers, tracking, strict=True))
 
@@ -212,7 +210,8 @@ def test_best_of_a_row_agrees_with_the_numbers(found: dict[str, Any]) -> None:
 )
 def test_best_of_a_row(numbers: Any, states: str, less: bool, best: str) -> None:
     names = {"t": "tracks", "l": "lost", "u": "unstable"}
-    row = Row("r", "g", "w", tuple(Value(n, "", names[s]) for n, s in zip(numbers, states, strict=True)), less)
+    values = tuple(Value(n, "", names[s]) for n, s in zip(numbers, states, strict=True))
+    row = Row("r", Metric("g", "w", lambda _: values[0], less), values)
     assert row.best == tuple(letter == "y" for letter in best)
 
 
@@ -241,11 +240,11 @@ def test_page_states_the_findings(folder: Path, found: dict[str, Any], browser: 
 
 def test_table_replaces_the_one_between_the_markers(folder: Path, found: dict[str, Any]) -> None:
     page = folder / "page.md"
-    page.write_text(f"before\n{comparison_markdown.BEGIN}\nold\n{comparison_markdown.END}\nafter\n", encoding="utf-8")
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     _, said = compared(folder, QUICK, "--document", str(page))
     assert "deprecated" not in said
     first = page.read_text()
-    block = f"{comparison_markdown.BEGIN}\n{comparison_markdown.markdown(found)}{comparison_markdown.END}"
+    block = f"{BEGIN}\n{markdown(found)}{END}"
     assert first == f"before\n{block}\nafter\n"
     lines = [line for line in first.splitlines() if line.startswith("|")]
     assert {line.count(" | ") for line in lines} == {3}
@@ -256,7 +255,7 @@ def test_table_replaces_the_one_between_the_markers(folder: Path, found: dict[st
 
 def test_table_counts_its_content_and_names_no_winner(found: dict[str, Any]) -> None:
     """The table counts 2 control laws in 3 columns."""
-    text = comparison_markdown.markdown(found)
+    text = markdown(found)
     assert text.startswith(f"2 control laws in 3 versions on 1 robot, {found['runs']} runs of 2 s.\n")
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert lines[0].count(" | ") == len(found["laws"])
@@ -278,8 +277,8 @@ def test_a_law_of_the_user_has_options_and_is_named_as_not_tuned(tmp_path: Path)
     known, own = suite.load(file).laws
     assert (known.options, own.law, own.options) == ({}, "own_code:Pd", {"K_p": 5.0})
     laws = [{"law": each.law, "title": each.label} for each in (known, own)]
-    assert comparison_report.exception_to_tuning({"laws": laws}) == " but mine"
-    assert comparison_report.exception_to_tuning({"laws": laws[:1]}) == ""
+    assert compare_page.exception_to_tuning({"laws": laws}) == " but mine"
+    assert compare_page.exception_to_tuning({"laws": laws[:1]}) == ""
 
 
 @pytest.mark.parametrize("name", ["paper", "quick", "paper_tuned", "arm7_tuned"])
@@ -332,7 +331,11 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "imperfections": {"x": {"wind": 1.0}}}, "unknown imperfection 'wind'"),
     ({**QUICK, "imperfections": {"x": {"delay": "long"}}}, "'delay' of 'x' is 'long'; expected a number"),
     ({**QUICK, "imperfections": {"x": {"stiffness": -1.0}}}, "'stiffness' is -1.0; expected a positive factor"),
-    ({**QUICK, "margins": ["wind"]}, "unknown imperfection 'wind'"),
+    ({**QUICK, "imperfections": {"x": {"delay": -1e-3}}}, r"'delay' is -0.001; expected 0 or more \[s\]"),
+    (
+        {**QUICK, "margins": ["gust"]},
+        "unknown imperfection 'gust': expected one of stiffness, inertia, delay, noise, friction, load",
+    ),
     ({**QUICK, "margins": "delay"}, "'margins' is 'delay'; expected a list"),
     ({**QUICK, "duration": 0}, "duration is 0; expected a number in range"),
     ({**QUICK, "settle_after": 2.0}, "settle_after is 2.0; expected"),
@@ -387,3 +390,122 @@ def test_invalid_file_is_named(tmp_path: Path) -> None:
     said = fjr_here("compare", str(file), "--output", str(tmp_path), code=2)
     assert str(file) in said
     assert "is not valid YAML" in said
+
+
+TUNE: dict[str, Any] = {
+    "vary": {"stiffness": {"log_uniform": [0.5, 2.0]}},
+    "imperfections": {"delay": 0.001, "noise": 0.001, "friction": 0.05},
+    "candidates": 12,
+    "draws": 6,
+    "fresh": 20,
+    "duration": 0.6,
+    "settle_after": 0.3,
+}
+ALIKE: dict[str, Any] = {
+    "laws": ["v_dpbc", "lqr", {"label": "v-dPBC + residual", "law": "v_dpbc", "robust": {"residual_gain": 20.0}}],
+    "robots": {"one joint": {"scenario": "paper_k31"}},
+    "tune": TUNE,
+    "duration": 1.0,
+    "settle_after": 0.5,
+    "margins": ["delay"],
+}
+
+
+@pytest.fixture(scope="module")
+def tuned_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("tuned_alike")
+
+
+@pytest.fixture(scope="module")
+def page(tuned_folder: Path) -> Path:
+    path = tuned_folder / "page.md"
+    first, last = marks("mine")
+    path.write_text(f"before\n{first}\n{last}\nbetween\n{BEGIN}\nkept\n{END}\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def alike(tuned_folder: Path, page: Path) -> dict[str, Any]:
+    return compared(tuned_folder, ALIKE, "--cores", "2", "--document", str(page))[0]
+
+
+def test_every_law_has_its_figures_on_fresh_draws_and_its_parameters(alike: dict[str, Any]) -> None:
+    for label, result in alike["results"]["one joint"].items():
+        assert set(result["uncertain"]) == {"rms", "rms_outer", "success", "effort_noise", "effort_peak"}
+        assert result["uncertain"]["rms"] <= result["uncertain"]["rms_outer"]
+        assert "20 fresh draws" in result["tuning"]
+        assert ("robust.residual_gain" in result["gains"]) == (label == "v-dPBC + residual")
+    assert alike["results"]["one joint"]["lqr"]["gains"]["law.type"] == "lqr"
+
+
+def test_fresh_figures_are_rows_beside_the_margins(alike: dict[str, Any]) -> None:
+    drawn = [row for row in rows(alike) if row.metric.group == "uncertain"]
+    assert [row.metric.name for row in drawn] == [
+        "drawn: RMS error [mrad]",
+        "drawn: its 95 % [mrad]",
+        "drawn: share that tracks",
+        "drawn: noise of effort",
+    ]
+    assert [row.metric.name for row in rows(alike) if row.metric.group == "margins"] == ["delay up to"]
+
+
+def test_the_table_stands_between_the_marks_of_its_suite(alike: dict[str, Any], page: Path) -> None:
+    before, _, rest = page.read_text().partition(marks("mine")[0])
+    table, _, after = rest.partition(marks("mine")[1])
+    assert "| drawn: share that tracks |" in table
+    assert before == "before\n"
+    assert after == f"\nbetween\n{BEGIN}\nkept\n{END}\n"
+
+
+def test_drawn_figures_of_a_law_that_tracks_too_few_draws_do_not_count(alike: dict[str, Any]) -> None:
+    changed = copy.deepcopy(alike)
+    figures = changed["results"]["one joint"]["lqr"]["uncertain"]
+    figures |= {"success": 0.94, "rms": 1e-6, "effort_noise": 1e-6}
+    drawn = {row.metric.name: row for row in rows(changed) if row.metric.group == "uncertain"}
+    assert [drawn[what].best[1] for what in ("drawn: RMS error [mrad]", "drawn: noise of effort")] == [False, False]
+    assert drawn["drawn: share that tracks"].values[1].words == "94.0 %"
+    figures["success"] = 0.95
+    assert next(row for row in rows(changed) if row.metric.name == "drawn: noise of effort").best[1]
+
+
+def test_rows_are_counted_in_which_a_law_is_best(alike: dict[str, Any], page: Path) -> None:
+    shown = [row.best for row in table_rows(alike)]
+    v_dpbc, lqr = (sum(any(best[i] for i in columns) for best in shown) for columns in ((0, 2), (1,)))
+    first, second = sorted([("v-dPBC", v_dpbc), ("LQR", lqr)], key=lambda one: -one[1])
+    counts = f"{first[0]} {first[1]}, {second[0]} {second[1]} of 7 rows (several laws may share a row)."
+    assert f"Best, or within 5 % of the best, with one of its versions: {counts}" in page.read_text()
+    assert max(v_dpbc, lqr) <= 7 <= v_dpbc + lqr
+
+
+def test_the_page_says_how_the_laws_were_tuned(tuned_folder: Path, alike: dict[str, Any]) -> None:
+    text = (tuned_folder / "runs" / "compare_mine" / "comparison.html").read_text()
+    assert "Every law is tuned to the same uncertainties" in text
+    assert "Drawn plants" in text
+
+
+def test_tuned_results_do_not_depend_on_the_number_of_cores(tmp_path: Path, alike: dict[str, Any]) -> None:
+    two = {**ALIKE, "laws": ALIKE["laws"][:2]}
+    again = compared(tmp_path, two, "--cores", "1")[0]["results"]["one joint"]
+    assert again == {label: alike["results"]["one joint"][label] for label in again}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"draw": 5}, "'tune': has 'draw'; expected draws"),
+        ({"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of stiffness"),
+        ({"imperfections": {"wind": 1.0}}, "unknown imperfection 'wind'"),
+        ({"candidates": "many"}, "'candidates' is 'many'; expected a number"),
+        ({"minimise": ["rms"]}, "'minimise' is ['rms']; expected a mapping"),
+        ({"success": 2.0}, "'success' is 2.0; expected 0 to 1"),
+        ({"draws": 0}, "'draws' is 0; expected 1 to"),
+        ({"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),
+    ],
+)
+def test_invalid_sections_of_tuning_are_refused_in_one_sentence(change: dict[str, Any], words: str) -> None:
+    def run() -> None:
+        jobs = compare_run.jobs(suite.read("mine", {**ALIKE, "tune": {**TUNE, **change}}))
+        compare_run.work(jobs[0])  # what only the sweep of a law knows
+
+    with pytest.raises(FjrError, match=re.escape(words)):
+        run()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr sweep`: real processes, one killed in the middle, and a real Dask cluster that loses a worker."""
+"""`fjr sweep`: real processes, one killed in the middle, a Dask cluster that loses a worker, the page."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ import matplotlib.image
 import pyarrow.parquet as pq
 import pytest
 
-from fjr_design.studies.monte_carlo import command as monte_carlo_command
-from fjr_design.studies.monte_carlo.pool import ClusterError, cluster, run_missing
-from fjr_design.studies.monte_carlo.store import open_store
+from fjr_design.studies.study import ClusterError, cluster
+from fjr_design.studies.sweep_file import Options, planned
+from fjr_design.studies.sweep_run import open_store, run_missing
 from fjr_msgs_py.console.ending import Exit
-from system.executables import Executable, fjr, fjr_here
+from system.browser import Browser
+from system.executables import Executable, fjr_here
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -47,30 +48,6 @@ def sweep_file(folder: Path, runs: int = 120, duration: float = 0.5) -> str:
 
 def table(folder: Path) -> bytes:
     return (folder / "joint" / "table.parquet").read_bytes()
-
-
-def test_study_writes_a_table_a_figure_and_a_page(tmp_path: Path) -> None:
-    said = fjr("sweep", sweep_file(tmp_path), "--output", str(tmp_path))
-    columns = pq.read_table(tmp_path / "joint" / "table.parquet")
-    assert columns.num_rows == 120
-    assert columns.column("run").to_pylist() == list(range(120))
-    assert {"stiffness.joint1", "delay", "success", "rms.joint1"} <= set(columns.column_names)
-    figures = json.loads((tmp_path / "joint" / "summary.json").read_text())
-    assert figures["succeeded"] == sum(columns.column("success").to_pylist())
-    assert f"{100 * figures['succeeded'] / 120:.2f} % of 120 succeed" in said
-    assert figures["effects"][0]["name"] == "delay"
-    picture = matplotlib.image.imread(tmp_path / "joint" / "overview.png")
-    assert picture[..., :3].std() > 0.05
-    page = (tmp_path / "joint" / "report.html").read_text()
-    assert "runs succeed" in page
-    assert 'src="http' not in page
-
-
-def test_all_cores_give_the_bytes_of_one_core(tmp_path: Path) -> None:
-    name = sweep_file(tmp_path)
-    fjr_here("sweep", name, "--output", str(tmp_path / "one"))
-    fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "all"))
-    assert table(tmp_path / "one") == table(tmp_path / "all")
 
 
 def test_killed_study_is_resumed(tmp_path: Path) -> None:
@@ -185,8 +162,7 @@ def test_missing_dask_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPat
 
 
 def _planned(name: str) -> tuple[Any, str]:
-    wish = monte_carlo_command.Options(1, None, Path(), {}, {})
-    plan = monte_carlo_command.planned(name, wish)
+    plan = planned(name, Options(1, None, Path(), {}, {}))
     return plan, plan.loop.fingerprint
 
 
@@ -196,3 +172,93 @@ def wait_for(found: Any, running: Executable) -> None:
         assert running.process.poll() is None, running.end()
         assert not limit.passed()
         time.sleep(0.01)
+
+
+PAGE = """
+scenario: paper_k31
+runs: 160
+duration: 0.5
+vary:
+  delay: {uniform: [0.0, 0.01]}
+  link_damping: {log_uniform: [0.5, 2.0]}
+success: {rms: 0.05}
+settle_after: 0.2
+"""
+FIGURES = ["share-0", "runs-0", "share-1", "runs-1", "distribution"]
+DRAWN = 100  # coloured pixels
+LARGEST = 3e6  # bytes
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Run the sweep of the page; return its folder and what the command said."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "joint.yaml").write_text(PAGE)
+    return folder / "joint", fjr_here("sweep", str(folder / "joint.yaml"), "--output", str(folder))
+
+
+@pytest.fixture(scope="module")
+def study(said: tuple[Path, str]) -> Path:
+    return said[0]
+
+
+def test_sweep_writes_a_table_a_figure_and_a_page(said: tuple[Path, str]) -> None:
+    folder, words = said
+    columns = pq.read_table(folder / "table.parquet")
+    assert columns.num_rows == 160
+    assert columns.column("run").to_pylist() == list(range(160))
+    assert {"delay", "link_damping", "success", "rms.joint1"} <= set(columns.column_names)
+    figures = json.loads((folder / "summary.json").read_text())
+    assert figures["succeeded"] == sum(columns.column("success").to_pylist())
+    assert f"{100 * figures['succeeded'] / 160:.2f} % of 160 succeed" in words
+    assert figures["effects"][0]["name"] == "delay"
+    assert matplotlib.image.imread(folder / "overview.png")[..., :3].std() > 0.05
+    assert "runs succeed" in (folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1280])
+def test_page_draws_all_plots_at_any_width(study: Path, browser: Browser, width: int, dark: bool) -> None:
+    page = study / "report.html"
+    browser.open(page, width=width, dark=dark)
+    assert browser.said == []
+    assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
+    assert browser.value("[...document.querySelectorAll('figure')].map((figure) => figure.id)") == FIGURES
+    assert len(browser.coloured()) == len(FIGURES)
+    assert min(browser.coloured()) > DRAWN
+    assert browser.overflows() == []
+    assert browser.value("document.documentElement.scrollWidth") <= width
+    assert page.stat().st_size < LARGEST
+
+
+def pointed(browser: Browser, height: float) -> dict[str, str]:
+    """Return the values by name that a plot shows under the pointer at a relative height."""
+    over = "document.querySelector('#runs-0 .u-over').getBoundingClientRect()"
+    x, y, width, full = (browser.value(f"{over}.{what}") for what in ("left", "top", "width", "height"))
+    browser.mouse("mouseMoved", x + 0.3 * width, y + (1.0 - height) * full)
+    browser.settle()
+    cells = "[...document.querySelectorAll('#runs-0 .u-legend {}')].map((cell) => cell.textContent)"
+    return dict(zip(*(browser.value(cells.format(part)) for part in (".u-label", ".u-value")), strict=True))
+
+
+def test_pointer_shows_the_run_of_the_dot_next_to_it(study: Path, browser: Browser) -> None:
+    table = pq.read_table(study / "table.parquet").to_pydict()
+    browser.open(study / "report.html")
+    browser.value("document.getElementById('runs-0').scrollIntoView()")
+    errors = []
+    for height in (0.05, 0.7):
+        seen = pointed(browser, height)
+        run = int(seen["run"])
+        errors.append(table["rms.joint1"][run])
+        assert float(seen["delay [s]"]) == pytest.approx(table["delay"][run], rel=1e-3)
+        assert float(seen["succeeds"]) == pytest.approx(errors[-1], rel=1e-3)
+        assert table["success"][run]
+    assert errors[0] < errors[1]
+
+
+def test_bars_have_the_width_of_the_influence(study: Path, browser: Browser) -> None:
+    effects = json.loads((study / "summary.json").read_text())["effects"]
+    browser.open(study / "report.html")
+    shares = "[...document.querySelectorAll('.bar i')].map((bar) => bar.offsetWidth / bar.parentNode.offsetWidth)"
+    expected = [share for effect in effects for share in (effect["success"], effect["error"])]
+    assert browser.value(shares) == pytest.approx(expected, abs=0.02)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,11 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.experiments.tuning.search import search
-from fjr_design.studies.monte_carlo.command import Options
-from fjr_design.studies.monte_carlo.pool import threads
-from fjr_design.studies.tuning.command import planned
-from fjr_design.studies.tuning.evaluation import Evaluation
-from fjr_design.studies.tuning.picture import pareto
-from fjr_design.studies.tuning.store import open_store
+from fjr_design.studies.study import threads
+from fjr_design.studies.sweep_file import Options
+from fjr_design.studies.tune import search
+from fjr_design.studies.tune_picture import pareto
+from fjr_design.studies.tune_run import open_store, planned
 from fjr_msgs_py.console.ending import Exit, Interrupted
 from system.documented import documented_keys
 from system.executables import fjr_here
@@ -141,12 +140,12 @@ def test_a_search_that_is_interrupted_names_its_folder(folder: Path, study: Path
     numbers = {"candidates": 5, "draws": 4, "fresh": 8}
     plan = planned(str(study), Options(1, None, folder, {}, {}), None, numbers)
     stop = threading.Event()
-    with open_store(folder / "stopped", plan, "program") as store, threads(1) as workers:
-        evaluate = Evaluation(store, workers, stop, lambda runs: stop.set())
+    place = folder / "stopped"
+    with threads(1) as workers, open_store(place, plan, "program", workers, stop) as evaluate:
         with pytest.raises(Interrupted) as ended:
-            search(plan, evaluate)
-        assert ended.value.kept == store.folder
-        assert 0 < len(store.parts) < 5
+            search(plan, replace(evaluate, on_progress=lambda runs: stop.set()))
+        assert ended.value.kept == place
+        assert 0 < len(evaluate.parts) < 5
 
 
 def test_a_scenario_is_tuned_for_the_usual_uncertainties_also_with_another_law(folder: Path) -> None:

@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_core.files.text_file import is_sealed, write_text
-from fjr_design.experiments.monte_carlo.sweep import Sweep
-from fjr_design.studies.comparison import pool as comparison_pool
-from fjr_design.studies.comparison import suite
-from fjr_design.studies.comparison.job import Job
+from fjr_design.studies import compare_run as comparison_pool
+from fjr_design.studies import suite
+from fjr_design.studies.compare_run import Job
 from fjr_design.studies.monte_carlo import command as monte_carlo_command
-from fjr_design.studies.monte_carlo.store import open_store
-from fjr_design.studies.monte_carlo.sweep_file import usual
+from fjr_design.studies.sweep import Sweep
+from fjr_design.studies.sweep_file import usual
+from fjr_design.studies.sweep_run import open_store
 from fjr_monitor.report.write import known_of
 from fjr_msgs_py.scenarios import library
 from fuzzing import answer, bytes_of, documents, fuzzed, texts
@@ -56,7 +56,7 @@ def read_suite(folder: Path, data: bytes) -> str:
 def read_sweep(folder: Path, data: bytes) -> str:
     path = folder / "sweep.yaml"
     path.write_bytes(data)
-    return answer(lambda: monte_carlo_command.planned(str(path), monte_carlo_command.Options(1, None, folder, {}, {})))
+    return answer(lambda: planned(str(path), Options(1, None, folder, {}, {})))
 
 
 @fuzzed(25)
@@ -144,19 +144,17 @@ def test_invalid_study_file_is_refused(text: str, tmp_path: Path) -> None:
     assert answer(taken_up)
 
 
-def test_changed_kept_result_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Job, "key", "job")
-    job = object.__new__(Job)
+def test_changed_kept_result_is_computed_again(tmp_path: Path) -> None:
     path = tmp_path / "job.json"
     write_text(path, json.dumps({"law": "v_dpbc"}), sealed=True)
-    assert comparison_pool._read(tmp_path, job) == {"law": "v_dpbc"}
+    assert read_kept(tmp_path, "job") == {"law": "v_dpbc"}
     for text in ('{"law": "v_dpbd"}', "[]", "[" * 100_000):
         path.write_text(text)
         assert not is_sealed(path)
-        assert comparison_pool._read(tmp_path, job) is None
+        assert read_kept(tmp_path, "job") is None
     path.write_text('{"law": "v_dpbc"}')
     (tmp_path / "job.json.sha256").unlink()
-    assert comparison_pool._read(tmp_path, job) is None
+    assert read_kept(tmp_path, "job") is None
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"planned_s": "5", "not_recorded": [], "failure": 3}'])

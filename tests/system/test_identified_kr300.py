@@ -11,8 +11,7 @@ import pytest
 
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
-from fjr_design.posterior.drawn_plants import drawn_values
-from fjr_design.posterior.result import Identification
+from fjr_design.uncertainty.posterior import Identification
 from system.executables import fjr_here
 
 pytestmark = pytest.mark.system
@@ -27,7 +26,7 @@ def with_drawn_plant(folder: Path) -> Path:
     found = Identification.from_dict(json.loads((folder / "identification.json").read_text()))
     row = found.draws(1, seed=3)
     arm, friction = (
-        {name: [float(each[0]) for each in drawn_values(found, row, name).values()] for name in names}
+        {name: [float(each[0]) for each in found.drawn_values(row, name).values()] for name in names}
         for names in (ARM, FRICTION)
     )
     text = (folder / "robot.yaml").read_text()

@@ -12,7 +12,7 @@ import pytest
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
-from fjr_design.posterior.result import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
 from fjr_identification.cli.identify import unconfirmed
 from fjr_identification.estimation.validation import HoldOut
 from fjr_identification.page import autocorrelation, groups

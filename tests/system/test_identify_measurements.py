@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.posterior.result import UNKNOWN, Estimate
+from fjr_design.uncertainty.posterior import UNKNOWN, Estimate
 from system.executables import fjr_here
 from system.motion_tables import (
     PRIOR,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
 from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr_here
 

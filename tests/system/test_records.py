@@ -18,7 +18,7 @@ from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError
 from fjr_core.model.robot import Robot
-from fjr_design.posterior.result import DEFLECTION, UNKNOWN, WEAK
+from fjr_design.uncertainty.posterior import DEFLECTION, UNKNOWN, WEAK
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out

@@ -19,13 +19,13 @@ import fjr_core as fjr
 from fjr_core.config.scenario import load_scenario
 from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop
-from fjr_design.experiments.baseline_target import baseline_target
-from fjr_design.experiments.comparison import Trial, directions, motion_demand
-from fjr_design.experiments.monte_carlo.sweep import Sweep
-from fjr_design.experiments.scenario_loop import scenario_loop
-from fjr_design.experiments.tuning.goal import figures
-from fjr_design.studies.monte_carlo.command import Options, planned
+from fjr_design.studies.imperfections import directions, motion_demand
+from fjr_design.studies.sweep import Sweep, scenario_loop
+from fjr_design.studies.sweep_file import Options, planned
+from fjr_design.studies.trial import Trial
+from fjr_design.studies.tune import figures
 from fjr_design.tuning.equal_bandwidth import tune
+from fjr_design.tuning.scenario_target import baseline_target
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "compare.md"
 BEGIN, END = "<!-- noise of arm7: written by tools/noise_study/table.py -->", "<!-- end of noise of arm7 -->"

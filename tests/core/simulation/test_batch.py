@@ -19,7 +19,8 @@ from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.numerics import jit as jit_cache
 from fjr_core.runtime.library import c_text
 from fjr_core.runtime.measurement_model import Measurement
-from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, counter_rng, outcomes, program
+from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, draws, program
+from fjr_core.simulation.batch.closed_loop import FIELDS as OUTCOMES
 
 PERIOD = 1e-3
 AGREE = 1e-9
@@ -51,7 +52,7 @@ def simulated(loop: ClosedLoop, delay: float = 0.0) -> fjr.Trajectory:
 
 
 def every_row(result: Outcomes) -> np.ndarray[Any, Any]:
-    return np.column_stack([getattr(result, name) for name in outcomes.FIELDS])
+    return np.column_stack([getattr(result, name) for name in OUTCOMES])
 
 
 @pytest.mark.parametrize(("arm", "gains"), ROBOTS)
@@ -110,8 +111,8 @@ def test_without_a_compiler_a_run_is_refused_in_one_sentence(monkeypatch: pytest
 
 def normals(seed: int, sample: int, n: int) -> np.ndarray[Any, Any]:
     """Return normal numbers (n, 4) by NumPy's Philox4x64-10 and Box-Muller."""
-    drawn = np.vstack([counter_rng.words((seed, 0), sample + (joint << 64), 1) for joint in range(n)])
-    first, second = np.moveaxis(counter_rng.unit(drawn).reshape(n, 2, 2), 2, 0)
+    drawn = np.vstack([draws.words((seed, 0), sample + (joint << 64), 1) for joint in range(n)])
+    first, second = np.moveaxis(draws.unit(drawn).reshape(n, 2, 2), 2, 0)
     radius, angle = np.sqrt(-2 * np.log(1 - first)), 2 * np.pi * second
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2).reshape(n, 4)
 

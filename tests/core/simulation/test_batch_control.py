@@ -21,8 +21,8 @@ from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded, uncertain_robot
-from fjr_core.simulation.batch.uncertain_robot import UncertainPlant
-from fjr_design.experiments.scenario_loop import scenario_loop
+from fjr_core.simulation.batch.parametric_robot import ParametricPlant
+from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.scenarios.installed import installed
 
 ARM = fjr.planar_two_link()
@@ -137,8 +137,8 @@ def expected_samples(x: Any, velocity: Any, draws: Draws, i: int) -> Any:
 
 def check_motion(recorded: Recorded, draws: Draws, i: int) -> None:
     """Compare the motion with steps of the drawn plant in CasADi's virtual machine, and the samples with NumPy."""
-    parts = {name: draws.columns(name, 2) for name in uncertain_robot.NAMES}
-    parameters, plant = uncertain_robot.vector(parts)[i], UncertainPlant(ARM, full=True)
+    parts = {name: draws.columns(name, 2) for name in NAMES}
+    parameters, plant = vector(parts)[i], ParametricPlant(ARM, full=True)
     step, velocity = NumericFunction(plant.step("step")), NumericFunction(plant.velocity("velocity"))
     whole, late = divmod(draws.columns("delay", 2)[i, 0], PERIOD)
     sent = np.vstack([np.zeros((int(whole) + 1, 2)), recorded.u[i]])

@@ -23,8 +23,8 @@ from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import linearize, on_plant
 from fjr_core.stability.sampled_loop import check, refuse_fast_integral, spectral_radius
-from fjr_design.experiments.comparison.tuned_law import tuned_law
-from fjr_design.stability.model_errors import radii_with_model_errors
+from fjr_design.studies.compared_law import tuned_law
+from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
 DRAWS = 60
 BASELINES = [name for name, kind in LAWS.items() if kind.standard is not None]

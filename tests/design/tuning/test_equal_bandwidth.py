@@ -21,10 +21,11 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.linearization import rest_position, slope_at_rest
 from fjr_design.baselines import feedback_linearisation
-from fjr_design.experiments.comparison import Trial, motion_demand
-from fjr_design.experiments.tuned_parameters import tuning
+from fjr_design.studies.imperfections import motion_demand
+from fjr_design.studies.trial import Trial
 from fjr_design.tuning.bandwidth import BaselineTarget
 from fjr_design.tuning.equal_bandwidth import Tuning, tune
+from fjr_design.tuning.scenario_target import tuning
 
 OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
 TWO_LINK = fjr.Gains(

@@ -11,7 +11,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.elastic_joint import ElasticJoint, multi_sine, usual_record
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, WEAK
+from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, WEAK
 from fjr_identification.estimation import optimise
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import (

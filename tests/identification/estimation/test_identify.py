@@ -12,7 +12,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, usual_record
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, Estimate, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.intervals import inflation
 from fjr_identification.estimation.motion_record import MotionRecord

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Estimate, Fit, Identification
+from fjr_design.uncertainty.posterior import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Estimate, Fit, Identification
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot, colour
 from fjr_msgs_py.console.output import DASH, interval, number, percent, plural

@@ -39,8 +39,8 @@ from fjr_design.cli.preflight import (
     start_outside,
 )
 from fjr_design.cli.rate_rows import rate_rows, rate_values, row_near_the_reference
-from fjr_design.experiments.tuned_parameters import tuning
-from fjr_design.stability.model_errors import FACTORS, QUANTITIES, radii_with_model_errors
+from fjr_design.tuning.scenario_target import tuning
+from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library

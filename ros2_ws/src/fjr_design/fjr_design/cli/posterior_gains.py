@@ -17,16 +17,21 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import checked_configurations
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import sampled_law
-from fjr_design.posterior.drawn_plants import MATRICES, check_joints, drawn_plants, kept_at_prior
-from fjr_design.posterior.identification_file import read_identification
-from fjr_design.posterior.result import Identification
-from fjr_design.stability.drawn_plants import (
+from fjr_design.uncertainty.drawn_loops import (
     CONFIDENCE,
     DrawnLoops,
     DrawnPlants,
     LargestMeanDifference,
     draws_needed,
     largest_share,
+)
+from fjr_design.uncertainty.posterior import (
+    MATRICES,
+    Identification,
+    check_joints,
+    drawn_plants,
+    kept_at_prior,
+    read_identification,
 )
 from fjr_msgs_py.console.output import progress_bar
 
@@ -69,10 +74,10 @@ class Posterior:
     """Plants drawn from the identification in a file, for the robot of a scenario; raises ParameterError."""
 
     def __init__(self, path: Path, scenario: Scenario, seed: int) -> None:
-        self._found: Identification = read_identification(path)
-        check_joints(self._found, scenario.joints)
+        self._found = read_identification(path)
+        self._found.check_joints(scenario.joints)
         self._scenario, self._seed = scenario, seed
-        self.kept = tuple(kept_at_prior(self._found, (*MATRICES, "effort_delay")))
+        self.kept = tuple(self._found.kept_at_prior((*MATRICES, DELAY)))
         if self.kept:
             print(f"fjr: not identifiable, so not drawn: {', '.join(self.kept)}", file=sys.stderr)
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from fjr_design.studies.comparison import command as comparison
-from fjr_design.studies.contraction import run as contraction_study
+from fjr_design.studies import compare_run as comparison
+from fjr_design.studies import contraction_run as contraction_study
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
@@ -27,51 +26,49 @@ def contraction(
     output: Path,
 ) -> Result:
     """Simulate solutions of the virtual system along a run and draw how they converge."""
+    from fjr_design.studies.contraction_run import ContractionOptions, run_and_draw
+
     loaded = library.load(scenario, assignments)
-    wish = contraction_study.Options(duration, starts, spread, seed)
+    wish = ContractionOptions(duration, starts, spread, seed)
     with stoppable() as stop:
-        return contraction_study.run_and_draw(loaded, wish, run_folder, output / "contraction", stop)
+        return run_and_draw(loaded, wish, run_folder, output / "contraction", stop)
 
 
-def sweep(scenario: str | None, runs: int | None, **given: Any) -> Result:
-    """Run a Monte-Carlo study; runs: None keeps the number of the study. given: see _options."""
-    monte_carlo = _monte_carlo()
+def sweep(scenario: str | None, **given: Any) -> Result:
+    """Run a sweep; given: see _options."""
+    from fjr_design.studies.sweep_run import sweep as run  # loads pyarrow, which other commands do not need
+
     with stoppable() as stop:
-        found: Result = monte_carlo.sweep(scenario, _options(runs=runs, **given), stop)
-        return found
+        return run(scenario, _options(**given), stop)
 
 
 def tune(
     scenario: str | None, law: str | None, draws: int | None, candidates: int | None, fresh: int | None, **given: Any
 ) -> Result:
     """Tune gains for stated uncertainties; None keeps the number of the study. given: see _options."""
-    tuning = import_module("fjr_design.studies.tuning.command")  # loads pyarrow, as a sweep
+    from fjr_design.studies.tune_run import tune as run
+
     size = _without_none(draws=draws, candidates=candidates, fresh=fresh)
     with stoppable() as stop:
-        found: Result = tuning.tune(scenario, _options(**given), law, size, stop)
-        return found
-
-
-def _monte_carlo() -> Any:
-    """Return the module of a sweep; it loads pyarrow, which other commands do not need."""
-    return import_module("fjr_design.studies.monte_carlo.command")
-
-
-def _options(
-    assignments: Sequence[str], cores: int, scheduler: str | None, output: Path, **numbers: float | None
-) -> Any:
-    """Return the Options of a study of drawn plants; numbers: of the study, None keeps its own."""
-    overrides = library.parse_assignments(assignments)
-    return _monte_carlo().Options(cores, scheduler, output, overrides, _without_none(**numbers))
-
-
-def _without_none(**numbers: float | None) -> dict[str, float]:
-    return {name: value for name, value in numbers.items() if value is not None}
+        return run(scenario, _options(**given), law, size, stop)
 
 
 def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> Result:
     """Compare control laws; document: page to which the table is written; readme: deprecated name of document."""
+    from fjr_design.studies.compare_run import compare as run
+
     if readme is not None:
         print("fjr: --readme is deprecated; use --document", file=sys.stderr)
     with stoppable() as stop:
-        return comparison.compare(suite, output, cores, document or readme, stop)
+        return run(suite, output, cores, document or readme, stop)
+
+
+def _options(
+    assignments: Sequence[str], cores: int, scheduler: str | None, output: Path, **numbers: float | None
+) -> Options:
+    """Return the options of a study of drawn plants; numbers: of the study, None keeps its own."""
+    return Options(cores, scheduler, output, library.parse_assignments(assignments), _without_none(**numbers))
+
+
+def _without_none(**numbers: float | None) -> dict[str, Any]:
+    return {name: value for name, value in numbers.items() if value is not None}

@@ -15,7 +15,7 @@ from click import UsageError
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
 from fjr_core.urdf.typical_joints import joints_without_inertia
-from fjr_design.posterior.result import IDENTIFIED, UNKNOWN, WEAK, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior

@@ -32,7 +32,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function, directional, solve, sparse, symbols
 from fjr_core.simulation.nonideal_plant import friction
-from fjr_design.posterior.result import Identification
+from fjr_design.uncertainty.posterior import Identification
 
 from .parameters import DYNAMIC, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
 

@@ -22,7 +22,7 @@ from scipy.signal import detrend
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import Fit, Identification
+from fjr_design.uncertainty.posterior import Fit, Identification
 
 from .elastic_arm import packed
 from .estimation_problem import SHORTEST, Estimation

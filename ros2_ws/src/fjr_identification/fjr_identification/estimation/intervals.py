@@ -21,7 +21,7 @@ from scipy.linalg import solve_triangular
 from scipy.stats import norm, t
 
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import LOG, NONNEGATIVE
+from fjr_design.uncertainty.posterior import LOG, NONNEGATIVE
 
 from .multiple_shooting import RIDGE, NormalEquations, PredictedSegments
 

@@ -16,7 +16,7 @@ from fjr_core.errors import ParameterError, StateError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import LINEAR, LOG, NONNEGATIVE
+from fjr_design.uncertainty.posterior import LINEAR, LOG, NONNEGATIVE
 
 
 @dataclass(frozen=True)

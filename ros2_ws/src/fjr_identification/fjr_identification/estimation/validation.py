@@ -17,7 +17,7 @@ import numpy as np
 
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import DEFLECTION, Fit, Identification
+from fjr_design.uncertainty.posterior import DEFLECTION, Fit, Identification
 
 from .elastic_arm import ElasticArm, coulomb, position_torque
 from .filtered_motion import FilteredMotion, decimated, filtered, inner, rigid_torque, shifted, smoothed

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_design.posterior.result import IDENTIFIED, LOG, UNKNOWN, WEAK, Estimate, Fit, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, WEAK, Estimate, Fit, Identification
 
 from .estimation_problem import Estimation
 from .intervals import interval, posterior

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batch engine: thousands of closed-loop runs with drawn parameters in compiled code."""
 
-from .closed_loop import ClosedLoop, Recorded
+from .closed_loop import ClosedLoop, Outcomes, Recorded
 from .draws import Draws
-from .outcomes import Outcomes
 
 __all__ = ["ClosedLoop", "Draws", "Outcomes", "Recorded"]

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,16 +18,74 @@ from ...model.robot import Robot
 from ...motions.reference import Reference
 from ...numerics import checks
 from ...numerics.checks import Array
+from ...runtime.events import KINDS, STARTS_REFUSED, STOPS
 from ...runtime.measurement_model import Measurement
 from ...runtime.safety_settings import Settings
 from ...runtime.velocity_observer import VelocityObserver
 from ..closed_loop import check_joints
-from . import uncertain_robot
+from . import parametric_robot
 from .draws import Draws
-from .outcomes import Outcomes, width
 from .program import BatchProgram
 
 LAST = 1.0  # s; averaging time of Outcomes.final
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """Outcomes of k runs of n joints; errors are q_l - q_ld at the samples, efforts the saturated commands.
+
+    stable (k,): all numbers are finite and no error exceeds ClosedLoop.lost; lost_at (k,) [s]: end of a run that is not
+    stable, else inf. rms, peak (k, n) [rad]: of the errors after settle_after. final (k, n) [rad]: mean magnitude of
+    the errors over the last second. settling (k,) [s]: instant after which every error stays within ClosedLoop.band;
+    inf: never. effort_rms, effort_peak (k, n) [N m]: from the start. effort_noise (k, n) [N m]: RMS of
+    (u_k - u_(k-1)) / 2^(1/2) after settle_after, the standard deviation of white noise in the effort. power (k,) [W]:
+    mean of |u' dq_m|.
+    For a run that is not stable, rms, peak, final and settling are inf and the others cover the run up to lost_at.
+    stopped (k,) [s]: time at which a limit stopped the controller, inf: none. cause (k,): of the stop, e.g. "link
+    velocity", else empty. A stopped run continues under the stop policy, and its error may exceed ClosedLoop.lost.
+    """
+
+    stable: NDArray[np.bool_]
+    lost_at: Array
+    rms: Array
+    peak: Array
+    final: Array
+    settling: Array
+    effort_rms: Array
+    effort_peak: Array
+    effort_noise: Array
+    power: Array
+    stopped: Array
+    cause: NDArray[np.str_]
+
+    @classmethod
+    def of(cls, rows: Array, n: int) -> Outcomes:
+        """Return the outcomes from rows (k, row_width(n)) of the engine, which hold the fields in order."""
+        ends = np.cumsum([0, *(n if name in PER_JOINT else 1 for name in FIELDS)])
+        parts = {
+            name: rows[:, start:end] if name in PER_JOINT else rows[:, start]
+            for name, start, end in zip(FIELDS, ends, ends[1:], strict=False)
+        }
+        causes = np.array([_CAUSES.get(int(kind), "") for kind in parts["cause"]], dtype=str)
+        return cls(**{**parts, "stable": parts["stable"] != 0, "cause": causes})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Outcomes]) -> Outcomes:
+        """Concatenate the runs of several outcomes."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS))
+
+
+FIELDS = tuple(field.name for field in fields(Outcomes))
+_CAUSES = {
+    k: name.removeprefix(f"{STOPS}: ") for k, name in enumerate(KINDS) if name.startswith((f"{STOPS}:", STARTS_REFUSED))
+}
+"""Causes of a stop by the number that the control step gives them."""
+PER_JOINT = ("rms", "peak", "final", "effort_rms", "effort_peak", "effort_noise")
+
+
+def row_width(n: int) -> int:
+    """Return the length of a row for n joints."""
+    return sum(n if name in PER_JOINT else 1 for name in FIELDS)
 
 
 @dataclass(frozen=True)
@@ -135,7 +194,7 @@ class ClosedLoop:
         return outcomes, Recorded(self._t, *np.split(trace, [4 * n, 5 * n], axis=2))
 
     def _run(self, draws: Draws, trace: Array | None) -> Array:
-        rows = np.empty((draws.runs, width(self.robot.n)))
+        rows = np.empty((draws.runs, row_width(self.robot.n)))
         values: dict[str, Any] = {**self._constants, **self._drawn(draws), "rows": rows, "trace": trace}
         values["ring"] = int(values["segments"][:, :, 0].max(initial=0)) + 1
         self._program.run(self.reference, values)
@@ -143,14 +202,14 @@ class ClosedLoop:
 
     def _drawn(self, draws: Draws) -> dict[str, Any]:
         n = self.robot.n
-        parts = {name: draws.columns(name, n) for name in uncertain_robot.NAMES}
+        parts = {name: draws.columns(name, n) for name in parametric_robot.NAMES}
         if self.plant is not None and self.plant.in_python:
-            uncertain_robot.refuse(parts)
-        full = np.hstack([parts[name] != 0 for name in (*uncertain_robot.FRICTION, "payload_mass")]).any(axis=1)
+            parametric_robot.refuse(parts)
+        full = np.hstack([parts[name] != 0 for name in (*parametric_robot.FRICTION, "payload_mass")]).any(axis=1)
         sensing = [draws.columns(name, n) for name in ("position_noise", "velocity_noise", "resolution")]
         segments, dt = _segments(draws.columns("delay", n)[:, 0], self.sample_period, self.inner_steps)
         return {
-            "parameters": (parameters := uncertain_robot.vector(parts)),
+            "parameters": (parameters := parametric_robot.vector(parts)),
             "width": parameters.shape[1],
             "sensing": np.ascontiguousarray(np.hstack(sensing)),
             "limit": draws.columns("effort_limit", n),

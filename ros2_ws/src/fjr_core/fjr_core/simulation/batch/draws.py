@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawn parameters of k runs: deviations of robot, sensors and loop from the nominal ones."""
+"""How a robot, its sensors and its loop may deviate from the nominal ones: a glossary, and drawn values of k runs.
+
+Random numbers are counter-based, so that any run of a study can be drawn on its own: NumPy's Philox4x64-10 (J. Salmon,
+M. Moraes, R. Dror, D. Shaw, SC 2011); noise.c implements the same generator.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,72 +17,102 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import ParameterError
 from ...numerics.checks import Array, floats, freeze
 
-PER_RUN = ("delay", "position_noise", "velocity_noise", "resolution", "payload_mass", "smoothing")
-"""Parameters with one number per run; the others may differ between joints."""
-POSITIVE = ("stiffness", "link_inertia", "motor_inertia", "smoothing", "effort_limit")
+POSITIVE, NONNEGATIVE, SIGNED = "positive", "non-negative", "signed"
+JOINT, RUN, POINT = "joint", "run", "point"
 SMOOTHING = 0.01  # rad/s
-UNITS = {
-    "coulomb_l": "N m",
-    "coulomb_m": "N m",
-    "smoothing": "rad/s",
-    "external": "N m",
-    "payload_mass": "kg",
-    "payload_position": "m",
-    "delay": "s",
-    "position_noise": "rad",
-    "velocity_noise": "rad/s",
-    "resolution": "rad",
-    "effort_limit": "N m",
-}
-"""Units of levels; the other fields are factors."""
-SIGNED = ("gravity", "external", "payload_position")
+WORDS = 4
+"""Random words per counter."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One way in which a robot, its sensors or its loop deviate from the nominal ones.
+
+    unit: of a level; "" for a factor on the values of the model. sign: which values are allowed. per: JOINT if the
+    value may differ between joints, RUN for one number, POINT for x, y, z. matrix: of a Robot whose diagonal the factor
+    scales. identified: its name in an identification, and in a robot file. "" for none.
+    """
+
+    name: str
+    unit: str = ""
+    sign: str = NONNEGATIVE
+    per: str = JOINT
+    matrix: str = ""
+    identified: str = ""
+
+    @property
+    def is_factor(self) -> bool:
+        """Return whether the value is a factor, not a level."""
+        return not self.unit
+
+    @property
+    def per_run(self) -> bool:
+        """Return whether a run has one number."""
+        return self.per == RUN
+
+    def width(self, n: int) -> int:
+        """Return the numbers of a run of n joints."""
+        return {JOINT: n, RUN: 1, POINT: 3}[self.per]
+
+
+def _factor(**given: str) -> Any:
+    return field(default=1.0, metadata=given)
+
+
+def _level(unit: str, default: float = 0.0, **given: str) -> Any:
+    return field(default=default, metadata={"unit": unit, **given})
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Parameters of k runs. Each field is a scalar for all runs, (k,), or (k, n) per joint; nominal by default.
+    """Values of all PARAMETERS in k runs: each a scalar for all runs, (k,), or (k, n) per joint; nominal by default.
 
     Factors on plant parameters: stiffness, link_inertia, gravity, motor_inertia, link_damping, motor_damping (see
-    uncertain_robot for matrices; damping may be 0, gravity of either sign). Levels: coulomb_l, coulomb_m [N m]: Coulomb
-    friction of links and motors, times tanh(v / smoothing); smoothing [rad/s] (k,); external [N m]: constant torque on
-    the links;
-    payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the frame of the last link; delay [s] (k,) from a
-    sample to its effort, any fraction of the sample period; position_noise [rad] and velocity_noise [rad/s] (k,):
-    standard deviations of white noise; resolution [rad] (k,) of the encoders, 0: exact; effort_limit [N m]: saturation
-    of the command, known to the law. seed (k,) uint64: of the noise; default: number of the run. Raises ParameterError.
+    parametric_robot for matrices; damping may be 0, gravity of either sign). Levels: coulomb_l, coulomb_m [N m]:
+    Coulomb friction of links and motors, times tanh(v / smoothing); smoothing [rad/s] (k,); external [N m]: constant
+    torque on the links; payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the frame of the last link;
+    delay [s] (k,) from a sample to its effort, any fraction of the sample period; position_noise [rad] and
+    velocity_noise [rad/s] (k,): standard deviations of white noise; resolution [rad] (k,) of the encoders, 0: exact;
+    effort_limit [N m]: saturation of the command, known to the law. seed (k,) uint64: of the noise; default: number of
+    the run. Raises ParameterError.
     """
 
     runs: int
-    stiffness: ArrayLike = 1.0
-    link_inertia: ArrayLike = 1.0
-    gravity: ArrayLike = 1.0
-    motor_inertia: ArrayLike = 1.0
-    link_damping: ArrayLike = 1.0
-    motor_damping: ArrayLike = 1.0
-    coulomb_l: ArrayLike = 0.0
-    coulomb_m: ArrayLike = 0.0
-    smoothing: ArrayLike = SMOOTHING
-    external: ArrayLike = 0.0
-    payload_mass: ArrayLike = 0.0
-    payload_position: ArrayLike = 0.0
-    delay: ArrayLike = 0.0
-    position_noise: ArrayLike = 0.0
-    velocity_noise: ArrayLike = 0.0
-    resolution: ArrayLike = 0.0
-    effort_limit: ArrayLike = np.inf
+    stiffness: ArrayLike = _factor(sign=POSITIVE, matrix="K", identified="joint_stiffness")
+    link_inertia: ArrayLike = _factor(sign=POSITIVE)
+    gravity: ArrayLike = _factor(sign=SIGNED)
+    motor_inertia: ArrayLike = _factor(sign=POSITIVE, matrix="M_m", identified="motor_inertia")
+    link_damping: ArrayLike = _factor(matrix="D_l", identified="link_damping")
+    motor_damping: ArrayLike = _factor(matrix="D_m", identified="motor_damping")
+    coulomb_l: ArrayLike = _level("N m", identified="link_coulomb_friction")
+    coulomb_m: ArrayLike = _level("N m", identified="motor_coulomb_friction")
+    smoothing: ArrayLike = _level("rad/s", SMOOTHING, sign=POSITIVE, per=RUN)
+    external: ArrayLike = _level("N m", sign=SIGNED)
+    payload_mass: ArrayLike = _level("kg", per=RUN, identified="payload_mass")
+    payload_position: ArrayLike = _level("m", sign=SIGNED, per=POINT, identified="payload_position")
+    delay: ArrayLike = _level("s", per=RUN, identified="effort_delay")
+    position_noise: ArrayLike = _level("rad", per=RUN)
+    velocity_noise: ArrayLike = _level("rad/s", per=RUN)
+    resolution: ArrayLike = _level("rad", per=RUN)
+    effort_limit: ArrayLike = _level("N m", np.inf, sign=POSITIVE)
     seed: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.runs, bool) or not isinstance(self.runs, (int, np.integer)) or self.runs < 0:
             raise ParameterError(f"runs is {self.runs!r}; expected a whole number, 0 or more")
-        for name in LEVELS:
-            freeze(self, name, self._checked(name))
-        freeze(self, "seed", self._seeds())
+        for each in PARAMETERS.values():
+            freeze(self, each.name, self._checked(each))
+        seeds = np.arange(self.runs) if self.seed is None else np.asarray(self.seed)
+        if seeds.shape not in ((), (self.runs,)) or seeds.dtype.kind not in "iu":
+            raise ParameterError(
+                f"seed is of {seeds.dtype} and shape {seeds.shape}; expected {self.runs} whole numbers"
+            )
+        freeze(self, "seed", np.broadcast_to(seeds, self.runs).astype(np.uint64))
 
     def columns(self, name: str, n: int) -> Array:
-        """Return one field as (k, n), as (k, 1) if it is PER_RUN, or as (k, 3) for payload_position."""
-        value, most = np.asarray(getattr(self, name)), 1 if name in PER_RUN else width(name, n)
-        each = value.shape == (self.runs,) and name != "payload_position"  # a list of it is always x, y, z
+        """Return one field as (k, n), as (k, 1) if it is per run, or as (k, 3) for payload_position."""
+        value, most = np.asarray(getattr(self, name)), PARAMETERS[name].width(n)
+        each = value.shape == (self.runs,) and PARAMETERS[name].per != POINT  # a list of it is always x, y, z
         column = value[:, None] if each else value
         if column.ndim and column.shape[-1] not in (1, most):
             raise ParameterError(
@@ -88,41 +123,55 @@ class Draws:
     def taken(self, which: slice | Iterable[int]) -> Draws:
         """Return the selected runs with their seeds."""
         index = np.arange(self.runs)[which if isinstance(which, slice) else np.asarray(list(which), dtype=int)]
-        values = {name: _taken(getattr(self, name), index, self.runs, name) for name in (*LEVELS, "seed")}
+        values = {}
+        for name in (*PARAMETERS, "seed"):
+            value = np.asarray(getattr(self, name))
+            for_all = value.ndim == 0 or (name == "payload_position" and value.ndim == 1)
+            values[name] = value if for_all else value[index]
         return Draws(len(index), **values)
 
-    def _checked(self, name: str) -> Array:
-        array = floats(name, getattr(self, name), ParameterError)
+    def _checked(self, one: Parameter) -> Array:
+        name, array = one.name, floats(one.name, getattr(self, one.name), ParameterError)
         if np.any(np.isnan(array)) or (name != "effort_limit" and not np.all(np.isfinite(array))):
             raise ParameterError(f"{name} has entries that are not finite; expected finite numbers")
-        fits = array.ndim == 0 or (name == "payload_position" and array.shape == (3,)) or len(array) == self.runs
-        if not fits or array.ndim > (1 if name in PER_RUN else 2):
+        fits = array.ndim == 0 or (one.per == POINT and array.shape == (3,)) or len(array) == self.runs
+        if not fits or array.ndim > (1 if one.per_run else 2):
             raise ParameterError(
                 f"{name} has shape {array.shape}; expected a scalar or one entry for each of {self.runs} runs"
             )
-        if name in POSITIVE and not np.all(array > 0):
+        if one.sign == POSITIVE and not np.all(array > 0):
             raise ParameterError(f"the minimum of {name} is {array.min():g}; expected positive numbers")
-        if name not in (*POSITIVE, *SIGNED) and not np.all(array >= 0):
+        if one.sign == NONNEGATIVE and not np.all(array >= 0):
             raise ParameterError(f"the minimum of {name} is {array.min():g}; expected 0 or more")
         return array
 
-    def _seeds(self) -> NDArray[np.uint64]:
-        seeds = np.arange(self.runs) if self.seed is None else np.asarray(self.seed)
-        if seeds.shape not in ((), (self.runs,)) or seeds.dtype.kind not in "iu":
-            raise ParameterError(
-                f"seed is of {seeds.dtype} and shape {seeds.shape}; expected {self.runs} whole numbers"
-            )
-        return np.broadcast_to(seeds, self.runs).astype(np.uint64)
+
+PARAMETERS = {
+    each.name: Parameter(each.name, **each.metadata) for each in fields(Draws) if each.name not in ("runs", "seed")
+}
+"""The glossary: all deviations by name."""
 
 
-LEVELS = tuple(field.name for field in fields(Draws) if field.name not in ("runs", "seed"))
+def unit_of(column: str) -> str:
+    """Return the unit of a drawn number, NAME or NAME.JOINT; "" for factors."""
+    name = column.partition(".")[0]
+    return PARAMETERS[name].unit if name in PARAMETERS else ""
 
 
-def width(name: str, n: int) -> int:
-    """Return the length of a parameter that is not PER_RUN in a run of n joints."""
-    return 3 if name == "payload_position" else n
+def words(key: tuple[int, int], first: int, count: int) -> NDArray[np.uint64]:
+    """Return the random words (count, 4) at the counters first, first + 1, ...; key: two words; first < 2^256."""
+    before = (first - 1) % 2**256  # NumPy increments the counter before the first block
+    counter = np.array([before >> (64 * i) & (2**64 - 1) for i in range(4)], dtype=np.uint64)
+    generator = np.random.Philox(key=np.array(key, dtype=np.uint64), counter=counter)
+    return generator.random_raw(WORDS * count).reshape(count, WORDS)
 
 
-def _taken(value: NDArray[np.generic], index: NDArray[np.int_], runs: int, name: str) -> NDArray[np.generic]:
-    whole = value.ndim == 0 or (name == "payload_position" and value.ndim == 1)
-    return value if whole else value[index]
+def rows(key: tuple[int, int], first: int, count: int, width: int) -> NDArray[np.uint64]:
+    """Return words (count, width) of the rows first .. first + count - 1; a row depends only on its number."""
+    blocks = -(-width // WORDS)
+    return words(key, first * blocks, count * blocks).reshape(count, blocks * WORDS)[:, :width]
+
+
+def unit(drawn: NDArray[np.uint64]) -> Array:
+    """Convert words to uniform numbers in [0, 1) with 53 bits, as NumPy does."""
+    return np.asarray((drawn >> np.uint64(11)) * 2.0**-53)

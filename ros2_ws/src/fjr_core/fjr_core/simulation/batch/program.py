@@ -29,7 +29,7 @@ from ...runtime.reference import ReferenceStruct
 from ...runtime.safety_settings import Settings
 from ...runtime.structs import Model, model_functions, settings_struct
 from ...runtime.velocity_observer import VelocityObserver
-from .uncertain_robot import UncertainPlant
+from .parametric_robot import ParametricPlant
 
 LANES = 4
 """Number of interleaved runs."""
@@ -168,7 +168,7 @@ class BatchProgram:
     def _plant_expressions(self) -> dict[str, ca.Function]:
         """Return the functions of the plants, named as the members of struct fjr_plant, not compiled."""
         own = self.plant if self._plant_in_python else None
-        plants = [UncertainPlant(self.robot, full, own) for full in (False, True)]
+        plants = [ParametricPlant(self.robot, full, own) for full in (False, True)]
         each = [
             getattr(plant, what)(f"{kind}_{what}")
             for kind, plant in zip(PLANTS, plants, strict=True)

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""What an identification knows about a robot, and plants drawn from it."""

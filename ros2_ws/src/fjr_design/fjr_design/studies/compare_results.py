@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results of a comparison as plain values, comparison.json, and their rows: one for each metric of each robot.
+
+The table of a page or document has a column for each law and a row for each metric: robustness margins along the
+imperfections, errors under imperfections, metrics of the nominal run, and figures on drawn plants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from fjr_core.errors import CompareError
+from fjr_core.extensions.law_registry import law_kind
+from fjr_msgs_py.console.output import DASH, number, percent, plural
+
+from .imperfections import IMPERFECTIONS, Direction, directions
+from .suite import NOMINAL, Suite
+
+SHORT = {
+    "pd_gravity": "PD + gravity",
+    "singular_perturbation": "singular perturbation",
+}
+VERSIONS = {"pd_feedforward": "pd_gravity", "torque_feedback_feedforward": "torque_feedback"}
+TIE = 0.05  # relative; smaller differences count as equal
+BEGIN, END = "<!-- fjr compare: begin -->", "<!-- fjr compare: end -->"
+
+
+def document(suite: Suite, of: Sequence[tuple[str, str]], results: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return results by robot and law, data shared by all laws with the robot; of: (robot, law) of each result."""
+    by_robot: dict[str, dict[str, Any]] = {robot.label: {} for robot in suite.robots}
+    robots: dict[str, Any] = {}
+    for (robot, law), result in zip(of, results, strict=True):
+        by_robot[robot][law] = {key: value for key, value in result.items() if key != "robot"}
+        robots[robot] = result["robot"]
+    given = asdict(suite)
+    return {
+        "suite": {key: value for key, value in given.items() if key not in ("laws", "robots")},
+        "laws": [_described(law) for law in given["laws"]],
+        "robots": robots,
+        "runs": sum(result["runs"] for result in results),
+        "results": by_robot,
+    }
+
+
+def _described(law: dict[str, Any]) -> dict[str, Any]:
+    """Return a law of the suite with its data that do not depend on the robot; title: its label, else the law's."""
+    name, kind = str(law["law"]), law_kind(law["law"])
+    title = str(law["label"]) if law["label"] != name else SHORT.get(name, kind.title)
+    data = {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.adds}
+    return {**law, "title": title, **data}
+
+
+def extent(document: dict[str, Any]) -> str:
+    """Count laws, versions of them, robots and runs of a comparison, as a sentence."""
+    laws, robots = document["laws"], plural(len(document["robots"]), "robot")
+    kinds = plural(len({law_without_additions(law) for law in laws}), "control law")
+    runs = f"{plural(document['runs'], 'run')} of {document['suite']['duration']:g} s"
+    return f"{kinds} in {plural(len(laws), 'version')} on {robots}, {runs}."
+
+
+def law_without_additions(law: dict[str, Any]) -> str:
+    """Return the name of the published law of a column, without the version."""
+    return VERSIONS.get(str(law["law"]), str(law["law"]))
+
+
+@dataclass(frozen=True)
+class Value:
+    """Value of a law in a row. number: None if not available. state: tracks, lost (or stopped) or unstable."""
+
+    number: float | None
+    words: str
+    state: str = "tracks"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A quantity of the results of a law. less: smaller is better. of: its value from the results of one law.
+
+    group: heading, of which the first word is the kind, the rest a reference. in_table: it is a row of the short table.
+    """
+
+    group: str
+    name: str
+    of: Callable[[dict[str, Any]], Value]
+    less: bool = True
+    in_table: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One metric of one robot, for all laws."""
+
+    robot: str
+    metric: Metric
+    values: tuple[Value, ...]
+
+    @property
+    def best(self) -> tuple[bool, ...]:
+        """For each law, whether no other is better by more than TIE; only laws that track count."""
+        costs = [math.inf] * len(self.values)
+        for i, value in enumerate(self.values):
+            if value.number is not None and value.state == "tracks":
+                costs[i] = value.number if self.metric.less else 1 / value.number if value.number > 0 else math.inf
+        return tuple(cost < math.inf and cost <= min(costs) * (1 + TIE) for cost in costs)
+
+
+def rows(document: dict[str, Any]) -> list[Row]:
+    """Return all rows of a comparison (`document`), robot by robot: drawn plants, margins, errors, nominal run."""
+    found = []
+    for robot, results in document["results"].items():
+        laws = [results[law["label"]] for law in document["laws"]]
+        metrics = _metrics(document["suite"], list(document["robots"][robot]["references"]))
+        if not all(law["uncertain"] for law in laws):
+            metrics = [metric for metric in metrics if metric.group != "uncertain"]
+        found += [Row(robot, metric, tuple(map(metric.of, laws))) for metric in metrics]
+    return found
+
+
+def table_rows(document: dict[str, Any]) -> list[Row]:
+    """Return the rows of the table: drawn plants, margins, and error and peak effort of the nominal run."""
+    return [row for row in rows(document) if row.metric.in_table]
+
+
+def _metrics(suite: dict[str, Any], references: Sequence[str]) -> list[Metric]:
+    """Return the metrics of a robot in the order of the page."""
+    found = []
+    if suite["tune"]:
+        least = suite["tune"]["success"]
+        for name, key, words, less in DRAWN:
+            found.append(Metric("uncertain", name, _drawn(key, words, least), less, True))
+    for direction in directions(suite["margins"]):
+        found.append(Metric("margins", direction.name, _margin(direction), direction.is_down, True))
+    for reference in references:
+        for name in suite["imperfections"]:
+            in_table = reference == references[0] and name == NOMINAL
+            found.append(Metric(f"errors {reference}", name, _cell(reference, name, "rms", _mrad), True, in_table))
+    for reference in references:
+        for name, key, words in OF_A_RUN:
+            in_table = reference == references[0] and key == "effort_peak"
+            found.append(Metric(f"metrics {reference}", name, _cell(reference, NOMINAL, key, words), True, in_table))
+    return found
+
+
+Words = Callable[[float], str]
+
+
+def _mrad(value: float) -> str:
+    return number(value * 1e3, "", 3)
+
+
+def _torque(value: float) -> str:
+    return number(value, "N m")
+
+
+DRAWN: tuple[tuple[str, str, Words, bool], ...] = (
+    ("drawn: RMS error [mrad]", "rms", _mrad, True),
+    ("drawn: its 95 % [mrad]", "rms_outer", _mrad, True),
+    ("drawn: share that tracks", "success", lambda v: percent(v, 1), False),
+    ("drawn: noise of effort", "effort_noise", _torque, True),
+)
+OF_A_RUN: tuple[tuple[str, str, Words], ...] = (
+    ("largest error", "peak", _mrad),
+    ("settled after", "settling", lambda v: number(v, "s")),
+    ("RMS effort", "effort_rms", _torque),
+    ("peak effort", "effort_peak", _torque),
+    ("mean power", "power", lambda v: number(v, "W")),
+)
+
+
+def _drawn(key: str, words: Words, least: float) -> Callable[[dict[str, Any]], Value]:
+    """Return a figure on fresh draws; of a law that tracks too few of them it does not count.
+
+    An arm that a limit has stopped has little noise and a small effort.
+    """
+
+    def of(law: dict[str, Any]) -> Value:
+        value, success = law["uncertain"][key], law["uncertain"]["success"] or 0.0
+        counts = value is not None and (key == "success" or success >= least)
+        return Value(value, DASH if value is None else words(value), "tracks" if counts else "lost")
+
+    return of
+
+
+def _margin(direction: Direction) -> Callable[[dict[str, Any]], Value]:
+    """Return the largest level up to which a law tracks, after a sign if no larger one was tested."""
+
+    def of(law: dict[str, Any]) -> Value:
+        level, beyond = (law["margins"][direction.name][key] for key in ("level", "beyond"))
+        if level is None:
+            return Value(None, DASH, "lost")
+        further = "≤ " if direction.is_down else "≥ "
+        return Value(level, (further if beyond is None else "") + level_words(direction.imperfection.name, level))
+
+    return of
+
+
+def _cell(reference: str, imperfection: str, key: str, words: Words) -> Callable[[dict[str, Any]], Value]:
+    """Return a metric of a run along a reference with an imperfection."""
+
+    def of(law: dict[str, Any]) -> Value:
+        cell = law["cells"][reference][imperfection]
+        if not cell["stable"]:
+            return Value(None, "unstable", "unstable")
+        if cell["stopped"]:
+            return Value(None, "stopped", "lost")
+        value = cell[key]
+        return Value(value, DASH if value is None else words(value), "tracks" if cell["tracks"] else "lost")
+
+    return of
+
+
+def level_words(name: str, level: float) -> str:
+    """Format the level of an imperfection with its unit."""
+    one = IMPERFECTIONS[name]
+    if one.is_factor:
+        return f"× {number(level, digits=3)}"
+    if one.unit in ("s", "rad"):
+        return number(level * 1e3, f"m{one.unit}", 2)
+    return percent(level, 0 if level >= 0.1 else 1)
+
+
+def best_in(document: dict[str, Any]) -> str:
+    """Count the rows of the table in which a version of a law is best or within TIE of it, as a sentence."""
+    shown = table_rows(document)
+    versions: dict[str, list[int]] = {}
+    for i, law in enumerate(document["laws"]):
+        versions.setdefault(law_without_additions(law), []).append(i)
+    counts = {name: sum(any(row.best[i] for i in each) for row in shown) for name, each in versions.items()}
+    ranked = sorted(counts.items(), key=lambda one: -one[1])
+    each = ", ".join(f"{SHORT.get(name, law_kind(name).title)} {count}" for name, count in ranked)
+    best = f"Best, or within {percent(TIE, 0)} of the best, with one of its versions"
+    return f"{best}: {each} of {len(shown)} rows (several laws may share a row)."
+
+
+def cells(document: dict[str, Any]) -> list[list[str]]:
+    """Return the cells of the table: a head with the laws, and for each robot its name alone and its rows."""
+    names = [str(law["title"]) for law in document["laws"]]
+    found = [["", *names]]
+    shown = table_rows(document)
+    for robot in document["robots"]:
+        found.append([robot, *[""] * len(names)])
+        for row in (row for row in shown if row.robot == robot):
+            what = "RMS error [mrad]" if row.metric.group.startswith("errors") else row.metric.name
+            found.append([what, *(value.words for value in row.values)])
+    return found
+
+
+def markdown(document: dict[str, Any]) -> str:
+    """Return the extent of the comparison and one table: a row for each metric of each robot, a column for each law."""
+    head, *body = cells(document)
+    bold = [[f"**{first}**", *rest] if not any(rest) else [first, *rest] for first, *rest in body]
+    lines = [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *bold)]
+    legend = f"*`fjr compare {document['suite']['name']}`. {DASH}: does not track the nominal robot.*"
+    counts = ["", best_in(document)] if document["suite"]["tune"] else []
+    return "\n".join([extent(document), "", *lines, "", legend, *counts, ""])
+
+
+def marks(suite: str) -> tuple[str, str]:
+    """Return the lines between which the table of this suite stands in a file with several tables."""
+    return f"<!-- fjr compare {suite}: begin -->", f"<!-- fjr compare {suite}: end -->"
+
+
+def check(path: Path, suite: str) -> None:
+    """Check that a file has the marks of a suite; raise CompareError otherwise."""
+    _parts(path, suite)
+
+
+def replace(path: Path, document: dict[str, Any]) -> None:
+    """Write the table of a comparison between its marks in a file, else between those without a name.
+
+    Raise CompareError if the file lacks them.
+    """
+    before, begin, end, after = _parts(path, document["suite"]["name"])
+    path.write_text(f"{before}{begin}\n{markdown(document)}{end}{after}", encoding="utf-8")
+
+
+def _parts(path: Path, suite: str) -> tuple[str, str, str, str]:
+    """Return the text before the first mark, both marks, and the text after the second."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CompareError(f"cannot read {path}: {error.strerror}") from None
+    for first, last in (marks(suite), (BEGIN, END)):
+        before, begin, rest = text.partition(first)
+        _, end, after = rest.partition(last)
+        if begin and end:
+            return before, begin, end, after
+    raise CompareError(f"{path} lacks the lines '{BEGIN}' and '{END}'; expected both, in this order")

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prepare a law of a comparison: by the rule of equal bandwidth (docs/baselines.md), or tuned to stated uncertainties.
+
+Tuned laws have the same cost, draws and number of candidates, each with its robust options.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from fjr_core.config.parameter import number
+from fjr_core.config.scenario import Scenario, parse_scenario
+from fjr_core.errors import ParameterError
+from fjr_core.extensions.python_code import own_law
+from fjr_core.files.importing import is_named
+from fjr_core.law.interfaces import SampledLaw
+from fjr_core.numerics.checks import Array
+from fjr_core.robust.law import Robust, sampled_law
+from fjr_core.stability.sampled_loop import spectral_radius
+
+from ..tuning.equal_bandwidth import tune
+from ..tuning.scenario_target import baseline_target
+from ..uncertainty import distributions
+from ..uncertainty.distributions import FIXED, Distribution
+from .imperfections import MotionDemand, fields_of, imperfection
+from .sweep import Sweep
+from .tune import FINALISTS, SELECTION, Goal, Point, Range, Score, TuningStudy, quantile, search, with_better_start
+
+FEW = 4  # configurations of the reference at which a loop is checked
+MAPPINGS = ("vary", "imperfections", "minimise")
+MOST = 10**6  # candidates, draws
+LONGEST = 600.0  # s
+OUTER = 0.95  # quantile that is reported beside the median
+
+
+@dataclass(frozen=True, eq=False)
+class TunedLaw:
+    """Law with its gains, or the parameters that were chosen, as plain values, and a summary of its tuning.
+
+    effort_limit (n,) [N m]: saturation of every command, the same for all laws. figures: on fresh draws, of a law that
+    was tuned to uncertainties.
+    """
+
+    law: SampledLaw
+    effort_limit: Array
+    gains: Mapping[str, Any]
+    tuning: str
+    figures: Mapping[str, float | None] = field(default_factory=dict)
+
+
+def tuned_law(
+    name: str,
+    robust: Mapping[str, float],
+    scenario: Scenario,
+    retune: bool = False,
+    options: Mapping[str, Any] | None = None,
+) -> TunedLaw:
+    """Return the law of this name for robot, start and reference of the scenario.
+
+    v-dPBC keeps the gains of the scenario unless retune. robust: fields of Robust except hold, which is the sample
+    period. A law of the user, module:Class, is not tuned: it has its options, arguments of its constructor. Raises
+    FjrError if there is no such law or no stable gains.
+    """
+    target = baseline_target(scenario)
+    hold = Robust(**robust, hold=scenario.sample_period)
+    if is_named(name):
+        own, options = own_law(name, scenario.robot, options or {}, compile=False), options or {}
+        law = sampled_law(own, hold)
+        bandwidth, peak = target.bandwidth_of(own) / target.bandwidth, target.peak_of(own) / target.peak
+        tuning = f"not tuned: bandwidth {bandwidth:.2g} times the target, peak effort {peak:.2g} times the target"
+        return TunedLaw(law, target.effort_limit, dict(options), tuning + _unstable(law, scenario))
+    found = tune(name, target, retune=retune)
+    law = sampled_law(found.law, hold)
+    gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
+    return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
+
+
+def _unstable(law: SampledLaw, scenario: Scenario) -> str:
+    """Return a note if the sampled loop is unstable along the reference, else an empty string."""
+    where, period = scenario.configurations(FEW), scenario.sample_period
+    radius = spectral_radius(law, period, scenario.loop_delay, where, scenario.plant).max()
+    return "" if radius < 1 else f"; unstable as sampled: spectral radius {radius:.4g}"
+
+
+def _plain(value: Any, *names: str) -> dict[str, Any]:
+    """Return the finite arrays and numbers of a dataclass as plain values."""
+    arrays = {name: np.asarray(getattr(value, name)) for name in names or [field.name for field in fields(value)]}
+    return {name: array.tolist() for name, array in arrays.items() if np.isfinite(array).all()}
+
+
+@dataclass(frozen=True)
+class Uncertainties:
+    """What every law is tuned for. vary: distributions as in a sweep file. imperfections: their levels.
+
+    minimise, quantile, success: see Goal. candidates, draws, fresh, seed: see TuningStudy. duration, settle_after [s].
+    Raises ParameterError, CompareError.
+    """
+
+    vary: Mapping[str, Any] = field(default_factory=dict)
+    imperfections: Mapping[str, float] = field(default_factory=dict)
+    minimise: Mapping[str, float] = field(default_factory=lambda: {"rms": 1.0})
+    quantile: float = 0.5
+    success: float = 0.95
+    candidates: int = 150
+    draws: int = 24
+    fresh: int = 400
+    seed: int = 1
+    duration: float = 3.0
+    settle_after: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("candidates", "draws", "fresh"):
+            if not (float(getattr(self, name)).is_integer() and 1 <= getattr(self, name) <= MOST):
+                raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {MOST}")
+        if not 0 <= self.settle_after < self.duration <= LONGEST:
+            raise ParameterError(
+                f"'settle_after' is {self.settle_after} and 'duration' {self.duration} s; expected 0 to less than the "
+                f"duration, and this at most {LONGEST:g} s"
+            )
+        for name, given in self.vary.items():
+            distributions.read(name, given)
+        for name, level in self.imperfections.items():
+            imperfection(name).checked(level)
+        Goal(self.minimise, self.quantile, self.success)
+
+
+def uncertainties(section: Mapping[str, Any]) -> Uncertainties:
+    """Return the uncertainties of the section `tune` of a comparison; raises ParameterError, CompareError."""
+    names = [each.name for each in fields(Uncertainties)]
+    for key in section:
+        if key not in names:
+            close = difflib.get_close_matches(str(key), names, n=1)
+            raise ParameterError(f"has '{key}'; expected {close[0] if close else 'some of ' + ', '.join(names)}")
+    for key, value in section.items():
+        if key in MAPPINGS and not isinstance(value, Mapping):
+            raise ParameterError(f"'{key}' is {value!r}; expected a mapping")
+        if key not in MAPPINGS and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise ParameterError(f"'{key}' is {value!r}; expected a number")
+    return Uncertainties(**section)
+
+
+def law_for(
+    text: str,
+    wanted: Uncertainties,
+    demand: MotionDemand,
+    effort_limit: Array,
+    tracks: float,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> TunedLaw:
+    """Return the law of a scenario, given as its text, tuned to uncertainties. Raises FjrError.
+
+    demand: of the motion, for the levels. effort_limit (n,) [N m]: of every command. tracks: a run succeeds if its
+    error is at most this fraction of the motion, at every joint. on_progress: called with the share done, 0 to 1.
+    """
+    study = with_better_start(_study(text, wanted, demand, effort_limit, tracks))
+    total = wanted.draws * (wanted.candidates + (FINALISTS + 1) * SELECTION)
+    done = 0
+
+    def evaluate(points: Sequence[Point], runs: Range) -> list[Score]:
+        nonlocal done
+        done += len(points) * (runs[1] - runs[0])
+        scores = [study.score(point, study.run(point, *runs)) for point in points]
+        on_progress(min(1.0, done / total))
+        return scores
+
+    found = search(study, evaluate)
+    fresh = study.run(found.chosen, *study.fresh_runs)
+    score = study.score(found.chosen, fresh)
+    figures = {"rms": score.figures["rms"], "rms_outer": quantile(fresh["rms"], OUTER), "success": score.success}
+    figures |= {name: score.figures[name] for name in ("effort_noise", "effort_peak")}
+    tracking = f"on {wanted.fresh} fresh draws {100 * score.success:.3g} % track"
+    return TunedLaw(
+        study.coordinates.controller(found.chosen)[0],
+        effort_limit,
+        study.coordinates.values(found.chosen),
+        f"best of {len(found.candidates)} candidates; {tracking}",
+        {name: value if np.isfinite(value) else None for name, value in figures.items()},
+    )
+
+
+def _study(text: str, wanted: Uncertainties, demand: MotionDemand, effort_limit: Array, tracks: float) -> TuningStudy:
+    """Return the study of a law: its draws vary as stated, its imperfections have fixed levels."""
+    scenario = parse_scenario("tuned", text)
+    step = scenario.sample_period / number(scenario.plant_values, "inner_steps")
+    fixed = {"effort_limit": effort_limit, **fields_of(wanted.imperfections, demand, step)}
+    vary = {name: distributions.read(name, given) for name, given in wanted.vary.items()}
+    vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
+    sweep = Sweep(
+        "tuned",
+        text,
+        1,
+        vary,
+        wanted.duration,
+        wanted.seed,
+        wanted.settle_after,
+        success={"rms": tracks * demand.motion},
+    )
+    goal = Goal(wanted.minimise, wanted.quantile, wanted.success)
+    return TuningStudy(sweep, goal, wanted.draws, wanted.candidates, wanted.fresh)

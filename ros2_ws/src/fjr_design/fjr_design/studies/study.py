@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine of all studies: a folder that can be resumed, and workers that run its missing jobs.
+
+A study is its description, plain values: studies with equal descriptions, run by the same program, have equal results.
+It consists of independent jobs, each of which is kept as soon as it is finished, so that the same command goes on where
+Ctrl-C, a kill or a power cut ended it. Jobs run in threads (a sweep: compiled runs release the GIL), in processes (a
+comparison: much of its work is Python) or on a Dask cluster, with equal results.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fjr_core.errors import FjrError
+from fjr_core.files.text_file import read_json, write_text
+
+AHEAD = 3
+"""Jobs submitted per worker; no more results than these are in memory."""
+LOOK = 0.2  # s between checks of `stop`
+Job = TypeVar("Job", bound=tuple[Any, ...])
+Result = TypeVar("Result")
+
+
+class StoreError(FjrError):
+    """A folder that holds another study or is in use."""
+
+
+class ClusterError(FjrError):
+    """A cluster is unreachable or failed."""
+
+
+@contextmanager
+def opened(
+    description: Path, wanted: Mapping[str, Any], program: str, holds_runs: Callable[[], bool], command: str
+) -> Iterator[None]:
+    """Lock the folder of a study for this process, and write its description or check that it describes this study.
+
+    description: path of the file in an existing folder. program: hash of the code that computes the results.
+    holds_runs: whether the folder holds results. command: that writes them. Raise StoreError.
+    """
+    with (description.parent / ".lock").open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StoreError(f"{description.parent} is in use by another process; expected one at a time") from None
+        _check(description, wanted, program, holds_runs(), command)
+        yield
+
+
+def _check(path: Path, wanted: Mapping[str, Any], program: str, holds_runs: bool, command: str) -> None:
+    try:
+        found = read_json(path)
+    except FileNotFoundError:
+        if holds_runs:
+            raise StoreError(
+                f"{path.parent} holds runs without their {path.name}; expected both, or another --output"
+            ) from None
+        write_text(path, json.dumps({**wanted, "program": program}, indent=1))
+        return
+    except ValueError:
+        raise StoreError(f"{path} cannot be read; expected the file that `{command}` wrote") from None
+    differences = [_difference(name, found.get(name), here) for name, here in wanted.items() if found.get(name) != here]
+    if differences:
+        raise StoreError(
+            f"{path.parent} holds another study ({', '.join(differences)}); expected the same one, or another --output"
+        )
+    if found.get("program") != program:
+        raise StoreError(
+            f"{path.parent} was started by another version of this program (source, CasADi, C compiler); "
+            "expected the same version, or another --output"
+        )
+
+
+def _difference(name: str, there: object, here: object) -> str:
+    if isinstance(there, (int, float)) and isinstance(here, (int, float)):
+        return f"{name} is {there:g}, not {here:g}"
+    if isinstance(there, dict) and isinstance(here, dict):
+        return f"{name} differs in {', '.join(sorted(k for k in {*there, *here} if there.get(k) != here.get(k)))}"
+    return f"{name} differs"
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Executor and its number of parallel jobs; remote: possibly on other machines."""
+
+    executor: Executor
+    count: int
+    remote: bool = False
+
+    def run(
+        self,
+        work: Callable[..., Result],
+        jobs: Iterable[Job],
+        keep: Callable[[Job, Result], object],
+        stop: threading.Event,
+        on_look: Callable[[], object] = lambda: None,
+    ) -> bool:
+        """Run work(*job) for all jobs and keep(job, result) each in this thread; return whether all are kept.
+
+        They are not if `stop` was set. on_look: called at least every LOOK. Raise the error of the first job that
+        fails, without waiting for the others; ClusterError for an error on another machine.
+        """
+        waiting, pending = iter(jobs), dict[Future[Result], Job]()
+        try:
+            while not stop.is_set():
+                for job in islice(waiting, AHEAD * self.count - len(pending)):
+                    pending[self.executor.submit(work, *job)] = job
+                if not pending:
+                    return True
+                done, _ = wait(pending, timeout=LOOK, return_when=FIRST_COMPLETED)
+                for future in done:
+                    keep(pending.pop(future), self._result(future))
+                on_look()
+            return False
+        finally:
+            for future in pending:
+                future.cancel()
+
+    def _result(self, future: Future[Result]) -> Result:
+        try:
+            return future.result()
+        except FjrError:
+            raise
+        except Exception as error:
+            if not self.remote:
+                raise
+            what = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+            raise ClusterError(
+                f"a worker of the cluster failed ({what}); expected this version of fjr_core on its Python path"
+            ) from None
+
+
+@contextmanager
+def threads(count: int) -> Iterator[Workers]:
+    """Yield `count` threads of this process; compiled runs release the GIL."""
+    with ThreadPoolExecutor(count, thread_name_prefix="study") as executor:
+        yield Workers(executor, count)
+
+
+@contextmanager
+def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
+    """Yield the workers of a running Dask scheduler, e.g. tcp://host:8786; raise ClusterError."""
+    if "://" not in address:
+        raise ClusterError(f"the scheduler's address is '{address}'; expected e.g. tcp://host:8786")
+    try:
+        from distributed import Client
+    except ModuleNotFoundError:
+        raise ClusterError(
+            "dask.distributed is not installed here; expected it for --scheduler, at the version of the cluster: "
+            "pip install distributed"
+        ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are reported here, in one sentence
+    try:
+        client = Client(address, timeout=timeout, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ClusterError(f"no Dask scheduler answers at {address} ({error}); expected e.g. tcp://host:8786") from None
+    try:
+        cores = sum(client.nthreads().values())
+        if not cores:
+            raise ClusterError(f"the Dask scheduler at {address} has no workers; expected at least one")
+        yield Workers(client.get_executor(pure=False, retries=3), cores, remote=True)
+    finally:
+        client.close()
+
+
+_shares: Any = None
+
+
+def report_share(key: str, share: float) -> None:
+    """Report the finished share of a job, 0 to 1, from a worker process to `shares` of its parent."""
+    if _shares is not None:
+        _shares.put((key, share))
+
+
+@dataclass(frozen=True)
+class Processes(Workers):
+    """Worker processes with what they reported."""
+
+    queue: Any = None
+
+    def shares(self) -> dict[str, float]:
+        """Return the latest shares of jobs since the last call, by their keys."""
+        found = {}
+        while not self.queue.empty():
+            key, share = self.queue.get()
+            found[key] = share
+        return found
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Processes]:
+    """Yield `count` processes of this machine; in the end they are terminated, whether or not their jobs are finished.
+
+    They end with this process even if it is killed, and leave Ctrl-C to it.
+    """
+    context = multiprocessing.get_context("spawn")
+    queue = context.SimpleQueue()
+    pool = ProcessPoolExecutor(count, context, _begin, (queue,))
+    try:
+        for _ in range(count + 1):  # starts all processes, then wakes the pool up, so that it watches all of them
+            pool.submit(os.getpid)
+        yield Processes(pool, count, queue=queue)
+    finally:
+        for worker in list((pool._processes or {}).values()):
+            worker.terminate()
+        pool.shutdown(cancel_futures=True)  # waits for the pool's thread, which may otherwise outlive its pipes
+
+
+def _begin(queue: Any) -> None:
+    """Set up a worker: ignore Ctrl-C, which the parent handles; exit with the parent."""
+    global _shares
+    _shares = queue
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def end_with_parent() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()

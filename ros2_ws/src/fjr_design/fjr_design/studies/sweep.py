@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sweep as one plain value: scenario, drawn deviations, success criterion; run any part of its runs."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.config.controller import measurement, observer, safety
+from fjr_core.config.parameter import number
+from fjr_core.config.scenario import Scenario, left_out, parse_scenario
+from fjr_core.errors import ParameterError
+from fjr_core.law.interfaces import SampledLaw
+from fjr_core.runtime.safety_settings import Settings
+from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, draws
+from fjr_core.simulation.batch.closed_loop import FIELDS, PER_JOINT
+from fjr_core.simulation.batch.draws import JOINT, PARAMETERS, POINT, SMOOTHING
+from fjr_core.simulation.batch.parametric_robot import FRICTION
+from fjr_core.simulation.imperfections import Imperfections, friction_rate
+
+from ..uncertainty import distributions
+from ..uncertainty.distributions import Distribution, DrawnColumn
+from ..uncertainty.posterior import Identification, PosteriorDraws
+
+MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
+"""Outcomes that the success criterion may limit."""
+MOST_RUNS = 10**9
+REACH = 2.0
+"""Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
+NOISE_SEED = "seed"
+Columns = dict[str, NDArray[Any]]
+
+
+def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
+    """Return the closed loop of a scenario under a law, with its limits, start, stop policy, observer and measurement.
+
+    options: of ClosedLoop.
+    """
+    values, robot = scenario.controller_values, scenario.robot
+    return ClosedLoop(
+        scenario.plant.robot,
+        law,
+        scenario.reference,
+        scenario.x0,
+        duration,
+        scenario.sample_period,
+        inner_steps=int(number(scenario.plant_values, "inner_steps")),
+        plant=scenario.plant,
+        settings=safety(values, robot),
+        observer=observer(values, robot),
+        measurement=measurement(values, robot),
+        **options,
+    )
+
+
+def refuse_what_is_left_out(scenario: Scenario, instead: str) -> None:
+    """Raise ParameterError if the plant of the scenario has features that a study does not simulate.
+
+    instead: end of the sentence, which names the alternative.
+    """
+    integrator = scenario.plant_values["integrator"]
+    if integrator != "rk4":
+        raise ParameterError(f"parameter 'integrator' is '{integrator}'; expected 'rk4', the integrator of a study")
+    names = [name for name in left_out(scenario) if name.startswith("imperfections.")]
+    if names:
+        raise ParameterError(f"the scenario sets {', '.join(names)}; expected the default here: {instead}")
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Sweep of `runs` runs of `duration` [s] of a scenario, given as its self-contained text.
+
+    vary: distributions or fixed values by field of Draws. posterior: plain values of an identification from which the
+    plants are drawn in addition. seed: of all random numbers. settle_after [s], band, lost [rad]: see ClosedLoop.
+    success: largest value of an outcome, at every joint, of a successful stable run. Raises ParameterError.
+    """
+
+    name: str
+    scenario_text: str
+    runs: int
+    vary: Mapping[str, Distribution]
+    duration: float = 5.0
+    seed: int = 0
+    settle_after: float = 1.0
+    band: float = 0.01
+    lost: float = float(np.pi / 2)
+    success: Mapping[str, float] = field(default_factory=dict)
+    posterior: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.runs <= MOST_RUNS:
+            raise ParameterError(f"'runs' is {self.runs}; expected 1 to {MOST_RUNS}")
+        if not 0 <= self.seed < 2**64:
+            raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
+        for name, limit in self.success.items():
+            if name not in MEASURES:
+                raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(MEASURES)}")
+            if np.isnan(limit):
+                raise ParameterError(f"'success' has {limit} as '{name}'; expected a number")
+        refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
+        for name, distribution in self.vary.items():
+            self._check(name, distribution)
+            if self.identified is not None and name in self.identified.columns:
+                raise ParameterError(f"'vary' has '{name}', which the posterior draws; expected it in one of them")
+        first = self.draws(0, 1)
+        for name in PARAMETERS:
+            _ = first.columns(name, self.scenario.robot.n)
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """Scenario of the nominal run."""
+        return parse_scenario(self.name, self.scenario_text)
+
+    @cached_property
+    def loop(self) -> ClosedLoop:
+        """Closed loop of all runs; the effort limit is that of the draws."""
+        bounds = {"settle_after": self.settle_after, "band": self.band, "lost": self.lost}
+        loop = scenario_loop(self.scenario, self.scenario.sampled_law, self.duration, **bounds)
+        return replace(loop, settings=replace(self._settings, effort=np.inf))
+
+    def refuse_stiff_friction(self) -> None:
+        """Raise ParameterError if the stiffest friction that can be drawn is too stiff for the steps of the plant."""
+        ranges = {name: one.range for name, one in self.vary.items()}
+        ranges |= {name: self.identified.range(name) for name in self.identified.columns} if self.identified else {}
+        least, most = ({name: both[side] for name, both in ranges.items()} for side in (0, 1))
+        robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
+        levels = {name: most[name] for name in FRICTION if name in most}
+        steepest = Imperfections(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
+        M_l, M_m = inertia[0] * robot.M_l(self.scenario.x0[: robot.n]), inertia[1] * robot.M_m
+        rate, dt = friction_rate(steepest, M_l, M_m), self.loop.sample_period / self.loop.inner_steps
+        if rate * dt > REACH:
+            enough = rate * dt / REACH * least.get("smoothing", SMOOTHING)
+            raise ParameterError(
+                f"friction may damp at {rate:.3g} 1/s, too fast for steps of {1e3 * dt:.3g} ms; "
+                f"expected a smoothing of at least {enough:.2g} rad/s, or more inner_steps"
+            )
+
+    def draws(self, begin: int, end: int) -> Draws:
+        """Return the draws of the runs begin .. end - 1, which depend only on the numbers of the runs."""
+        n, count = self.scenario.robot.n, end - begin
+        limit = np.asarray(self._settings.effort)
+        fixed: dict[str, Any] = {"effort_limit": np.tile(limit, (count, 1))}
+        for name, distribution in self.vary.items():
+            values, per = distribution.drawn(name, self.seed, begin, count, n), PARAMETERS[name].per
+            if values.ndim and per != draws.RUN and distribution.kind == distributions.FIXED:
+                values = np.tile(values, (count, 1))
+            elif values.ndim == 1 and per == POINT:  # one number per run for x, y and z
+                values = values[:, None]
+            fixed[name] = values
+        if self.identified is not None:
+            fixed |= self.identified.drawn(self.seed, begin, count)
+        seeds = draws.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
+        return Draws(count, **fixed, seed=seeds)
+
+    def part(self, begin: int, end: int) -> Columns:
+        """Run begin .. end - 1; return number, draws, success and outcomes as columns by name."""
+        drawn_values, joints = self.draws(begin, end), self.scenario.joints
+        outcomes = self.loop.run(drawn_values)
+        columns: Columns = {"run": np.arange(begin, end)}
+        for each in self.drawn:
+            columns[each.column] = drawn_values.columns(each.name, len(joints))[:, each.entry]
+        columns["success"] = self.succeeded(outcomes)
+        for name in FIELDS:
+            values = getattr(outcomes, name)
+            if name in PER_JOINT:
+                columns |= {f"{name}.{joint}": column for joint, column in zip(joints, values.T, strict=True)}
+            else:
+                columns[name] = values
+        return columns
+
+    def succeeded(self, outcomes: Outcomes) -> NDArray[np.bool_]:
+        """Return which runs (k,) are stable, were not stopped and are within all limits of success."""
+        kept = [np.asarray(getattr(outcomes, name)) <= limit for name, limit in self.success.items()]
+        each = [one.all(axis=1) if one.ndim > 1 else one for one in kept]
+        return np.asarray(np.logical_and.reduce([outcomes.stable, outcomes.cause == "", *each]))
+
+    @cached_property
+    def _settings(self) -> Settings:
+        return safety(self.scenario.controller_values, self.scenario.robot)
+
+    @cached_property
+    def identified(self) -> PosteriorDraws | None:
+        """Draws from the posterior; raises ParameterError."""
+        if self.posterior is None:
+            return None
+        found = Identification.from_dict(self.posterior)
+        return PosteriorDraws(found, self.scenario.plant.robot, self.scenario.joints)
+
+    @cached_property
+    def drawn(self) -> tuple[DrawnColumn, ...]:
+        """Numbers that differ between runs: one for a deviation, or one per joint."""
+        found = []
+        for name, one in self.vary.items():
+            if one.kind != distributions.FIXED:
+                each = [f"{name}.{joint}" for joint in self.scenario.joints] if one.each_joint else [name]
+                found += [DrawnColumn(column, name, i, one) for i, column in enumerate(each)]
+        posterior = self.identified.columns.values() if self.identified else ()
+        return (*found, *(each for columns in posterior for each in columns))
+
+    @property
+    def text(self) -> str:
+        """Sweep as JSON; sweeps with equal text have equal results."""
+        values = {name: getattr(self, name) for name in _PLAIN}
+        vary = {name: one.as_yaml for name, one in self.vary.items()}
+        extra = {} if self.posterior is None else {"posterior": dict(self.posterior)}
+        return json.dumps({**values, "vary": vary, "success": dict(self.success), **extra}, indent=1)
+
+    def _check(self, name: str, one: Distribution) -> None:
+        """Raise ParameterError unless every value of a distribution is one of the deviation."""
+        if name not in PARAMETERS:
+            raise ParameterError(f"'vary' has '{name}'; expected some of {', '.join(PARAMETERS)}")
+        if one.each_joint and PARAMETERS[name].per != JOINT:
+            raise ParameterError(f"'{name}' has each_joint; expected one value for all joints")
+        if one.kind == distributions.FIXED:
+            given, most = len(one.numbers), PARAMETERS[name].width(self.scenario.robot.n)
+            if given not in (1, most):
+                expected = "a single one" if most == 1 else f"1 or {most}"
+                raise ParameterError(f"'vary': {name} has {given} numbers; expected {expected}")
+            return
+        try:
+            Draws(2, **{name: np.array(one.range)})
+        except ParameterError as error:
+            raise ParameterError(f"'vary': {error}, for every draw") from None
+
+
+_PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "band", "lost")
+
+
+def from_text(text: str) -> Sweep:
+    """Return the sweep described by Sweep.text."""
+    values = json.loads(text)
+    vary = {name: distributions.read(name, given) for name, given in values.pop("vary").items()}
+    return Sweep(**values, vary=vary)
+
+
+_recent = lru_cache(maxsize=2)(from_text)
+_building = threading.Lock()
+
+
+def run_part(text: str, begin: int, end: int) -> Columns:
+    """Run a part of a sweep given as text, in a local or remote worker; see Sweep.part."""
+    with _building:  # once for all threads of a process
+        sweep = _recent(text)
+        sweep.loop.build()
+    return sweep.part(begin, end)

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HTML page and picture of a sweep: success and error over each drawn number, the most influential one first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.batch.draws import unit_of
+from fjr_design.uncertainty.distributions import FIXED, LOG_UNIFORM
+from fjr_monitor.report import html
+from fjr_monitor.report.html import Line, Plot
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, STYLE, draw_plot
+from fjr_msgs_py.console.output import number, percent
+
+from .sensitivity import Effect, ReadColumn, Summary
+from .sweep import Sweep
+
+ROWS = {
+    "rms": ("RMS error", "rad"),
+    "peak": ("largest error", "rad"),
+    "final": ("mean error of the last second", "rad"),
+    "settling": ("settling time", "s"),
+    "effort_rms": ("RMS effort", "N m"),
+    "effort_peak": ("peak effort", "N m"),
+    "power": ("mean power", "W"),
+}
+INFLUENCE = (
+    "Share of the variance of success, and of log RMS error, that each parameter explains alone (first-order "
+    "sensitivity)."
+)
+HOW = (
+    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. The same runs are in "
+    "table.parquet and summary.json in the same folder. Needs no network."
+)
+SHOWN = 4  # drawn parameters
+DOTS = 4000
+GOOD, BAD, LOST = "c1", "c2", "bad"
+BINS = 40  # of the distribution
+ABOVE = 1.5  # times the largest error: where unstable runs are drawn
+ERROR = "RMS error, worst joint [rad]"
+WIDTH = 42  # characters of a line over a plot
+
+
+def headline(sweep: Sweep, summary: Summary) -> str:
+    """Return the result of a sweep as a sentence."""
+    return f"{sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
+
+
+def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> Path:
+    """Write the page as one self-contained file."""
+    outcomes = [
+        [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in ROWS.items()
+    ]
+    html.write_page(
+        path,
+        "monte_carlo.html",
+        headline(sweep, summary),
+        plots,
+        kicker=f"sweep of {summary.runs:,} runs",
+        notes=_notes(sweep),
+        tiles=_tiles(summary),
+        tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],
+        effects=_drawn(summary),
+        influence_text=INFLUENCE,
+        json=html.as_json(summary.as_json()),
+        footer=HOW,
+    )
+    return path
+
+
+def _notes(sweep: Sweep) -> list[str]:
+    limits = "".join(f", {ROWS[name][0]} at most {limit:g} {ROWS[name][1]}" for name, limit in sweep.success.items())
+    wanted = f"a run succeeds when it is stable, not stopped by a limit of the controller{limits}"
+    fixed = [f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED]
+    return [
+        wanted,
+        f"errors are evaluated from {sweep.settle_after:g} s on; unstable: beyond {sweep.lost:.3g} rad",
+        *fixed,
+    ]
+
+
+def _tiles(summary: Summary) -> list[tuple[str, str]]:
+    interval = f"{percent(summary.low)} to {percent(summary.high)}"
+    return [
+        (percent(summary.succeeded / summary.runs), "succeed"),
+        (interval, "95 % interval of that share"),
+        (percent(summary.stable / summary.runs), "are stable"),
+        (number(summary.quantiles["rms"][1], "rad"), "RMS error that 95 % of the stable runs keep"),
+    ]
+
+
+def _drawn(summary: Summary) -> list[tuple[str, str, str, float, float]]:
+    """Return name, range and influence on success and error of each parameter."""
+    return [
+        (
+            effect.name,
+            number(float(effect.edges[0]), unit_of(effect.name)),
+            number(float(effect.edges[-1]), unit_of(effect.name)),
+            effect.success,
+            effect.error,
+        )
+        for effect in summary.effects
+    ]
+
+
+def sweep_plots(sweep: Sweep, column: ReadColumn, summary: Summary) -> list[Plot]:
+    """Return the plots: of each of the SHOWN most influential parameters, then of all runs."""
+    rms = np.max([column(f"rms.{joint}") for joint in sweep.scenario.joints], axis=0)
+    success, plots = column("success"), []
+    logarithmic = {each.column for each in sweep.drawn if each.distribution.kind == LOG_UNIFORM}
+    for i, effect in enumerate(summary.effects[:SHOWN]):
+        log = effect.name in logarithmic
+        plots += [_share(i, effect, log), _runs(i, effect, log, column(effect.name), rms, success)]
+    plots.append(_distribution(rms, success))
+    return [plot for plot in plots if not plot.is_empty]
+
+
+def _share(number: int, effect: Effect, log: bool) -> Plot:
+    """Plot the success rate over a parameter, in bins of equal probability."""
+    lines = [
+        Line("95 %: to", _held(effect.high), GOOD, 0.8, step=True),
+        Line("from", _held(effect.low), GOOD, 0.8, step=True),
+        Line("success", _held(effect.share), GOOD, 2.0, step=True),
+    ]
+    return Plot(
+        f"share-{number}",
+        f"{effect.name} explains {percent(effect.success, 0)} of the variance of success",
+        "Success rate in bins of equal probability, with its 95 % interval.",
+        effect.edges,
+        lines,
+        x_label=_label(effect.name),
+        y_label="success rate [%]",
+        x_log=log,
+        y_range=(-3.0, 103.0),
+        time=False,
+        band=(0, 1),
+    )
+
+
+def _held(shares: Array) -> Array:
+    """Return shares of the bins as percentages at the edges."""
+    return 100.0 * np.append(shares, shares[-1:])
+
+
+def _runs(number: int, effect: Effect, log: bool, values: Array, rms: Array, success: NDArray[np.bool_]) -> Plot:
+    """Plot the first DOTS runs as dots over a parameter."""
+    order = np.argsort(values[:DOTS], kind="stable")
+    drawn, error, good = values[order], rms[order], success[order]
+    stable = np.isfinite(error) & (error > 0)
+    edge = ABOVE * float(error[stable].max(initial=1e-12))
+    lines = _present(
+        Line("succeeds", np.where(good & stable, error, np.nan), GOOD, dots=True),
+        Line("fails", np.where(~good & stable, error, np.nan), BAD, dots=True),
+        Line("unstable (upper edge)", np.where(stable, np.nan, edge), LOST, dots=True),
+    )
+    return Plot(
+        f"runs-{number}",
+        f"{effect.name} explains {percent(effect.error, 0)} of the variance of log RMS error",
+        f"One dot per run{f', the first {DOTS}' if len(values) > DOTS else ''}.",
+        drawn,
+        [Line("run", order.astype(float), "grey", unseen=True), *lines],
+        x_label=_label(effect.name),
+        y_label=ERROR,
+        x_log=log,
+        y_log=True,
+        time=False,
+    )
+
+
+def _distribution(rms: Array, success: NDArray[np.bool_]) -> Plot:
+    """Plot a histogram of the errors of the stable runs."""
+    stable = np.isfinite(rms) & (rms > 0)
+    errors = rms[stable] if stable.any() else np.ones(1)
+    edges = np.geomspace(errors.min() / 1.001, errors.max() * 1.001, BINS + 1)
+    good, bad = (np.histogram(rms[which], edges)[0] for which in (stable & success, stable & ~success))
+    lines = [
+        Line("succeed", np.append(good, 0.0), GOOD, 1.2, step=True, fill=True),
+        Line("fail", np.append(bad, 0.0), BAD, 1.2, step=True, fill=True),
+    ]
+    return Plot(
+        "distribution",
+        f"{percent(float(stable.mean()))} of the runs are stable",
+        "Stable runs by their error; log axis.",
+        edges,
+        lines,
+        x_label=ERROR,
+        y_label="runs",
+        x_log=True,
+        time=False,
+        y_range=(0.0, None),
+        wide=True,
+    )
+
+
+def _present(*lines: Line) -> Sequence[Line]:
+    return [line for line in lines if np.isfinite(line.values).any()]
+
+
+def _label(name: str) -> str:
+    unit = unit_of(name)
+    return f"{name} [{unit}]" if unit else f"{name} (factor)"
+
+
+@mpl.rc_context(STYLE)
+def draw(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> Path:
+    """Write the picture: a column for each parameter that has plots, the most influential one first."""
+    places = {plot.name: plot for plot in plots}
+    columns = min(SHOWN, len(summary.effects)) + 1
+    figure = Figure(figsize=(3.1 * columns, 7.0), layout="constrained")
+    axes = figure.subplots(2, columns, squeeze=False)
+    names = [[f"{row}-{column}" for column in range(columns - 1)] for row in ("share", "runs")]
+    for row, ax in zip([*names[0], "", *names[1], "distribution"], axes.flat, strict=True):
+        if row in places:
+            draw_plot(ax, places[row], WIDTH)
+    _indices(axes[0, -1], summary)
+    title = f"{headline(sweep, summary)}, each of {sweep.duration:g} s"
+    figure.suptitle(title, fontsize=13, x=0.01, ha="left")
+    figure.savefig(path)
+    return path
+
+
+def _indices(ax: Axes, summary: Summary) -> None:
+    shown = summary.effects[: 2 * SHOWN][::-1]
+    rows = np.arange(len(shown))
+    ax.barh(rows + 0.2, [effect.success for effect in shown], 0.36, color=COLOURS[1], label="success")
+    ax.barh(rows - 0.2, [effect.error for effect in shown], 0.36, color=GREY, label="log RMS error")
+    ax.set_yticks(rows, [effect.name for effect in shown])
+    ax.set(title="Part of the variance", xlim=(0, 1))
+    ax.grid(axis="y", visible=False)
+    ax.legend(loc="lower right", **LEGEND)

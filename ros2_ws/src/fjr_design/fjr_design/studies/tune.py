@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tune gains for stated uncertainties: a goal over drawn plants, candidates in one compiled loop, and their search.
+
+The search is CMA-ES (package cma), which asks for candidates and is told their costs: N. Hansen, A. Ostermeier,
+"Completely derandomized self-adaptation in evolution strategies", Evolutionary Computation 9 (2001) 159-195. Costs
+enter by their ranks only, so that constraints need no weights: every point that violates one ranks behind all that do
+not. The search runs on a few draws, the same for all candidates. The best of them are then compared on other draws,
+since the best of many on a few draws is partly luck.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.errors import FjrError, ParameterError
+from fjr_core.law.interfaces import SampledLaw
+from fjr_core.numerics.checks import Array
+from fjr_core.runtime.velocity_observer import VelocityObserver
+from fjr_core.simulation.batch import Outcomes
+from fjr_core.stability.sampled_loop import spectral_radius
+
+from .coordinates import RULE, SCENARIO, Coordinates, coordinates, starts
+from .sweep import Sweep, from_text
+
+MEANS = ("rms", "effort_rms", "effort_noise")
+LARGEST = ("peak", "final", "effort_peak")
+FIGURES = (*MEANS, *LARGEST, "power")
+"""Figures of a run that a goal may use: root mean square over the joints, largest of the joints, of the whole arm."""
+INFEASIBLE = 1e6
+"""Cost of points that violate a constraint, at least; the cost of others is far below."""
+WORST = 1e3  # violation that counts at most
+TIES = 1e3  # largest part of the cost among points with the same violation
+SUCCESS = "success"
+FEW = 4  # configurations of the reference at which a loop is checked
+FINER = 2.0  # delays that are checked per sample
+SELECTION = 4  # times the draws of the search: those of the selection
+Point = tuple[float, ...]
+OF_SCENARIO: Point = ()
+"""Point that stands for the gains of the scenario, wherever the search starts."""
+Range = tuple[int, int]
+FIRST_DEVIATION = 0.4  # of the logarithms of the factors: e^0.4 = 1.5
+WIDEST = float(np.log(50.0))  # of the logarithms of the factors
+FINALISTS = 6
+Figures = dict[str, NDArray[Any]]
+
+
+def figures(outcomes: Outcomes, success: NDArray[np.bool_]) -> Figures:
+    """Return the figures (k,) of k runs, and `success` (k,)."""
+    found: Figures = {name: np.sqrt(np.mean(np.square(getattr(outcomes, name)), axis=1)) for name in MEANS}
+    found |= {name: np.max(getattr(outcomes, name), axis=1) for name in LARGEST}
+    return {**found, "power": outcomes.power, SUCCESS: success}
+
+
+@dataclass(frozen=True)
+class Score:
+    """Figures at the quantile of the goal, share of successful runs, margin and cost of one candidate.
+
+    violation: 0 if all constraints are kept, else how much is missing, relative to what is required. cost: what the
+    search minimises; it is more than INFEASIBLE with a violation.
+    """
+
+    figures: Mapping[str, float]
+    success: float
+    violation: float
+    cost: float
+
+    @property
+    def feasible(self) -> bool:
+        """Return whether all constraints are kept."""
+        return self.violation <= 0
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Cost: the sum of weight * log(quantile of a figure over the draws). Constraints:
+
+    success: share of the draws that succeed (see Sweep). limits: largest quantile of a figure. delay_margin [samples]:
+    the sampled loop is stable with every delay up to it, at the equilibria of a few configurations of the reference.
+    Raises ParameterError.
+    """
+
+    minimise: Mapping[str, float] = field(default_factory=lambda: {"rms": 1.0})
+    quantile: float = 0.5
+    success: float = 0.95
+    limits: Mapping[str, float] = field(default_factory=dict)
+    delay_margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        for what, given in (("minimise", self.minimise), ("limits", self.limits)):
+            for name, value in given.items():
+                if name not in FIGURES:
+                    raise ParameterError(f"'{what}' has '{name}'; expected some of {', '.join(FIGURES)}")
+                if not 0 < value < np.inf:
+                    raise ParameterError(f"'{what}' has {value} as '{name}'; expected a positive number")
+        if not self.minimise:
+            raise ParameterError(f"'minimise' is empty; expected some of {', '.join(FIGURES)}")
+        for name in ("quantile", "success"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 0 to 1")
+        if not 0 <= self.delay_margin <= 20:
+            raise ParameterError(f"'delay_margin' is {self.delay_margin}; expected 0 to 20 samples")
+
+    def score(self, runs: Figures, instability: float = 0.0) -> Score:
+        """Return the score of runs; instability: spectral radius above 1 within the delay margin, 0 if stable."""
+        at = {name: quantile(runs[name], self.quantile) for name in FIGURES}
+        share = float(np.mean(runs[SUCCESS]))
+        excess = [at[name] / limit - 1 for name, limit in self.limits.items()]
+        violation = sum(max(0.0, each) for each in (self.success - share, instability, *excess))
+        cost = sum(weight * float(np.log(max(at[name], 1e-300))) for name, weight in self.minimise.items())
+        if violation > 0 or not np.isfinite(cost):
+            cost = INFEASIBLE * (1 + min(violation, WORST)) + float(np.clip(cost, -TIES, TIES))
+            violation = max(violation, 1e-12)
+        return Score(at, share, violation, cost)
+
+    def refused(self, violation: float = WORST) -> Score:
+        """Return the score of a point without gains."""
+        return Score({name: float("inf") for name in FIGURES}, 0.0, violation, INFEASIBLE * (1 + violation))
+
+
+def joined(parts: list[Figures]) -> Figures:
+    """Concatenate the figures of several parts."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def quantile(values: Array, share: float) -> float:
+    """Return the smallest value that at least this share of the runs keeps; infinite if that share of them is lost."""
+    return float(np.quantile(values, share, method="inverted_cdf"))
+
+
+@dataclass(frozen=True)
+class TuningStudy:
+    """A search of gains for a goal over the draws of a sweep.
+
+    start: of the search, see coordinates.starts. draws: runs of each candidate. candidates: number of them. fresh: runs
+    of the validation. Runs are numbered: the first `draws` are those of the search, the next ones those of the
+    selection, then those of the validation, so that each stage sees draws that no earlier one has seen. The seed is
+    that of the sweep. Raises ParameterError.
+    """
+
+    sweep: Sweep
+    goal: Goal = field(default_factory=Goal)
+    draws: int = 48
+    candidates: int = 300
+    fresh: int = 1000
+    start: str = SCENARIO
+
+    def __post_init__(self) -> None:
+        for name in ("draws", "candidates", "fresh"):
+            if not 1 <= getattr(self, name) <= 10**7:
+                raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {10**7}")
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        """Search space of the scenario's law."""
+        return coordinates(self.sweep.scenario, self.start)
+
+    @property
+    def origin(self) -> Point:
+        """Point of the start."""
+        return (0.0,) * len(self.coordinates)
+
+    @property
+    def search_runs(self) -> Range:
+        """Runs of the search, as (begin, end)."""
+        return 0, self.draws
+
+    @property
+    def selection_runs(self) -> Range:
+        """Runs of the selection of a candidate."""
+        return self.draws, (1 + SELECTION) * self.draws
+
+    @property
+    def fresh_runs(self) -> Range:
+        """Runs of the validation."""
+        begin = self.selection_runs[1]
+        return begin, begin + self.fresh
+
+    def run(self, point: Sequence[float], begin: int, end: int) -> Figures:
+        """Return the figures of the runs begin .. end - 1 with the gains at a point; none if no such gains exist."""
+        first = self.sweep.loop
+        try:
+            loop = first.with_law(*self._controller(point))
+        except FjrError:
+            return {}
+        outcomes = loop.run(self.sweep.draws(begin, end))
+        return figures(outcomes, self.sweep.succeeded(outcomes))
+
+    def score(self, point: Sequence[float], runs: Figures) -> Score:
+        """Return the score of a point from its runs."""
+        if not runs:
+            return self.goal.refused()
+        return self.goal.score(runs, self._instability(self._controller(point)[0]))
+
+    def _controller(self, point: Sequence[float]) -> tuple[SampledLaw, VelocityObserver | None]:
+        return self.coordinates.controller(point) if len(point) else (self.sweep.scenario.sampled_law, None)
+
+    def _instability(self, law: SampledLaw) -> float:
+        """Return how far the spectral radius exceeds 1 with a delay within the required margin; 0 if it does not."""
+        margin = self.goal.delay_margin
+        if not margin:
+            return 0.0
+        scenario, delays = self.sweep.scenario, np.linspace(0.0, margin, int(np.ceil(FINER * margin)) + 1)
+        where, period = scenario.configurations(FEW), scenario.sample_period
+        each = [
+            spectral_radius(law, period, delay * period, where, scenario.plant, scenario.sensing) for delay in delays
+        ]
+        return max(0.0, float(np.max(each)) - 1)
+
+    @property
+    def text(self) -> str:
+        """Study as JSON; studies with equal text have equal results."""
+        numbers = {name: getattr(self, name) for name in ("draws", "candidates", "fresh")}
+        goal = {"goal": asdict(self.goal), "start": self.start}
+        return json.dumps({**json.loads(self.sweep.text), **goal, **numbers}, indent=1)
+
+
+def with_better_start(
+    study: TuningStudy, run: Callable[[TuningStudy, Point, int, int], Figures] = TuningStudy.run
+) -> TuningStudy:
+    """Return the study with the start that costs less on the draws of the search; run: runs a part of a point."""
+
+    def cost(one: TuningStudy) -> float:
+        return one.score(one.origin, run(one, one.origin, *one.search_runs)).cost
+
+    if RULE in starts(study.sweep.scenario):
+        with suppress(FjrError):  # the rule may have no gains for this robot; another error comes again in the search
+            return min(study, replace(study, start=RULE), key=cost)
+    return study
+
+
+def study_of(text: str) -> TuningStudy:
+    """Return the study described by TuningStudy.text."""
+    values: dict[str, Any] = json.loads(text)
+    goal, start = Goal(**values.pop("goal")), values.pop("start")
+    numbers = {name: values.pop(name) for name in ("draws", "candidates", "fresh")}
+    return TuningStudy(from_text(json.dumps(values)), goal, **numbers, start=start)
+
+
+_recent = lru_cache(maxsize=2)(study_of)
+_building = threading.Lock()
+
+
+def run_candidate(text: str, point: Point, begin: int, end: int) -> Figures:
+    """Run a part of the runs of a point of a study given as text, in a local or remote worker; see TuningStudy.run."""
+    with _building:  # once for all threads of a process
+        study = _recent(text)
+        study.sweep.loop.build()
+        _ = study.coordinates
+    return study.run(point, begin, end)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A point of the search with its score on the draws of the search."""
+
+    point: Point
+    score: Score
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a search: the start, all candidates in order, the finalists on the draws of the selection, the choice.
+
+    The first finalist is the start.
+    """
+
+    candidates: tuple[Candidate, ...]
+    finalists: tuple[Candidate, ...]
+    chosen: Point
+
+    @property
+    def start(self) -> Candidate:
+        """The start of the search."""
+        return self.candidates[0]
+
+
+Evaluate = Callable[[Sequence[Point], Range], list[Score]]
+"""(points, range of runs) -> their scores."""
+
+
+def search(study: TuningStudy, evaluate: Evaluate) -> Found:
+    """Search the gains of a study; the results depend only on the study. Raises ParameterError without `cma`."""
+    start = study.origin
+    kept = [Candidate(start, evaluate([start], study.search_runs)[0])]
+    strategy = _strategy(len(start), study.sweep.seed)
+    while len(kept) < study.candidates and not strategy.stop():
+        asked = strategy.ask()
+        points = [tuple(float(each) for each in point) for point in asked]
+        scores = evaluate(points, study.search_runs)
+        strategy.tell(asked, [score.cost for score in scores])
+        kept += [Candidate(*each) for each in zip(points, scores, strict=True)]
+    ranked = sorted(kept[1:], key=lambda one: one.score.cost)[:FINALISTS]
+    points = [start, *(one.point for one in ranked)]
+    scores = evaluate(points, study.selection_runs)
+    finalists = tuple(Candidate(*each) for each in zip(points, scores, strict=True))
+    chosen = min(finalists, key=lambda one: one.score.cost)
+    return Found(tuple(kept), finalists, chosen.point)
+
+
+def _strategy(dimension: int, seed: int) -> Any:
+    """Return a CMAEvolutionStrategy of cma at the origin; its random numbers are its own, not NumPy's global ones."""
+    try:
+        import cma  # loaded on use: only `fjr tune` needs it
+    except ModuleNotFoundError:
+        raise ParameterError("the package cma is not installed; expected it for tuning: pip install cma") from None
+    random = np.random.default_rng(seed)
+    options = {
+        "bounds": [-WIDEST, WIDEST],
+        "randn": lambda *shape: random.standard_normal(shape),
+        "seed": np.nan,
+        "verbose": -9,
+    }
+    return cma.CMAEvolutionStrategy(np.zeros(dimension), FIRST_DEVIATION, options)

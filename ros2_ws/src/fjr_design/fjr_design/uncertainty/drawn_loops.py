@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check the sampled loop of one controller on plants that differ from its model, drawn or wrong in one parameter.
+
+The loop is linearised as in sampled_loop, for all draws and configurations at once. A map M is stable if a power of it
+contracts, |M^(2^j)| < 1; repeated squaring decides that for thousands of maps in the time of a few hundred spectral
+radii. The maps that it does not decide get their eigenvalues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fjr_core.errors import StateError
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
+from fjr_core.law.linearized import Equilibria, Indices
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.batch.draws import PARAMETERS
+from fjr_core.stability.linear_controller import Controller, Sensing, controller
+from fjr_core.stability.linearization import as_sampled, held_maps, map_of_held, split
+
+CONFIDENCE = 0.99
+SQUARINGS = 14
+MOST_MAPS = 512  # in memory at a time
+FIELDS = tuple(one.name for one in PARAMETERS.values() if one.matrix)
+SCREENED, CLOSELY = 16, 8  # draws that choose the worst configurations, and how many these are
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnPlants:
+    """Plants whose joints were drawn: stiffness [N m/rad], motor_inertia [kg m^2], damping [N m s/rad], each (k, n).
+
+    delay (k,) [s]: of the effort, in addition to that of the loop. The links are those of the robot. Raises StateError.
+    """
+
+    stiffness: Array
+    motor_inertia: Array
+    link_damping: Array
+    motor_damping: Array
+    delay: Array
+
+    def __post_init__(self) -> None:
+        for name in FIELDS:
+            value = getattr(self, name)
+            if value.shape != self.stiffness.shape or not np.all(np.isfinite(value)) or value.min() < 0:
+                raise StateError(f"{name} of shape {value.shape} is not positive; expected {self.stiffness.shape}")
+
+    def __len__(self) -> int:
+        return len(self.stiffness)
+
+    def at(self, which: slice | Indices) -> DrawnPlants:
+        """Return the selected draws."""
+        return DrawnPlants(*(getattr(self, name)[which] for name in (*FIELDS, "delay")))
+
+
+@dataclass(frozen=True)
+class LargestMeanDifference:
+    """Drawn parameter whose mean over the lost draws differs most from that over all, in standard deviations.
+
+    field: of DrawnPlants. joint: index, -1 for the delay. lost, all: both means.
+    """
+
+    field: str
+    joint: int
+    lost: float
+    all: float
+
+    @classmethod
+    def of(cls, plants: DrawnPlants, lost: NDArray[np.bool_]) -> LargestMeanDifference:
+        """Compare the lost draws (k,) with all in standard deviations of each drawn number."""
+        drawn = np.column_stack([*(getattr(plants, name) for name in FIELDS), plants.delay])
+        mean, own, spread = drawn.mean(axis=0), drawn[lost].mean(axis=0), drawn.std(axis=0)
+        which = int(np.argmax(np.abs(own - mean) / np.where(spread > 1e-9 * np.abs(mean), spread, np.inf)))
+        field, joint = divmod(which, plants.stiffness.shape[1])
+        name, joint = (FIELDS[field], joint) if field < len(FIELDS) else ("delay", -1)
+        return cls(name, joint, float(own[which]), float(mean[which]))
+
+    def sentence(self, joints: Sequence[str] = ()) -> str:
+        """Return what the lost draws have in common; joints: their names, joint1 to jointn if empty."""
+        names = joints or [f"joint{j + 1}" for j in range(self.joint + 1)]
+        where = f" of {names[self.joint]}" if self.joint >= 0 else ""
+        what = self.field.replace("_", " ")
+        return f"the lost draws differ most in {what}{where}: {self.lost:.3g} on average, {self.all:.3g} over all draws"
+
+
+class DrawnLoops:
+    """One linearised controller at the equilibria of its own model, with whatever plants are drawn.
+
+    The loop has a sample_period [s], a delay [s] and the sensing of sampled_loop.check.
+    """
+
+    def __init__(
+        self,
+        law: StaticLaw | SampledLaw,
+        equilibria: Equilibria,
+        sample_period: float,
+        delay: float,
+        sensing: Sensing | None = None,
+    ) -> None:
+        sensing, self._own = sensing or Sensing(), equilibria
+        self._controller = controller(as_sampled(law), self._own, sensing)(sample_period)
+        self._period, self._delay, self._by_torque = sample_period, delay, sensing.by_torque
+
+    def unstable(self, plants: DrawnPlants, progress: Callable[[float], None] = lambda _: None) -> NDArray[np.bool_]:
+        """Return which draws (k,) are unstable at any configuration; progress receives the finished share."""
+        bad, done = np.zeros(len(plants), dtype=bool), 0
+        for chosen, maps in self._groups(plants):
+            bad[chosen] = ~contracting(maps).reshape(len(chosen), -1).all(axis=1)
+            done += len(chosen)
+            progress(done / len(plants))
+        return bad
+
+    def radii(self, plants: DrawnPlants) -> Array:
+        """Return the spectral radii (k, c) of k draws at c configurations."""
+        found = np.empty((len(plants), len(self._own.q_l)))
+        for chosen, maps in self._groups(plants):
+            found[chosen] = np.abs(np.linalg.eigvals(maps)).max(axis=1).reshape(len(chosen), -1)
+        return found
+
+    def worst(self, plants: DrawnPlants) -> Indices:
+        """Return the sorted indices of the CLOSELY configurations that are worst for some of the first draws."""
+        radii = self.radii(plants.at(slice(0, SCREENED))).max(axis=0)
+        return np.sort(np.argsort(-radii, kind="stable")[:CLOSELY])
+
+    def _groups(self, plants: DrawnPlants) -> Iterator[tuple[Indices, Array]]:
+        """Yield a few draws of equal whole samples of delay, which determine the size of a map, and their maps."""
+        times = [split(max(self._delay + delay, 0.0), self._period) for delay in plants.delay]
+        whole, late = np.array([pair[0] for pair in times]), np.array([pair[1] for pair in times])
+        size = max(1, MOST_MAPS // len(self._own.q_l))
+        for samples in np.unique(whole):
+            equal = np.flatnonzero(whole == samples)
+            for chosen in np.split(equal, range(size, len(equal), size)):
+                yield chosen, self._maps(plants.at(chosen), int(samples), late[chosen])
+
+    def _maps(self, plants: DrawnPlants, whole: int, late: Array) -> Array:
+        """Return the one-sample maps (k c, N, N) of k draws at c configurations."""
+        k, c, T = len(plants), len(self._own.q_l), self._period
+        A, B, frequency = self._plants(plants)
+        law = _repeated(self._controller, k)
+        if self._by_torque:
+            seen = np.stack([_seen(self._own.robot, K) for K in plants.stiffness])
+            law = law.seeing(np.repeat(seen, c, axis=0))
+        late = np.repeat(late, c)
+        Phi, Gamma = _held(A, B, (1 - late) * T, frequency)
+        if not late.any():
+            return map_of_held(Phi, {whole: Gamma}, law)
+        Phi_late, Gamma_late = _held(A, B, late * T, frequency)
+        return map_of_held(Phi @ Phi_late, {whole: Gamma, whole + 1: Phi @ Gamma_late}, law)
+
+    def _plants(self, plants: DrawnPlants) -> tuple[Array, Array, float]:
+        """Return A (k c, 4n, 4n), B (k c, 4n, n) in y = (q_l, q_m, dq_l, dq_m), and the highest frequency [rad/s]."""
+        own, n, k, c = self._own, self._own.robot.n, len(plants), len(self._own.q_l)
+        W = np.linalg.inv(own.M_l)
+        A, B = np.zeros((k, c, 4 * n, 4 * n)), np.zeros((k, c, 4 * n, n))
+        q_l, q_m, v_l, v_m = (slice(i * n, (i + 1) * n) for i in range(4))
+        A[..., q_l, v_l] = A[..., q_m, v_m] = np.eye(n)
+        A[..., v_l, q_m] = W * plants.stiffness[:, None, None, :]
+        A[..., v_l, q_l] = -A[..., v_l, q_m] - W @ own.N_l
+        A[..., v_l, v_l] = -W * plants.link_damping[:, None, None, :]
+        joints = np.arange(n)
+        spring = (plants.stiffness / plants.motor_inertia)[:, None]
+        A[:, :, 3 * n + joints, joints], A[:, :, 3 * n + joints, n + joints] = spring, -spring
+        A[:, :, 3 * n + joints, 3 * n + joints] = -(plants.motor_damping / plants.motor_inertia)[:, None]
+        B[..., v_m, :] = own.robot.B_m / plants.motor_inertia[:, None, :, None]
+        frequency = float(np.sqrt(np.abs(A[..., 2 * n :, : 2 * n]).sum(axis=-1).max()))
+        return A.reshape(k * c, 4 * n, 4 * n), B.reshape(k * c, 4 * n, n), frequency
+
+
+def contracting(maps: Array) -> NDArray[np.bool_]:
+    """Return which maps (k, N, N) have a spectral radius below 1."""
+    stable, open_ = np.zeros(len(maps), dtype=bool), np.arange(len(maps))
+    power = maps
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(SQUARINGS):
+            norm = np.linalg.norm(power, axis=(1, 2))
+            stable[open_[norm < 1]] = True
+            rest = ~(norm < 1) & (norm < 1e30)
+            open_, power = open_[rest], power[rest]
+            if not len(open_):
+                break
+            power = power @ power
+    left = np.flatnonzero(~stable & np.isfinite(maps).all(axis=(1, 2)))
+    if len(left):
+        stable[left] = np.abs(np.linalg.eigvals(maps[left])).max(axis=1) < 1
+    return stable
+
+
+def _held(A: Array, B: Array, times: Array, frequency: float) -> tuple[Array, Array]:
+    """Return Phi and Gamma of each plant over its own time [s], with velocities scaled by the frequency."""
+    half = A.shape[1] // 2
+    size = np.repeat([1.0, 1.0 / max(frequency, 1e-9)], half)[:, None]
+    durations, scale = times[:, None, None], size / size.T
+    Phi, Gamma = held_maps(A * scale * durations, B * size * durations, 1.0)
+    return Phi / scale, Gamma / size
+
+
+def _repeated(law: Controller, k: int) -> Controller:
+    """Return the controller at c configurations for each of k draws."""
+    return Controller(**{name: np.tile(getattr(law, name), (k, 1, 1)) for name in "FCSGHJ"})
+
+
+def _seen(robot: Robot, stiffness: Array) -> Array:
+    """Return the map (4n, 4n) from the state of a plant to what joint torque sensors measure."""
+    seen = Sensing(by_torque=True).measured(robot, np.diag(stiffness))
+    return np.eye(4 * robot.n) if seen is None else seen
+
+
+def draws_needed(share: float, confidence: float = CONFIDENCE) -> int:
+    """Return how many draws, none of which is lost, show that at most this share is, with this confidence."""
+    return int(np.ceil(np.log(1 - confidence) / np.log(1 - share)))
+
+
+def largest_share(lost: int, of: int, confidence: float = CONFIDENCE) -> float:
+    """Return the upper bound of the share that is lost, with this confidence (C. Clopper, E. Pearson, 1934)."""
+    from scipy.special import betaincinv  # loaded on use: see law/gains.py
+
+    return 1.0 if lost >= of else float(betaincinv(lost + 1, of - lost, confidence))
+
+
+FACTORS = (0.7, 0.8, 1.2, 1.3)
+"""Ratios of a plant parameter to its value in the model."""
+
+
+def _scaled(matrix: str) -> Callable[[Equilibria, float], Equilibria]:
+    """Return the function that multiplies a matrix of the robot at its equilibria by a factor."""
+    return lambda at, factor: replace(at, robot=replace(at.robot, **{matrix: factor * getattr(at.robot, matrix)}))
+
+
+QUANTITIES: Mapping[str, Callable[[Equilibria, float], Equilibria]] = {
+    "stiffness": _scaled("K"),
+    "link inertia": lambda at, factor: replace(at, M_l=factor * at.M_l),
+    "motor inertia": _scaled("M_m"),
+}
+"""Parameters that are changed, for all joints at once; the weight of the links stays."""
+
+
+def radii_with_model_errors(
+    law: StaticLaw | SampledLaw,
+    sample_period: float,
+    delay: float,
+    configurations: ArrayLike,
+    plant: Plant | None = None,
+    sensing: Sensing | None = None,
+) -> dict[tuple[str, float], float]:
+    """Return the largest spectral radius at the configurations (k, n) [rad] for each (quantity, factor).
+
+    The law keeps its model. Arguments as in sampled_loop.check. Raises StateError for wrong shapes.
+    """
+    sensing, q_l = sensing or Sensing(), checked_configurations(law.robot, configurations)
+    own, real = equilibria_at(law.robot, q_l), equilibria_at((plant or Plant(law.robot)).robot, q_l)
+    at = controller(as_sampled(law), own, sensing)
+    return {
+        (quantity, factor): float(np.max(on_plant(at, own, change(real, factor), sensing).radii(sample_period, delay)))
+        for quantity, change in QUANTITIES.items()
+        for factor in FACTORS
+    }

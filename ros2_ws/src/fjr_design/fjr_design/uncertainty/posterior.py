@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an identification knows about a robot: intervals and verdicts, a posterior, and plants drawn from it.
+
+The posterior is normal in the coordinates of its parameters, so that every draw is a linear function of standard normal
+numbers z: theta = mean + S z with S S = covariance. Studies take z from a random generator that counts runs, so that a
+run draws the same plant whichever runs accompany it; the synthesis of gains takes a few draws at once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fjr_core.errors import ParameterError
+from fjr_core.files.text_file import read_text
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+from fjr_core.simulation.batch import draws
+from fjr_core.simulation.batch.draws import PARAMETERS, POINT
+
+from . import distributions
+from .distributions import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
+from .drawn_loops import DrawnPlants
+
+IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
+LOG, NONNEGATIVE, LINEAR = "log", "non-negative", "linear"
+"""Coordinates of a parameter in the posterior: its logarithm, or the parameter, whose draws may be clipped at 0."""
+DEFLECTION = "deflection"
+"""Signal q_m - q_l of a fit that follows from the motion."""
+MATRICES = {one.identified: one.matrix for one in PARAMETERS.values() if one.matrix}
+"""Matrices of a robot whose diagonals are drawn, by the name of their parameter in an identification."""
+NAMES = {one.identified: one for one in PARAMETERS.values() if one.identified}
+"""The glossary of deviations, by their names in an identification."""
+DELAY = "effort_delay"
+LEAST = 1e-3  # of the robot's own value; smallest drawn stiffness and motor inertia
+STREAM = "posterior"
+
+
+def natural(z: Array, coordinate: str) -> Array:
+    """Return parameter values of their coordinates."""
+    if coordinate == LOG:
+        return np.exp(z)
+    return np.maximum(z, 0.0) if coordinate == NONNEGATIVE else z
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter of one joint: value, 95 % interval (low, high), prior value, verdict and its reason.
+
+    name: joint_stiffness [N m/rad], motor_inertia [kg m^2], link_damping, motor_damping [N m s/rad],
+    link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], offset [rad] (of
+    q_m - q_l at zero spring torque), link_skew, motor_skew, torque_skew, effort_delay [s], payload_mass [kg],
+    payload_position_x, _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the
+    whole arm. An UNKNOWN parameter keeps its prior; reason says which motion would reveal it.
+    """
+
+    name: str
+    joint: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    prior: float
+    verdict: str
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Measured and predicted signals of one record by name, `q_l`, `q_m`, `torque` or DEFLECTION, each (k, n).
+
+    DEFLECTION [rad]: of a record that is not simulated, from its filtered motion, less its mean. noise (n,): standard
+    deviation of the measurement of each joint; of DEFLECTION the root mean square residual. explained (n,): share of
+    the deflection's variance that the model explains, NaN where there is no link measurement.
+    """
+
+    record: str
+    t: Array
+    measured: Mapping[str, Array]
+    predicted: Mapping[str, Array]
+    noise: Mapping[str, Array]
+    explained: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Estimates of all parameters, and the posterior of those that are not UNKNOWN.
+
+    coordinates: LOG, NONNEGATIVE or LINEAR per entry of the posterior; free: index into `estimates` of each entry. mean
+    (p,) and covariance (p, p) are in these coordinates.
+    """
+
+    joints: tuple[str, ...]
+    estimates: tuple[Estimate, ...]
+    free: tuple[int, ...]
+    coordinates: tuple[str, ...]
+    mean: Array
+    covariance: Array
+    fits: tuple[Fit, ...] = ()
+
+    def value(self, name: str) -> Array:
+        """Return the values of a parameter for all joints that have it, in their order."""
+        return np.array([each.value for each in self.estimates if each.name == name])
+
+    def check_joints(self, joints: Sequence[str]) -> None:
+        """Raise ParameterError unless the identification is of these joints."""
+        if self.joints != tuple(joints):
+            raise ParameterError(
+                f"the identification is of joints {', '.join(self.joints)}; expected those of the scenario, "
+                f"{', '.join(joints)}"
+            )
+
+    def kept_at_prior(self, names: Sequence[str]) -> list[str]:
+        """Return "parameter of joint" for those of these parameters that no draw changes, because they are unknown."""
+        return [
+            f"{each.name} of {each.joint}" if each.joint else each.name
+            for each in self.estimates
+            if each.verdict == UNKNOWN and each.name in names
+        ]
+
+    def draws(self, count: int, seed: int) -> Array:
+        """Return draws (count, len(estimates)) of all parameters from the posterior; UNKNOWN ones keep their prior."""
+        return self.at(np.random.default_rng(seed).standard_normal((count, len(self.mean))))
+
+    def at(self, normal: Array) -> Array:
+        """Return draws (k, len(estimates)) at standard normal numbers (k, p), by the symmetric root of covariance."""
+        w, v = np.linalg.eigh(self.covariance)
+        z = self.mean + normal @ (v * np.sqrt(np.maximum(w, 0.0))) @ v.T
+        drawn = np.tile([each.value for each in self.estimates], (len(normal), 1))
+        for k, (index, coordinate) in enumerate(zip(self.free, self.coordinates, strict=True)):
+            drawn[:, index] = natural(z[:, k], coordinate)
+        return drawn
+
+    def drawn_values(self, table: Array, name: str) -> dict[str, Array]:
+        """Return the draws (k,) of a parameter by joint, from the draws (k, p) of all estimates."""
+        return {each.joint: table[:, i] for i, each in enumerate(self.estimates) if each.name == name}
+
+    def by_joint(self, table: Array, name: str, otherwise: Array) -> Array:
+        """Return the draws (k, n) of a parameter of the joints; otherwise (n,): of joints that have none."""
+        values = self.drawn_values(table, name)
+        return np.stack(
+            [values.get(joint, np.full(len(table), otherwise[j])) for j, joint in enumerate(self.joints)], 1
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for identification.json; from_dict makes the same identification, without fits."""
+        return {
+            "joints": list(self.joints),
+            "estimates": [asdict(each) for each in self.estimates],
+            "free": list(self.free),
+            "coordinates": list(self.coordinates),
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Identification:
+        """Return the identification of `as_dict`."""
+        return cls(
+            tuple(values["joints"]),
+            tuple(Estimate(**each) for each in values["estimates"]),
+            tuple(values["free"]),
+            tuple(values["coordinates"]),
+            np.array(values["mean"], dtype=float),
+            np.array(values["covariance"], dtype=float).reshape(len(values["mean"]), -1),
+        )
+
+
+def read_identification(path: Path) -> Identification:
+    """Return the identification in a file, identification.json; raises ParameterError, which names the file."""
+    try:
+        return parsed_identification(json.loads(read_text(path)))
+    except OSError as error:
+        raise ParameterError(f"cannot read identification {path}: {error.strerror}") from None
+    except (ValueError, ParameterError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
+        raise ParameterError(f"{path}: {error}") from None
+
+
+def parsed_identification(values: object) -> Identification:
+    """Return the identification of plain values; raises ParameterError."""
+    try:
+        found = Identification.from_dict(values)  # type: ignore[arg-type]
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise ParameterError(
+            f"is no identification ({error!r}); expected the file identification.json of an identified robot"
+        ) from None
+    p = len(found.free)
+    shapes = len(found.coordinates), found.mean.shape, found.covariance.shape
+    if shapes != (p, (p,), (p, p)) or not all(0 <= i < len(found.estimates) for i in found.free):
+        raise ParameterError(f"has a posterior of sizes {shapes} for {p} parameters; expected equal sizes")
+    if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
+        raise ParameterError("has a posterior that is not finite; expected finite means and covariances")
+    return found
+
+
+def drawn_plants(found: Identification, robot: Robot, count: int, seed: int, widened: float = 1.0) -> DrawnPlants:
+    """Return `count` plants; what is not identified is as in the robot, which has the joints of the identification.
+
+    widened: factor on the posterior's standard deviations. The delay of a plant is the largest of its joints.
+    """
+    table = replace(found, covariance=widened**2 * found.covariance).draws(count, seed)
+    columns = {}
+    for name, matrix in MATRICES.items():
+        own = np.diag(getattr(robot, matrix))
+        columns[NAMES[name].name] = np.maximum(
+            found.by_joint(table, name, own), LEAST * own if matrix in ("K", "M_m") else 0.0
+        )
+    return DrawnPlants(**columns, delay=found.by_joint(table, DELAY, np.zeros(robot.n)).max(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorDraws:
+    """Draws of an identification as deviations from a robot with its joints.
+
+    Stiffness, motor inertia and damping are factors on the values of the robot, friction and payload are levels; the
+    delay is the largest of the joints. Raises ParameterError for other joints and for a factor on a value of zero.
+    """
+
+    found: Identification
+    robot: Robot
+    joints: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self.found.check_joints(self.joints)
+        for name in MATRICES:
+            for joint, _ in self._marginals(name):
+                if not self._own(name)[self.joints.index(joint)] > 0:
+                    raise ParameterError(
+                        f"{name} of {joint} is 0 in the scenario; expected the identified robot file, "
+                        "whose values the posterior scales"
+                    )
+
+    @cached_property
+    def columns(self) -> dict[str, list[DrawnColumn]]:
+        """Return the drawn numbers by deviation, with their marginals; those that are not identified are not drawn."""
+        found: dict[str, list[DrawnColumn]] = {}
+        for name, one in NAMES.items():
+            if one.per == POINT:
+                axes = [(axis, i, self._marginals(f"{name}_{axis}")) for i, axis in enumerate("xyz")]
+                each = [(f".{axis}", i, own[0][1]) for axis, i, own in axes if own]
+            elif name == DELAY:
+                latest = max(self._marginals(name), key=lambda own: own[1].numbers[0], default=None)
+                each = [("", 0, latest[1])] if latest else []
+            else:
+                own = self._marginals(name)
+                each = [(f".{joint}" if joint else "", self.joints.index(joint) if joint else 0, m) for joint, m in own]
+            found[one.name] = [DrawnColumn(f"{one.name}{label}", one.name, i, marginal) for label, i, marginal in each]
+        return {name: columns for name, columns in found.items() if columns}
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Return the names of identified parameters that a study does not draw, such as the offset."""
+        used = {*NAMES, *(f"{name}_{axis}" for name in NAMES for axis in "xyz")}
+        names = dict.fromkeys(self.found.estimates[i].name for i in self.found.free)
+        return tuple(name for name in names if name not in used)
+
+    def drawn(self, seed: int, first: int, count: int) -> dict[str, Array]:
+        """Return the draws by deviation, (count, n), (count,) or (count, 3), of the runs from `first` on."""
+        words = draws.rows((seed, distributions.stream(STREAM)), first, count, len(self.found.mean))
+        table = self.found.at(distributions.standard_normal(draws.unit(words)))
+        return {one.name: self._drawn(name, table) for name, one in NAMES.items() if one.name in self.columns}
+
+    def _drawn(self, name: str, table: Array) -> Array:
+        n = len(self.joints)
+        if NAMES[name].per == POINT:
+            return np.stack([self.found.drawn_values(table, f"{name}_{axis}")[""] for axis in "xyz"], 1)
+        if name == DELAY:
+            return np.maximum(self.found.by_joint(table, name, np.zeros(n)).max(axis=1), 0.0)
+        if NAMES[name].per_run:
+            return self.found.drawn_values(table, name)[""]
+        own = self._own(name)
+        return self.found.by_joint(table, name, own) / np.where(own > 0, own, 1.0)
+
+    def range(self, name: str) -> tuple[float, float]:
+        """Return the smallest and the largest value of a deviation, by its marginals."""
+        ranges = [column.distribution.range for column in self.columns[name]]
+        return min(low for low, _ in ranges), max(high for _, high in ranges)
+
+    def _marginals(self, name: str) -> list[tuple[str, Distribution]]:
+        """Return joint ("" for the arm) and marginal distribution of each identified parameter of this name."""
+        found = []
+        for k, index in enumerate(self.found.free):
+            each, mean = self.found.estimates[index], float(self.found.mean[k])
+            if each.name == name:
+                own = self._own(name)[self.joints.index(each.joint) if each.joint else 0]
+                scale = float(own) if own > 0 else 1.0
+                deviation = max(float(np.sqrt(self.found.covariance[k, k])), 1e-12)
+                is_log = self.found.coordinates[k] == LOG
+                numbers = (float(np.exp(mean)) / scale, deviation) if is_log else (mean / scale, deviation / scale)
+                found.append((each.joint, Distribution(LOG_NORMAL if is_log else NORMAL, numbers)))
+        return found
+
+    def _own(self, name: str) -> Array:
+        """Return the values (n,) of the robot that the draws are divided by; 1 for levels."""
+        return np.diag(getattr(self.robot, MATRICES[name])) if name in MATRICES else np.ones(len(self.joints))

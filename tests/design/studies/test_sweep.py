@@ -1,0 +1,430 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps: draws, store, resumption, independence of the workers, sensitivities."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import fjr_core as fjr
+from fjr_core import ParameterError
+from fjr_design.studies import sensitivity, study, sweep, sweep_file, sweep_run
+from fjr_design.studies.study import StoreError, Workers, threads
+from fjr_design.studies.sweep import Columns, Sweep, from_text
+from fjr_design.studies.sweep_run import open_store, run_missing
+from fjr_design.uncertainty import distributions
+
+SCENARIO = """
+/**:
+  ros__parameters:
+    joints: [joint1]
+    robot: {model: single_link, link_inertia: [0.031], gravity_torque: [0.8], joint_stiffness: [31.0],
+            motor_inertia: [0.004], link_damping: [0.2], motor_damping: [0.007]}
+/**/fjr_plant:
+  ros__parameters: {initial_link_position: [0.5], initial_motor_position: [0.5]}
+"""
+VARY: dict[str, Any] = {
+    "stiffness": {"uniform": [0.5, 1.5]},
+    "link_damping": {"log_uniform": [0.3, 3.0], "each_joint": True},
+    "gravity": {"normal": [1.0, 0.05]},
+    "delay": {"uniform": [0.0, 0.01]},
+    "velocity_noise": 1e-3,
+}
+
+
+def sweep_of(runs: int = 45, vary: dict[str, Any] = VARY, **changes: Any) -> Sweep:
+    drawn = {name: distributions.read(name, given) for name, given in vary.items()}
+    values = {"duration": 0.2, "settle_after": 0.1, "success": {"rms": 0.3}, **changes}
+    return Sweep("test", SCENARIO, runs, drawn, **values)
+
+
+def done(folder: Path, plan: Sweep, cores: int = 1, stop: threading.Event | None = None) -> bytes:
+    with open_store(folder, plan, "program") as kept, threads(cores) as workers:
+        assert run_missing(kept, workers, lambda runs: None, stop or threading.Event())
+        return kept.complete().read_bytes()
+
+
+class LogNormal:
+    """exp of a truncated normal distribution of the logarithm."""
+
+    logarithm = stats.truncnorm(-4, 4, np.log(2.0), 0.5)
+
+    def cdf(self, value: Any) -> Any:
+        return self.logarithm.cdf(np.log(value))
+
+    def ppf(self, share: Any) -> Any:
+        return np.exp(self.logarithm.ppf(share))
+
+    def support(self) -> Any:
+        return tuple(np.exp(self.logarithm.support()))
+
+
+@pytest.mark.parametrize(
+    ("given", "oracle"),
+    [
+        ({"uniform": [0.5, 1.5]}, stats.uniform(0.5, 1.0)),
+        ({"log_uniform": [0.3, 3.0]}, stats.loguniform(0.3, 3.0)),
+        ({"normal": [1.0, 0.1]}, stats.truncnorm(-4, 4, 1.0, 0.1)),
+        ({"log_normal": [2.0, 0.5]}, LogNormal()),
+    ],
+)
+def test_draws_have_the_requested_distribution(given: dict[str, Any], oracle: Any) -> None:
+    one = distributions.read("stiffness", given)
+    values = one.drawn("stiffness", 7, 0, 20_000, 1)
+    assert stats.kstest(values, oracle.cdf).pvalue > 1e-3
+    assert one.range == pytest.approx(oracle.support())
+    shares = np.linspace(0, 1, 11)
+    assert one.at(shares) == pytest.approx(oracle.ppf(shares))
+    assert one.share(one.at(shares)) == pytest.approx(shares, abs=1e-9)
+
+
+def test_draws_are_independent_across_joints_names_and_seeds() -> None:
+    one = distributions.read("stiffness", {"uniform": [0.0, 1.0], "each_joint": True})
+    drawn = one.drawn("stiffness", 1, 0, 5000, 7)
+    others = [one.drawn("gravity", 1, 0, 5000, 7), one.drawn("stiffness", 2, 0, 5000, 7)]
+    together = np.hstack([drawn, *others])
+    assert np.corrcoef(together.T) == pytest.approx(np.eye(21), abs=0.06)
+
+
+@pytest.mark.parametrize("n", [1, 3, 4, 7])
+def test_the_draws_of_a_run_are_independent_of_other_runs(n: int) -> None:
+    one = distributions.read("stiffness", {"normal": [1.0, 0.1], "each_joint": True})
+    whole = one.drawn("stiffness", 3, 0, 20, n)
+    parts = [one.drawn("stiffness", 3, begin, 5, n) for begin in (0, 5, 10, 15)]
+    assert np.array_equal(np.vstack(parts), whole)
+
+
+def test_part_of_a_study_is_bit_identical_when_run_alone() -> None:
+    plan = sweep_of()
+    whole, middle = plan.part(0, 45), plan.part(13, 29)
+    for name, column in middle.items():
+        assert column.tobytes() == whole[name][13:29].tobytes(), name
+    assert whole["success"].any()
+    assert not whole["success"].all()
+    assert set(whole) >= {"run", "stiffness", "link_damping.joint1", "rms.joint1", "lost_at", "power"}
+    assert "velocity_noise" not in whole
+
+
+def test_payload_position_does_not_depend_on_the_partition() -> None:
+    plan = sweep_of(vary={"payload_mass": 0.1, "payload_position": {"uniform": [0.0, 0.1]}})
+    drawn = plan.draws(0, 6).columns("payload_position", 1)
+    assert np.array_equal(plan.draws(3, 6).columns("payload_position", 1), drawn[3:])
+    assert len(set(drawn[:, 0])) == 6
+    fixed = sweep_of(vary={"payload_mass": {"uniform": [0.1, 0.2]}, "payload_position": [0.1, 0.2, 0.3]})
+    assert fixed.draws(0, 3).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * 3
+
+
+def test_study_round_trips_through_text() -> None:
+    plan = sweep_of()
+    assert from_text(plan.text) == plan
+    assert from_text(plan.text).text == plan.text
+
+
+def test_success_is_stable_and_within_every_limit() -> None:
+    columns = sweep_of(success={"rms": 0.2, "effort_peak": 26.4}).part(0, 45)
+    wanted = columns["stable"] & (columns["rms.joint1"] <= 0.2) & (columns["effort_peak.joint1"] <= 26.4)
+    assert np.array_equal(columns["success"], wanted)
+    assert 0 < wanted.sum() < columns["stable"].sum()
+
+
+def test_table_is_byte_identical_for_any_number_of_cores_and_any_order(tmp_path: Path) -> None:
+    plan = sweep_of()
+    one = done(tmp_path / "one", plan)
+    assert done(tmp_path / "more", plan, cores=4) == one
+    with open_store(tmp_path / "backwards", plan, "program") as kept:
+        for begin, end in reversed(list(kept.missing())):
+            kept.keep(begin, end, plan.part(begin, end))
+        assert kept.complete().read_bytes() == one
+
+
+def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan, stop, asked = sweep_of(), threading.Event(), []
+
+    def counted(text: str, begin: int, end: int) -> Columns:
+        asked.append(begin)
+        return sweep.run_part(text, begin, end)
+
+    monkeypatch.setattr(sweep_run, "run_part", counted)
+    with open_store(tmp_path / "a", plan, "program") as kept, threads(1) as workers:
+        assert not run_missing(kept, workers, lambda runs: stop.set(), stop)
+        there = kept.finished()
+        assert 0 < there < 45
+    first = set(asked)
+    asked.clear()
+    table = done(tmp_path / "a", plan)
+    assert len(asked) == 5 - there // 10
+    assert len(first | set(asked)) == 5
+    assert table == done(tmp_path / "b", plan)
+    asked.clear()
+    assert done(tmp_path / "a", plan) == table  # complete: the table is only read
+    assert asked == []
+
+
+def test_truncated_part_is_run_again(tmp_path: Path) -> None:
+    plan = sweep_of()
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "000000000-000000010.parquet.part").write_bytes(b"half")
+    table = done(tmp_path, plan)
+    assert table == done(tmp_path / "other", plan)
+    assert list((tmp_path / "parts").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"runs": 50}, "runs is 45, not 50"),
+        ({"seed": 3}, "seed is 0, not 3"),
+        ({"vary": {**VARY, "gravity": 1.1}}, "vary differs in gravity"),
+        ({"success": {}}, "success differs in rms"),
+    ],
+)
+def test_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    with open_store(tmp_path, sweep_of(), "program"):
+        pass
+    with (
+        pytest.raises(StoreError, match="holds another study") as caught,
+        open_store(tmp_path, sweep_of(**changes), "program"),
+    ):
+        pass
+    assert words in str(caught.value)
+    assert "another --output" in str(caught.value)
+
+
+def test_store_of_another_program_in_use_or_damaged_is_refused(tmp_path: Path) -> None:
+    with open_store(tmp_path, sweep_of(), "program"), pytest.raises(StoreError, match="in use by another process"):  # noqa: SIM117
+        with open_store(tmp_path, sweep_of(), "program"):
+            pass
+    with pytest.raises(StoreError, match="another version of this program"), open_store(tmp_path, sweep_of(), "new"):
+        pass
+    (tmp_path / "campaign.json").write_text("{")
+    with pytest.raises(StoreError, match="cannot be read"), open_store(tmp_path, sweep_of(), "program"):
+        pass
+
+
+@pytest.mark.parametrize("left", ["table.parquet", "parts/000000000-000000010.parquet"])
+def test_results_without_their_study_file_are_refused(tmp_path: Path, left: str) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / left).write_bytes(b"of another campaign")
+    with pytest.raises(StoreError, match="without their campaign.json"), open_store(tmp_path, sweep_of(), "program"):
+        pass
+    assert not (tmp_path / "campaign.json").exists()
+
+
+def test_parts_cover_all_runs_and_stay_small(tmp_path: Path) -> None:
+    for runs in (1, 9, 10, 999, 10_000, 1_000_001):
+        cut = sweep_run.Store(tmp_path, sweep_of(runs)).parts()
+        assert cut[0][0] == 0
+        assert cut[-1][1] == runs
+        assert all(end == begin for (_, end), (begin, _) in zip(cut, cut[1:], strict=False))
+        assert max(end - begin for begin, end in cut) <= sweep_run.LARGEST_PART
+
+
+def test_number_of_pending_parts_is_bounded(tmp_path: Path) -> None:
+    plan, most = sweep_of(runs=300), [0]
+
+    class Watching:
+        def submit(self, *arguments: Any) -> Any:
+            future = inner.submit(*arguments)
+            most[0] = max(most[0], inner._work_queue.qsize())
+            return future
+
+    with open_store(tmp_path, plan, "program") as kept, threads(1) as workers:
+        inner: Any = workers.executor
+        watched = Workers(Watching(), 1)  # type: ignore[arg-type]
+        assert run_missing(kept, watched, lambda runs: None, threading.Event())
+    assert most[0] <= study.AHEAD
+
+
+def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
+    plan = sweep_of()
+
+    class Elsewhere:
+        def submit(self, *_: Any) -> Future[Any]:
+            failed: Future[Any] = Future()
+            failed.set_exception(ModuleNotFoundError("No module named 'fjr_core'"))
+            return failed
+
+    workers = Workers(Elsewhere(), 1, remote=True)  # type: ignore[arg-type]
+    with (
+        open_store(tmp_path, plan, "program") as kept,
+        pytest.raises(study.ClusterError, match="No module named 'fjr_core'.*; expected this version of fjr_core"),
+    ):
+        run_missing(kept, workers, lambda runs: None, threading.Event())
+
+
+@pytest.mark.parametrize(
+    ("document", "words"),
+    [
+        ({"scenario": "a", "varry": {}}, "did you mean 'vary'?"),
+        ({"scenario": "a"}, "draws nothing"),
+        ({"scenario": "a", "vary": {"stiffness": 1.0}}, "draws nothing"),
+        ({"scenario": "a", "vary": [1]}, "expected a mapping"),
+        ({"scenario": "a", "vary": {"stiffness": {"uniform": [1.5, 0.5]}}}, "goes from 1.5 to 0.5"),
+        ({"scenario": "a", "vary": {"stiffness": {"uniform": [1, 2, 3]}}}, "has 3 numbers; expected two"),
+        ({"scenario": "a", "vary": {"stiffness": {"gaussian": [1, 2]}}}, "expected {uniform"),
+        ({"scenario": "a", "vary": {"stiffness": {"log_uniform": [0, 2]}}}, "expected more than 0"),
+        ({"scenario": "a", "vary": {"stiffness": {"normal": [1, 0]}}}, "standard deviation 0"),
+        ({"scenario": "a", "vary": {"stiffness": {"uniform": "wide"}}}, "expected a list of finite numbers"),
+        ({"scenario": "a", "vary": {"stiffness": "wide"}}, "expected {uniform"),
+        ({"scenario": "a", "runs": 10.5, "vary": VARY}, "expected a whole number"),
+        ({"scenario": "a", "success": {"rms": "small"}, "vary": VARY}, "expected a number"),
+        ({"scenario": "a", "success": {"rms": np.nan}, "vary": VARY}, "has nan as 'success.rms'; expected a number"),
+        ({"scenario": "a", "runs": np.inf, "vary": VARY}, "has inf as 'runs'; expected a whole number"),
+        ({"scenario": "a", "seed": np.nan, "vary": VARY}, "has nan as 'seed'; expected a whole number"),
+        ({"scenario": "a", "duration": 10**400, "vary": VARY}, "as 'duration'; expected a number"),
+        ({"scenario": "a", "vary": {"stiffness": 10**400}}, "expected a list of finite numbers"),
+    ],
+)
+def test_invalid_sweep_file_is_refused_in_one_sentence(document: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        sweep_file.read(document)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"vary": {"stifness": {"uniform": [1, 2]}}}, "'vary' has 'stifness'"),
+        ({"vary": {"stiffness": {"normal": [1.0, 0.3]}}}, "the minimum of stiffness is -0.2"),
+        ({"vary": {"delay": {"uniform": [-1e-3, 1e-3]}}}, "the minimum of delay is -0.001"),
+        ({"vary": {"delay": {"uniform": [0, 1e-3], "each_joint": True}}}, "expected one value for all joints"),
+        ({"vary": {**VARY, "gravity": [1.0, 1.1]}}, "'vary': gravity has 2 numbers; expected a single one"),
+        ({"vary": {**VARY, "payload_position": [0.1, 0.2]}}, "payload_position has 2 numbers; expected 1 or 3"),
+        ({"vary": {**VARY, "velocity_noise": [0.1, 0.2]}}, "velocity_noise has 2 numbers; expected a single one"),
+        ({"success": {"error": 1.0}}, "'success' has 'error'"),
+        ({"success": {"rms": np.nan}}, "'success' has nan as 'rms'"),
+        ({"runs": 0}, "'runs' is 0"),
+        ({"seed": -1}, "'seed' is -1"),
+    ],
+)
+def test_invalid_study_is_refused_in_one_sentence(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        sweep_of(**changes)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("node", "given", "words"),
+    [
+        ("plant", "integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
+        ("plant", "imperfections.actuator_lag: [0.01]", "sets imperfections.actuator_lag; .* use 'vary'"),
+    ],
+)
+def test_scenario_with_features_that_a_sweep_omits_is_refused(node: str, given: str, words: str) -> None:
+    text = SCENARIO.replace("plant:", f"{node}:").replace("{initial", f"{{{given}, initial")
+    with pytest.raises(ParameterError, match=words):
+        Sweep("test", text, 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
+
+
+def test_limits_observer_and_ramp_of_the_scenario_act_in_a_study() -> None:
+    own = "limits: {effort: [20.0], link_velocity: [3.0]}, measurement: {velocity: observer}, start: {ramp_time: 0.05}"
+    text = f"{SCENARIO}/**/fjr_controller:\n  ros__parameters: {{{own}}}\n"
+    drawn = {"gravity": distributions.read("gravity", {"uniform": [0.9, 1.1]})}
+    plain, limited = (
+        Sweep("test", given, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4) for given in (SCENARIO, text)
+    )
+    assert limited["effort_peak.joint1"].max() <= 20.0 < plain["effort_peak.joint1"].min()
+    assert list(limited["cause"]) == ["link velocity"] * 4
+    assert (limited["stopped"] < 0.1).all()
+    assert limited["stable"].all()
+    assert not limited["success"].any()
+    assert plain["success"].all()
+    assert np.isinf(plain["stopped"]).all()
+
+
+def test_a_study_can_vary_the_effort_limit_beyond_that_of_the_scenario() -> None:
+    text = f"{SCENARIO}/**/fjr_controller:\n  ros__parameters: {{limits: {{effort: [20.0]}}}}\n"
+    drawn = {"effort_limit": distributions.read("effort_limit", {"uniform": [22.0, 24.0]})}
+    found = Sweep("test", text, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4)
+    assert np.array_equal(found["effort_peak.joint1"], found["effort_limit"])
+
+
+def test_friction_too_steep_for_the_steps_is_refused() -> None:
+    steep = {**VARY, "coulomb_m": {"uniform": [0.0, 1.0]}, "smoothing": 0.01}
+    sweep_of(vary={**steep, "smoothing": 0.2}).refuse_stiff_friction()
+    sweep_of().refuse_stiff_friction()
+    with pytest.raises(ParameterError, match="friction may damp at 2.5e.04 1/s, too fast for steps of 0.25 ms"):
+        sweep_of(vary=steep).refuse_stiff_friction()
+
+
+def test_sensitivity_index_identifies_the_deciding_parameter() -> None:
+    """The index is 1 for the only influence, 0 for no influence, and 1/2 for each of two equal influences."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(size=(2, 40_000))
+    place = (sensitivity.BINS * x).astype(int)
+    assert sensitivity.index(place, x > 0.5) == pytest.approx(1.0, abs=1e-9)
+    assert sensitivity.index(place, y) == pytest.approx(0.0, abs=2e-3)
+    assert sensitivity.index(place, x + y) == pytest.approx(0.5, abs=0.01)
+
+
+def test_confidence_interval_is_that_of_wilson() -> None:
+    for count, of in ((0, 20), (7, 20), (20, 20), (680, 1000)):
+        wanted = stats.binomtest(count, of).proportion_ci(method="wilson")
+        assert sensitivity.interval(count, of) == (pytest.approx(wanted.low), pytest.approx(wanted.high))
+
+
+@pytest.fixture
+def table() -> tuple[Sweep, Columns]:
+    plan = sweep_of(runs=200)
+    return plan, plan.part(0, 200)
+
+
+def test_summary_agrees_with_the_table(table: tuple[Sweep, Columns]) -> None:
+    plan, columns = table
+    found = sensitivity.summarised(plan, columns.__getitem__)
+    assert (found.runs, found.succeeded, found.stable) == (200, columns["success"].sum(), columns["stable"].sum())
+    rms = columns["rms.joint1"][columns["stable"]]
+    assert found.quantiles["rms"][-1] == rms.max()
+    assert np.mean(rms <= found.quantiles["rms"][0]) == pytest.approx(0.5, abs=0.01)
+    assert found.effects[0].name == "delay"
+    assert not columns["success"][found.failed]
+    assert columns["rms.joint1"][found.worst] == columns["rms.joint1"][columns["success"]].max()
+
+
+OWN = """
+/**:
+  ros__parameters:
+    joints: [joint1]
+    law: {type: LAW}
+    plant: {type: PLANT}
+    limits: {effort: [20.0]}
+"""
+
+
+def own_text(law: str = "v_dpbc", plant: str = "flexible_joint") -> str:
+    return OWN.replace("LAW", f'"{law}"').replace("PLANT", f'"{plant}"')
+
+
+@pytest.mark.parametrize(("law", "plant"), [("own_code:Wrapped", "flexible_joint"), ("v_dpbc", "own_code:Ideal")])
+def test_a_study_has_the_results_of_the_compiled_loop(law: str, plant: str) -> None:
+    vary = {
+        "delay": distributions.read("delay", {"uniform": [0.0, 1e-3]}),
+        "external": distributions.read("external", {"uniform": [-1.0, 1.0]}),
+    }
+    parts = [
+        Sweep("s", scenario, 2, vary, duration=0.2, settle_after=0.1).part(0, 2)
+        for scenario in (own_text(), own_text(law, plant))
+    ]
+    assert parts[0].keys() == parts[1].keys()
+    assert list(parts[0].pop("cause")) == list(parts[1].pop("cause")) == ["", ""]
+    for name, compiled in parts[0].items():
+        np.testing.assert_allclose(parts[1][name], compiled, rtol=1e-7, err_msg=name)
+
+
+def test_a_study_cannot_vary_what_only_the_built_in_plant_has() -> None:
+    plan = Sweep(
+        "s",
+        own_text(plant="own_code:Ideal"),
+        1,
+        {"stiffness": distributions.read("stiffness", 1.1)},
+        duration=0.2,
+        settle_after=0.1,
+    )
+    with pytest.raises(fjr.ParameterError, match="stiffness of a run is not nominal; expected the nominal value for a"):
+        plan.part(0, 1)

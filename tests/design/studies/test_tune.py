@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gains tuned for uncertainties: one compiled loop for all gains, constraints, search, coordinates of all laws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from fjr_core.config import ros_yaml
+from fjr_core.config.scenario import Scenario, parse_scenario
+from fjr_core.errors import GainsError, ParameterError, StateError
+from fjr_core.extensions.law_registry import LAWS
+from fjr_core.law.interfaces import AsSampledLaw
+from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_design.studies.compared_law import tuned_law
+from fjr_design.studies.coordinates import RULE, SCENARIO, coordinates, starts
+from fjr_design.studies.sweep import Sweep
+from fjr_design.studies.tune import (
+    FIGURES,
+    INFEASIBLE,
+    OF_SCENARIO,
+    SUCCESS,
+    Figures,
+    Goal,
+    Point,
+    Range,
+    Score,
+    TuningStudy,
+    run_candidate,
+    search,
+    study_of,
+    with_better_start,
+)
+from fjr_design.uncertainty import distributions
+from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, Estimate, Identification
+
+JOINT: dict[str, Any] = {
+    "joints": ["joint1"],
+    "robot": {
+        "model": "single_link",
+        "link_inertia": [0.031],
+        "gravity_torque": [0.8],
+        "joint_stiffness": [31.0],
+        "motor_inertia": [0.004],
+        "link_damping": [0.2],
+        "motor_damping": [0.007],
+    },
+    "initial_link_position": [0.5],
+    "initial_motor_position": [0.5],
+}
+VARY: dict[str, Any] = {
+    "stiffness": {"log_uniform": [0.5, 2.0]},
+    "link_inertia": {"uniform": [0.8, 1.2]},
+    "delay": 1e-3,
+    "position_noise": 1e-3,
+    "velocity_noise": 0.1,
+}
+
+
+def text(**changes: Any) -> str:
+    return ros_yaml.dump({"/**": {"ros__parameters": JOINT | changes}})
+
+
+def scenario(**changes: Any) -> Scenario:
+    return parse_scenario("joint", text(**changes))
+
+
+def study(goal: Goal | None = None, changes: dict[str, Any] | None = None, **numbers: Any) -> TuningStudy:
+    vary = {name: distributions.read(name, given) for name, given in VARY.items()}
+    sweep = Sweep("joint", text(**(changes or {})), 1, vary, duration=0.3, settle_after=0.1, seed=3)
+    return TuningStudy(sweep, goal or Goal(), **{"draws": 8, "candidates": 20, "fresh": 16, **numbers})
+
+
+def paper_loop(gains: fjr.Gains) -> ClosedLoop:
+    robot = fjr.single_link(stiffness=31.0)
+    x0 = robot.state(q_l=0.3, q_m=0.3, dq_l=0.0, dq_m=0.0)
+    law = AsSampledLaw(fjr.TrackingLaw(robot, gains))
+    return ClosedLoop(robot, law, fjr.Sine(1.0, 1.0), x0, 0.2, 1e-3, settle_after=0.05)
+
+
+def test_other_gains_give_the_results_of_a_loop_built_with_them() -> None:
+    slower = replace(fjr.PAPER_GAINS, Lambda_l=3.0, K_md=0.2)
+    draws = Draws(3, stiffness=[0.5, 1.0, 2.0], delay=1e-3, velocity_noise=0.01)
+    built = paper_loop(slower)
+    other = paper_loop(fjr.PAPER_GAINS).with_law(built.law)
+    assert np.array_equal(other.run(draws).rms, built.run(draws).rms)
+    assert not np.array_equal(other.run(draws).rms, paper_loop(fjr.PAPER_GAINS).run(draws).rms)
+
+
+def test_a_law_of_another_form_is_refused() -> None:
+    robust = coordinates(scenario(robust={"residual_gain": [20.0]})).controller([0.0] * 7)[0]
+    with pytest.raises(StateError, match="expected a TrackingLaw with"):
+        study().sweep.loop.with_law(robust)
+
+
+def test_noise_in_the_effort_is_that_of_its_differences() -> None:
+    outcomes, samples = paper_loop(fjr.PAPER_GAINS).recorded(Draws(2, velocity_noise=[0.0, 0.1]))
+    changes = np.diff(samples.u, axis=1)[:, 49:]  # from settle_after on
+    assert outcomes.effort_noise == pytest.approx(np.sqrt(np.mean(changes**2, axis=1) / 2), rel=1e-9)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_starts_at_its_gains_in_the_scenario_and_every_coordinate_changes_them(law: str) -> None:
+    given = scenario(law={"type": law})
+    space = coordinates(given)
+    start = space.controller(np.zeros(len(space)))[0].gain_values
+    assert start == pytest.approx(given.sampled_law.gain_values, rel=1e-9)
+    for step in 0.1 * np.eye(len(space)):
+        assert not np.allclose(space.controller(step)[0].gain_values, start, rtol=1e-4)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_parameter_file_of_any_point_gives_its_gains(law: str) -> None:
+    space = coordinates(scenario(law={"type": law}))
+    point = 0.05 * np.arange(1, 1 + len(space))
+    written = scenario(**ros_yaml.tree_of(space.values(point)))
+    assert written.sampled_law.gain_values == pytest.approx(space.controller(point)[0].gain_values, rel=1e-12)
+
+
+def test_v_dpbc_may_start_at_the_rule_of_equal_bandwidth() -> None:
+    given = scenario(robust={"residual_gain": [20.0]})
+    ruled = tuned_law("v_dpbc", {}, given, retune=True).gains
+    space = coordinates(given, RULE)
+    assert list(space.values(np.zeros(7))["gains.K_md"]) == pytest.approx(np.ravel(ruled["K_md"]))
+    assert list(space.values(np.zeros(7))["robust.residual_gain"]) == [20.0]
+    assert starts(given) == (SCENARIO, RULE)
+    assert starts(scenario(law={"type": "lqr"})) == (SCENARIO,)
+
+
+@pytest.mark.parametrize(("changes", "better"), [({"gains": {"K_md": [1e-5]}}, RULE), ({}, None)])
+def test_the_search_starts_where_the_cost_is_less(changes: dict[str, Any], better: str | None) -> None:
+    given = study(changes=changes)
+    each = {start: replace(given, start=start) for start in (SCENARIO, RULE)}
+    costs = {start: one.score(one.origin, one.run(one.origin, 0, 8)).cost for start, one in each.items()}
+    chosen = with_better_start(given).start
+    assert costs[chosen] == min(costs.values())
+    assert chosen == (better or chosen)
+
+
+def test_the_search_starts_at_the_gains_of_the_scenario_where_the_rule_has_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise GainsError("no gains are stable")
+
+    monkeypatch.setattr("fjr_design.studies.coordinates.tune", refused)
+    assert with_better_start(study()).start == SCENARIO
+
+
+def test_the_gains_of_the_scenario_run_also_in_a_search_that_starts_elsewhere() -> None:
+    given, elsewhere = study(), replace(study(), start=RULE)
+    own = elsewhere.run(OF_SCENARIO, 0, 4)
+    assert np.array_equal(own["rms"], given.run(given.origin, 0, 4)["rms"])
+    assert not np.array_equal(own["rms"], elsewhere.run(elsewhere.origin, 0, 4)["rms"])
+    assert study_of(elsewhere.text).run(OF_SCENARIO, 0, 4)["rms"] == pytest.approx(own["rms"])
+    assert elsewhere.score(OF_SCENARIO, own) == given.score(given.origin, own)
+
+
+def test_robust_gains_and_the_observer_bandwidth_are_coordinates_that_change_the_runs() -> None:
+    changes = {"robust": {"residual_gain": [20.0]}, "measurement": {"velocity": "observer"}}
+    given = study(changes=changes)
+    names = [axis.name for axis in given.coordinates.axes]
+    assert names[-2:] == ["robust.residual_gain", "measurement.observer_bandwidth"]
+    start = given.run(np.zeros(8), 0, 4)["rms"]
+    for step in np.eye(8)[-2:]:
+        assert not np.allclose(given.run(step, 0, 4)["rms"], start, rtol=1e-3)
+
+
+def test_a_point_without_gains_is_refused() -> None:
+    given = study(changes={"law": {"type": "torque_feedback"}})
+    heavier = [0.0, 0.0, 3.0]  # M_theta above M_m
+    assert given.run(heavier, 0, 4) == {}
+    assert given.score(heavier, {}).cost > INFEASIBLE
+
+
+def test_candidates_run_the_draws_of_the_sweep() -> None:
+    given = study()
+    columns = given.sweep.part(2, 6)
+    assert np.array_equal(given.run([0.0] * 6, 2, 6)["rms"], columns["rms.joint1"])
+    assert np.array_equal(given.run([0.0] * 6, 2, 6)[SUCCESS], columns["success"])
+
+
+def test_candidates_run_the_plants_of_a_posterior() -> None:
+    known = [("joint_stiffness", 25.0), ("effort_delay", 1.5e-3)]
+    estimates = tuple(Estimate(name, "joint1", "", v, 0.9 * v, 1.1 * v, v, IDENTIFIED) for name, v in known)
+    mean, covariance = np.array([np.log(25.0), 1.5e-3]), np.diag([0.1, 2e-4]) ** 2
+    posterior = Identification(("joint1",), estimates, (0, 1), (LOG, LINEAR), mean, covariance).as_dict()
+    sweep = Sweep("joint", text(), 1, {}, duration=0.3, settle_after=0.1, posterior=posterior)
+    given = study_of(TuningStudy(sweep, Goal(), 8, 20, 16).text)
+    assert np.array_equal(given.run([0.0] * 6, 2, 6)["rms"], sweep.part(2, 6)["rms.joint1"])
+    assert len(set(sweep.part(2, 6)["stiffness.joint1"])) == 4
+
+
+def test_a_part_has_the_same_figures_in_another_process() -> None:
+    given, point = study(), (0.1,) * 6
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        elsewhere = pool.submit(run_candidate, given.text, point, 2, 6).result()
+    for name, values in given.run(point, 2, 6).items():
+        assert np.array_equal(elsewhere[name], values)
+
+
+def test_search_selection_and_validation_share_no_run() -> None:
+    given = study()
+    stages = [set(range(*runs)) for runs in (given.search_runs, given.selection_runs, given.fresh_runs)]
+    assert [len(stage) for stage in stages] == [8, 32, 16]
+    assert len(set.union(*stages)) == 56
+
+
+def runs(rms: Sequence[float], success: Sequence[bool], noise: float = 1.0) -> Figures:
+    found = {name: np.ones(len(rms)) for name in FIGURES}
+    return {**found, "rms": np.array(rms), "effort_noise": np.full(len(rms), noise), SUCCESS: np.array(success)}
+
+
+def test_cost_is_the_logarithm_of_quantiles_and_constraints_rank_first() -> None:
+    goal = Goal({"rms": 1.0, "effort_noise": 0.5}, quantile=0.5, success=0.75, limits={"effort_noise": 2.0})
+    good = goal.score(runs([1.0, 2.0, 3.0, np.inf], [True, True, True, False]))
+    assert good.cost == pytest.approx(np.log(2.0))
+    assert good.feasible
+    lost = goal.score(runs([1e-6] * 4, [True, True, False, False]))
+    worse = goal.score(runs([1e-6] * 4, [True, False, False, False]))
+    noisy = goal.score(runs([1e-6] * 4, [True] * 4, noise=3.0))
+    assert [each.violation for each in (lost, worse, noisy)] == pytest.approx([0.25, 0.5, 0.5])
+    assert good.cost < INFEASIBLE < lost.cost < worse.cost
+
+
+def test_the_delay_margin_is_that_of_the_check() -> None:
+    given = study(Goal(delay_margin=3.0))
+    margin = fjr.check(fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS), 1e-3).delay_margin
+    point = [0.0] * 6
+    found = given.run(point, 0, 2)
+    assert given.score(point, found).violation == 0
+    beyond = study(Goal(delay_margin=margin + 1.0))
+    assert beyond.score(point, found).violation > 0
+
+
+class Bowl:
+    """A study with a closed form: the distance from `bottom`, with an optional constraint z_0 <= `most`."""
+
+    def __init__(self, bottom: Sequence[float], most: float = np.inf) -> None:
+        self.bottom, self.most = np.array(bottom), most
+        self.origin, self.candidates = (0.0,) * len(bottom), 400
+        self.search_runs, self.selection_runs = (0, 8), (8, 40)
+        self.sweep = SimpleNamespace(seed=5)
+
+    def evaluate(self, points: Sequence[Point], _runs: Range) -> list[Score]:
+        return [self.score(np.array(point)) for point in points]
+
+    def score(self, z: np.ndarray) -> Score:
+        violation = max(0.0, float(z[0]) - self.most)
+        distance = float(np.sum(np.square(z - self.bottom) * np.arange(1, 1 + len(z)) ** 2))
+        return Score({}, 1.0, violation, INFEASIBLE * (1 + violation) if violation else distance)
+
+
+def found(bowl: Bowl) -> np.ndarray:
+    return np.array(search(bowl, bowl.evaluate).chosen)  # type: ignore[arg-type]
+
+
+def test_search_finds_the_minimum_of_a_bowl() -> None:
+    assert found(Bowl([1.0, -0.5, 0.2])) == pytest.approx([1.0, -0.5, 0.2], abs=1e-2)
+
+
+def test_search_ends_on_an_active_constraint() -> None:
+    z = found(Bowl([1.0, -0.5], most=0.5))
+    assert z[0] <= 0.5
+    assert z == pytest.approx([0.5, -0.5], abs=0.05)
+
+
+def test_search_is_determined_by_its_seed_and_leaves_the_global_generator_alone() -> None:
+    before = np.random.get_state()[1].copy()
+    assert np.array_equal(found(Bowl([0.3, 0.1])), found(Bowl([0.3, 0.1])))
+    assert np.array_equal(np.random.get_state()[1], before)
+
+
+def test_the_choice_is_no_worse_than_the_start_on_draws_of_neither() -> None:
+    given = study()
+
+    def evaluate(points: Sequence[Point], part: Range) -> list[Score]:
+        return [given.score(point, given.run(point, *part)) for point in points]
+
+    result = search(given, evaluate)
+    assert min(one.score.cost for one in result.candidates) < result.start.score.cost
+    start, chosen = evaluate([result.start.point, result.chosen], given.fresh_runs)
+    assert chosen.cost < start.cost
+
+
+def test_a_study_is_the_same_after_a_trip_through_its_text() -> None:
+    given = study(Goal({"rms": 1.0}, quantile=0.9, limits={"effort_peak": 30.0}))
+    assert study_of(given.text).text == given.text
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"minimise": {"speed": 1.0}}, "'minimise' has 'speed'; expected some of rms"),
+        ({"minimise": {"rms": 0.0}}, "'minimise' has 0.0 as 'rms'; expected a positive number"),
+        ({"minimise": {}}, "'minimise' is empty"),
+        ({"quantile": 1.5}, "'quantile' is 1.5; expected 0 to 1"),
+        ({"delay_margin": -1.0}, "'delay_margin' is -1.0; expected 0 to 20 samples"),
+        ({"limits": {"rms": float("nan")}}, "'limits' has nan as 'rms'"),
+    ],
+)
+def test_goals_out_of_range_are_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        Goal(**change)

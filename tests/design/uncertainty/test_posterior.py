@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plants of a study drawn from the posterior of an identification: correlated, and the same for each run number."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fjr_core import ParameterError
+from fjr_design.studies import sweep_file
+from fjr_design.studies.sweep import Sweep, from_text
+from fjr_design.uncertainty import distributions
+from fjr_design.uncertainty.posterior import (
+    IDENTIFIED,
+    LINEAR,
+    LOG,
+    NONNEGATIVE,
+    UNKNOWN,
+    Estimate,
+    Identification,
+    parsed_identification,
+    read_identification,
+)
+
+SCENARIO = """
+/**:
+  ros__parameters:
+    joints: [joint1]
+    robot: {model: single_link, link_inertia: [0.031], gravity_torque: [0.8], joint_stiffness: [31.0],
+            motor_inertia: [0.004], link_damping: [0.2], motor_damping: [0.007]}
+"""
+DEVIATIONS = np.array([0.1, 0.05, 0.02, 2e-4])
+CORRELATION = 0.8  # of stiffness and motor inertia
+
+
+def identification(joint: str = "joint1") -> Identification:
+    """Return an identification whose stiffness, motor inertia, friction and delay are known, its damping is not."""
+    kinds = {"joint_stiffness": 30.0, "motor_inertia": 0.005, "link_coulomb_friction": 0.1, "effort_delay": 1e-3}
+    estimates = [
+        Estimate(name, joint, "", value, 0.9 * value, 1.1 * value, value, IDENTIFIED) for name, value in kinds.items()
+    ]
+    estimates.append(Estimate("link_damping", joint, "", 0.2, 0.0, 1.0, 0.2, UNKNOWN))
+    correlation = np.eye(4)
+    correlation[0, 1] = correlation[1, 0] = CORRELATION
+    mean = np.array([np.log(30.0), np.log(0.005), 0.1, 1e-3])
+    covariance = correlation * np.outer(DEVIATIONS, DEVIATIONS)
+    coordinates = (LOG, LOG, NONNEGATIVE, LINEAR)
+    return Identification((joint,), tuple(estimates), (0, 1, 2, 3), coordinates, mean, covariance)
+
+
+def study(**given: Any) -> Sweep:
+    return Sweep("mine", SCENARIO, 2000, {}, 0.1, settle_after=0.0, posterior=identification().as_dict(), **given)
+
+
+@pytest.fixture(scope="module")
+def whole() -> Any:
+    return study().draws(0, 2000)
+
+
+def test_draws_have_the_means_deviations_and_correlation_of_the_posterior(whole: Any) -> None:
+    stiffness, inertia = (np.log(getattr(whole, name)[:, 0]) for name in ("stiffness", "motor_inertia"))
+    assert stiffness.mean() == pytest.approx(np.log(30.0 / 31.0), abs=0.01)
+    assert inertia.mean() == pytest.approx(np.log(0.005 / 0.004), abs=0.01)
+    assert [stiffness.std(), inertia.std()] == pytest.approx(DEVIATIONS[:2].tolist(), rel=0.06)
+    assert np.corrcoef(stiffness, inertia)[0, 1] == pytest.approx(CORRELATION, abs=0.03)
+    assert whole.coulomb_l[:, 0].std() == pytest.approx(0.02, rel=0.06)
+    assert whole.delay.mean() == pytest.approx(1e-3, rel=0.02)
+
+
+def test_a_run_draws_the_same_plant_whichever_runs_accompany_it(whole: Any) -> None:
+    part = study().draws(700, 703)
+    for name in ("stiffness", "motor_inertia", "coulomb_l", "delay"):
+        assert np.array_equal(getattr(part, name), getattr(whole, name)[700:703])
+
+
+def test_what_is_not_identifiable_is_not_drawn(whole: Any) -> None:
+    assert np.all(whole.link_damping == 1.0)
+    columns = [each.column for each in study().drawn]
+    assert columns == ["stiffness.joint1", "motor_inertia.joint1", "coulomb_l.joint1", "delay"]
+
+
+def test_marginal_shares_of_the_draws_are_uniform(whole: Any) -> None:
+    (marginal,) = (each.distribution for each in study().drawn if each.name == "stiffness")
+    shares = marginal.share(whole.stiffness[:, 0])
+    assert np.histogram(shares, 10, (0, 1))[0].min() > 140
+
+
+def test_the_text_of_a_study_keeps_the_posterior() -> None:
+    again = from_text(study().text)
+    assert np.array_equal(again.draws(3, 5).stiffness, study().draws(3, 5).stiffness)
+    columns = again.part(0, 2)
+    assert columns["stiffness.joint1"] == pytest.approx(study().draws(0, 2).stiffness[:, 0])
+    assert "delay" in columns
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"posterior": identification("elbow").as_dict()},
+            "is of joints elbow; expected those of the scenario, joint1",
+        ),
+        ({"vary": {"stiffness": distributions.read("stiffness", 1.1)}}, "'stiffness', which the posterior draws"),
+    ],
+)
+def test_a_posterior_that_does_not_fit_is_refused(given: dict[str, Any], message: str) -> None:
+    values = {"vary": {}, "posterior": identification().as_dict()} | given
+    with pytest.raises(ParameterError, match=message):
+        Sweep("mine", SCENARIO, 10, duration=0.1, **values)
+
+
+def test_a_sweep_file_names_the_posterior(tmp_path: Any) -> None:
+    file = sweep_file.read({"scenario": "paper_k31", "posterior": "identification.json"})
+    (tmp_path / file.posterior).write_text(json.dumps(identification().as_dict()), encoding="utf-8")
+    assert read_identification(tmp_path / file.posterior).as_dict() == identification().as_dict()
+    with pytest.raises(ParameterError, match="expected 'posterior', or 'vary'"):
+        sweep_file.read({"scenario": "paper_k31"})
+
+
+@pytest.mark.parametrize(
+    "values", [[], {}, {"joints": ["a"]}, {**identification().as_dict(), "free": [0]}, {"free": 1}]
+)
+def test_a_file_that_is_no_identification_is_refused(values: object) -> None:
+    with pytest.raises(ParameterError, match="expected"):
+        parsed_identification(values)
