@@ -14,13 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fjr_core.files.text_file import is_sealed, write_text
-from fjr_design.studies import compare_run as comparison_pool
 from fjr_design.studies import suite
-from fjr_design.studies.compare_run import Job
-from fjr_design.studies.monte_carlo import command as monte_carlo_command
+from fjr_design.studies.compare_run import read_kept
 from fjr_design.studies.sweep import Sweep
-from fjr_design.studies.sweep_file import usual
+from fjr_design.studies.sweep_file import Options, usual
 from fjr_design.studies.sweep_run import open_store
+from fjr_design.studies.tune_run import planned
 from fjr_monitor.report.write import known_of
 from fjr_msgs_py.scenarios import library
 from fuzzing import answer, bytes_of, documents, fuzzed, texts

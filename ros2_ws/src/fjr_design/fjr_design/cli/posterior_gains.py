@@ -27,13 +27,12 @@ from fjr_design.uncertainty.drawn_loops import (
 )
 from fjr_design.uncertainty.posterior import (
     MATRICES,
-    Identification,
-    check_joints,
     drawn_plants,
-    kept_at_prior,
     read_identification,
 )
 from fjr_msgs_py.console.output import progress_bar
+
+from ..uncertainty.posterior import DELAY
 
 DESIGN_DRAWS, WIDER = 200, 1.5  # from the posterior with standard deviations this many times as large
 SHARE = 1e-3  # largest share of lost plants that fresh draws are to exclude

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fjr_design.studies import compare_run as comparison
-from fjr_design.studies import contraction_run as contraction_study
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
+
+from ..studies.sweep_file import Options
 
 
 def contraction(

@@ -16,12 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
 from fjr_core.law.interfaces import SampledLaw, StaticLaw
-from fjr_core.law.linearized import Equilibria, Indices
+from fjr_core.law.linearized import Equilibria, Indices, equilibria_at
+from fjr_core.model.configuration_sampling import checked_configurations
+from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch.draws import PARAMETERS
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
-from fjr_core.stability.linearization import as_sampled, held_maps, map_of_held, split
+from fjr_core.stability.linearization import as_sampled, held_maps, map_of_held, on_plant, split
 
 CONFIDENCE = 0.99
 SQUARINGS = 14
