@@ -14,10 +14,9 @@ from core.oracles.plain_loop import OTHERS, PlainLoop, constant_jets, standard_l
 from fjr_core.law.registry import LAWS, law_kind
 from fjr_core.law.sampled_law import AsSampledLaw
 from fjr_design.baselines.backstepping import BacksteppingGains
-from fjr_design.baselines.feedback_linearisation import LinearErrorGains
+from fjr_design.baselines.feedback_linearisation import CompositeGains, LinearErrorGains
 from fjr_design.baselines.lqr import LqrGains
 from fjr_design.baselines.pd_gravity import PdGains
-from fjr_design.baselines.singular_perturbation import CompositeGains
 from fjr_design.baselines.torque_feedback import TorqueFeedbackGains
 
 STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")  # whose springs cannot hold the arm upright

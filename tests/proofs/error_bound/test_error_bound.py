@@ -22,7 +22,7 @@ from fjr_core.law.registry import LAWS
 from fjr_core.law.sampled_law import AsSampledLaw
 from fjr_core.motions.reference import Reference
 from fjr_core.simulation.batch import ClosedLoop, Draws
-from fjr_design.baselines.singular_perturbation import CompositeGains
+from fjr_design.baselines.feedback_linearisation import CompositeGains
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.deviation_model import FACTORS, DeviationModel
 from fjr_proofs.error_bound.error_bound import TORQUES

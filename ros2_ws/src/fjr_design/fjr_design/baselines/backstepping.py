@@ -70,6 +70,14 @@ class BacksteppingGains:
         rates = {name: rate(name, getattr(self, name)) for name in ("Lambda", "c_1", "c_2")}
         return {**rates, "K_1": damping("K_1", self.K_1, robot.n, robot.D_l)}
 
+    @classmethod
+    def standard(
+        cls, robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan
+    ) -> BacksteppingGains:
+        """Return gains with two link poles at -omega [rad/s] for the inertia at q_0, and motor rates zeta omega."""
+        K_1 = omega * robot.M_l(q_0) - robot.D_l
+        return cls(Lambda=omega, K_1=K_1, c_1=zeta * omega, c_2=zeta * omega)
+
 
 class Backstepping(Baseline):
     """Integrator backstepping (Brogliato, Ortega, Lozano 1995)."""
@@ -91,9 +99,3 @@ class Backstepping(Baseline):
     def hold_damping(self) -> Array:
         """M_m (c_1 + c_2) (n, n) [N m s/rad]."""
         return np.asarray(self.robot.M_m * (self.arrays["c_1"] + self.arrays["c_2"]))
-
-
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> BacksteppingGains:
-    """Return gains with two link poles at -omega [rad/s] for the inertia at q_0, and motor rates zeta omega."""
-    K_1 = omega * robot.M_l(q_0) - robot.D_l
-    return BacksteppingGains(Lambda=omega, K_1=K_1, c_1=zeta * omega, c_2=zeta * omega)
