@@ -11,7 +11,8 @@ from functools import cache
 from pathlib import Path
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.exports import Loop, export, loop_of, prefix_of, write
+from fjr_design.exports.c_code import prefix_of
+from fjr_design.exports.project import Loop, export, loop_of, write
 from time_limits import HANG
 
 SCENARIOS = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
@@ -35,7 +36,7 @@ def changed(scenario: str, **fields: object) -> Loop:
 
 def exported(loop: Loop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
     """Export a loop to a folder and return the folder."""
-    write(export(loop, prefix or prefix_of(loop.name), samples), folder)
+    write(export(loop, prefix or prefix_of(loop.controller.name), samples), folder)
     return folder
 
 

@@ -28,8 +28,8 @@ from design.exports.c_program import (
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.law.robust import Robust
 from fjr_core.runtime.measurement_model import Measurement
-from fjr_design.exports import Loop, export, loop_of, prefix_of
-from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, quoted
+from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, prefix_of, quoted
+from fjr_design.exports.project import Loop, export, loop_of
 
 EFFORTS, LOOP = "efforts that are not equal", "closed loop: worst difference"
 EQUAL = 1e-12

@@ -17,7 +17,7 @@ from design.exports.ros2_control.exported_package import exported, replayed, sce
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.runtime.event_kinds import ERRORS, KINDS, WARNINGS
 from fjr_core.runtime.library import HEADER, text
-from fjr_design.exports.ros2_control import export_package, package_name_of
+from fjr_design.exports.ros2_control.package import export_package, package_name_of
 
 PACKAGE = "two_link_ros2_control"
 MORE = {

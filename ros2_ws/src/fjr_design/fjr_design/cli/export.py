@@ -8,8 +8,10 @@ from pathlib import Path
 
 from fjr_core.config.description import description
 from fjr_core.config.scenario import left_out
-from fjr_design.exports import export, loop_of, prefix_of, write
-from fjr_design.exports.ros2_control import export_package, not_exported, package_name_of
+from fjr_design.exports.c_code import prefix_of
+from fjr_design.exports.project import export, loop_of, write
+from fjr_design.exports.ros2_control.arm import not_exported
+from fjr_design.exports.ros2_control.package import export_package, package_name_of
 from fjr_msgs_py.console.result import Result
 from fjr_msgs_py.scenarios import library
 
