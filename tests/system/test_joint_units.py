@@ -17,8 +17,7 @@ from fjr_core.errors import ParameterError, TrajectoryError
 from fjr_core.model.joint_units import PRISMATIC, REVOLUTE
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.motions.point_to_point import Hold
-from fjr_design.cli.check import check_rows
-from fjr_design.cli.preflight import checked
+from fjr_design.cli.check import check
 from fjr_monitor.analysis import headlines
 from fjr_monitor.report.write import report_run
 from fjr_monitor.watch.state import Watched
@@ -98,7 +97,7 @@ def test_single_joint_is_not_named(tmp_path: Path, tmp_path_factory: pytest.Temp
 
 def test_robot_has_the_units_of_its_joints(arm: Scenario) -> None:
     assert arm.robot.units == (PRISMATIC, REVOLUTE)
-    assert any("N, N m; within the effort limits" in text for text in check_rows(arm, checked(arm)).values())
+    assert any("N, N m; within the effort limits" in text for text in check(arm).rows.values())
 
 
 def test_limits_of_a_prismatic_joint_are_in_metres(arm: Scenario) -> None:
