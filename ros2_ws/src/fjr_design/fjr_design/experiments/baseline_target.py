@@ -7,7 +7,7 @@ import numpy as np
 
 from fjr_core.config.scenario import Scenario
 
-from ..tuning.bandwidth import BaselineTarget
+from ..tuning.equal_bandwidth import BaselineTarget
 
 
 def baseline_target(scenario: Scenario) -> BaselineTarget:

@@ -16,8 +16,7 @@ from fjr_core.config.robot import robot
 from fjr_core.model.robot import Robot
 from fjr_core.stability.linearization import rest_position
 
-from ..tuning.bandwidth import BaselineTarget
-from ..tuning.equal_bandwidth import Tuning, tune
+from ..tuning.equal_bandwidth import BaselineTarget, Tuning, tune
 
 
 def tuning(values: Values) -> Tuning:

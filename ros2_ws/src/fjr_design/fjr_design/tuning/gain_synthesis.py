@@ -35,7 +35,7 @@ from fjr_core.stability.one_sample_map import SampledLoop
 from fjr_core.stability.sampled_loop import FEW, checked_times
 
 from ..stability.drawn_plants import DrawnLoops, DrawnPlants, LargestMeanDifference
-from ..stability.spring_lag import late_spring
+from ..stability.fast_modes import late_spring
 
 SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate
 COUPLING = (1.0, 1.1, 1.2, 1.35, 1.5)  # g = Pi_m / K

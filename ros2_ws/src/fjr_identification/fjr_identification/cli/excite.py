@@ -16,7 +16,7 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.files.atomic_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import rest_position
-from fjr_design.scaffold.first_scenario import first_values
+from fjr_design.scaffold.first_loop import first_values
 from fjr_identification.estimation.excitation import Excitation, design
 from fjr_identification.estimation.information import PARAMETERS, JointNoise, encoder_noise
 from fjr_identification.estimation.motion_envelope import MotionEnvelope, motion_envelope

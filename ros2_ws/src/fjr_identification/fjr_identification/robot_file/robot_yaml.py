@@ -17,7 +17,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.simulation.nonideal_parameters import Nonidealities, friction_rate
 from fjr_design.posterior.drawn_plants import MATRICES
 from fjr_design.posterior.result import UNKNOWN, Estimate, Identification
-from fjr_design.scaffold.proposal import RATE, Proposal, proposal_of
+from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
 from fjr_identification.estimation.parameters import PSEUDO_INERTIA
 from fjr_identification.robot_file.nominal_robot import (
     NominalRobot,
