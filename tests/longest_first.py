@@ -29,7 +29,6 @@ LONGEST_FIRST = (
     "monitor/diagnosis/test_diagnosis.py",
     "proofs/sampled_contraction/test_proof.py",
     "monitor/diagnosis/test_storage_growth.py",
-    "design/stability/test_prolonged_system.py",
     "core/simulation/test_batch.py",
     "core/simulation/test_batch_control.py",
     "design/tuning/test_first_loop.py",

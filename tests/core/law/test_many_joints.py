@@ -26,8 +26,6 @@ from core.oracles.properties import (
     storage_terms,
     sym,
 )
-from fjr_core.numerics.casadi_function import NumericFunction
-from fjr_design.stability.prolonged_system import ProlongedSystem
 
 TOLERANCE = 1e-11
 """Residuals are relative to the largest torques of the arm; this bound checks the terms of the wrist to six digits."""
@@ -119,24 +117,6 @@ def test_power_balance(make: Callable[[], Arm], seed: int) -> None:
     dq_l, dq_m = dx[: arm.n], dx[arm.n : 2 * arm.n]
     dH = stencil(lambda s: arm.robot.hamiltonian(p.x + s * dx), 1e-3)
     assert residual(dH, dq_m @ arm.B_m @ p.u, -dq_l @ arm.D_l @ dq_l, -dq_m @ arm.D_m @ dq_m) <= TOLERANCE
-
-
-@loops
-@seeds
-def test_exact_rate_of_the_differential_storage(make: Callable[[], Arm], cubic: bool, seed: int) -> None:
-    """The identity holds along a variation of the virtual closed loop for any effort u of the plant."""
-    arm, system = make(), ProlongedSystem(loop(make, cubic).law)
-    p = point(arm, seed, same=False, pushed=False)
-    scales = np.concatenate([np.ones(2 * arm.n), np.diag(arm.links.M(p.x[: arm.n])), np.diag(arm.M_m)])
-    delta = scales * np.random.default_rng(seed).uniform(-1, 1, 4 * arm.n)
-    dx = fjr.Plant(arm.robot).derivative(p.x, p.u)
-    dx_v, d_delta = NumericFunction(system.function)(p.x_v, p.x, delta, p.jets)
-
-    def along(s: float) -> float:
-        return system.storage(p.x_v + s * dx_v, p.x + s * dx, delta + s * d_delta, p.jets + s * p.djets)[0]
-
-    W, dW = system.storage(p.x_v, p.x, delta, p.jets)
-    assert abs(stencil(along, 1e-4) - dW) <= 1e-7 * (abs(dW) + W)
 
 
 @arms

@@ -160,25 +160,6 @@ def export_ros2_control(**given: Any) -> Any:
 
 @command()
 @scenario_argument
-@click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
-@duration_option("Duration in seconds.", 1.0)
-@click.option("--starts", type=options.SOLUTIONS, metavar="M", default=8, help="Number of virtual solutions, 2 to 64.")
-@click.option(
-    "--spread", type=options.ANGLE, metavar="RAD", default=0.5, help="Largest initial distance of the links [rad]."
-)
-@click.option("--seed", type=int, metavar="N", default=0, help="Seed of the random initial states.")
-@output_option("Folder in which contraction/ is written.", "runs")
-@set_option
-def contraction(**given: Any) -> Any:
-    """Show that solutions of the virtual system converge.
-
-    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
-    """
-    return implementation("fjr_design.cli.studies").contraction(**given)
-
-
-@command()
-@scenario_argument
 @click.option("--runs", type=options.RUNS, metavar="N", help="Number of runs. [default: the file's, else 1000]")
 @_drawn_plants_options(cores="1")
 @output_option("Folder in which NAME/ is written.", "runs/sweeps")

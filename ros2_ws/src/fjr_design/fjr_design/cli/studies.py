@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr contraction`, `fjr sweep`, `fjr tune` and `fjr compare`: studies by simulation, without nodes."""
+"""`fjr sweep`, `fjr tune` and `fjr compare`: studies by simulation, without nodes."""
 
 from __future__ import annotations
 
@@ -10,27 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from fjr_design.studies.comparison import command as comparison
-from fjr_design.studies.contraction import run as contraction_study
 from fjr_msgs_py.console.interrupt import stoppable
 from fjr_msgs_py.console.result import Result
 from fjr_msgs_py.scenarios import library
-
-
-def contraction(
-    scenario: str | None,
-    assignments: Sequence[str],
-    run_folder: Path | None,
-    duration: float,
-    starts: int,
-    spread: float,
-    seed: int,
-    output: Path,
-) -> Result:
-    """Simulate solutions of the virtual system along a run and draw how they converge."""
-    loaded = library.load(scenario, assignments)
-    wish = contraction_study.Options(duration, starts, spread, seed)
-    with stoppable() as stop:
-        return contraction_study.run_and_draw(loaded, wish, run_folder, output / "contraction", stop)
 
 
 def sweep(scenario: str | None, runs: int | None, **given: Any) -> Result:
