@@ -191,7 +191,7 @@ def tune(**given: Any) -> Any:
     """Choose gains for stated model errors.
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either. The gains minimise a cost over
-    drawn plants and are validated on fresh ones (docs/tuning.md).
+    drawn plants and are validated on fresh ones (docs/gains.md).
     """
     return implementation("fjr_design.cli.studies").tune(**given)
 

@@ -71,7 +71,7 @@ def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _page(suite: dict[str, Any]) -> str:
-    return "docs/tuning.md" if suite["tune"] else "docs/baselines.md"
+    return "docs/gains.md" if suite["tune"] else "docs/baselines.md"
 
 
 def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> dict[str, Any]:
@@ -127,7 +127,7 @@ ALL_ALIKE = (
     "about one quantity each."
 )
 TO_UNCERTAINTIES = (
-    "to the same uncertainties (docs/tuning.md); every command is cut at the same limit. Gains are in comparison.json."
+    "to the same uncertainties (docs/gains.md); every command is cut at the same limit. Gains are in comparison.json."
 )
 TUNED = (
     "by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
