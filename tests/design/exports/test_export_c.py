@@ -29,14 +29,14 @@ from fjr_core.config.scenario import parse_scenario
 from fjr_core.law.robust import Robust
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, prefix_of, quoted
-from fjr_design.exports.project import Loop, export, loop_of
+from fjr_design.exports.project import ExportedLoop, export, loop_of
 
 EFFORTS, LOOP = "efforts that are not equal", "closed loop: worst difference"
 EQUAL = 1e-12
 ROBUST = Robust(residual_gain=20.0, integral_gain=2.0, delay=0.001)
 
 
-def replays(loop: Loop, folder: Path) -> None:
+def replays(loop: ExportedLoop, folder: Path) -> None:
     """Export the loop and replay it: efforts equal bit by bit, the closed loop to rounding."""
     worst = replayed(exported(loop, folder))
     assert worst[EFFORTS] == 0

@@ -49,7 +49,7 @@ def new(**given: Any) -> Any:
     Grippers and joints off the chain are locked. Joint stiffness and motor inertia, which a URDF lacks, are guesses
     until you replace them in the robot file.
     """
-    return implementation("fjr_design.cli.new").new(**given)
+    return implementation("fjr_design.cli.files").new(**given)
 
 
 @command()
@@ -127,7 +127,7 @@ def description(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
     """
-    return implementation("fjr_design.cli.export").describe(**given)
+    return implementation("fjr_design.cli.files").describe(**given)
 
 
 @command("export-c")
@@ -141,7 +141,7 @@ def export_c(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder.
     """
-    return implementation("fjr_design.cli.export").export_scenario(**given)
+    return implementation("fjr_design.cli.files").export_scenario(**given)
 
 
 @command("export-ros2-control")
@@ -155,7 +155,7 @@ def export_ros2_control(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder, the package.
     """
-    return implementation("fjr_design.cli.export").export_ros2_control(**given)
+    return implementation("fjr_design.cli.files").export_ros2_control(**given)
 
 
 @command()

@@ -20,7 +20,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.library import SOURCES
 
 from .c_code import checked_prefix, comment, filled, number, numbers
-from .step_code import PREFIX, Controller, controller_of, step_code
+from .step_code import PREFIX, ExportedController, controller_of, step_code
 
 SAMPLES = 200
 TEMPLATES = {
@@ -36,14 +36,14 @@ class ExportError(FjrError):
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class ExportedLoop:
     """Sampled closed loop of a controller and a plant with its initial state x0 (4n,).
 
     inner_steps: steps of the plant per sample. Raises StateError if controller and plant differ in the number of
     joints, and for a plant in Python.
     """
 
-    controller: Controller
+    controller: ExportedController
     plant: Plant
     x0: Array
     inner_steps: int
@@ -70,13 +70,13 @@ class Loop:
         }
 
 
-def loop_of(scenario: Scenario) -> Loop:
+def loop_of(scenario: Scenario) -> ExportedLoop:
     """Return the closed loop of a scenario with its controller and an ideal plant; raises FjrError."""
     steps = int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
-    return Loop(controller_of(scenario), scenario.plant, scenario.x0, steps)
+    return ExportedLoop(controller_of(scenario), scenario.plant, scenario.x0, steps)
 
 
-def export(loop: Loop, prefix: str, samples: int = SAMPLES, notes: str = "") -> dict[str, str]:
+def export(loop: ExportedLoop, prefix: str, samples: int = SAMPLES, notes: str = "") -> dict[str, str]:
     """Return the texts of all files by name; notes: Markdown at the end of the README.
 
     Raises ParameterError for an invalid prefix, TrajectoryError for a reference that is not built in, StateError if the
@@ -115,7 +115,7 @@ def _renamed(text: str, prefix: str) -> str:
     return re.sub(rf"\b{PREFIX.upper()}_", f"{prefix.upper()}_", text)
 
 
-def recorded_case(controller: Controller, plant: Plant, x0: Array, inner_steps: int, samples: int) -> str:
+def recorded_case(controller: ExportedController, plant: Plant, x0: Array, inner_steps: int, samples: int) -> str:
     """Run the closed loop from x0 (4n,) and return what the control step reads and the effort it gives.
 
     A line for each sample: stamp and arrival [ns], then in hexadecimal, which is exact, link positions [rad], motor

@@ -47,8 +47,8 @@ KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, SampledMotion, joi
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
-    """Controller to export: everything between a measured state and an effort, without ROS.
+class ExportedController:
+    """ExportedController to export: everything between a measured state and an effort, without ROS.
 
     law: not compiled, so that C can be generated from it. Raises StateError for a law in Python, and if law, reference
     and names differ in the number of joints.
@@ -98,16 +98,16 @@ class Controller:
         return ControlStep(*given, robust=self.robust, measurement=self.measurement, compile=True)
 
 
-def controller_of(scenario: Scenario) -> Controller:
+def controller_of(scenario: Scenario) -> ExportedController:
     """Return the controller of a scenario; raises FjrError."""
     values = {**scenario.controller_values, "compile": False}
     s = replace(scenario, controller_values=values)
     settings, measured, seen = safety(values, s.robot), measurement(values, s.robot), observer(values, s.robot)
     robust = robust_action(values, s.law)
-    return Controller(s.name, s.joints, s.law, s.reference, settings, s.sample_period, measured, seen, robust)
+    return ExportedController(s.name, s.joints, s.law, s.reference, settings, s.sample_period, measured, seen, robust)
 
 
-def step_code(controller: Controller, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
+def step_code(controller: ExportedController, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
     """Return the texts of the step by file name; `more` functions are written as fjr_casadi_<name>, too.
 
     Raises TrajectoryError for a reference that is not built in, CompilerError without a C compiler.
@@ -121,7 +121,7 @@ def step_code(controller: Controller, more: Mapping[str, ca.Function] | None = N
     return texts | {"casadi.c": casadi_code(PREFIX, functions)}
 
 
-def _values(controller: Controller) -> dict[str, str]:
+def _values(controller: ExportedController) -> dict[str, str]:
     """Return the values of the names in the templates."""
     law, step = controller.sampled_law, controller.step()
     names = {name: f"{PREFIX}_casadi_{name}" for name in controller.functions}

@@ -30,7 +30,7 @@ SENSORS = {field: each for field, each in declared(SensorErrors).items() if fiel
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class ExportedArm:
     """Simulated arm: plant with n joints and its initial positions (2n,) [rad] of links, then motors.
 
     inner_step [ns]: integrator step. urdf: description of the robot. given: parameters of imperfections.* that are not
@@ -67,7 +67,7 @@ class Arm:
         return rows
 
 
-def arm_of(scenario: Scenario) -> Arm:
+def arm_of(scenario: Scenario) -> ExportedArm:
     """Return the simulated arm of a scenario; raises ParameterError."""
     values, plant = scenario.plant_values, scenario.plant
     n = plant.robot.n
@@ -75,7 +75,7 @@ def arm_of(scenario: Scenario) -> Arm:
     inner_step = scenario.sample_period / int(values["inner_steps"]) * 1e9  # type: ignore[arg-type]
     start = np.asarray(scenario.x0)[: 2 * n]
     plant = plant if plant.in_python else Plant(plant.robot, plant.integrator)
-    return Arm(plant, start, inner_step, description(values), _given(values, n))
+    return ExportedArm(plant, start, inner_step, description(values), _given(values, n))
 
 
 def not_exported(scenario: Scenario) -> list[str]:

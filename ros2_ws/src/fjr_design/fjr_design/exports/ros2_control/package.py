@@ -30,8 +30,8 @@ from fjr_core.version import __version__
 
 from ..c_code import comment, filled, number, numbers, quoted
 from ..project import recorded_case
-from ..step_code import Controller, controller_of, step_code
-from .arm import DYNAMICS, SENSORS, Arm, arm_of, not_exported, with_hardware
+from ..step_code import ExportedController, controller_of, step_code
+from .arm import DYNAMICS, SENSORS, ExportedArm, arm_of, not_exported, with_hardware
 
 SAMPLES = 400
 LONGEST_NAME = 60
@@ -73,7 +73,7 @@ NAMES = (
 
 
 def package_name_of(scenario: str) -> str:
-    """Convert the name of a scenario to that of a package: "Arm-7 b" gives arm_7_b_ros2_control."""
+    """Convert the name of a scenario to that of a package: "ExportedArm-7 b" gives arm_7_b_ros2_control."""
     plain = re.sub(r"[^a-z0-9]+", "_", scenario.lower()).strip("_")
     return f"{plain if plain[:1].isalpha() else f'robot_{plain}'.rstrip('_')}_ros2_control"
 
@@ -107,7 +107,7 @@ def export_package(scenario: Scenario, package: str, samples: int = SAMPLES) -> 
     return texts | {"test/case.txt": case}
 
 
-def _certificate(controller: Controller) -> dict[str, ca.Function]:
+def _certificate(controller: ExportedController) -> dict[str, ca.Function]:
     """Return the function of the certificate with the outputs of CERTIFIED, if the law has one."""
     law = controller.certified_law
     if law is None:
@@ -117,7 +117,7 @@ def _certificate(controller: Controller) -> dict[str, ca.Function]:
     return {"certificate": function.slice("certificate", list(range(function.n_in())), outputs)}
 
 
-def _values(scenario: Scenario, controller: Controller, arm: Arm, package: str) -> dict[str, str]:
+def _values(scenario: Scenario, controller: ExportedController, arm: ExportedArm, package: str) -> dict[str, str]:
     """Return the values of the names in the templates."""
     joints, missing = controller.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
     return {
@@ -151,7 +151,7 @@ def _level(event: str) -> str:
     return "error" if event in ERRORS else "warn" if event in WARNINGS else "info"
 
 
-def _certificate_values(scenario: Scenario, controller: Controller) -> dict[str, str]:
+def _certificate_values(scenario: Scenario, controller: ExportedController) -> dict[str, str]:
     """Return the values of certificate.hpp; without a certificate its function is never called.
 
     The rate is that of the whole range where a closed form proves one, else of the scenario's configurations.
@@ -173,7 +173,7 @@ def _certificate_values(scenario: Scenario, controller: Controller) -> dict[str,
     }
 
 
-def _arm_values(arm: Arm) -> dict[str, str]:
+def _arm_values(arm: ExportedArm) -> dict[str, str]:
     """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag.
 
     plant_table: name, place, length and least value of each parameter of the plant.
@@ -191,7 +191,7 @@ def _arm_values(arm: Arm) -> dict[str, str]:
     }
 
 
-def _gain_values(controller: Controller) -> dict[str, str]:
+def _gain_values(controller: ExportedController) -> dict[str, str]:
     """Return the rows of the gains that may be changed, and the index of K_md among them.
 
     Gains of v-dPBC only. A full matrix Pi_m is left out, because the law needs its inverse.
