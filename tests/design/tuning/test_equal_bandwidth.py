@@ -249,11 +249,6 @@ def test_sample_rate_bounds_the_motor_damping_of_v_dpbc() -> None:
         assert rate == pytest.approx(min(0.6 * np.sqrt(3000.0 / 0.2), two_scale_gains.FASTEST_RATE / sample_period))
 
 
-def test_unknown_law_is_refused() -> None:
-    with pytest.raises(fjr.ParameterError, match="'pid'"):
-        tune("pid", joint())
-
-
 # --- parameters
 
 
