@@ -24,7 +24,7 @@ def test_every_exit_code_is_documented() -> None:
 
 
 GIVEN_A_FILE = {
-    **{name: (name, "FILE") for name in ("run", "check", "excite", "description", "contraction", "sweep", "tune")},
+    **{name: (name, "FILE") for name in ("run", "check", "excite", "description", "sweep", "tune")},
     **{name: (name, "FILE") for name in ("new", "report", "compare", "play")},
     "gains": ("gains", "FILE", "--beta", "1"),
     "export-c": ("export-c", "FILE", "made"),

@@ -32,8 +32,8 @@ def shown(path: Path) -> str:
     return "".join("".join(each["text"]) for each in outputs if each["output_type"] == "stream")
 
 
-def test_there_are_three_notebooks() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["compare_two_laws", "paper", "your_arm"]
+def test_there_are_four_notebooks() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["compare_two_laws", "contraction", "paper", "your_arm"]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -93,7 +93,6 @@ def test_missing_or_unknown_arguments_exit_with_the_usage_error_code(arguments: 
         (["gains", "arm7", "--beta", "inf"], "'inf' is not a rate; expected a positive number"),
         (["sweep", "--runs", "1.5"], "'1.5' is not a number of runs; expected 1 or more"),
         (["sweep", "--cores", "0"], "'0' is not a number of cores; expected 1 or more, or all"),
-        (["contraction", "--starts", "1"], "'1' is not a number of solutions; expected 2 to 64"),
         (["watch", "--remap", "a:="], "'a:=' is not a remap; expected FROM:=TO"),
     ],
 )

@@ -96,7 +96,7 @@ def test_single_joint_is_not_named(tmp_path: Path, tmp_path_factory: pytest.Temp
 
 def test_robot_has_the_units_of_its_joints(arm: Scenario) -> None:
     assert arm.robot.units == (PRISMATIC, REVOLUTE)
-    assert any("N, N m; within the effort limits" in text for text in check_rows(arm, checked(arm)).values())
+    assert any("N, N m; within the effort limits" in text for text in check(arm).rows.values())
 
 
 def test_limits_of_a_prismatic_joint_are_in_metres(arm: Scenario) -> None:

@@ -12,8 +12,7 @@ from tools.robot_survey.robots import ROBOTS
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError
 from fjr_core.urdf.typical_joints import joints_without_inertia
-from fjr_design.scaffold.arm import arm_of
-from fjr_design.scaffold.joint_data import published
+from fjr_design.scaffold.arm import arm_of, published
 from fjr_msgs_py.scenarios import library
 from system.executables import fjr, fjr_here
 from two_link_urdf import joint, two_link_urdf
@@ -202,7 +201,6 @@ def test_a_file_that_is_no_urdf_is_one_sentence(tmp_path: Path) -> None:
 
 def test_published_data_replace_guesses() -> None:
     data = published(("panda_joint2", "panda_joint1"))
-    assert data is not None
-    assert data.motor_inertia["panda_joint1"] == 0.605721456
-    assert "Drake" in data.source
-    assert published(("panda_joint1", "joint9")) is None
+    assert data["motor_inertia"][data["joints"].index("panda_joint1")] == 0.605721456
+    assert "Drake" in data["source"]
+    assert published(("panda_joint1", "joint9")) == {}

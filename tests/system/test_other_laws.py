@@ -39,8 +39,3 @@ def test_check_reports_the_law_its_gains_and_the_sampled_loop(name: str) -> None
     assert "none for this law" in said
     assert "in the whole range" in said
     assert "beta" not in said
-
-
-def test_commands_specific_to_v_dpbc_refuse_another_law(tmp_path: Path) -> None:
-    said = fjr_here("contraction", "paper_k31", "--set", "law.type:=lqr", "--output", str(tmp_path), code=2)
-    assert "'law.type' is 'lqr'; expected 'v_dpbc'" in said

@@ -55,7 +55,6 @@ def test_every_command_offers_json(name: str) -> None:
         "gains paper_k31 --beta 5",
         "new arm.urdf --joints elbow",
         "description paper_k31",
-        "contraction paper_k31 --duration 0.05 --starts 2 --output .",
         "sweep paper_joint --runs 8 --duration 1.2 --output .",
         "export-c paper_k31 c",
         "record /nothing --duration 0.1 --output bag --force",

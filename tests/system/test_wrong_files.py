@@ -24,12 +24,11 @@ COMMANDS = {
     "description": ("description", "FILE"),
     "export-c": ("export-c", "FILE", "exported"),
     "export-ros2-control": ("export-ros2-control", "FILE", "exported"),
-    "contraction": ("contraction", "FILE"),
     "sweep": ("sweep", "FILE"),
     "tune": ("tune", "FILE"),
     "watch": ("watch", "FILE", "--once"),
 }
-LOOPS = ("run", "check", "export-c", "export-ros2-control", "contraction", "sweep", "tune")
+LOOPS = ("run", "check", "export-c", "export-ros2-control", "sweep", "tune")
 """Commands that need motion and gains."""
 
 

@@ -19,7 +19,7 @@ from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.motions.transition import TimeShifted, Transition
 from fjr_core.runtime.reference import ReferenceStruct, reference_table
-from fjr_design.exports.reference_code import reference_code
+from fjr_design.exports.step_code import reference_code
 
 RNG = np.random.default_rng(0)
 KNOTS = np.arange(6.0) ** 1.3

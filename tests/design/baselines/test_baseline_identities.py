@@ -18,8 +18,7 @@ from core.oracles.plain_loop import PlainLoop, constant_jets, standard_law
 from core.oracles.properties import residual
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import relative_eigenvalues
-from fjr_design.baselines import feedback_linearisation, lqr, torque_feedback
-from fjr_design.baselines import set_point_storage as tomei
+from fjr_design.baselines import feedback_linearisation, lqr, pd_gravity, torque_feedback
 from fjr_design.baselines.backstepping import BacksteppingGains
 from fjr_design.baselines.torque_feedback import TorqueFeedbackGains
 
@@ -76,7 +75,7 @@ def test_constant_reference_is_the_only_equilibrium_and_is_attractive(name: str,
     """If K_p outweighs gravity, V has one stationary point and the arm converges to it from far away."""
     loop = loop_of(name, arm)
     gain = on_motors(loop, "K")
-    assert np.linalg.eigvalsh(tomei.storage_hessians(arm.robot, gain)).min() > 0
+    assert np.linalg.eigvalsh(pd_gravity.storage_hessians(arm.robot, gain)).min() > 0
     q_d = np.full(arm.n, 0.7)
     x0 = loop.state(np.full(arm.n, -0.8), np.full(arm.n, -1.1), np.full(arm.n, 2.0), np.full(arm.n, -1.0))
     still = fjr.Sine(np.zeros(arm.n), 1.0, q_d)
@@ -196,7 +195,7 @@ def test_feedback_linearisation_has_two_time_scales(make) -> None:
     inverse = np.linalg.inv(arm.links.M(q_0)) + np.linalg.inv(arm.M_m)
     modes = np.sort(np.sqrt(np.linalg.eigvals(inverse @ arm.K).real))
     for sample_period in (1e-6, 1e-3):
-        gains = feedback_linearisation.standard(arm.robot, q_0, omega, 1.0, sample_period)
+        gains = feedback_linearisation.LinearErrorGains.standard(arm.robot, q_0, omega, 1.0, sample_period)
         arrays = gains.arrays(arm.robot)
         poles = np.linalg.eigvals(feedback_linearisation.companion(*(arrays[f"A_{k}"] for k in range(4))))
         size = np.sort(np.abs(poles))

@@ -11,13 +11,12 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, random_point
 from core.oracles.plain_loop import OTHERS, PlainLoop, constant_jets, standard_law
-from fjr_core.extensions.law_registry import LAWS, law_kind
+from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import AsSampledLaw
 from fjr_design.baselines.backstepping import BacksteppingGains
-from fjr_design.baselines.feedback_linearisation import LinearErrorGains
+from fjr_design.baselines.feedback_linearisation import CompositeGains, LinearErrorGains
 from fjr_design.baselines.lqr import LqrGains
 from fjr_design.baselines.pd_gravity import PdGains
-from fjr_design.baselines.singular_perturbation import CompositeGains
 from fjr_design.baselines.torque_feedback import TorqueFeedbackGains
 
 STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")  # whose springs cannot hold the arm upright
@@ -161,11 +160,6 @@ def test_full_gain_matrix_is_refused_by_a_law_built_for_diagonal_ones() -> None:
     law = LAWS["pd_gravity"].make(arm.robot, PdGains(K_p=60.0, K_d=1.0))
     with pytest.raises(fjr.GainsError, match="off the diagonal"):
         law.with_gains(PdGains(K_p=[[60.0, 5.0], [5.0, 60.0]], K_d=1.0))
-
-
-def test_unknown_law_error_lists_the_known_names() -> None:
-    with pytest.raises(fjr.ParameterError, match="'pid'; expected one of v_dpbc, pd_gravity"):
-        law_kind("pid")
 
 
 def test_wrong_shapes_are_refused() -> None:

@@ -11,7 +11,8 @@ from functools import cache
 from pathlib import Path
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.exports import Loop, export, loop_of, prefix_of, write
+from fjr_design.exports.c_code import prefix_of
+from fjr_design.exports.project import ExportedLoop, export, loop_of, write
 from time_limits import HANG
 
 SCENARIOS = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
@@ -21,21 +22,21 @@ C99, CPP = ("cc", "-std=c99", *STRICT), ("c++", "-std=c++17", *STRICT)
 
 
 @cache
-def loop(name: str) -> Loop:
+def loop(name: str) -> ExportedLoop:
     """Return the loop of a shipped scenario."""
     return loop_of(load_scenario(SCENARIOS / f"{name}.yaml"))
 
 
-def changed(scenario: str, **fields: object) -> Loop:
+def changed(scenario: str, **fields: object) -> ExportedLoop:
     """Return the loop of a shipped scenario with other fields of the loop or its controller, e.g. another reference."""
     made = loop(scenario)
     of_loop = {name: fields.pop(name) for name in ("plant", "x0", "inner_steps") if name in fields}
     return replace(made, controller=replace(made.controller, **fields), **of_loop)
 
 
-def exported(loop: Loop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
+def exported(loop: ExportedLoop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
     """Export a loop to a folder and return the folder."""
-    write(export(loop, prefix or prefix_of(loop.name), samples), folder)
+    write(export(loop, prefix or prefix_of(loop.controller.name), samples), folder)
     return folder
 
 

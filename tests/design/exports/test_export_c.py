@@ -28,15 +28,15 @@ from design.exports.c_program import (
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.measurement_model import Measurement
-from fjr_design.exports import Loop, export, loop_of, prefix_of
-from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, quoted
+from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, prefix_of, quoted
+from fjr_design.exports.project import ExportedLoop, export, loop_of
 
 EFFORTS, LOOP = "efforts that are not equal", "closed loop: worst difference"
 EQUAL = 1e-12
 ROBUST = Robust(residual_gain=20.0, integral_gain=2.0, delay=0.001)
 
 
-def replays(loop: Loop, folder: Path) -> None:
+def replays(loop: ExportedLoop, folder: Path) -> None:
     """Export the loop and replay it: efforts equal bit by bit, the closed loop to rounding."""
     worst = replayed(exported(loop, folder))
     assert worst[EFFORTS] == 0
@@ -215,18 +215,21 @@ def test_prefix_is_derived_from_the_name(name: str, prefix: str) -> None:
     assert quoted("?") == '"\\077"'
 
 
-@pytest.mark.parametrize("prefix", ["", "7a", "a-b", "a b", "ä", "a" * 41, "_a"])
-def test_prefixes_that_are_no_c_identifiers_are_refused(prefix: str) -> None:
-    with pytest.raises(fjr.ParameterError, match="expected a letter"):
-        export(loop("paper_k31"), prefix)
-
-
 @pytest.mark.parametrize(
-    "prefix", ["replay", "case", "test", "all", "install", "clean", "math", "STRING", "stdio", "m"]
+    ("prefixes", "words"),
+    [
+        (("", "7a", "a-b", "a b", "ä", "a" * 41, "_a"), "expected a letter"),
+        (
+            ("replay", "case", "test", "all", "install", "clean", "math", "STRING", "stdio", "m"),
+            "which is a name of C headers, CMake or the export; expected another one",
+        ),
+    ],
+    ids=["no identifier", "taken"],
 )
-def test_prefixes_that_collide_with_files_or_targets_are_refused(prefix: str) -> None:
-    with pytest.raises(fjr.ParameterError, match=f"prefix is '{prefix}', which .*; expected another one"):
-        export(loop("paper_k31"), prefix)
+def test_other_prefixes_are_refused(prefixes: tuple[str, ...], words: str) -> None:
+    for prefix in prefixes:
+        with pytest.raises(fjr.ParameterError, match=f"prefix is '{prefix}'.*{words}"):
+            checked_prefix(prefix)
 
 
 def test_unsupported_loops_are_refused_with_the_reason() -> None:

@@ -17,6 +17,7 @@ from core.oracles.cases import (
     Arm,
     GainSet,
     Point,
+    cubic,
     linear,
     planar,
     random_point,
@@ -187,10 +188,13 @@ def test_differential_storage_decays_at_least_at_the_rate(arm: Arm, gains: GainS
         assert eigh(-sym(P @ A + dP / 2), P, eigvals_only=True)[0] >= beta * (1 - 1e-9)
 
 
-@pytest.mark.parametrize("arm", [single(31.0), planar("31", 31.0)], ids=lambda arm: arm.name)
-def test_virtual_solutions_contract_at_rate_beta_along_any_curve(arm: Arm) -> None:
+@pytest.mark.parametrize(
+    ("arm", "gains"),
+    [(single(31.0), linear(1)), (single(3.1), linear(1)), (single(31.0), cubic(1)), (planar("31", 31.0), linear(2))],
+    ids=["k = 31", "k = 3.1", "cubic", "two links"],
+)
+def test_virtual_solutions_contract_at_rate_beta_along_any_curve(arm: Arm, gains: GainSet) -> None:
     """The storage of the difference of two virtual solutions decays along any x(t), here driven by an unrelated u."""
-    gains = linear(arm.n)
     loop, reference = loop_of(arm, gains), fjr.Sine(np.full(arm.n, 0.8), 1.3)
     beta, duration = loop.law.rate().beta, 0.5
 

@@ -21,7 +21,7 @@ from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.motions.reference import Reference
 from fjr_core.simulation.batch import ClosedLoop, Draws
-from fjr_design.baselines.singular_perturbation import CompositeGains
+from fjr_design.baselines.feedback_linearisation import CompositeGains
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.cells import cells_of
 from fjr_proofs.error_bound.deviation_model import FACTORS, DeviationModel

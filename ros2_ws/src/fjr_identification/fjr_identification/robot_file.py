@@ -29,7 +29,7 @@ from fjr_core.simulation.imperfections import Imperfections, friction_rate
 from fjr_core.urdf.tree import parse_xml
 from fjr_core.urdf.writing import with_inertias
 from fjr_design.scaffold.files import path_from
-from fjr_design.scaffold.proposal import RATE, Proposal, proposal_of
+from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
 from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Estimate, Identification
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from design.exports.c_program import C99, CPP, SCENARIOS, built, program_output
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_design.exports import write
-from fjr_design.exports.ros2_control import export_package, package_name_of
+from fjr_design.exports.project import write
+from fjr_design.exports.ros2_control.package import export_package, package_name_of
 
 HERE = Path(__file__).parent
 SOURCES = ("tracking_controller", "reports", "parameters", "elastic_arm")

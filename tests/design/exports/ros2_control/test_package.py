@@ -11,13 +11,12 @@ import pytest
 import yaml
 
 import fjr_core as fjr
-import own_code
 from design.exports.c_program import SHIPPED
 from design.exports.ros2_control.exported_package import exported, replayed, scenario
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.runtime.events import ERRORS, KINDS, WARNINGS
 from fjr_core.runtime.library import HEADER, text
-from fjr_design.exports.ros2_control import export_package, package_name_of
+from fjr_design.exports.ros2_control.package import export_package, package_name_of
 
 PACKAGE = "two_link_ros2_control"
 MORE = {
@@ -78,9 +77,3 @@ def test_package_is_named_after_the_scenario(scenario: str, package: str) -> Non
 def test_invalid_package_names_are_refused(package: str) -> None:
     with pytest.raises(fjr.ParameterError, match=r"package is '.*'; expected a lower-case letter"):
         export_package(scenario("paper_k31"), package)
-
-
-def test_law_in_python_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = parse_scenario("own", f"/**: {{ros__parameters: {{law.type: '{own_code.__name__}:Pd'}}}}")
-    with pytest.raises(fjr.StateError, match="the law is written in Python; expected one made of expressions"):
-        export_package(made, "own")

@@ -82,11 +82,7 @@ def test_deactivation_in_motion_sends_the_stop_effort_and_tracking_starts_again(
     assert abs(found["speed_before"]) > 0.1
     assert [found["stop_effort_0"], found["stop_effort_1"]] == [0, 0]
     assert found["state"] == found["state_after_restart"] == 2
-
-
-def test_inactive_arm_is_held_by_its_brakes(drive: Path) -> None:
-    found = values(program_output(drive, "restart"))
-    assert found["moved_while_inactive"] == found["speed_while_inactive"] == 0
+    assert found["moved_while_inactive"] == found["speed_while_inactive"] == 0  # held by its brakes
 
 
 def test_missing_states_hold_the_effort_until_the_timeout(drive: Path) -> None:
@@ -116,6 +112,7 @@ def test_reference_interfaces_lead_the_arm(drive: Path) -> None:
     assert abs(found["held"]) < 1e-3
     assert found["worst_error"] < 2e-4
     assert "first_reference tracking_controller/shoulder/position" in output
+    assert "hold 0: another controller leads the reference; expected a request to that one" in output
 
 
 def test_effort_limits_of_the_parameters_hold(drive: Path) -> None:
@@ -178,11 +175,6 @@ def test_services_hold_play_and_resume(drive: Path) -> None:
         "resume 1: tracking resumes",
         "hold 0: the controller is inactive; expected an active one",
     ]
-
-
-def test_services_in_chained_mode_leave_the_reference_to_its_controller(drive: Path) -> None:
-    output = program_output(drive, "chained")
-    assert "hold 0: another controller leads the reference; expected a request to that one" in output
 
 
 SAFE = (

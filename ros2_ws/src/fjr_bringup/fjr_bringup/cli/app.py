@@ -38,7 +38,7 @@ GROUPS = {
 """Commands of the help, by title; `fjr help all` shows the others, too."""
 OTHERS = {
     "Running nodes": ("send", "echo", "record", "play", "call", "set", "lifecycle", "description"),
-    "More": ("scenarios", "excite", "tune", "contraction", "export-c", "export-ros2-control"),
+    "More": ("scenarios", "excite", "tune", "export-c", "export-ros2-control"),
 }
 MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification"}
 """Commands of packages without which the others run."""

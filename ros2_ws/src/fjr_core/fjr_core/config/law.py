@@ -51,7 +51,7 @@ DAMPING_RATIO = Parameter(
 GAIN_FACTORS = Parameter(
     "law.gain_factors",
     (1.0,),
-    "Factors on the gains of a law other than v_dpbc that docs/tuning.md lists: one for all, or one each",
+    "Factors on the gains of a law other than v_dpbc that docs/tables/gains.md lists: one for all, or one each",
     minimum=1e-4,
     maximum=1e4,
     shape=LIST,

@@ -29,33 +29,6 @@ from fjr_core.numerics.checks import Array
 from .baseline import Baseline, damping, effort, rate
 
 
-@dataclass(frozen=True)
-class LinkStage:
-    """Link errors e = q - q_d, de, s = de + Lambda e, and the desired joint torque tau_d; expressions (n,).
-
-    The link error obeys M_l ds + (C_l + D_l + K_1) s = tau - tau_d, tau the joint torque.
-    """
-
-    e: ca.SX
-    de: ca.SX
-    s: ca.SX
-    tau_d: ca.SX
-
-
-def link_stage(f: Flow, g: SimpleNamespace) -> LinkStage:
-    """Return the link stage (Slotine and Li) for gains Lambda (1,) [1/s] and K_1 (n, n) [N m s/rad].
-
-    tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s, dq_r = dq_d - Lambda e.
-    """
-    m = f.measured
-    e, de = m.q_l - f.jets[:, 0], m.dq_l - f.jets[:, 1]
-    dq_r = f.jets[:, 1] - g.Lambda * e
-    ddq_r = f.jets[:, 2] - g.Lambda * de
-    s = m.dq_l - dq_r
-    tau_d = f.inertial_torque(dq_r, ddq_r) + f.robot.D_l @ dq_r + f.robot.links.grad_P_l(m.q_l) - g.K_1 @ s
-    return LinkStage(e, de, s, tau_d)
-
-
 @dataclass(frozen=True, eq=False)
 class BacksteppingGains:
     """Gains Lambda, c_1, c_2 [1/s], scalars, and K_1 [N m s/rad], a scalar, (n,) or (n, n)."""
@@ -70,30 +43,40 @@ class BacksteppingGains:
         rates = {name: rate(name, getattr(self, name)) for name in ("Lambda", "c_1", "c_2")}
         return {**rates, "K_1": damping("K_1", self.K_1, robot.n, robot.D_l)}
 
+    @classmethod
+    def standard(
+        cls, robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan
+    ) -> BacksteppingGains:
+        """Return gains with two link poles at -omega [rad/s] for the inertia at q_0, and motor rates zeta omega."""
+        K_1 = omega * robot.M_l(q_0) - robot.D_l
+        return cls(Lambda=omega, K_1=K_1, c_1=zeta * omega, c_2=zeta * omega)
+
 
 class Backstepping(Baseline):
     """Integrator backstepping (Brogliato, Ortega, Lozano 1995)."""
 
     def expressions(self, f: Flow, g: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
-        """Return u (n,) [N m] and V [J]."""
-        robot, m, link = f.robot, f.measured, link_stage(f, g)
-        theta_d = m.q_l + np.linalg.inv(robot.K) @ link.tau_d
-        dtheta_d, ds = f.d(theta_d, link.s)
+        """Return u (n,) [N m] and V [J].
+
+        The link stage, with tau_d = M_l ddq_r + C_l dq_r + D_l dq_r + grad P_l - K_1 s and dq_r = dq_d - Lambda e,
+        gives M_l ds + (C_l + D_l + K_1) s = tau - tau_d for s = de + Lambda e and the joint torque tau.
+        """
+        robot, m = f.robot, f.measured
+        e, de = m.q_l - f.jets[:, 0], m.dq_l - f.jets[:, 1]
+        dq_r, ddq_r = f.jets[:, 1] - g.Lambda * e, f.jets[:, 2] - g.Lambda * de
+        s = m.dq_l - dq_r
+        tau_d = f.inertial_torque(dq_r, ddq_r) + robot.D_l @ dq_r + robot.links.grad_P_l(m.q_l) - g.K_1 @ s
+        theta_d = m.q_l + np.linalg.inv(robot.K) @ tau_d
+        dtheta_d, ds = f.d(theta_d, s)
         (ddtheta_d,) = f.d(dtheta_d)
         e_m, de_m = m.q_m - theta_d, m.dq_m - dtheta_d
-        s_m = de_m + g.c_1 * e_m + link.s
+        s_m = de_m + g.c_1 * e_m + s
         ddtheta = ddtheta_d - g.c_1 * de_m - ds - g.c_2 * s_m
         torque = robot.M_m @ ddtheta - robot.K @ e_m + robot.D_m @ m.dq_m + robot.K @ (m.q_m - m.q_l)
-        V = (ca.dot(link.s, f.M_l @ link.s) + ca.dot(e_m, robot.K @ e_m) + ca.dot(s_m, robot.M_m @ s_m)) / 2
-        return effort(robot, torque), V + g.Lambda * ca.dot(link.e, (g.K_1 + robot.D_l) @ link.e)
+        V = (ca.dot(s, f.M_l @ s) + ca.dot(e_m, robot.K @ e_m) + ca.dot(s_m, robot.M_m @ s_m)) / 2
+        return effort(robot, torque), V + g.Lambda * ca.dot(e, (g.K_1 + robot.D_l) @ e)
 
     @property
     def hold_damping(self) -> Array:
         """M_m (c_1 + c_2) (n, n) [N m s/rad]."""
         return np.asarray(self.robot.M_m * (self.arrays["c_1"] + self.arrays["c_2"]))
-
-
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> BacksteppingGains:
-    """Return gains with two link poles at -omega [rad/s] for the inertia at q_0, and motor rates zeta omega."""
-    K_1 = omega * robot.M_l(q_0) - robot.D_l
-    return BacksteppingGains(Lambda=omega, K_1=K_1, c_1=zeta * omega, c_2=zeta * omega)

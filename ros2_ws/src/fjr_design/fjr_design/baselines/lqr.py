@@ -54,6 +54,22 @@ class LqrGains:
             ) from None
         return {"F": np.linalg.solve(R, B.T @ P), "P": (P + P.T) / 2}
 
+    @classmethod
+    def standard(cls, robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> LqrGains:
+        """Return weights for the natural frequency omega [rad/s] and the damping ratio zeta at q_0 (n,) [rad].
+
+        Q = diag(M_l, 0, c M_l / omega^2, 0), c = max(0, 4 zeta^2 - 2). R weights by M_l the link motion that an effort
+        causes at omega: u = B_m^-1 S e, S = omega^2 (M_l + M_m) + omega^4 M_m K^-1 M_l. A rigid joint has two poles
+        with omega and zeta, zeta at least 2^-1/2; a very compliant joint has a fourth-order Butterworth pattern.
+        """
+        from scipy.linalg import block_diag
+
+        n, M_l, M_m = robot.n, robot.M_l(q_0), robot.M_m
+        S = omega**2 * (M_l + M_m) + omega**4 * M_m @ np.linalg.solve(robot.K, M_l)
+        moved, none = np.linalg.solve(S, robot.B_m), np.zeros((n, n))
+        c = max(0.0, 4 * zeta**2 - 2)
+        return cls(block_diag(M_l, none, c / omega**2 * M_l, none), moved.T @ M_l @ moved, q_0)
+
 
 class Lqr(Baseline):
     """Linear-quadratic regulator about the reference motion."""
@@ -84,19 +100,3 @@ def velocity_transformation(points: Equilibria) -> Array:
     """Return T (k, 4n, 4n) with (q, theta, dq, dtheta) = T x, linearised at the equilibria."""
     one = np.eye(points.robot.n)
     return points.block_diagonal(one, one, np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m))
-
-
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float, _sample_period: float = np.nan) -> LqrGains:
-    """Return weights for the natural frequency omega [rad/s] and the damping ratio zeta at q_0 (n,) [rad].
-
-    Q = diag(M_l, 0, c M_l / omega^2, 0), c = max(0, 4 zeta^2 - 2). R weights by M_l the link motion that an effort
-    causes at omega: u = B_m^-1 S e, S = omega^2 (M_l + M_m) + omega^4 M_m K^-1 M_l. A rigid joint has two poles with
-    omega and zeta, zeta at least 2^-1/2; a very compliant joint has a fourth-order Butterworth pattern.
-    """
-    from scipy.linalg import block_diag
-
-    n, M_l, M_m = robot.n, robot.M_l(q_0), robot.M_m
-    S = omega**2 * (M_l + M_m) + omega**4 * M_m @ np.linalg.solve(robot.K, M_l)
-    moved, none = np.linalg.solve(S, robot.B_m), np.zeros((n, n))
-    c = max(0.0, 4 * zeta**2 - 2)
-    return LqrGains(block_diag(M_l, none, c / omega**2 * M_l, none), moved.T @ M_l @ moved, q_0)

@@ -7,18 +7,25 @@ control framework for position, torque and impedance control of flexible joint r
     w     = g_bar(theta) - K_theta (theta - theta_d) - D_theta (dtheta - dtheta_d)
 
 Torque feedback gives the motors an apparent inertia M_theta, which can be chosen up to M_m. g_bar(theta) =
-grad P_l(q_bar(theta)) is the gravity torque at the link equilibrium (online_gravity.py). q_d is therefore the only
+grad P_l(q_bar(theta)) is the gravity torque at the link equilibrium. q_d is therefore the only
 equilibrium for every K_theta > 0, and the motors are passive from the torque -(tau - g_bar) to dtheta. The paper treats
 regulation: theta_d = q_d + K^-1 grad P_l(q_d). For a constant reference
 dV/dt = -dq' D_l dq - dtheta' (D_m + D_theta) dtheta.
 
 TorqueFeedbackFeedforward adds feedforward for a moving reference: theta_d by the inverse dynamics (inverse_dynamics.py)
 of the reference, and M_theta ddtheta_d + D_m dtheta_d + tau_d - g_bar(theta_d) in w.
+
+Gravity from the motor positions: C. Ott, A. Albu-Schaeffer, A. Kugi, S. Stramigioli, G. Hirzinger,
+"A passivity based Cartesian impedance controller for flexible joint robots, part I", ICRA 2004.
+
+q_bar(theta) is the link equilibrium with the motors held at theta: K (theta - q_bar) = grad P_l(q_bar). It is the fixed
+point of q -> theta - K^-1 grad P_l(q), which is a contraction if the joint stiffness outweighs gravity.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from types import SimpleNamespace
 
 import casadi as ca
@@ -33,8 +40,40 @@ from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.numerics.checks import Array
 
 from .baseline import Baseline, damping, effort, metric
-from .online_gravity import link_equilibrium
-from .set_point_storage import motor_set_point
+from .pd_gravity import gravity_hessians, motor_set_point
+
+MOST_ITERATIONS = 400
+ROUNDING = 2.0**-53
+
+
+@lru_cache(maxsize=8)
+def link_equilibrium(robot: Robot) -> ca.Function:
+    """Return the CasADi function theta (n,) -> q_bar (n,) [rad]; raise GainsError without a contraction."""
+    theta, K_inverse = ca.SX.sym("theta", robot.n), ca.sparsify(ca.DM(np.linalg.inv(robot.K)))
+    q = theta
+    for _ in range(_iterations(robot)):
+        q = theta - K_inverse @ robot.links.grad_P_l(q)
+    return ca.Function("link_equilibrium", [theta], [ca.densify(q)], {"cse": True})
+
+
+def contraction_factor(robot: Robot) -> float:
+    """Return the contraction factor of the iteration in the metric K, the maximum over sampled configurations."""
+    half = np.linalg.inv(np.linalg.cholesky(robot.K))
+    return float(np.abs(np.linalg.eigvalsh(half @ gravity_hessians(robot) @ half.T)).max())
+
+
+def _iterations(robot: Robot) -> int:
+    """Return the number of steps after which the error is at rounding level."""
+    factor = contraction_factor(robot)
+    steps = 2 + np.log(ROUNDING) / np.log(factor) if 0 < factor < 1 else 2.0 if factor == 0 else np.inf
+    if not steps <= MOST_ITERATIONS:
+        raise GainsError(
+            f"the joints' stiffness does not outweigh gravity: a change of the link position changes the deflection by "
+            f"a factor of {factor:.4g}; expected at most {ROUNDING ** (1 / (MOST_ITERATIONS - 2)):.2g}, else gravity "
+            "cannot be computed from the motor positions"
+        )
+    return int(np.ceil(steps))
+
 
 FASTEST_RESONANCE = 0.2  # rad per sample, of the motor with apparent inertia on its spring
 FASTEST_DAMPING = 1.0  # 1/sample, largest rate D_theta / M_theta
@@ -63,6 +102,16 @@ class TorqueFeedbackGains:
             "K_theta": K_theta,
             "D_theta": D_theta,
         }
+
+    @classmethod
+    def standard(
+        cls, robot: Robot, q_0: Array, omega: float, zeta: float, sample_period: float = 1e-3
+    ) -> TorqueFeedbackGains:
+        """Return gains with omega [rad/s] and damping ratio zeta at q_0, assuming rigid joints."""
+        M_l, rate = robot.M_l(q_0), 2 * zeta * omega
+        M_theta = shaped_inertia(robot, rate * (M_l + robot.M_m), sample_period)
+        M = M_l + M_theta
+        return cls(M_theta, omega**2 * M, rate * M - robot.D_m)
 
 
 class TorqueFeedback(Baseline):
@@ -108,14 +157,6 @@ def _links_energy(f: Flow, q_bar: ca.SX) -> ca.SX:
     de, h = m.dq_l - f.jets[:, 1], m.q_l - q_bar
     weight = links.P_l(m.q_l) - links.P_l(q_bar) - ca.dot(h, links.grad_P_l(q_bar))
     return (ca.dot(de, f.M_l @ de) + ca.dot(h, robot.K @ h)) / 2 + weight
-
-
-def standard(robot: Robot, q_0: Array, omega: float, zeta: float, sample_period: float = 1e-3) -> TorqueFeedbackGains:
-    """Return gains with omega [rad/s] and damping ratio zeta at q_0, assuming rigid joints."""
-    M_l, rate = robot.M_l(q_0), 2 * zeta * omega
-    M_theta = shaped_inertia(robot, rate * (M_l + robot.M_m), sample_period)
-    M = M_l + M_theta
-    return TorqueFeedbackGains(M_theta, omega**2 * M, rate * M - robot.D_m)
 
 
 def shaped_inertia(robot: Robot, D: Array, sample_period: float) -> Array:

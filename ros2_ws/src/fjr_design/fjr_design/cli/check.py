@@ -6,7 +6,8 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from fjr_core.files import importing as other_package
 from fjr_core.files.importing import is_named
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import joined
+from fjr_core.numerics.one_line import at_least
 from fjr_core.robust.law import Robust
 from fjr_core.stability.sampled_loop import SampledCheck
 from fjr_design.cli.preflight import (
@@ -38,7 +40,6 @@ from fjr_design.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
-from fjr_design.cli.rate_rows import rate_rows, rate_values, row_near_the_reference
 from fjr_design.tuning.scenario_target import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
@@ -46,6 +47,17 @@ from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured
+CONTINUOUS = "in continuous time"
+OTHER_PLANT = "not proven here, the plant is not the law's model"
+
+
+@dataclass(frozen=True)
+class Check:
+    """A scenario before it runs: rows of text by quantity, numbers as JSON values, and why it cannot run, or ""."""
+
+    rows: dict[str, str]
+    values: dict[str, Any]
+    refusal: str
 
 
 def check_scenario(
@@ -63,37 +75,28 @@ def check_scenario(
     certificate: file for the proof of the rate over the joint range, which takes at most `seconds`. errors: names and
     sizes of model errors. prove_error: prove their bound for any number of joints. prove_sampled: also prove
     contraction of the sampled loop (sampled_proof). delay [samples] of this proof and of the bound of the tracking
-    error, which is made for errors, for a delay alone and for prove_error.
+    error, which is made for errors, for a delay alone and for prove_error. Raises MissingPackageError for a proof
+    without the package of the proofs.
     """
-    loaded = library.load(scenario, assignments)
-    asked = errors or prove_error or (delay is not None and not prove_sampled)
-    bound = _error_bound(loaded, _once(errors), delay, prove_error) if asked else None
+    loaded, rows, values, failed = library.load(scenario, assignments), {}, {}, False
+    if errors or prove_error or (delay is not None and not prove_sampled):
+        bounds = other_package.module("fjr_proofs.check_rows")
+        bound = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None)
+        rows["error bound"], values["error_bound"] = bound.sentence, bound.values
     if certificate is not None:
         prover = other_package.module("fjr_proofs.kept_rate")
         prover.write_certificate(prover.proven_rate(loaded, seconds), certificate)
-    found = checked(loaded)
-    rows = check_rows(loaded, found) | ({} if bound is None else {"error bound": bound.sentence})
-    proof = _sampled_proof(loaded, delay) if prove_sampled else None
-    rows |= proof.rows if proof else {}
-    for warning in _warnings(loaded):
-        print(f"fjr: {warning}", file=sys.stderr)
-    refusal = _refusal(loaded, found)
-    if refusal:
-        print(f"fjr: {refusal}", file=sys.stderr)
-    values = _values(loaded, found, rows, refusal) | ({} if bound is None else {"error_bound": bound.values})
-    values |= {"sampled_proof": proof.values} if proof else {}
-    failed = refusal or (proof and not proof.found)
-    return Result(table(rows), values, Exit.FAILED if failed else Exit.DONE)
-
-
-def _error_bound(scenario: Scenario, errors: Mapping[str, float], delay: float | None, prove: bool) -> Any:
-    """Return the bound of the tracking error; raise MissingPackageError without the package of the proofs."""
-    return other_package.module("fjr_proofs.check_rows").errors_bounded(scenario, errors, delay, prove or None)
-
-
-def _sampled_proof(scenario: Scenario, delay: float | None) -> Any:
-    """Return the proof of the sampled loop; raise MissingPackageError without the package of the proofs."""
-    return other_package.module("fjr_proofs.check_rows").sampled_proof(scenario, delay)
+    found = check(loaded)
+    if prove_sampled:
+        proof = other_package.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
+        rows, values["sampled_proof"], failed = rows | proof.rows, proof.values, not proof.found
+    rows = found.rows | rows
+    for sentence in [*found.values["warnings"], *([found.refusal] if found.refusal else [])]:
+        print(f"fjr: {sentence}", file=sys.stderr)
+    width = max(map(len, rows))
+    text = "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
+    values = {**found.values, "rows": {name.strip(): text for name, text in rows.items()}, **values}
+    return Result(text, values, Exit.FAILED if found.refusal or failed else Exit.DONE)
 
 
 def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
@@ -104,8 +107,40 @@ def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
     return dict(errors)
 
 
-def _warnings(scenario: Scenario) -> list[str]:
-    return [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings]
+def check(scenario: Scenario) -> Check:
+    """Check the loop of a scenario: its rate, stability as sampled, margins, limits and initial position."""
+    found, law = checked(scenario), scenario.law
+    rates, numbers = (
+        _rates(scenario, law) if isinstance(law, TrackingLaw) else (_other_law(scenario), (None, False, None))
+    )
+    lowest, at = found.lowest_stable_rate, as_list(found.configuration)
+    rows = {
+        "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
+        **_in_the_loop(scenario),
+        **rates,
+        "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
+        "    found at q_l": f"{at} {position_unit(scenario)}",
+        "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
+        "lowest stable rate": "none" if lowest is None else f"{lowest:.4g} Hz",
+        **_elsewhere(scenario),
+        **_model_errors(scenario, found),
+        **_limits(scenario),
+        **_start(scenario),
+        "as sampled": "stable" if found.stable else "UNSTABLE",
+    }
+    refusal = _refusal(scenario, found)
+    values = {
+        "scenario": scenario.name,
+        "stable": found.stable,
+        "spectral_radius": found.spectral_radius,
+        "delay_margin_samples": found.delay_margin,
+        "lowest_stable_rate_hz": lowest,
+        "sample_period_s": found.sample_period,
+        **dict(zip(("beta_per_s", "beta_is_proven", "beta_attained_per_s"), numbers, strict=True)),
+        "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings],
+        "refused": refusal or None,
+    }
+    return Check(rows, values, refusal)
 
 
 def _refusal(scenario: Scenario, found: SampledCheck) -> str:
@@ -119,52 +154,56 @@ def _refusal(scenario: Scenario, found: SampledCheck) -> str:
     return ""
 
 
-def _values(scenario: Scenario, found: SampledCheck, rows: Mapping[str, str], refusal: str) -> dict[str, Any]:
-    """Return the numbers of a check, and its rows as printed."""
-    return {
-        "scenario": scenario.name,
-        "stable": found.stable,
-        "spectral_radius": found.spectral_radius,
-        "delay_margin_samples": found.delay_margin,
-        "lowest_stable_rate_hz": found.lowest_stable_rate,
-        "sample_period_s": found.sample_period,
-        **rate_values(scenario),
-        "warnings": _warnings(scenario),
-        "refused": refusal or None,
-        "rows": {name.strip(): text for name, text in rows.items()},
+def _in_the_loop(scenario: Scenario) -> dict[str, str]:
+    """List the parts that are checked in addition to plant, law and hold; return no row if there are none."""
+    robust, sensing, delay = getattr(scenario.sampled_law, "robust", Robust()), scenario.sensing, scenario.loop_delay
+    parts = {
+        "momentum residual": robust.estimates,
+        "integral action": robust.integrates,
+        f"prediction over {1e3 * robust.delay:g} ms": robust.predicts,
+        f"velocity observer of {sensing.bandwidth} rad/s": sensing.bandwidth is not None,
+        "joint torque sensors": sensing.by_torque,
+        f"delay of {1e3 * delay:g} ms (imperfections.state_delay + command_delay)": delay > 0,
     }
+    named = [name for name, there in parts.items() if there]
+    return {"in the loop": ", ".join(named)} if named else {}
 
 
-def table(rows: Mapping[str, str]) -> str:
-    """Return the results of a check, one quantity a line."""
-    width = max(len(name) for name in rows)
-    return "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
+def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], tuple[float, bool, float | None]]:
+    """Return the rows of beta and of the beta of eq. (50), and beta, whether it is proven, and the rate attained.
 
-
-def check_rows(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
-    """Return the results of a check as text by quantity."""
-    lowest = "none" if found.lowest_stable_rate is None else f"{found.lowest_stable_rate:.4g} Hz"
-    return {
-        "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
-        **_in_the_loop(scenario),
-        **_decay(scenario),
-        "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
-        "    found at q_l": f"{as_list(found.configuration)} {position_unit(scenario)}",
-        "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
-        "lowest stable rate": lowest,
-        **_elsewhere(scenario),
-        **_model_errors(scenario, found),
-        **_limits(scenario),
-        **_start(scenario),
-        "as sampled": "stable" if found.stable else "UNSTABLE",
+    Proven: by a closed form, or by branch and bound in an earlier command, which has kept its ProvenRate. Then the
+    configuration that attains the smallest rate has a row, too. Otherwise the rate is a minimum over samples.
+    """
+    rate, exact, kept = law.rate(), scenario.plant_is_the_model, None
+    if scenario.robot.links.M_l_vertices is None and _is_provable(scenario):
+        kept = other_package.module("fjr_proofs.kept_rate").cached_rate(scenario)
+    more = {}
+    if kept is not None:
+        basis = f"proven over the joint range{'' if kept.complete else ' so far'}" if exact else OTHER_PLANT
+        basis = f"{CONTINUOUS}{',' if exact else ';'} {basis}"
+        sampled = "" if kept.complete else f"; minimum over sampled configurations: {rate.beta:.4g} 1/s"
+        at = f"{as_list(np.array(kept.at))} {position_unit(scenario)}"
+        more = {"    rate at q_l": f"{at}: {kept.attained:.4g} 1/s{sampled}"}
+    elif not rate.proven:
+        basis = f"{CONTINUOUS}; minimum over sampled configurations, not proven"
+    else:
+        basis = f"{CONTINUOUS} for the exact model, proven for every configuration"
+        basis = basis if exact else f"{CONTINUOUS}; {OTHER_PLANT}"
+    found = kept or rate
+    rows = {
+        "beta": f"{at_least(found.beta)} 1/s: V falls at least as exp(-2 beta t), {basis}",
+        "beta of eq. (50)": f"{at_least(found.beta_paper)} 1/s, {basis}",
+        **more,
     }
+    proven = exact and (rate.proven or kept is not None)
+    return rows, (found.beta, proven, None if kept is None else kept.attained)
 
 
-def _decay(scenario: Scenario) -> dict[str, str]:
-    """Return the rates of v-dPBC, or name and gains of another law."""
-    if not isinstance(scenario.law, TrackingLaw):
-        return _other_law(scenario)
-    return rate_rows(scenario, scenario.law)
+def _is_provable(scenario: Scenario) -> bool:
+    """Return whether something can be proven about the robot: the package of the proofs is there and covers it."""
+    bounds = other_package.module_if_there("fjr_proofs.verification.inertia_bounds")
+    return bounds is not None and bool(bounds.is_provable(scenario.robot))
 
 
 def _other_law(scenario: Scenario) -> dict[str, str]:
@@ -199,44 +238,68 @@ def _evaluation_time(scenario: Scenario) -> float:
 
 
 def _elsewhere(scenario: Scenario) -> dict[str, str]:
-    """Return the check on the configurations that `checked` leaves out: the reference, or the whole range."""
-    if isinstance(scenario.law, TrackingLaw):
-        where = scenario.configurations()
-        found = checked_at(scenario, where)
-        beta = f"beta {scenario.law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it)"
-        margin = f"delay margin {found.delay_margin:.2f} samples"
-        row = {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
-        return {**row, **row_near_the_reference(scenario, scenario.law)}
-    found = checked_at(scenario, None)
-    return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
+    """Return the check on the configurations that `checked` leaves out: the reference, or the whole range.
 
-
-def _in_the_loop(scenario: Scenario) -> dict[str, str]:
-    """List the parts that are checked in addition to plant, law and hold; return no row if there are none."""
-    robust, sensing, delay = getattr(scenario.sampled_law, "robust", Robust()), scenario.sensing, scenario.loop_delay
-    parts = {
-        "momentum residual": robust.estimates,
-        "integral action": robust.integrates,
-        f"prediction over {1e3 * robust.delay:g} ms": robust.predicts,
-        f"velocity observer of {sensing.bandwidth} rad/s": sensing.bandwidth is not None,
-        "joint torque sensors": sensing.by_torque,
-        f"delay of {1e3 * delay:g} ms (imperfections.state_delay + command_delay)": delay > 0,
-    }
-    named = [name for name, there in parts.items() if there]
-    return {"in the loop": ", ".join(named)} if named else {}
+    For v-dPBC also the rate that is proven within a radius of the reference, if something can be proven.
+    """
+    law = scenario.law
+    if not isinstance(law, TrackingLaw):
+        found = checked_at(scenario, None)
+        return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
+    where = scenario.configurations()
+    found = checked_at(scenario, where)
+    beta = f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it)"
+    margin = f"delay margin {found.delay_margin:.2f} samples"
+    rows = {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
+    if _is_provable(scenario):
+        bounds = other_package.module("fjr_proofs.verification.inertia_bounds")
+        domain, radius = other_package.module("fjr_proofs.kept_rate").near_reference(scenario)
+        rate = law.proven_rate(domain, most_boxes=bounds.few_boxes(scenario.robot))
+        low, high = np.min(radius), np.max(radius)
+        within = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+        near = f"within {within} {position_unit(scenario)} of the reference in each joint"
+        basis = "proven" if scenario.plant_is_the_model else OTHER_PLANT
+        rows["near the reference"] = f"beta {at_least(rate.beta)} 1/s {near}, {basis}"
+    return rows
 
 
 def _model_errors(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
     """Return spectral radii for errors of stiffness and inertia, a row for each, and the largest."""
     law, plant, sensing = scenario.sampled_law, scenario.plant, scenario.sensing
     radii = radii_with_model_errors(law, found.sample_period, found.delay, found.closely, plant, sensing)
+    percent = {factor: f"{100 * (factor - 1):+.0f} %" for factor in FACTORS}
     rows = {
-        f"    {quantity}": ", ".join(f"{radii[quantity, factor]:.6f} at {_percent(factor)}" for factor in FACTORS)
+        f"    {quantity}": ", ".join(f"{radii[quantity, factor]:.6f} at {percent[factor]}" for factor in FACTORS)
         for quantity in QUANTITIES
     }
     (quantity, factor), worst = max(radii.items(), key=lambda item: item[1])
     state = "stable" if worst < 1 else "UNSTABLE"
-    return {"with model errors": f"{state}; the worst is {quantity} {_percent(factor)}: {worst:.6f}", **rows}
+    return {"with model errors": f"{state}; the worst is {quantity} {percent[factor]}: {worst:.6f}", **rows}
+
+
+def _limits(scenario: Scenario) -> dict[str, str]:
+    """Compare the reference and the first effort with the limits of the joints; no row if there are none."""
+    limits, reference = scenario.robot.limits, scenario.reference
+    if limits is None:
+        return {}
+
+    def within(what: str, broken: NDArray[np.bool_]) -> str:
+        names = [joint for joint, bad in zip(scenario.joints, broken, strict=True) if bad]
+        return f"within the {what}" if not names else f"BEYOND the {what} of {', '.join(names)}"
+
+    reach = reference.motion_bounds(0.0, np.inf)
+    outside = within("position limits", (reach.lower[0] < limits.lower) | (reach.upper[0] > limits.upper))
+    too_fast = within("velocity limits", np.maximum(reach.upper[1], -reach.lower[1]) > limits.velocity)
+    law = scenario.law
+    if isinstance(law, TrackingLaw):
+        law = TrackingLaw(scenario.robot, scenario.gains)  # not compiled, for a single call
+    position, velocity = scenario.x0[: 2 * law.robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
+    first = np.abs(law.measured_command(position, velocity, reference.jets(0.0))[0])
+    unit = joined(each.effort for each in scenario.robot.units)
+    return {
+        "reference": f"{outside}; {too_fast}",
+        "first effort": f"{as_list(first)} {unit}; {within('effort limits', first > limits.effort)}",
+    }
 
 
 def _start(scenario: Scenario) -> dict[str, str]:
@@ -246,35 +309,6 @@ def _start(scenario: Scenario) -> dict[str, str]:
         return {}
     found = start_outside(scenario)
     return {"initial position": f"BEYOND {'; '.join(found)}" if found else "within the ranges of the joints"}
-
-
-def _limits(scenario: Scenario) -> dict[str, str]:
-    """Compare the reference and the first effort with the limits of the joints; no row if there are none."""
-    limits, reference = scenario.robot.limits, scenario.reference
-    if limits is None:
-        return {}
-    reach = reference.motion_bounds(0.0, np.inf)
-    outside = (reach.lower[0] < limits.lower) | (reach.upper[0] > limits.upper)
-    too_fast = np.maximum(reach.upper[1], -reach.lower[1]) > limits.velocity
-    law = scenario.law
-    if isinstance(law, TrackingLaw):
-        law = TrackingLaw(scenario.robot, scenario.gains)  # not compiled, for a single call
-    position, velocity = scenario.x0[: 2 * law.robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
-    within, unit = _within(scenario, "position limits", outside), joined(each.effort for each in scenario.robot.units)
-    first = np.abs(law.measured_command(position, velocity, reference.jets(0.0))[0])
-    return {
-        "reference": f"{within}; {_within(scenario, 'velocity limits', too_fast)}",
-        "first effort": f"{as_list(first)} {unit}; {_within(scenario, 'effort limits', first > limits.effort)}",
-    }
-
-
-def _within(scenario: Scenario, what: str, broken: NDArray[np.bool_]) -> str:
-    names = [joint for joint, bad in zip(scenario.joints, broken, strict=True) if bad]
-    return f"within the {what}" if not names else f"BEYOND the {what} of {', '.join(names)}"
-
-
-def _percent(factor: float) -> str:
-    return f"{100 * (factor - 1):+.0f} %"
 
 
 def _count(found: SampledCheck) -> str:

@@ -55,7 +55,7 @@ def new(**given: Any) -> Any:
     Grippers and joints off the chain are locked. Joint stiffness and motor inertia, which a URDF lacks, are guesses
     until you replace them in the robot file.
     """
-    return implementation("fjr_design.cli.new").new(**given)
+    return implementation("fjr_design.cli.files").new(**given)
 
 
 @command()
@@ -133,7 +133,7 @@ def description(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
     """
-    return implementation("fjr_design.cli.export").describe(**given)
+    return implementation("fjr_design.cli.files").describe(**given)
 
 
 @command("export-c")
@@ -147,7 +147,7 @@ def export_c(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder.
     """
-    return implementation("fjr_design.cli.export").export_scenario(**given)
+    return implementation("fjr_design.cli.files").export_scenario(**given)
 
 
 @command("export-ros2-control")
@@ -161,26 +161,7 @@ def export_ros2_control(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario or a YAML file. DIR is a new or empty folder, the package.
     """
-    return implementation("fjr_design.cli.export").export_ros2_control(**given)
-
-
-@command()
-@scenario_argument
-@click.option("--run", "run_folder", type=options.PATH, metavar="DIR", help="Folder of a recorded run to follow.")
-@duration_option("Duration in seconds.", 1.0)
-@click.option("--starts", type=options.SOLUTIONS, metavar="M", default=8, help="Number of virtual solutions, 2 to 64.")
-@click.option(
-    "--spread", type=options.ANGLE, metavar="RAD", default=0.5, help="Largest initial distance of the links [rad]."
-)
-@click.option("--seed", type=int, metavar="N", default=0, help="Seed of the random initial states.")
-@output_option("Folder in which contraction/ is written.", "runs")
-@set_option
-def contraction(**given: Any) -> Any:
-    """Show that solutions of the virtual system converge.
-
-    SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file.
-    """
-    return implementation("fjr_design.cli.studies").contraction(**given)
+    return implementation("fjr_design.cli.files").export_ros2_control(**given)
 
 
 @command()
@@ -216,7 +197,7 @@ def tune(**given: Any) -> Any:
     """Choose gains for stated model errors.
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either. The gains minimise a cost over
-    drawn plants and are validated on fresh ones (docs/tuning.md).
+    drawn plants and are validated on fresh ones (docs/gains.md).
     """
     return implementation("fjr_design.cli.studies").tune(**given)
 

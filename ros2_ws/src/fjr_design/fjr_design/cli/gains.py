@@ -13,7 +13,7 @@ from fjr_core.files import importing as other_package
 from fjr_core.files.text_file import read_text, write_text
 from fjr_core.law.rate import Rate
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.motions.domain import Domain, joint_range
+from fjr_core.motions.domain import joint_range
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_core.robust.law import sampled_law
@@ -22,7 +22,7 @@ from fjr_design.cli.posterior_gains import Posterior
 from fjr_design.tuning.gain_synthesis import synthesize
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
-from fjr_msgs_py.scenarios.gains_block import GainValues, gain_lines, with_gains
+from fjr_msgs_py.scenarios.gains_block import gain_lines, with_gains
 from fjr_msgs_py.scenarios.installed import installed
 from fjr_msgs_py.scenarios.library import ScenarioError
 
@@ -45,12 +45,18 @@ def synthesised(
     the scenario's file. identification: file of a posterior; the loop is then stable with plants drawn from it, and
     checked on fresh draws. Raises GainsError if no such gains exist or a fresh draw is unstable.
     """
-    path = _file(scenario, write)
+    if write and scenario in installed("scenarios"):
+        raise ScenarioError(f"'{scenario}' is an installed scenario; expected a file of your own for --write")
+    path = library.find(scenario)
     loaded = library.load(scenario, assignments, robot_only=True)
     robot, period = loaded.robot, loaded.sample_period
     where = None if everywhere else loaded.configurations()
     posterior = Posterior(identification, loaded, seed) if identification else None
-    design, domain = posterior.design if posterior else None, _domain(loaded, everywhere) if proven else None
+    design, domain = posterior.design if posterior else None, None
+    if proven:
+        prover = other_package.module("fjr_proofs.kept_rate")
+        prover.refuse_unprovable(loaded)
+        domain = joint_range(robot) if everywhere else prover.near_reference(loaded)[0]
     gains = synthesize(robot, beta, period, delay * period, where, loaded.joints, design, domain)
     law = TrackingLaw(robot, gains)
     found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
@@ -61,17 +67,13 @@ def synthesised(
     numbers |= {"delay_margin_samples": found.delay_margin, **(confirmed.numbers if confirmed else {})}
     values = {name.partition(".")[2]: entries for name, entries in gain_values(gains, robot.n).items()}
     if write:
-        _write(path, values, robot.n)
+        try:
+            write_text(path.resolve(), with_gains(read_text(path), values, robot.n))
+        except ParameterError as error:
+            raise ParameterError(f"{path}: {error}") from None
     where_to = f"# written to {path}:" if write else "# in place of `gains` below ros__parameters:"
     block = "\n".join([f"{head}{where_to}", "    gains:", *gain_lines(values, robot.n, indent=6)])
     return Result(block, {"scenario": loaded.name, **numbers, "gains": values, "written": path if write else None})
-
-
-def _file(scenario: str | None, write: bool) -> Path:
-    """Return the file of a scenario; raise ScenarioError if an installed one is to be changed."""
-    if write and scenario in installed("scenarios"):
-        raise ScenarioError(f"'{scenario}' is an installed scenario; expected a file of your own for --write")
-    return library.find(scenario)
 
 
 def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool, proven: float | None) -> str:
@@ -87,23 +89,6 @@ def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool,
     place = "over the joint range" if everywhere else "near the reference (see `fjr check`)"
     least = at_least(proven, 3)
     return f"{head}# the inertia is bounded by a proof {place}: beta is at least {least} 1/s there before rounding\n"
-
-
-def _domain(scenario: Scenario, everywhere: bool) -> Domain:
-    """Return the domain of a proof: the joint range or the tube around the reference."""
-    prover = other_package.module("fjr_proofs.kept_rate")
-    prover.refuse_unprovable(scenario)
-    domain: Domain = joint_range(scenario.robot) if everywhere else prover.near_reference(scenario)[0]
-    return domain
-
-
-def _write(path: Path, values: GainValues, n: int) -> None:
-    """Replace the gains in a scenario file; raises ParameterError, which names the file."""
-    try:
-        changed = with_gains(read_text(path), values, n)
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
-    write_text(path.resolve(), changed)
 
 
 def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr contraction`, `fjr sweep`, `fjr tune` and `fjr compare`: studies by simulation, without nodes."""
+"""`fjr sweep`, `fjr tune` and `fjr compare`: studies by simulation, without nodes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from fjr_design.studies import compare_run as comparison
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
@@ -15,29 +16,9 @@ from fjr_msgs_py.scenarios import library
 from ..studies.sweep_file import Options
 
 
-def contraction(
-    scenario: str | None,
-    assignments: Sequence[str],
-    run_folder: Path | None,
-    duration: float,
-    starts: int,
-    spread: float,
-    seed: int,
-    output: Path,
-) -> Result:
-    """Simulate solutions of the virtual system along a run and draw how they converge."""
-    from fjr_design.studies.contraction_run import ContractionOptions, run_and_draw
-
-    loaded = library.load(scenario, assignments)
-    wish = ContractionOptions(duration, starts, spread, seed)
-    with stoppable() as stop:
-        return run_and_draw(loaded, wish, run_folder, output / "contraction", stop)
-
-
-def sweep(scenario: str | None, **given: Any) -> Result:
-    """Run a sweep; given: see _options."""
-    from fjr_design.studies.sweep_run import sweep as run  # loads pyarrow, which other commands do not need
-
+def sweep(scenario: str | None, runs: int | None, **given: Any) -> Result:
+    """Run a Monte-Carlo study; runs: None keeps the number of the study. given: see _options."""
+    monte_carlo = _monte_carlo()
     with stoppable() as stop:
         return run(scenario, _options(**given), stop)
 

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write C text: CasADi functions with a prefix, arrays of numbers, names."""
+"""Write C text: CasADi functions with a prefix, arrays of numbers, names, and templates filled with them."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping
+from importlib.resources import files
+from string import Template
 
 import casadi as ca
 import numpy as np
@@ -111,3 +113,15 @@ def quoted(text: str) -> str:
 def comment(text: str) -> str:
     """Format a text for one line of a C comment."""
     return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
+class _CTemplate(Template):
+    """Template with @{name} for values, since C, CMake and Markdown use `$` themselves."""
+
+    delimiter = "@"
+
+
+def filled(template: str, values: Mapping[str, str], folder: str = "templates") -> str:
+    """Return the text of a template of a folder below exports/ with its values."""
+    text = (files("fjr_design.exports") / folder / f"{template}.in").read_text(encoding="utf-8")
+    return _CTemplate(text).substitute(values)

@@ -19,7 +19,7 @@ import numpy as np
 from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.config.law import robust_action
 from fjr_core.config.scenario import Scenario
-from fjr_core.errors import StateError
+from fjr_core.errors import StateError, TrajectoryError
 from fjr_core.law.interfaces import ARGUMENTS, SampledLaw, StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import OUTPUTS
@@ -29,23 +29,24 @@ from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import HEADER, SOURCES, text
 from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.reference import ReferenceTable, reference_table
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.runtime.structs import model_functions
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
-from .c_code import casadi_code, comment, number, numbers, quoted, work_sizes
-from .filled_template import filled
-from .reference_code import reference_code
+from .c_code import casadi_code, comment, filled, number, numbers, quoted, work_sizes
 
 PREFIX = "fjr"
 """Prefix of all names of the step in C."""
 CALLED = {"arg": len(ARGUMENTS), "res": len(OUTPUTS), "iw": 1, "w": 1}
 """Least sizes of the work space: arguments of a SampledLaw, results of a certificate, which the step always passes."""
 
+KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, SampledMotion, joined or shifted"
+
 
 @dataclass(frozen=True, eq=False)
-class Controller:
-    """Controller to export: everything between a measured state and an effort, without ROS.
+class ExportedController:
+    """ExportedController to export: everything between a measured state and an effort, without ROS.
 
     law: not compiled, so that C can be generated from it. Raises StateError for a law in Python, and if law, reference
     and names differ in the number of joints.
@@ -95,16 +96,16 @@ class Controller:
         return ControlStep(*given, robust=self.robust, measurement=self.measurement, compile=True)
 
 
-def controller_of(scenario: Scenario) -> Controller:
+def controller_of(scenario: Scenario) -> ExportedController:
     """Return the controller of a scenario; raises FjrError."""
     values = {**scenario.controller_values, "compile": False}
     s = replace(scenario, controller_values=values)
     settings, measured, seen = safety(values, s.robot), measurement(values, s.robot), observer(values, s.robot)
     robust = robust_action(values, s.law)
-    return Controller(s.name, s.joints, s.law, s.reference, settings, s.sample_period, measured, seen, robust)
+    return ExportedController(s.name, s.joints, s.law, s.reference, settings, s.sample_period, measured, seen, robust)
 
 
-def step_code(controller: Controller, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
+def step_code(controller: ExportedController, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
     """Return the texts of the step by file name; `more` functions are written as fjr_casadi_<name>, too.
 
     Raises TrajectoryError for a reference that is not built in, CompilerError without a C compiler.
@@ -118,7 +119,7 @@ def step_code(controller: Controller, more: Mapping[str, ca.Function] | None = N
     return texts | {"casadi.c": casadi_code(PREFIX, functions)}
 
 
-def _values(controller: Controller) -> dict[str, str]:
+def _values(controller: ExportedController) -> dict[str, str]:
     """Return the values of the names in the templates."""
     law, step = controller.sampled_law, controller.step()
     names = {name: f"{PREFIX}_casadi_{name}" for name in controller.functions}
@@ -144,19 +145,16 @@ def _values(controller: Controller) -> dict[str, str]:
 
 def _initialisers(ffi: Any, struct: Any, functions: Mapping[str, str]) -> str:
     """Format designated initialisers of a structure in memory: its numbers, and functions by field."""
-    return "\n".join(f"    .{name} = {value}," for name, value in _fields(ffi, struct, functions))
-
-
-def _fields(ffi: Any, struct: Any, functions: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    kind = ffi.typeof(struct)
+    kind, rows = ffi.typeof(struct), []
     for name, field in (kind.item if kind.kind == "pointer" else kind).fields:
         value = getattr(struct, name)
         if name in functions:
-            yield name, functions[name]
+            rows.append((name, functions[name]))
         elif field.type.kind == "array":
-            yield name, f"{{{numbers(np.array(list(value)))}}}"
+            rows.append((name, f"{{{numbers(np.array(list(value)))}}}"))
         elif field.type.kind == "primitive":
-            yield name, number(value) if isinstance(value, float) else str(value)
+            rows.append((name, number(value) if isinstance(value, float) else str(value)))
+    return "\n".join(f"    .{name} = {value}," for name, value in rows)
 
 
 def _gain_words(law: StaticLaw) -> str:
@@ -168,3 +166,43 @@ def _gain_words(law: StaticLaw) -> str:
     lines = (", ".join(parts[:half]), ", ".join(parts[half:]))
     meaning = "n numbers are a diagonal, n*n a matrix by columns. Pi_m_inverse must be that of Pi_m."
     return "\n/* " + ",\n * ".join(lines) + f";\n * {meaning} */"
+
+
+def reference_code(reference: Reference, name: str) -> str:
+    """Return C definitions that end with `static const struct fjr_reference <name>`; they need step.h and math.h.
+
+    All other definitions have names that start with <name>_. Raises TrajectoryError for a reference that is not built
+    in.
+    """
+    return "\n".join(_reference_definitions(reference_table(reference), name))
+
+
+def _reference_definitions(table: ReferenceTable, name: str) -> Iterator[str]:
+    """Yield the definitions of a table, those to which it refers first."""
+    if table.function is not None:
+        kind = type(table.function).__name__
+        raise TrajectoryError(f"a reference {kind} cannot be exported to C; expected one of {KNOWN}")
+    if table.then is not None:
+        yield from _reference_definitions(table.then, f"{name}_then")
+    for field, array in table.arrays.items():
+        yield f"static const double {name}_{field}[{array.size}] = {{\n    {numbers(array)}}};"
+    fields = ",\n".join(f"    .{field} = {value}" for field, value in _reference_fields(table, name))
+    yield f"static const struct fjr_reference {name} = {{\n{fields}}};\n"
+
+
+def _reference_fields(table: ReferenceTable, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the fields that are not zero, as C."""
+    yield "kind", table.kind
+    for field in ("shift", "end", "period", "radius"):
+        if value := float(getattr(table, field)):
+            yield field, number(value)
+    yield "position", f"{{{numbers(table.position)}}}"
+    arrays = {field: f"{name}_{field}" for field in table.arrays}
+    if "amplitude" in arrays:
+        yield "terms", str(len(table.arrays["amplitude"]))
+        yield from arrays.items()
+    elif arrays:
+        yield "polynomials", f"{{{', '.join([str(len(table.arrays['edge'])), *arrays.values()])}}}"
+    if table.then is not None:
+        yield "until", number(float(table.until))
+        yield "then", f"&{name}_then"

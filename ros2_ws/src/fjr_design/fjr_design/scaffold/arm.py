@@ -6,16 +6,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
+from ament_index_python.packages import get_package_share_directory
 
 from fjr_core.errors import RobotError
 from fjr_core.model.robot import Robot
-from fjr_core.urdf.chains import Chain, chains
 from fjr_core.urdf.robot import MasslessJointError, robot_from_urdf
 from fjr_core.urdf.tree import MOVING, UrdfTree, read_urdf
-from fjr_core.urdf.typical_joints import joints_without_inertia, typical_joints
-from fjr_design.scaffold.joint_data import published
+from fjr_core.urdf.typical_joints import typical_joints
+
+PUBLISHED = "config/joint_data.yaml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +113,17 @@ def _with_joint_data(rigid: Robot, joints: Sequence[str]) -> tuple[Robot, dict[s
     typical, known = typical_joints(rigid), published(joints)
     values, guesses = {}, {}
     for name, guess in (("joint_stiffness", typical.stiffness), ("motor_inertia", typical.motor_inertia)):
-        data = getattr(known, name) if known else {}
+        data = dict(zip(map(str, known["joints"]), known[name], strict=True)) if name in known else {}
         values[name] = np.array([data.get(joint, own) for joint, own in zip(joints, guess, strict=True)])
         guesses[name] = tuple(0.0 if joint in data else float(own) for joint, own in zip(joints, guess, strict=True))
     robot = replace(rigid, K=np.diag(values["joint_stiffness"]), M_m=np.diag(values["motor_inertia"]))
-    return robot, {name: each for name, each in guesses.items() if any(each)}, known.source if known else ""
+    return robot, {name: each for name, each in guesses.items() if any(each)}, known.get("source", "")
+
+
+def published(joints: Sequence[str]) -> dict[str, Any]:
+    """Return the entry of joint_data.yaml of the first robot that has all these joints; empty if there is none.
+
+    It has `joints`, `source` and `motor_inertia`, `joint_stiffness` or both, each in the order of its joints.
+    """
+    text = Path(get_package_share_directory("fjr_bringup"), PUBLISHED).read_text(encoding="utf-8")
+    return next((entry for entry in yaml.safe_load(text) if set(joints) <= set(entry["joints"])), {})

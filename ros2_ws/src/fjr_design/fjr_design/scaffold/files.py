@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.law import gain_values
 from fjr_core.model.robot import joined
 from fjr_design.scaffold.arm import Arm
-from fjr_design.scaffold.proposal import RATE, Proposal
+from fjr_design.scaffold.first_loop import RATE, Proposal
 from fjr_msgs_py.console.output import plural
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
@@ -62,7 +62,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
     lines = [
         f"# {arm.urdf.stem}: {plural(arm.robot.n, 'joint')} of {arm.urdf.name}, base to tip; written by `fjr new`.",
         "# A robot file: `robot.file` of a scenario names it. docs/your_robot.md has all parameters.",
-        *([f"# Locked: {_wrapped(arm.locked)}"] if arm.locked else []),
+        *([f"# Locked: {locked_joints(arm.locked)}"] if arm.locked else []),
         *(f"# {note}" for note in arm.notes),
         "/**:",
         "  ros__parameters:",
@@ -78,7 +78,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
         ),
     ]
     for name, matrix in (("joint_stiffness", arm.robot.K), ("motor_inertia", arm.robot.M_m)):
-        lines.append(f"      {name}: {_list(np.diag(matrix))}   # {UNITS[name]}{_origin(arm, name)}")
+        lines.append(f"      {name}: {_list(np.diag(matrix))}   # {UNITS[name]}{origin_of(arm, name)}")
     if arm.guesses:
         lines += [
             "      # A URDF has neither. These values are typical for the size of the joints, no data of this robot",
@@ -114,7 +114,7 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
     )
 
 
-def _origin(arm: Arm, name: str) -> str:
+def origin_of(arm: Arm, name: str) -> str:
     """Return where a value comes from: a guess, published data, or both."""
     known = arm.source if not all(arm.guesses.get(name, (0.0,))) else ""
     guessed = "GUESS" if name in arm.guesses else ""
@@ -131,23 +131,12 @@ def path_from(folder: Path, urdf: Path) -> str:
     return os.path.relpath(whole, base) if together else str(whole)
 
 
-def _wrapped(locked: dict[str, float], most: int = 12) -> str:
-    names = [f"{_plain(name)}{f' at {position:g}' if position else ''}" for name, position in locked.items()]
+def locked_joints(locked: dict[str, float], most: int = 12) -> str:
+    """Return the locked joints with their positions on one line, at most so many by name."""
+    plain = {re.sub(r"\s+", " ", name): position for name, position in locked.items()}  # no line breaks in a comment
+    names = [f"{name}{f' at {position:g}' if position else ''}" for name, position in plain.items()]
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more + (", at 0" if not any(locked.values()) else ", the others at 0")
-
-
-def _plain(text: str) -> str:
-    """Return a name for a comment: without line breaks."""
-    return re.sub(r"\s+", " ", text)
-
-
-def _largest(amplitude: ArrayLike, arm: Arm) -> str:
-    """Return the largest amplitude of the revolute joints [rad] and of the prismatic joints [m]."""
-    largest: dict[str, float] = {}
-    for value, unit in zip(np.asarray(amplitude), arm.robot.units, strict=True):
-        largest[unit.position] = max(float(value), largest.get(unit.position, 0.0))
-    return " and ".join(f"{value:.2g} {unit}" for unit, value in largest.items())
 
 
 def _list(entries: Iterable[object] | ArrayLike) -> str:
@@ -159,28 +148,3 @@ def _scalar(value: object) -> str:
     if isinstance(value, str):
         return ros_yaml.dump([value]).strip()[1:-1]
     return ros_yaml.dump([float(f"{float(value):.9g}")]).strip()[1:-1]  # type: ignore[arg-type]
-
-
-def file_names(arm: Arm, name: str | None) -> tuple[str, str, str]:
-    """Return the name of the arm, its robot file and its scenario file."""
-    stem = re.sub(r"\W+", "_", name or arm.urdf.stem, flags=re.ASCII).strip("_") or "arm"
-    return stem, f"{stem}_robot.yaml", f"{stem}.yaml"
-
-
-def summary(arm: Arm, proposal: Proposal, files: Sequence[Path]) -> list[str]:
-    """Return what was chosen and written, a line for each subject."""
-    gains, robot = proposal.gains, arm.robot
-    K, M_m = np.diag(robot.K), np.diag(robot.M_m)
-    return [
-        f"joints     {', '.join(arm.joints)}",
-        *([f"locked     {_wrapped(arm.locked)}"] if arm.locked else []),
-        *(f"note       {note}" for note in arm.notes),
-        f"stiffness  {K.min():g} to {K.max():g} N m/rad{_origin(arm, 'joint_stiffness')}",
-        f"inertia    {M_m.min():g} to {M_m.max():g} kg m^2 of the motors{_origin(arm, 'motor_inertia')}",
-        f"gains      beta {gains.beta:g} 1/s {gains.where}; delay margin {gains.check.delay_margin:.2f} samples at "
-        f"{RATE:g} Hz in the whole range",
-        f"motion     {_largest(proposal.motion.amplitude, arm)} at most, at 0.5 Hz",
-        f"written    {', '.join(str(file) for file in files)}",
-        f"next       fjr check {files[-1]}",
-        f"           fjr run {files[-1]} --lockstep",
-    ]

@@ -32,7 +32,7 @@ from fjr_core.numerics.checks import Array, positive
 from fjr_core.stability.linearization import SampledLoop, in_error_coordinates
 from fjr_core.stability.sampled_loop import FEW, checked_times
 
-from ..stability.spring_lag import late_spring
+from ..stability.fast_modes import late_spring
 from ..uncertainty.drawn_loops import DrawnLoops, DrawnPlants, LargestMeanDifference
 
 SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate

@@ -15,8 +15,7 @@ from fjr_core.config.robot import robot
 from fjr_core.config.scenario import Scenario
 from fjr_core.stability.linearization import rest_position
 
-from .bandwidth import BaselineTarget
-from .equal_bandwidth import Tuning, tune
+from .equal_bandwidth import BaselineTarget, Tuning, tune
 
 
 def baseline_target(scenario: Scenario) -> BaselineTarget:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated arm of a scenario as hardware of ros2_control: its functions, and its parameters as C++ tables."""
+"""The simulated arm of a scenario as hardware of ros2_control: its functions, its parameters and its tag in a URDF."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -16,11 +17,13 @@ from fjr_core.config.robot import description
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError
 from fjr_core.model.port_hamiltonian import Plant
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.numerics.parameter_field import declared
 from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfections, SensorErrors
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
+from fjr_core.urdf.tree import parse_xml
 
+TAG = "ros2_control"
 _GROUP = "imperfections."
 DYNAMICS = {field: declared(Imperfections)[field] for field in NAMES}
 SENSORS = {field: each for field, each in declared(SensorErrors).items() if field != "velocities"}
@@ -28,7 +31,7 @@ SENSORS = {field: each for field, each in declared(SensorErrors).items() if fiel
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class ExportedArm:
     """Simulated arm: plant with n joints and its initial positions (2n,) [rad] of links, then motors.
 
     inner_step [ns]: integrator step. urdf: description of the robot. given: parameters of imperfections.* that are not
@@ -65,7 +68,7 @@ class Arm:
         return rows
 
 
-def arm_of(scenario: Scenario) -> Arm:
+def arm_of(scenario: Scenario) -> ExportedArm:
     """Return the simulated arm of a scenario; raises ParameterError."""
     values, plant = scenario.plant_values, scenario.plant
     n = plant.robot.n
@@ -73,7 +76,7 @@ def arm_of(scenario: Scenario) -> Arm:
     inner_step = scenario.sample_period / int(values["inner_steps"]) * 1e9  # type: ignore[arg-type]
     start = np.asarray(scenario.x0)[: 2 * n]
     plant = plant if plant.in_python else Plant(plant.robot, plant.integrator)
-    return Arm(plant, start, inner_step, description(values), _given(values, n))
+    return ExportedArm(plant, start, inner_step, description(values), _given(values, n))
 
 
 def not_exported(scenario: Scenario) -> list[str]:
@@ -94,3 +97,37 @@ def _given(values: Mapping[str, object], n: int) -> dict[str, object]:
     names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
     found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
     return {name: value for name, (value, default) in found.items() if value != default}
+
+
+def with_hardware(urdf: str, package: str, joints: Sequence[str], clock: str, parameters: Mapping[str, object]) -> str:
+    """Return the URDF with the simulated arm as its only hardware.
+
+    A joint of the tag must be one of the URDF, so that motors are components of the kind <gpio>, which need none.
+    """
+    robot = parse_xml(urdf)
+    for other in robot.findall(TAG):
+        robot.remove(other)
+    system = ElementTree.SubElement(robot, TAG, name=package, type="system")
+    hardware = ElementTree.SubElement(system, "hardware")
+    ElementTree.SubElement(hardware, "plugin").text = f"{package}/ElasticArm"
+    for name, value in {"time": "clock", "wait_for_command": "true", **parameters}.items():
+        ElementTree.SubElement(hardware, "param", name=name).text = text_of(value)
+    for joint in joints:
+        _component(system, "joint", joint, command=False)
+        _component(system, "gpio", f"{joint}{MOTOR}", command=True)
+    ElementTree.SubElement(ElementTree.SubElement(system, "sensor", name=clock), "state_interface", name="stamp")
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def text_of(value: object) -> str:
+    """Format a parameter of the hardware: numbers are separated by spaces."""
+    return " ".join(map(repr, value)) if isinstance(value, (tuple, list)) else str(value)
+
+
+def _component(system: ElementTree.Element, kind: str, name: str, command: bool) -> None:
+    component = ElementTree.SubElement(system, kind, name=name)
+    if command:
+        ElementTree.SubElement(component, "command_interface", name="effort")
+    for interface in ("position", "velocity", "effort"):
+        ElementTree.SubElement(component, "state_interface", name=interface)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the files of the package for ros2_control."""
+"""Write the files of the package for ros2_control, with the parameters of controller and arm as tables.
+
+The tables are C++ for the sources, and Markdown for the README.
+"""
 
 from __future__ import annotations
 
@@ -9,25 +12,25 @@ from collections.abc import Sequence
 from xml.sax.saxutils import escape
 
 import casadi as ca
+import numpy as np
 import yaml
 
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import AsSampledLaw
-from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import LONGEST
-from fjr_core.numerics.checks import MOTOR, Array
+from fjr_core.numerics.checks import MOTOR
+from fjr_core.numerics.parameter_field import Parameter, declared
+from fjr_core.runtime.events import ERRORS, KINDS, SENTENCES, WARNINGS
+from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.version import __version__
 
-from ..c_code import comment, number, numbers
-from ..filled_template import filled
-from ..recorded_steps import as_text, recorded_steps
-from ..step_code import Controller, controller_of, step_code
-from .arm import Arm, arm_of, not_exported
-from .parameter_tables import arm_rows, controller_rows, event_table, gain_table, plant_table, wiring_table
-from .urdf import with_hardware
+from ..c_code import comment, filled, number, numbers, quoted
+from ..project import recorded_case
+from ..step_code import ExportedController, controller_of, step_code
+from .arm import DYNAMICS, SENSORS, ExportedArm, arm_of, not_exported, with_hardware
 
 SAMPLES = 400
 LONGEST_NAME = 60
@@ -59,10 +62,17 @@ FILES = {
     "test_step.cpp": "test/test_step.cpp",
 }
 """Templates and the files that they become."""
+NAMES = (
+    ("joints", "the scenario's", "state interfaces of the links: `<joint>/position`, `<joint>/velocity`"),
+    ("motors", "`<joint>_motor`", "state interfaces of the motors: `<motor>/position`, `<motor>/velocity`"),
+    ("command_joints", "`<joint>_motor`", "command interfaces: `<command_joint>/effort`"),
+    ("stamp_interface", "none", "state interface with the time of the measurement in ns; none: the time of the update"),
+    ("publish_rate", "100 Hz", "largest rate of `~/certificate`"),
+)
 
 
 def package_name_of(scenario: str) -> str:
-    """Convert the name of a scenario to that of a package: "Arm-7 b" gives arm_7_b_ros2_control."""
+    """Convert the name of a scenario to that of a package: "ExportedArm-7 b" gives arm_7_b_ros2_control."""
     plain = re.sub(r"[^a-z0-9]+", "_", scenario.lower()).strip("_")
     return f"{plain if plain[:1].isalpha() else f'robot_{plain}'.rstrip('_')}_ros2_control"
 
@@ -92,11 +102,11 @@ def export_package(scenario: Scenario, package: str, samples: int = SAMPLES) -> 
     }
     texts[f"urdf/{package}.urdf"] = with_hardware(arm.urdf, package, controller.joints, values["clock"], parameters)
     inner_steps = round(scenario.sample_period * 1e9 / arm.inner_step)
-    steps = recorded_steps(controller, scenario.plant, scenario.x0, inner_steps, samples)
-    return texts | {"test/case.txt": as_text(steps)}
+    case = recorded_case(controller, scenario.plant, scenario.x0, inner_steps, samples)
+    return texts | {"test/case.txt": case}
 
 
-def _certificate(controller: Controller) -> dict[str, ca.Function]:
+def _certificate(controller: ExportedController) -> dict[str, ca.Function]:
     """Return the function of the certificate with the outputs of CERTIFIED, if the law has one."""
     law = controller.certified_law
     if law is None:
@@ -106,11 +116,9 @@ def _certificate(controller: Controller) -> dict[str, ca.Function]:
     return {"certificate": function.slice("certificate", list(range(function.n_in())), outputs)}
 
 
-def _values(scenario: Scenario, controller: Controller, arm: Arm, package: str) -> dict[str, str]:
+def _values(scenario: Scenario, controller: ExportedController, arm: ExportedArm, package: str) -> dict[str, str]:
     """Return the values of the names in the templates."""
-    joints = controller.joints
-    motors = [f"{joint}{MOTOR}" for joint in joints]
-    chained = [f"tracking_controller/{joint}" for joint in joints]
+    joints, missing = controller.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
     return {
         "package": package,
         "PACKAGE": package.upper(),
@@ -120,17 +128,15 @@ def _values(scenario: Scenario, controller: Controller, arm: Arm, package: str) 
         "rate": str(round(1 / controller.sample_period)),
         "clock": f"{package}_clock",
         "joint_yaml": _yaml(joints),
-        "motor_yaml": _yaml(motors),
-        "chained_yaml": _yaml(chained),
-        "inner_step": number(arm.inner_step),
+        "motor_yaml": _yaml([f"{joint}{MOTOR}" for joint in joints]),
+        "chained_yaml": _yaml([f"tracking_controller/{joint}" for joint in joints]),
         **_certificate_values(scenario, controller),
-        **_plant_values(arm),
-        **gain_table(controller),
-        "kinds": event_table(),
-        "wiring_sentences": wiring_table(),
-        "controller_rows": controller_rows(),
-        "arm_rows": arm_rows(),
-        "not_exported": _left_out(scenario),
+        **_arm_values(arm),
+        **_gain_values(controller),
+        **_readme_rows(),
+        "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{_level(name)}}}" for name in KINDS),
+        "wiring_sentences": ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values()),
+        "not_exported": f"\nThe scenario also sets {missing}: not in this arm.\n" if missing else "",
     }
 
 
@@ -139,39 +145,81 @@ def _yaml(names: Sequence[str]) -> str:
     return str(yaml.safe_dump(list(names), default_flow_style=True, allow_unicode=True, width=math.inf)).strip()
 
 
-def _certificate_values(scenario: Scenario, controller: Controller) -> dict[str, str]:
-    """Return the values of certificate.hpp; without a certificate its function is never called."""
-    law, robot = controller.certified_law, controller.law.robot
-    name = "fjr_casadi_certificate"
+def _level(event: str) -> str:
+    """Return the C++ name of the level of a kind of event."""
+    return "error" if event in ERRORS else "warn" if event in WARNINGS else "info"
+
+
+def _certificate_values(scenario: Scenario, controller: ExportedController) -> dict[str, str]:
+    """Return the values of certificate.hpp; without a certificate its function is never called.
+
+    The rate is that of the whole range where a closed form proves one, else of the scenario's configurations.
+    """
+    law, name = controller.certified_law, "fjr_casadi_certificate"
+    values = {"longest": number(LONGEST), "B_numbers": numbers(controller.law.robot.B_m)}
+    if law is None:
+        absent = {"certificate_declaration": "", "certificate_function": "nullptr", "certified": "false"}
+        return {**values, **absent, "bounded": "0", "beta": number(0.0)}
+    where = None if law.robot.links.M_l_vertices is not None else scenario.configurations()
     declaration = f"int {name}(const double ** arg, double ** res, long long int * iw, double * w, int mem);"
     return {
-        "certificate_declaration": declaration if law else "",
-        "certificate_function": name if law else "nullptr",
-        "certified": "true" if law else "false",
-        "bounded": "1" if law and isinstance(controller.sampled_law, AsSampledLaw) else "0",
-        "beta": number(law.rate(_configurations(scenario, law)).beta if law else 0.0),
-        "longest": number(LONGEST),
-        "B_numbers": numbers(robot.B_m),
+        **values,
+        "certificate_declaration": declaration,
+        "certificate_function": name,
+        "certified": "true",
+        "bounded": "1" if isinstance(controller.sampled_law, AsSampledLaw) else "0",
+        "beta": number(law.rate(where).beta),
     }
 
 
-def _configurations(scenario: Scenario, law: TrackingLaw) -> Array | None:
-    """Return the configurations at which the rate is evaluated; None where it is proven."""
-    return None if law.robot.links.M_l_vertices is not None else scenario.configurations()
+def _arm_values(arm: ExportedArm) -> dict[str, str]:
+    """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag.
 
-
-def _plant_values(arm: Arm) -> dict[str, str]:
-    """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag."""
-    ideal = Imperfections(arm.plant.robot.n).vector
+    plant_table: name, place, length and least value of each parameter of the plant.
+    """
+    ideal, rows = Imperfections(arm.plant.robot.n).vector, []
+    for name, first, length, least in arm.table:
+        bound = number(float(least)) if np.isfinite(least) else "-std::numeric_limits<double>::infinity()"
+        rows.append(f"  {{{quoted(name)}, {first}, {length}, {bound}}}")  # INFINITY is a float in C++
     return {
+        "inner_step": number(arm.inner_step),
         "parameters": str(len(ideal)),
-        "plant_table": plant_table(arm),
+        "plant_table": ",\n".join(rows),
         "plant_numbers": numbers(ideal).replace("INFINITY", "HUGE_VAL"),
         "start_numbers": numbers(arm.start),
     }
 
 
-def _left_out(scenario: Scenario) -> str:
-    """Describe in Markdown what the scenario asks of its plant that the arm does not have."""
-    names = ", ".join(f"`{name}`" for name in not_exported(scenario))
-    return f"\nThe scenario also sets {names}: not in this arm.\n" if names else ""
+def _gain_values(controller: ExportedController) -> dict[str, str]:
+    """Return the rows of the gains that may be changed, and the index of K_md among them.
+
+    Gains of v-dPBC only. A full matrix Pi_m is left out, because the law needs its inverse.
+    """
+    law = controller.certified_law
+    if law is None:
+        return {"gain_table": "", "hold_damping_gain": "-1"}
+    first, starts = 0, {}
+    for name, symbol in law.symbols.by_name.items():
+        starts[name] = first, symbol.nnz()
+        first += symbol.nnz()
+    inverse = starts.pop("Pi_m_inverse")
+    if inverse[1] != controller.n:
+        del starts["Pi_m"]
+    rows = [(name, *start, inverse[0] if name == "Pi_m" else -1) for name, start in starts.items()]
+    text = ",\n  ".join(f"{{{quoted(name)}, {start}, {length}, {at}}}" for name, start, length, at in rows)
+    return {"gain_table": f"\n  {text}", "hold_damping_gain": str([row[0] for row in rows].index("K_md"))}
+
+
+def _readme_rows() -> dict[str, str]:
+    """Return the rows of the README for the parameters of controller and arm."""
+
+    def row(each: Parameter, default: str) -> str:
+        unit = f" [{each.unit}]" if each.unit else ""
+        description = each.description.replace("|", "\\|")
+        return f"| `{each.name}` | {default} | {description}{unit} |"
+
+    own = [f"| `{name}` | {default} | {text} |" for name, default, text in NAMES]
+    safety = [row(each, "the scenario's") for each in declared(Settings).values()]
+    defaults = [(each, each.default) for each in (*DYNAMICS.values(), *SENSORS.values())]
+    arm = [row(each, f"{value:g}" if isinstance(value, float) else str(value)) for each, value in defaults]
+    return {"controller_rows": "\n".join([*own, *safety]), "arm_rows": "\n".join(arm)}

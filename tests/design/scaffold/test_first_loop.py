@@ -14,8 +14,7 @@ from core.oracles.chains import ARM7, ARM7_JOINTS
 from fjr_core.model.robot import JointLimits
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.urdf.typical_joints import FASTEST_LINK, LARGEST_DEFLECTION, MOTOR_FREQUENCY, typical_joints
-from fjr_design.tuning.first_gains import DELAY_MARGIN, first_gains
-from fjr_design.tuning.first_motion import EFFORT, RANGE, VELOCITY, first_motion
+from fjr_design.scaffold.first_loop import DELAY_MARGIN, EFFORT, RANGE, VELOCITY, first_gains, first_motion
 from two_link_urdf import JOINTS, two_link_urdf
 
 

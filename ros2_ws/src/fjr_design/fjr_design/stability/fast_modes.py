@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find the spring whose oscillation a sampled loop answers too late: the wrist that carries no tool.
+"""Modes that are too fast: for the plant's integrator, and springs whose oscillation the sampled loop answers too late.
+
+A wrist that carries no tool oscillates fast on its spring:
 
     omega_i = sqrt(K_ii / m_i)      m_i: least inertia that joint i carries while the others move freely
     omega_i (T / 2 + delay) < pi/2  hold and delay lag by less than 90 degrees
@@ -15,8 +17,23 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fjr_core.law.linearized import equilibria_at, plant_matrices
 from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
 from fjr_core.urdf.typical_joints import least_free_inertia
+
+RK4_REACH = 2.7  # rad: largest stable product of step and frequency for the Runge-Kutta method of order 4
+
+
+def fastest_mode(robot: Robot, configurations: Array) -> float:
+    """Return the largest |eigenvalue| [rad/s] of the plant, linearised at link positions (k, n) [rad]."""
+    A, _ = plant_matrices(equilibria_at(robot, configurations))
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def least_steps(frequency: float, sample_period: float) -> int:
+    """Return the fewest steps per sample [s] with which rk4 is stable for a mode of this frequency [rad/s]."""
+    return max(1, int(np.ceil(frequency * sample_period / RK4_REACH)))
 
 
 def lag_limit(sample_period: float, delay: float) -> float:

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr export-c`: CMake builds the folder and its test passes; invalid input is refused in one sentence."""
+"""`fjr export-c` and `fjr export-ros2-control`: CMake, and colcon where ros2_control is sourced, build the folder."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -15,6 +17,8 @@ from system.executables import fjr_here
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
+PREFIXES = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+SOURCED = any((prefix / "share" / "controller_interface").is_dir() for prefix in PREFIXES)
 
 
 def tool(name: str) -> str:
@@ -95,17 +99,43 @@ def test_omitted_parameters_are_named(tmp_path: Path) -> None:
     assert "`imperfections.actuator_lag`" in (tmp_path / "c" / "README.md").read_text()
 
 
+@pytest.mark.skipif(not SOURCED, reason="ros2_control is not sourced: no package controller_interface")
+def test_the_package_builds_without_warnings_and_its_test_passes(tmp_path: Path) -> None:
+    fjr_here("export-ros2-control", "two_link", str(tmp_path / "src" / "two_link_ros2_control"))
+    bases = [word for base in ("build", "install") for word in (f"--{base}-base", str(tmp_path / base))]
+    colcon = tool("colcon"), "--log-base", tmp_path / "log"
+    assert "1 package finished" in run(*colcon, "build", "--base-paths", tmp_path / "src", *bases)
+    tests = "--base-paths", tmp_path / "src", *bases, "--return-code-on-test-failure"
+    assert "1 package finished" in run(*colcon, "test", *tests)
+
+
+def test_the_command_writes_a_whole_package(tmp_path: Path) -> None:
+    folder = tmp_path / "arm"
+    change = "--set", "imperfections.actuator_lag:=[0.002, 0.002]", "--set", "imperfections.state_jitter:=0.001"
+    output = json.loads(fjr_here("export-ros2-control", "two_link", str(folder), "--package", "arm", *change, "--json"))
+    assert output["package"] == "arm"
+    assert output["not_exported"] == ["imperfections.state_jitter"]
+    assert sorted(output["files"]) == sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+    assert "`imperfections.state_jitter`" in (folder / "README.md").read_text()
+    assert ElementTree.parse(folder / "package.xml").findtext("name") == "arm"
+    urdf = ElementTree.parse(folder / "urdf" / "arm.urdf")
+    lag = next(each for each in urdf.iter("param") if each.get("name") == "actuator_lag")
+    assert lag.text == "0.002 0.002"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words", "code"),
     [
-        (["paper_k99", "DIR"], "unknown scenario", 2),
-        (["paper_k31", "DIR", "--set", "gains.K_ld:=[-1.0]"], "positive definite", 2),
-        (["broken.yaml", "DIR"], "broken", 2),
-        (["paper_k31", "DIR", "--prefix", "7a"], "expected a letter", 2),
-        (["paper_k31", "broken.yaml"], "is not a folder", 1),
-        (["paper_k31", "broken.yaml/below"], "cannot write to", 1),
-        (["paper_k31", "/proc/fjr"], "cannot write to", 1),
-        (["paper_k31"], "DIR", 2),
+        (["export-c", "paper_k99", "DIR"], "unknown scenario", 2),
+        (["export-c", "paper_k31", "DIR", "--set", "gains.K_ld:=[-1.0]"], "positive definite", 2),
+        (["export-c", "broken.yaml", "DIR"], "broken", 2),
+        (["export-c", "paper_k31", "DIR", "--prefix", "7a"], "expected a letter", 2),
+        (["export-c", "paper_k31", "broken.yaml"], "is not a folder", 1),
+        (["export-c", "paper_k31", "broken.yaml/below"], "cannot write to", 1),
+        (["export-c", "paper_k31", "/proc/fjr"], "cannot write to", 1),
+        (["export-c", "paper_k31"], "DIR", 2),
+        (["export-ros2-control", "two_link", "DIR", "--package", "My-Arm"], "expected a lower-case letter", 2),
+        (["export-ros2-control", "two_link", "broken.yaml"], "is not a folder", 1),
     ],
 )
 def test_invalid_arguments_are_refused_in_one_sentence(
@@ -113,5 +143,5 @@ def test_invalid_arguments_are_refused_in_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.yaml").write_text("/**: {ros__parameters: [not, a, mapping")
-    assert words in fjr_here("export-c", *arguments, code=code)
+    assert words in fjr_here(*arguments, code=code)
     assert not (tmp_path / "DIR").exists()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_design.stability.spring_lag import lag_limit, late_spring
+from fjr_design.stability.fast_modes import lag_limit, late_spring
 from fjr_design.tuning.gain_synthesis import synthesize
 
 

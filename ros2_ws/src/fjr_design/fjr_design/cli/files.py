@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that write files: `fjr new` from a URDF; a scenario as URDF, as C99 and for ros2_control.
+
+`fjr new` makes a robot file and a scenario; `fjr description`, `fjr export-c` and `fjr export-ros2-control` read one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fjr_core.config.robot import description
+from fjr_core.config.scenario import left_out
+from fjr_core.errors import FjrError
+from fjr_core.files.text_file import write_text
+from fjr_design.exports.c_code import prefix_of
+from fjr_design.exports.project import export, loop_of, write
+from fjr_design.exports.ros2_control.arm import not_exported
+from fjr_design.exports.ros2_control.package import export_package, package_name_of
+from fjr_design.scaffold.arm import Arm, arm_of, described
+from fjr_design.scaffold.files import locked_joints, origin_of, robot_text, scenario_text
+from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
+from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.scenarios import library
+from fjr_msgs_py.scenarios.library import ScenarioError
+
+
+def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name: str | None, force: bool) -> Result:
+    """Write both files; force: replace earlier ones. Raises FjrError, which names the URDF."""
+    try:
+        arm = arm_of(urdf, joints, chain)
+        stem = re.sub(r"\W+", "_", name or urdf.stem, flags=re.ASCII).strip("_") or "arm"
+        robot_file, scenario_file = output / f"{stem}_robot.yaml", output / f"{stem}.yaml"
+        for file in (robot_file, scenario_file):
+            if file.exists() and not force:
+                raise ScenarioError(f"{file} exists; expected a new file, another --name or --output, or --force")
+        proposal = proposal_of(arm.robot, arm.joints, urdf.name)
+    except FjrError as error:
+        error.args = (f"{urdf.name}: {error}",)
+        raise
+    output.mkdir(parents=True, exist_ok=True)
+    write_text(robot_file, robot_text(arm, output))
+    write_text(scenario_file, scenario_text(stem, robot_file.name, arm, proposal))
+    library.load(str(scenario_file))  # a file that cannot be read back must not look finished
+    values = {
+        "joints": arm.joints,
+        "locked": arm.locked,
+        "notes": arm.notes,
+        "chains": [each.joints for each in arm.chains],
+        "guesses": arm.guesses,
+        "source": arm.source or None,
+        "beta_per_s": proposal.gains.beta,
+        "robot_file": robot_file,
+        "scenario_file": scenario_file,
+    }
+    lines = _summary(arm, proposal, had_a_choice=not joints and len(arm.chains) > 1)
+    lines += [
+        f"written    {robot_file}, {scenario_file}",
+        f"next       fjr check {scenario_file}",
+        f"           fjr run {scenario_file} --lockstep",
+    ]
+    return Result("\n".join(lines), values)
+
+
+def _summary(arm: Arm, proposal: Proposal, had_a_choice: bool) -> list[str]:
+    """Return what was chosen, a line for each subject; had_a_choice: list the chains of the URDF first."""
+    gains, K, M_m = proposal.gains, np.diag(arm.robot.K), np.diag(arm.robot.M_m)
+    largest: dict[str, float] = {}  # amplitude of the revolute joints [rad] and of the prismatic joints [m]
+    for value, unit in zip(np.asarray(proposal.motion.amplitude), arm.robot.units, strict=True):
+        largest[unit.position] = max(float(value), largest.get(unit.position, 0.0))
+    reach = " and ".join(f"{value:.2g} {unit}" for unit, value in largest.items())
+    chains = [f"           {each}" for each in described(arm.chains)]
+    return [
+        *(["chains     (--chain N or --joints A,B,... takes others)", *chains] if had_a_choice else []),
+        f"joints     {', '.join(arm.joints)}",
+        *([f"locked     {locked_joints(arm.locked)}"] if arm.locked else []),
+        *(f"note       {note}" for note in arm.notes),
+        f"stiffness  {K.min():g} to {K.max():g} N m/rad{origin_of(arm, 'joint_stiffness')}",
+        f"inertia    {M_m.min():g} to {M_m.max():g} kg m^2 of the motors{origin_of(arm, 'motor_inertia')}",
+        f"gains      beta {gains.beta:g} 1/s {gains.where}; delay margin {gains.check.delay_margin:.2f} samples at "
+        f"{RATE:g} Hz in the whole range",
+        f"motion     {reach} at most, at 0.5 Hz",
+    ]
+
+
+def describe(scenario: str | None, assignments: Sequence[str]) -> Result:
+    """Return the robot of a scenario as URDF."""
+    urdf = description(library.load(scenario, assignments, robot_only=True).plant_values)
+    return Result(urdf.removesuffix("\n"), {"urdf": urdf})
+
+
+def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, prefix: str | None, force: bool) -> Result:
+    """Write control step and plant of a scenario as C99; force: replace an earlier export. Raises FjrError."""
+    loaded = library.load(scenario, assignments)
+    missing = [name for name in left_out(loaded) if name in loaded.plant_values]
+    names = ", ".join(f"`{name}`" for name in missing)
+    notes = f"\nThe scenario also sets {names}: not in this C.\n" if missing else ""
+    texts = export(loop_of(loaded), prefix or prefix_of(loaded.name), notes=notes)
+    write(texts, folder, force)
+    text = (
+        f"{folder}: {', '.join(texts)}\n"
+        f"build and compare with Python: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
+        f"ctest --test-dir {folder}/build --verbose"
+    )
+    if missing:
+        text += f"\nnot exported: what {', '.join(missing)} add to the plant"
+    return Result(text, {"folder": folder, "files": list(texts), "not_exported": list(missing)})
+
+
+def export_ros2_control(
+    scenario: str, assignments: Sequence[str], folder: Path, package: str | None, force: bool
+) -> Result:
+    """Write a package for ros2_control; force: replace an earlier export. Raises FjrError."""
+    loaded = library.load(scenario, assignments)
+    name = package or package_name_of(loaded.name)
+    texts = export_package(loaded, name)
+    write(texts, folder, force)
+    missing = not_exported(loaded)
+    text = (
+        f"{folder}: package {name}, {len(texts)} files\n"
+        f"build and test it where ros2_control is installed: colcon build --base-paths {folder} && "
+        f"colcon test --base-paths {folder}"
+    )
+    if missing:
+        text += f"\nnot exported: {', '.join(missing)} of the simulated robot"
+    return Result(text, {"folder": folder, "package": name, "files": list(texts), "not_exported": missing})
