@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fjr_design.studies import compare_run as comparison
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 
+from ..studies.compare_run import run
 from ..studies.sweep_file import Options
 
 
