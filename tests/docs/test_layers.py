@@ -38,7 +38,7 @@ LAYERS = {
         "testing",
     ),
     "fjr_msgs_py": ("names", "messages", "native", "node", "console", "scenarios"),
-    "fjr_monitor": ("diagnosis", "recording scene", "analysis", "plotting", "report", "watch", "cli"),
+    "fjr_monitor": ("diagnosis scene", "recording", "report", "watch", "cli"),
     "fjr_plant": (
         "native",
         "channel",
@@ -73,7 +73,7 @@ LAYERS = {
         "read_record",
         "cli",
     ),
-    "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "cli"),
+    "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "kept_rate check_rows"),
     "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""

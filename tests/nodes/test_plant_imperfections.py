@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 import fjr_core as fjr
-from fjr_core.config.imperfections import imperfection_parameters
+from fjr_core.config.plant import imperfection_parameters
 from fjr_plant.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, CommandLoop, call, command, integrate, numbers, state_of

@@ -13,6 +13,8 @@ from fjr_core import ParameterError, Reference, TrackingLaw
 from fjr_core.config import law
 from fjr_core.config.controller import axes, file_warnings, measurement, motion_limits, observer, safety
 from fjr_core.config.law import control_law, robust_action
+from fjr_core.config.law import gains as build_gains
+from fjr_core.config.law import robust as build_robust
 from fjr_core.config.parameter import in_python, named
 from fjr_core.config.reference import FILE_PATH, forget_files
 from fjr_core.config.reference import reference as build_reference
@@ -111,7 +113,7 @@ class Control:
         if "gains" in groups:
             if not isinstance(self._law, TrackingLaw):
                 raise ParameterError(f"parameters 'gains.*' are of the law v_dpbc; the law is {values['law.type']}")
-            law = self._law.with_gains(builders.gains(values, robot.n))
+            law = self._law.with_gains(build_gains(values, robot.n))
             self.step.use(law)
             self._law = law
         self._values, self._settings = values, settings
@@ -147,7 +149,7 @@ class Control:
         if not isinstance(self._law, TrackingLaw):
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
-        robust, joint_axes = builders.robust(self._values, self._robot.n), axes(self._values, self._robot)
+        robust, joint_axes = build_robust(self._values, self._robot.n), axes(self._values, self._robot)
         loop = self._command_loop
         certificate = LiveCertificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
         loop.certify(certificate)

@@ -12,13 +12,13 @@ from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.scenarios import library
 
-from ..studies.compare_run import run
 from ..studies.sweep_file import Options
 
 
-def sweep(scenario: str | None, runs: int | None, **given: Any) -> Result:
-    """Run a Monte-Carlo study; runs: None keeps the number of the study. given: see _options."""
-    monte_carlo = _monte_carlo()
+def sweep(scenario: str | None, **given: Any) -> Result:
+    """Run a sweep; given: see _options."""
+    from fjr_design.studies.sweep_run import sweep as run  # loads pyarrow, which other commands do not need
+
     with stoppable() as stop:
         return run(scenario, _options(**given), stop)
 

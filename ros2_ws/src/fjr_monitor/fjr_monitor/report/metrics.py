@@ -24,7 +24,7 @@ from fjr_core.files.text_file import write_text
 from fjr_core.law.rate import NO_RATE, Rate
 from fjr_core.model.robot import joined
 from fjr_core.motions.domain import Domain
-from fjr_core.numerics.checks import Array, finite
+from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, PartwiseDiagnosis, unknown
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.recording.signals import ControllerStop
@@ -40,7 +40,7 @@ from fjr_monitor.report.performance import (
     Tracking,
     power,
 )
-from fjr_msgs_py.console.output import number, percent
+from fjr_msgs_py.console.output import finite, number, percent
 from fjr_msgs_py.console.provenance import Provenance
 
 KEEPS_UP = 0.9  # fraction of states answered in time below which a violation shows the computer, not the law
