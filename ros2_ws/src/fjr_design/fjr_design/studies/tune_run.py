@@ -289,7 +289,7 @@ def _table(tuned: Tuned) -> list[str]:
     axes = zip(study.coordinates.axes, tuned.found.chosen, strict=True)
     lines += [f"  {axis.name:32}{f'× {np.exp(z):.3g}':>24}" for axis, z in axes]
     if not chosen.feasible:
-        lines.append(f"  constraints are violated on the fresh draws, by {chosen.violation:.2g}; see docs/tuning.md")
+        lines.append(f"  constraints are violated on the fresh draws, by {chosen.violation:.2g}; see docs/gains.md")
     return lines
 
 
