@@ -19,7 +19,7 @@ import numpy as np
 from bench.arm import ROOT, SCENARIO
 from bench.figures import Figure
 from bench.tap import Tap
-from fjr_bringup.node_process import NodeProcess
+from fjr_bringup.node_process import StartedNode
 from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py import names
 
@@ -96,7 +96,7 @@ def _first_command(cache: str) -> float:
 @contextmanager
 def _node(package: str, name: str, cache: str) -> Iterator[None]:
     with patch.dict(os.environ, _environment(cache), clear=True):
-        process = NodeProcess(package, name, ["--params-file", str(SCENARIO)], Path(cache, f"{name}.log"))
+        process = StartedNode(package, name, ["--params-file", str(SCENARIO)], Path(cache, f"{name}.log"))
     try:
         yield
     finally:

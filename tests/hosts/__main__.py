@@ -20,7 +20,7 @@ sys.path.insert(0, str(TESTS))
 
 import conftest  # noqa: E402, F401 (a ROS domain of its own)
 from faults.fault_rows import ROWS  # noqa: E402
-from fjr_msgs_py.scenarios.installed import installed  # noqa: E402
+from fjr_msgs_py.scenarios import installed  # noqa: E402
 from hosts import recording  # noqa: E402
 from hosts.comparison import Compared, Comparison, with_states  # noqa: E402
 from hosts.inputs import Sequence  # noqa: E402

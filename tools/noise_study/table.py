@@ -24,8 +24,7 @@ from fjr_design.studies.sweep import Sweep, scenario_loop
 from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.trial import Trial
 from fjr_design.studies.tune import figures
-from fjr_design.tuning.equal_bandwidth import tune
-from fjr_design.tuning.scenario_target import baseline_target
+from fjr_design.tuning.equal_bandwidth import baseline_target, tune
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "compare.md"
 BEGIN, END = "<!-- noise of arm7: written by tools/noise_study/table.py -->", "<!-- end of noise of arm7 -->"

@@ -25,7 +25,7 @@ from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded
 from fjr_core.simulation.batch.parametric_robot import ParametricPlant
 from fjr_design.studies.sweep import scenario_loop
-from fjr_msgs_py.scenarios.installed import installed
+from fjr_msgs_py.scenarios import installed
 
 ARM = fjr.planar_two_link()
 PERIOD, DURATION = 1e-3, 0.25

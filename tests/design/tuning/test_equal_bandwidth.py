@@ -23,8 +23,7 @@ from fjr_core.stability.linearization import rest_position, slope_at_rest
 from fjr_design.baselines import feedback_linearisation
 from fjr_design.studies.imperfections import motion_demand
 from fjr_design.studies.trial import Trial
-from fjr_design.tuning.equal_bandwidth import BaselineTarget, Tuning, tune
-from fjr_design.tuning.scenario_target import tuning
+from fjr_design.tuning.equal_bandwidth import BaselineTarget, Tuning, tune, tuning
 
 OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
 TWO_LINK = fjr.Gains(

@@ -12,7 +12,7 @@ import pytest
 import fjr_core as fjr
 from fjr_core.numerics.intervals import Interval
 from fjr_proofs.sampled_contraction.error_system import ErrorSystem
-from fjr_proofs.sampled_contraction.one_sample import Metric, OneSample
+from fjr_proofs.sampled_contraction.one_sample import OneSample, PiecewiseMetric
 from fjr_proofs.sampled_contraction.proof import source
 from fjr_proofs.verification.taylor_models import NUMBER, TaylorModels
 from proofs.sampled_contraction.loops import CUBIC, derivatives, errors, joint, one_sample, state, two_link
@@ -96,7 +96,7 @@ def test_pairs_of_solutions_and_the_centre_move_within_the_bounds(name: str) -> 
     centre[:, :s] = 1e-4 * rng.standard_normal((3, s))
     q_l = reference.jets(H * index)[:, 0]
     weighted = source(law, q_l, H, 1e3 if longest else None)
-    metric, after = Metric.of(weighted), Metric.of(1.1 * weighted)
+    metric, after = PiecewiseMetric.of(weighted), PiecewiseMetric.of(1.1 * weighted)
     pieces, next_centre = sample.pieces(index, centre), 0.5 * centre
     rho = sample.factors(pieces, metric, after, radius)
     moved = sample.displacement(pieces, after, next_centre)

@@ -48,7 +48,7 @@ def executable(package: str, name: str) -> Path:
     return path
 
 
-class NodeProcess:
+class StartedNode:
     """One node in its own session, with its output in a log file. Create it in the main thread only."""
 
     def __init__(self, package: str, name: str, ros_arguments: Sequence[str], log: Path) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fjr_bringup.clients import PlantClient
-from fjr_bringup.node_process import NodeError, NodeProcess
+from fjr_bringup.node_process import NodeError, StartedNode
 from fjr_core.errors import FjrError
 from fjr_monitor.recording.bag import header_stamp
 from fjr_monitor.recording.recorder import Recorder
@@ -101,7 +101,7 @@ class _Run:
         self.plan, self.recorder, self.stop = plan, recorder, stop
         self.enclave = f"/fjr_run_{os.getpid()}"
         self.client = PlantClient(recorder.context, PLANT)
-        self.nodes: dict[str, NodeProcess] = {}
+        self.nodes: dict[str, StartedNode] = {}
         self.going = False  # whether the plant was resumed
         self.alone = time.monotonic()  # when no other publisher was in the graph
 
@@ -137,7 +137,7 @@ class _Run:
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
         log = self.plan.folder / f"{name}.log"
         ros = ["--enclave", self.enclave, "--params-file", str(self.plan.folder / "scenario.yaml"), *arguments]
-        self.nodes[node] = NodeProcess(package, name, ros, log)
+        self.nodes[node] = StartedNode(package, name, ros, log)
 
     def _wait_for(self, node: str, signature: str) -> None:
         """Wait until the node publishes the topic `signature` and the recorder is connected to all its topics."""

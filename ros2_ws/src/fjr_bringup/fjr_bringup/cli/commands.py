@@ -63,7 +63,7 @@ def run(**given: Any) -> Any:
 @command()
 def scenarios() -> Any:
     """List the installed scenarios."""
-    there = implementation("fjr_msgs_py.scenarios.installed")
+    there = implementation("fjr_msgs_py.scenarios")
     found = [
         {"name": name, "summary": there.summary(path), "file": path}
         for name, path in there.installed("scenarios").items()

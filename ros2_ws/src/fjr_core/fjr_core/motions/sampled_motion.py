@@ -115,7 +115,7 @@ def _brought_to_rest(times: Array, jets: Array) -> tuple[Array, Array]:
     return np.append(times, times[-1] + duration), np.concatenate([jets, ends[1:]])
 
 
-class Fit(NamedTuple):
+class SplineFit(NamedTuple):
     """A least-squares spline: breakpoints (m + 1,) [s], jets (m + 1, 5, n) there, largest deviation (n,) [rad].
 
     rests: True for the first and the last point if all derivatives of the fit are zero there.
@@ -132,7 +132,7 @@ class Fit(NamedTuple):
         return len(self.times) - 1
 
 
-def least_squares_fit(times: Array, positions: Array, tolerance: float | Array) -> Fit | None:
+def least_squares_fit(times: Array, positions: Array, tolerance: float | Array) -> SplineFit | None:
     """Return the fit of samples (k, n) [rad] at increasing times (k,) [s]; None if none is within the tolerance.
 
     tolerance: largest deviation [rad, m], one number or (n,).
@@ -155,7 +155,7 @@ def least_squares_fit(times: Array, positions: Array, tolerance: float | Array) 
     return best[0]
 
 
-def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool]) -> tuple[Fit, float] | None:
+def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool]) -> tuple[SplineFit, float] | None:
     """Return the fit with a number of pieces and its score; None if the least-squares problem is singular.
 
     The score is the sum over the joints of RSS / (1 - p / k)^2 for p parameters and k samples.
@@ -182,7 +182,7 @@ def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool
         jets[-end, 1:] = 0.0  # exact instead of rounded
     residuals = design @ solution + mean - positions
     score = float(np.sum(residuals**2) / (1 - parameters / len(times)) ** 2)
-    return Fit(breaks, jets, np.abs(residuals).max(axis=0), rests), score
+    return SplineFit(breaks, jets, np.abs(residuals).max(axis=0), rests), score
 
 
 def _expansion(coefficients: int, rests: tuple[bool, bool]) -> Any:

@@ -40,7 +40,7 @@ from fjr_design.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
-from fjr_design.tuning.scenario_target import tuning
+from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.console.output import Result

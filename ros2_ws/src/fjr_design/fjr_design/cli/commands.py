@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import click
 
 from fjr_msgs_py.console import options
+from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.options import (
     command,
     duration_option,
@@ -170,12 +172,14 @@ def export_ros2_control(**given: Any) -> Any:
 @_drawn_plants_options(cores="1")
 @output_option("Folder in which NAME/ is written.", "runs/sweeps")
 @set_option
-def sweep(**given: Any) -> Any:
+def sweep(scenario: str | None, **given: Any) -> Any:
     """Run a Monte-Carlo study of model errors.
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either.
     """
-    return implementation("fjr_design.cli.studies").sweep(**given)
+    wanted = implementation("fjr_design.studies.sweep_file").Options.given(**given)
+    with stoppable() as stop:
+        return implementation("fjr_design.studies.sweep_run").sweep(scenario, wanted, stop)
 
 
 @command()
@@ -193,13 +197,16 @@ def sweep(**given: Any) -> Any:
 @_drawn_plants_options(cores="all")
 @output_option("Folder in which NAME_LAW/ is written.", "runs/tuned")
 @set_option
-def tune(**given: Any) -> Any:
+def tune(scenario: str | None, law: str | None, **given: Any) -> Any:
     """Choose gains for stated model errors.
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either. The gains minimise a cost over
     drawn plants and are validated on fresh ones (docs/gains.md).
     """
-    return implementation("fjr_design.cli.studies").tune(**given)
+    size = {name: value for name in ("draws", "candidates", "fresh") if (value := given.pop(name)) is not None}
+    wanted = implementation("fjr_design.studies.sweep_file").Options.given(**given)
+    with stoppable() as stop:
+        return implementation("fjr_design.studies.tune_run").tune(scenario, wanted, law, size, stop)
 
 
 @command()
@@ -222,9 +229,12 @@ def tune(**given: Any) -> Any:
     hidden=True,
     help="Deprecated in 0.1.0: use --document.",
 )
-def compare(**given: Any) -> Any:
+def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> Any:
     """Compare control laws under imperfections.
 
     SUITE is the name of a comparison or a YAML file. [default: paper]
     """
-    return implementation("fjr_design.cli.studies").compare(**given)
+    if readme is not None:
+        click.echo("fjr: --readme is deprecated; use --document", err=True)
+    with stoppable() as stop:
+        return implementation("fjr_design.studies.compare_run").compare(suite, output, cores, document or readme, stop)

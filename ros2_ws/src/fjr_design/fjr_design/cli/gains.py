@@ -21,9 +21,8 @@ from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_design.cli.posterior_gains import Posterior
 from fjr_design.tuning.gain_synthesis import synthesize
 from fjr_msgs_py.console.output import Result
-from fjr_msgs_py.scenarios import library
+from fjr_msgs_py.scenarios import installed, library
 from fjr_msgs_py.scenarios.gains_block import gain_lines, with_gains
-from fjr_msgs_py.scenarios.installed import installed
 from fjr_msgs_py.scenarios.library import ScenarioError
 
 

@@ -23,8 +23,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.sampled_loop import spectral_radius
 
-from ..tuning.equal_bandwidth import tune
-from ..tuning.scenario_target import baseline_target
+from ..tuning.equal_bandwidth import baseline_target, tune
 from ..uncertainty import distributions
 from ..uncertainty.distributions import FIXED, Distribution
 from .imperfections import MotionDemand, fields_of, imperfection

@@ -22,8 +22,7 @@ from fjr_core.robust.law import GAINS as ROBUST_GAINS
 from fjr_core.robust.law import sampled_law
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
-from ..tuning.equal_bandwidth import tune
-from ..tuning.scenario_target import baseline_target, tuning
+from ..tuning.equal_bandwidth import baseline_target, tune, tuning
 
 Entries = tuple[float, ...]
 SCENARIO, RULE = "scenario", "rule"
@@ -45,7 +44,7 @@ class Coordinate:
 
 
 @dataclass(frozen=True, eq=False)
-class Coordinates:
+class SearchCoordinates:
     """Search space of a scenario's law around its start, the origin; every point is a set of parameter values.
 
     v-dPBC: a factor on each gain. Another law: its natural frequency, its damping ratio and law.gain_factors. Each
@@ -86,7 +85,7 @@ def starts(scenario: Scenario) -> tuple[str, ...]:
     return (SCENARIO, RULE) if scenario.controller_values[law_parameters.TYPE.name] == V_DPBC else (SCENARIO,)
 
 
-def coordinates(scenario: Scenario, start: str = SCENARIO) -> Coordinates:
+def coordinates(scenario: Scenario, start: str = SCENARIO) -> SearchCoordinates:
     """Return the search space of a scenario's law around one of its starts.
 
     Raises ParameterError for a law of the user, GainsError if the rule of equal bandwidth has no stable gains.
@@ -103,7 +102,7 @@ def coordinates(scenario: Scenario, start: str = SCENARIO) -> Coordinates:
     if scenario.sensing.bandwidth is not None:
         origin[OBSERVER_BANDWIDTH.name] = values[OBSERVER_BANDWIDTH.name]
         axes.append(Coordinate(OBSERVER_BANDWIDTH.name))
-    return Coordinates(scenario, origin, tuple(axes))
+    return SearchCoordinates(scenario, origin, tuple(axes))
 
 
 def _v_dpbc(scenario: Scenario, start: str) -> tuple[dict[str, Any], list[Coordinate]]:

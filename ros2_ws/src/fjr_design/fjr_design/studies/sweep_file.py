@@ -16,8 +16,7 @@ from fjr_core.errors import ParameterError
 from fjr_design.uncertainty import distributions
 from fjr_design.uncertainty.distributions import Distribution
 from fjr_design.uncertainty.posterior import read_identification
-from fjr_msgs_py.scenarios import library
-from fjr_msgs_py.scenarios.installed import installed
+from fjr_msgs_py.scenarios import installed, library
 
 from .sweep import Sweep
 
@@ -123,6 +122,14 @@ class Options:
     output: Path
     overrides: Mapping[str, Any]
     numbers: Mapping[str, Any]
+
+    @classmethod
+    def given(
+        cls, assignments: Sequence[str], cores: int, scheduler: str | None, output: Path, **numbers: float | None
+    ) -> Options:
+        """Return the options of a command line; numbers: of the study, None keeps its own."""
+        given = {name: value for name, value in numbers.items() if value is not None}
+        return cls(cores, scheduler, output, library.parse_assignments(assignments), given)
 
 
 def file_of(name: str | None) -> Path:

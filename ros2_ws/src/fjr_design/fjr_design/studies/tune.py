@@ -28,7 +28,7 @@ from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.simulation.batch import Outcomes
 from fjr_core.stability.sampled_loop import spectral_radius
 
-from .coordinates import RULE, SCENARIO, Coordinates, coordinates, starts
+from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates, starts
 from .sweep import Sweep, from_text
 
 MEANS = ("rms", "effort_rms", "effort_noise")
@@ -159,7 +159,7 @@ class TuningStudy:
                 raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {10**7}")
 
     @cached_property
-    def coordinates(self) -> Coordinates:
+    def coordinates(self) -> SearchCoordinates:
         """Search space of the scenario's law."""
         return coordinates(self.sweep.scenario, self.start)
 

@@ -103,7 +103,7 @@ def law_of(document: object) -> str | None:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class Evaluator:
     """Evaluates points of a study, and keeps each finished part in its folder; create it by `open_store`.
 
     parts: figures by (point, begin, end) of their runs. on_progress: called with the number of runs of each part, also
@@ -151,7 +151,7 @@ def _parts(point: Point, runs: Range) -> list[Part]:
 @contextmanager
 def open_store(
     folder: Path, study: TuningStudy, program: str, workers: Workers, stop: threading.Event
-) -> Iterator[Evaluation]:
+) -> Iterator[Evaluator]:
     """Open or create the folder of a study, locked for this process; program: see study.opened. Raise StoreError."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / EVALUATIONS
@@ -159,7 +159,7 @@ def open_store(
         parts, length = _read(path)
         with path.open("a", encoding="utf-8") as file:
             file.truncate(length)
-            yield Evaluation(folder, study, file, parts, workers, stop)
+            yield Evaluator(folder, study, file, parts, workers, stop)
 
 
 def _read(path: Path) -> tuple[dict[Part, Figures], int]:
@@ -229,7 +229,7 @@ def tune(
     return _shown(tuned, folder)
 
 
-def _searched(study: TuningStudy, evaluate: Evaluation) -> Tuned:
+def _searched(study: TuningStudy, evaluate: Evaluator) -> Tuned:
     found = search(study, evaluate)
     points = [OF_SCENARIO, found.chosen]
     scenario, chosen = evaluate.figures(points, study.fresh_runs)

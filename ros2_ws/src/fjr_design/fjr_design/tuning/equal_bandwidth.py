@@ -19,12 +19,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
-from fjr_core.config.law import START_ERROR
+from fjr_core.config import law
+from fjr_core.config.law import START_ERROR, sample_period
+from fjr_core.config.law import gains as build_gains
+from fjr_core.config.parameter import Value, Values, vector
+from fjr_core.config.reference import reference as build_reference
+from fjr_core.config.robot import robot as build_robot
+from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError
 from fjr_core.extensions.law_registry import V_DPBC, LawKind, law_kind
 from fjr_core.law.gains import Gains
@@ -271,3 +277,31 @@ def _root(f: Callable[[float], float], low: float, high: float, tolerance: float
     from scipy.optimize import brentq  # loaded on use: see law/gains.py
 
     return float(np.exp(brentq(lambda log: f(float(np.exp(log))), np.log(low), np.log(high), xtol=tolerance)))
+
+
+def baseline_target(scenario: Scenario) -> BaselineTarget:
+    """Return the target of the rule of equal bandwidth for robot, reference, gains and start of a scenario."""
+    robot, n = scenario.robot, scenario.robot.n
+    start = scenario.x0[: 2 * n], np.hstack(robot.velocities(scenario.x0))
+    return BaselineTarget(robot, scenario.reference, scenario.gains, start, scenario.sample_period)
+
+
+def tuning(values: Values) -> Tuning:
+    """Return the law of parameter values tuned to equal bandwidth, and the result of tuning.
+
+    The target is v-dPBC with gains.* along the reference, starting at rest with law.start_error. Raises ParameterError
+    or GainsError.
+    """
+    relevant = ("robot.", "gains.", "reference.", law.TYPE.name, law.INITIAL_ERROR.name, law.SAMPLE_RATE.name, "joints")
+    return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(relevant))))
+
+
+@lru_cache(maxsize=8)
+def _tuned(items: tuple[tuple[str, Value], ...]) -> Tuning:
+    values = dict(items)
+    arm = build_robot(values)
+    motion = build_reference(values, arm.n)
+    error = np.tile(vector(values, law.INITIAL_ERROR.name, arm.n), 2)
+    start = rest_position(arm, np.asarray(motion.jets(0.0))[0]) + error, np.zeros(2 * arm.n)
+    target = BaselineTarget(arm, motion, build_gains(values, arm.n), start, sample_period(values))
+    return tune(str(values[law.TYPE.name]), target)

@@ -28,7 +28,7 @@ SECOND = 1_000_000_000  # ns
 
 
 @dataclass(frozen=True, eq=False)
-class Waypoints:
+class TrajectoryPoints:
     """Waypoints of a trajectory of n joints; k = 0 points is a stop.
 
     start: stamp [ns] at which time is zero, or None for now. times (k,) [ns], increasing.
@@ -43,7 +43,7 @@ class Waypoints:
     accelerations: Array | None
     moves: NDArray[np.bool_]
 
-    def upcoming(self, now: int) -> Waypoints:
+    def upcoming(self, now: int) -> TrajectoryPoints:
         """Return the waypoints that lie after `now` [ns], with a start that is not before `now`.
 
         Raises MessageError if no waypoint is left.
@@ -68,7 +68,7 @@ class Waypoints:
         behind = (now - start - int(self.times[-1])) / SECOND
         return f"the last point is {behind:g} s before the newest state's stamp; expected one after it"
 
-    def completed(self, position: Array) -> Waypoints:
+    def completed(self, position: Array) -> TrajectoryPoints:
         """Return waypoints of all joints; joints that are not part of the trajectory rest at `position` (n,) [rad]."""
         if self.moves.all():
             return self
@@ -99,7 +99,7 @@ class TrajectoryReader:
         self._joints = list(joints)
         self._allow_partial = allow_partial
 
-    def read(self, message: JointTrajectory) -> Waypoints:
+    def read(self, message: JointTrajectory) -> TrajectoryPoints:
         """Return the waypoints of the message; raises MessageError if it is invalid."""
         stamp = nanoseconds(message.header.stamp)
         if stamp < 0:
@@ -107,7 +107,9 @@ class TrajectoryReader:
         names = list(message.joint_names)
         n, points = len(self._joints), message.points
         if not points:
-            return Waypoints(stamp or None, np.empty(0, np.int64), np.empty((0, n)), None, None, np.ones(n, bool))
+            return TrajectoryPoints(
+                stamp or None, np.empty(0, np.int64), np.empty((0, n)), None, None, np.ones(n, bool)
+            )
         self._check_names(names)
         times = _times(points)
         _reject_efforts(points)
@@ -119,7 +121,7 @@ class TrajectoryReader:
             raise MessageError("wrong lengths", "the points have accelerations without velocities; expected both")
         moves = np.zeros(n, bool)
         moves[columns] = True
-        return Waypoints(stamp or None, times, positions, velocities, accelerations, moves)
+        return TrajectoryPoints(stamp or None, times, positions, velocities, accelerations, moves)
 
     def _check_names(self, names: list[str]) -> None:
         unknown = [name for name in names if name not in self._joints]

@@ -1,2 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Installed scenarios and parameter changes from the command line."""
+"""Installed scenarios, sweeps and suites, and parameter changes from the command line. Imports nothing slow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
+
+def installed(kind: str) -> dict[str, Path]:
+    """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
+    try:
+        folder = Path(get_package_share_directory("fjr_bringup"), kind)
+    except (PackageNotFoundError, OSError) as error:  # OSError: no workspace is sourced
+        from fjr_msgs_py.console.ros2 import INSTALLATION
+        from fjr_msgs_py.scenarios.library import ScenarioError  # loads CasADi
+
+        raise ScenarioError(f"package fjr_bringup is not installed here; {INSTALLATION}") from error
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def summary(path: Path) -> str:
+    """Return the first sentence of the first comment of a scenario file."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    comments = [line.lstrip("# ") for line in lines if line.startswith("#") and "SPDX" not in line]
+    return comments[0].partition(". ")[0] if comments else ""

@@ -14,7 +14,7 @@ from fjr_core.config.nodes import CONTROLLER, OWN_PARAMETERS, all_parameters, gi
 from fjr_core.config.parameter import refuse_unknown
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import FjrError, ParameterError
-from fjr_msgs_py.scenarios.installed import installed
+from fjr_msgs_py.scenarios import installed
 
 
 class ScenarioError(FjrError):

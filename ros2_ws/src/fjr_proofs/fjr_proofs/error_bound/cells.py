@@ -35,7 +35,7 @@ LONGEST = 60.0  # s; longest period or reference that is covered
 SETTLED = 1.0  # s after the end of a reference that ends
 
 
-class TimeWindow(NamedTuple):
+class CellTimes(NamedTuple):
     """Windows of c cells: instants up to `radius` [s] before and after `middle` (c,) [s]."""
 
     middle: Array
@@ -70,19 +70,19 @@ class Cells:
         self.sampled: Array = self.starts + (samples - 1) * sample_period / 2
         self.radius, self.reach, self.drift = length / 2, (samples - 1) * sample_period / 2, 0.0
 
-    def windows(self, blocks: int) -> TimeWindow:
+    def windows(self, blocks: int) -> CellTimes:
         """Return the window of each cell.
 
         It contains every instant at which a chain of `blocks` cells, counted back from the cell of any sample, uses the
         model of the cell.
         """
-        return TimeWindow(self.middle, self.radius + blocks * self.drift)
+        return CellTimes(self.middle, self.radius + blocks * self.drift)
 
-    def sampling(self, blocks: int) -> TimeWindow:
+    def sampling(self, blocks: int) -> CellTimes:
         """Return the sampling instants within `windows`."""
-        return TimeWindow(self.sampled, self.reach + blocks * self.drift)
+        return CellTimes(self.sampled, self.reach + blocks * self.drift)
 
-    def acting(self, blocks: int, whole: int) -> tuple[TimeWindow, float]:
+    def acting(self, blocks: int, whole: int) -> tuple[CellTimes, float]:
         """Return windows from the sampling instant of an acting effort to the end of its action, and a share.
 
         whole: samples of the delay. The mean of a time over these instants differs from the middle of the window by at
@@ -90,7 +90,7 @@ class Cells:
         """
         mean = self.reach + blocks * self.drift + self.sample_period / 2
         radius = mean + (whole + 1) * self.sample_period / 2 if self.verified else mean
-        return TimeWindow(self.sampled - whole * self.sample_period / 2, radius), mean / radius
+        return CellTimes(self.sampled - whole * self.sample_period / 2, radius), mean / radius
 
     @property
     def verifiable(self) -> bool:
@@ -108,7 +108,7 @@ class Cells:
         cells.reference = reference
         return cells
 
-    def models(self, window: TimeWindow, shape: Shape) -> TaylorModels:
+    def models(self, window: CellTimes, shape: Shape) -> TaylorModels:
         """Return models of q .. d5q (6n, c) in the time of a window, which is -1 at its start and 1 at its end.
 
         The reference must be a sum of sines.

@@ -16,7 +16,7 @@ from fjr_core.numerics.symbolic import columnwise
 from fjr_core.stability.linearization import split
 
 from ..verification.taylor_models import Shape, TaylorModels, taylor_function
-from .cells import TimeWindow
+from .cells import CellTimes
 from .deviation_model import FACTORS
 from .linear_loop import KnownErrors, LinearLoop
 from .peak_gains import ROUNDING
@@ -252,7 +252,7 @@ class Ranges:
         largest, differences = (X.magnitude.reshape(len(half), -1).T for X in (models, apart))
         return middle, largest @ half, differences @ half
 
-    def _range(self, function: ca.Function, window: TimeWindow, tube: Tube | None = None) -> list[Enclosure]:
+    def _range(self, function: ca.Function, window: CellTimes, tube: Tube | None = None) -> list[Enclosure]:
         """Return the ranges of each output in windows, a tube and the factors."""
         if self._cells.verified:
             results = taylor_function(function)(*self._models(function.name_in(), window, tube))
@@ -260,7 +260,7 @@ class Ranges:
         points = [[TaylorModels.exact(y) for y in _called(function, point)] for point in self._points(window, tube)]
         return list(map(list, zip(*points, strict=True)))
 
-    def _models(self, names: list[str], window: TimeWindow, tube: Tube | None) -> Iterator[TaylorModels]:
+    def _models(self, names: list[str], window: CellTimes, tube: Tube | None) -> Iterator[TaylorModels]:
         """Return models of arguments in the time of a window, the deviations and the uncertain factors."""
         k, symbols = np.ones(len(window.middle)), 0
         if tube is not None:
@@ -279,7 +279,7 @@ class Ranges:
             else:
                 yield TaylorModels.exact(np.outer(self.linear.centre.factors, k), shape)
 
-    def _points(self, window: TimeWindow, tube: Tube | None) -> Iterator[dict[str, Array]]:
+    def _points(self, window: CellTimes, tube: Tube | None) -> Iterator[dict[str, Array]]:
         """Yield arguments at three instants of windows: the middles and random corners of tube and factors."""
         along = self._along(window)
         if tube is None:
@@ -291,7 +291,7 @@ class Ranges:
             f = self.low[:, None] + share[size:] * 2 * self._half[:, None]
             yield along | {"z": tube.corners(share[:size]), "f": f}
 
-    def _along(self, window: TimeWindow) -> dict[str, Array]:
+    def _along(self, window: CellTimes) -> dict[str, Array]:
         """Return the arguments along the centre motion at three instants of the sampled windows."""
         t = (window.middle[self._at] + window.radius * np.array(INSTANTS)[:, None]).ravel()
         c = np.repeat(self.linear.centre.factors[:, None], len(t), axis=1)

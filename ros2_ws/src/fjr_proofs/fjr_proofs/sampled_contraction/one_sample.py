@@ -40,7 +40,7 @@ CELLS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Metric:
+class PiecewiseMetric:
     """Norms |W[j] chi| of the pieces j, W (N, s, s), with V close to the inverse of W.
 
     slack (N,): |X W^-1| <= slack |X V| for every matrix X, as W^-1 = V (W V)^-1.
@@ -51,17 +51,17 @@ class Metric:
     slack: Array
 
     @staticmethod
-    def of(P: Array) -> Metric:
+    def of(P: Array) -> PiecewiseMetric:
         """Return the norms (chi' P chi)^(1/2) of positive definite P (N, s, s), up to rounding."""
         W = np.ascontiguousarray(np.swapaxes(np.linalg.cholesky(P), 1, 2))
         V = np.linalg.inv(W)
         error = matmul(Interval.exact(W), Interval.exact(V)) - Interval.exact(np.eye(W.shape[-1]))
         distance = ABOVE * np.sqrt(np.sum(error.magnitude**2, axis=(1, 2)))
-        return Metric(W, V, np.where(distance < 0.5, ABOVE / (1 - np.minimum(distance, 0.5)), np.inf))
+        return PiecewiseMetric(W, V, np.where(distance < 0.5, ABOVE / (1 - np.minimum(distance, 0.5)), np.inf))
 
-    def at(self, pieces: Indices) -> Metric:
+    def at(self, pieces: Indices) -> PiecewiseMetric:
         """Return the norms of these pieces."""
-        return Metric(self.W[pieces], self.V[pieces], self.slack[pieces])
+        return PiecewiseMetric(self.W[pieces], self.V[pieces], self.slack[pieces])
 
     def extent(self, radius: float | Array) -> Array:
         """Return the largest |chi_i| (N, s) in the ball of this radius."""
@@ -133,7 +133,7 @@ class OneSample:
         """Return bounds of solutions that start with |chi - c| at most start (k, s)."""
         return enclosed_flow(self.system, pieces.centre.T, start.T, self.jets(pieces.index, 1.0), self.h)
 
-    def displacement(self, pieces: Pieces, after: Metric, next_centre: Array) -> Array:
+    def displacement(self, pieces: Pieces, after: PiecewiseMetric, next_centre: Array) -> Array:
         """Return bounds (k,) of |W+ (chi - c+)| for the solution that starts at the centre c, one sample later.
 
         chi = c + (integral of exp(C s)) rate - exp(C (h - tau)) S c, up to bounded terms.
@@ -160,7 +160,7 @@ class OneSample:
         error = np.linalg.norm((np.abs(after.W) @ error[:, :s])[:, :, 0], axis=1)
         return np.asarray(ABOVE * (np.max(bounds, axis=0) + error))
 
-    def factors(self, pieces: Pieces, metric: Metric, after: Metric, radius: float) -> Array:
+    def factors(self, pieces: Pieces, metric: PiecewiseMetric, after: PiecewiseMetric, radius: float) -> Array:
         """Return bounds (k,) of |W+ J W^-1| for all J in the ball |W (chi - c)| <= radius; infinite without a bound."""
         flow = self.flow(pieces, metric.extent(radius))
         if not np.isfinite(flow.box).all():
@@ -179,7 +179,7 @@ class OneSample:
         bound = h * bound + 1e-12 * self._by_entries(h * R1, metric, after)
         return np.asarray(ABOVE * metric.slack * (self._constant(pieces.C.mid, R1, R2, metric, after) + bound))
 
-    def _constant(self, C: Array, R1: Array, R2: Array, metric: Metric, after: Metric) -> Array:
+    def _constant(self, C: Array, R1: Array, R2: Array, metric: PiecewiseMetric, after: PiecewiseMetric) -> Array:
         """Return bounds (k,) of |W+ J V| without the terms of first order in the errors: the largest of all cells."""
         s, taus, whole = self.states, self.taus, exponential(C, self.h)
         ends = []
@@ -214,7 +214,7 @@ class OneSample:
         """Return bounds (k, m, m) of the difference of exp(C (h - tau)) S from a straight line in tau over a cell."""
         return np.asarray(cell**2 / 8 * A @ A @ (np.eye(A.shape[-1]) + growth(A, left)) @ self._switch)
 
-    def _together(self, H: Array, metric: Metric, after: Metric, radius: float) -> Array:
+    def _together(self, H: Array, metric: PiecewiseMetric, after: PiecewiseMetric, radius: float) -> Array:
         """Return bounds (k,) of |W+ (sum H_i e_i) V| on the ball; with delay also with V less the rows of w.
 
         e = V y, |y| <= radius: sum_j y_j G_j, G_j = sum_i V_ij W+ H_i V. Its norm is at most radius times the norm of
@@ -228,7 +228,7 @@ class OneSample:
             bounds.append(np.minimum(spectral_norm(beside), spectral_norm(G.reshape(k, -1, s))))
         return np.asarray(ABOVE * metric.slack * radius * np.max(bounds, axis=0))
 
-    def _one_by_one(self, H: Array, reach: Array, metric: Metric, after: Metric) -> Array:
+    def _one_by_one(self, H: Array, reach: Array, metric: PiecewiseMetric, after: PiecewiseMetric) -> Array:
         """Return bounds (k,) of |W+ (sum H_i y_i) V| for |y_i| at most reach (i, k)."""
         bounds = [
             sum(spectral_norm(parts[:, i]) * reach[i] for i in range(len(H)))
@@ -236,7 +236,7 @@ class OneSample:
         ]
         return np.asarray(ABOVE * np.max(bounds, axis=0))
 
-    def _in_metric(self, H: Array, metric: Metric, after: Metric) -> list[Array]:
+    def _in_metric(self, H: Array, metric: PiecewiseMetric, after: PiecewiseMetric) -> list[Array]:
         """Return W+ H_i V (k, i, s, s); with delay also with V less the rows of w."""
         s = self.states
         dense = np.stack([self._scattered(part)[:, :s, :s] for part in H], axis=1)
@@ -244,7 +244,7 @@ class OneSample:
         rights = (metric.V, without_w)[: 2 if self.longest else 1]
         return [after.W[:, None] @ dense @ right[:, None] for right in rights]
 
-    def _by_entries(self, X: Array, metric: Metric, after: Metric) -> Array:
+    def _by_entries(self, X: Array, metric: PiecewiseMetric, after: PiecewiseMetric) -> Array:
         """Return bounds (k,) of |W+ Y V| for all matrices |Y| <= X (k, m, m)."""
         s = self.states
         return magnitude_norm(np.abs(after.W) @ X[:, :s, :s] @ np.abs(metric.V))

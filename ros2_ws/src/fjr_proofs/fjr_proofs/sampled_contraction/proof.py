@@ -24,7 +24,7 @@ from fjr_core.numerics.one_line import one_line
 
 from ..verification.interval_matrices import ABOVE
 from .error_system import ErrorSystem, period_of
-from .one_sample import Metric, OneSample, Pieces
+from .one_sample import OneSample, Pieces, PiecewiseMetric
 
 MOST_JOINTS = 2
 LEAST_PIECES, MOST_PIECES = 3, 30_000
@@ -141,7 +141,7 @@ class _Proof:
             radius *= 0.8
         return None
 
-    def _best_metric(self) -> Metric | None:
+    def _best_metric(self) -> PiecewiseMetric | None:
         """Return the metric with the highest rate near the reference."""
         law, h = self.sample.system.law, self.sample.h
         q_l = self.sample.jets(np.arange(self.count), 0.0).mid[: law.robot.n].T
@@ -154,7 +154,7 @@ class _Proof:
                 best, highest = metric, rate
         return best
 
-    def _largest_radius(self, metric: Metric) -> float | None:
+    def _largest_radius(self, metric: PiecewiseMetric) -> float | None:
         """Return the radius of the largest tube that passes on the searched transitions."""
         near, displacement = self._factors(metric, 0.0, self.searched), self._displacements(metric, self.searched)
         extent = metric.extent(1.0)[:, : self.sample.system.n].max()
@@ -182,7 +182,7 @@ class _Proof:
         return float(-np.mean(np.log(rho)) / self.sample.h) if np.isfinite(rho).all() else -np.inf
 
     def _factors(
-        self, metric: Metric, radius: float, transitions: Indices, on_progress: Progress = lambda share: None
+        self, metric: PiecewiseMetric, radius: float, transitions: Indices, on_progress: Progress = lambda share: None
     ) -> Array:
         """Return contraction factors (k,) of transitions in a tube."""
 
@@ -191,7 +191,7 @@ class _Proof:
 
         return self._in_chunks(bound, transitions, on_progress)
 
-    def _displacements(self, metric: Metric, transitions: Indices) -> Array:
+    def _displacements(self, metric: PiecewiseMetric, transitions: Indices) -> Array:
         """Return displacements (k,) of the centre of the tube in transitions."""
 
         def bound(before: Indices, after: Indices) -> Array:
@@ -216,7 +216,7 @@ class _Proof:
             on_progress(sum(map(len, bounds)) / len(transitions))
         return np.concatenate(bounds)
 
-    def _stated(self, metric: Metric, radius: float, rho: Array, displacement: Array) -> SampledContraction:
+    def _stated(self, metric: PiecewiseMetric, radius: float, rho: Array, displacement: Array) -> SampledContraction:
         n, decays = self.sample.system.n, -np.log(rho) / self.sample.h
         to_start, whole = np.append(decays[: self.count - 2], decays[-1]), decays[:-1]
         centre, radii = np.abs(self.pieces.centre[:, :n]), final_radii(rho, displacement)
@@ -236,7 +236,7 @@ class _Proof:
         )
 
 
-def periodic_metric(maps: Array, source: Array, sample_period: float) -> Metric | None:
+def periodic_metric(maps: Array, source: Array, sample_period: float) -> PiecewiseMetric | None:
     """Return the metric of one-sample maps (N, v, s, s) of N pieces at v delays; None if they do not contract.
 
     P_j = mean of J' P_j+1 J / rho^2 + source_j, backwards until it is periodic; J of the v delays, source (N, s, s).
@@ -253,7 +253,7 @@ def periodic_metric(maps: Array, source: Array, sample_period: float) -> Metric 
             P = (transposed[j] @ P @ maps[j]).sum(axis=0) + source[j]
             metric[j] = P = (P + P.T) / 2
     try:
-        return Metric.of(metric) if np.isfinite(metric).all() else None
+        return PiecewiseMetric.of(metric) if np.isfinite(metric).all() else None
     except np.linalg.LinAlgError:
         return None
 

@@ -25,7 +25,7 @@ WORDS = 4
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Deviation:
     """One way in which a robot, its sensors or its loop deviate from the nominal ones.
 
     unit: of a level; "" for a factor on the values of the model. sign: which values are allowed. per: JOINT if the
@@ -130,7 +130,7 @@ class Draws:
             values[name] = value if for_all else value[index]
         return Draws(len(index), **values)
 
-    def _checked(self, one: Parameter) -> Array:
+    def _checked(self, one: Deviation) -> Array:
         name, array = one.name, floats(one.name, getattr(self, one.name), ParameterError)
         if np.any(np.isnan(array)) or (name != "effort_limit" and not np.all(np.isfinite(array))):
             raise ParameterError(f"{name} has entries that are not finite; expected finite numbers")
@@ -147,7 +147,7 @@ class Draws:
 
 
 PARAMETERS = {
-    each.name: Parameter(each.name, **each.metadata) for each in fields(Draws) if each.name not in ("runs", "seed")
+    each.name: Deviation(each.name, **each.metadata) for each in fields(Draws) if each.name not in ("runs", "seed")
 }
 """The glossary: all deviations by name."""
 

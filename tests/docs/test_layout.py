@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports run one way: between the packages, and within each package from the higher to the lower layer."""
+"""The layout: imports run one way, packages keep their budget, a module is one subject, a name is one class."""
 
 from __future__ import annotations
 
@@ -79,6 +79,24 @@ LAYERS = {
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 
 
+BUDGETS = {
+    "fjr_core": 14_800,
+    "fjr_msgs_py": 4_000,
+    "fjr_monitor": 7_800,
+    "fjr_plant": 1_500,
+    "fjr_controller": 2_050,
+    "fjr_design": 8_400,
+    "fjr_identification": 5_800,
+    "fjr_proofs": 4_400,
+    "fjr_bringup": 1_400,
+}
+"""Most lines of Python of each package. What needs more raises its budget in the same commit and says why."""
+SUBJECT = (60, 390)
+"""Least and most lines of a module."""
+SHORT = {"errors", "executable", "version"}
+"""Modules that are one thought; so are those in which a package begins (`__init__`)."""
+
+
 def level(layers: tuple[str, ...], name: str) -> int | None:
     return next((i for i, entry in enumerate(layers) if name in entry.split()), None)
 
@@ -134,3 +152,29 @@ def test_every_module_has_a_layer(package: str) -> None:
     tops = {module.split(".")[1] for module, _ in modules(package) if "." in module}
     assert {top for top in tops if level(LAYERS[package], top) is None} == set()
     assert {name for entry in LAYERS[package] for name in entry.split()} == tops
+
+
+@pytest.mark.parametrize("package", BUDGETS)
+def test_a_package_keeps_its_budget(package: str) -> None:
+    lines = sum(len(file.read_text(encoding="utf-8").splitlines()) for _, file in modules(package))
+    assert lines <= BUDGETS[package]
+
+
+def test_a_module_is_one_subject() -> None:
+    sizes = {
+        name: len(file.read_text(encoding="utf-8").splitlines())
+        for package in BUDGETS
+        for name, file in modules(package)
+        if file.stem not in SHORT | {"__init__"}
+    }
+    assert {name: lines for name, lines in sizes.items() if not SUBJECT[0] <= lines <= SUBJECT[1]} == {}
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    found: dict[str, list[str]] = {}
+    for package in BUDGETS:
+        for name, file in modules(package):
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    found.setdefault(node.name, []).append(name)
+    assert {name: homes for name, homes in found.items() if len(homes) > 1} == {}
