@@ -142,9 +142,12 @@ def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start) -> None:
     peer = Peer(ros)
     plant = start("plant")
     ros.until(lambda: peer.states and peer.effort_publisher.get_subscription_count() >= 2, "a state")
-    while plant.process.poll() is None:
+
+    def ended_by_efforts() -> bool:
         peer.effort_publisher.publish(Float64MultiArray(data=[1e308]))
-        ros.settle(1)
+        return plant.process.poll() is not None
+
+    ros.until(ended_by_efforts, "the end of the plant")
     code, said = plant.end()
     assert code == 1
     ended = [line for line in said.splitlines() if "not finite" in line]
@@ -164,10 +167,16 @@ def test_conflict_found_with_the_first_state_ends_the_controller_with_one_senten
         JointState, "joint_states", LATEST
     )  # connected later: the other publisher is known by the first state
     ros.until(lambda: robot.get_subscription_count() >= 2 and conflict.get_subscription_count() >= 2, "the controller")
-    while controller.process.poll() is None:
+    for _ in range(100):  # the controller hears the other before the first state, on a busy machine, too
+        conflict.publish(JointState(name=["joint1"], effort=[1.0]))
+        ros.settle(1)
+
+    def ended_by_both() -> bool:
         conflict.publish(JointState(name=["joint1"], effort=[1.0]))
         robot.publish(stamped(0.0))
-        ros.settle(1)
+        return controller.process.poll() is not None
+
+    ros.until(ended_by_both, "the end of the controller")
     code, said = controller.end()
     assert code == 1
     (ended,) = [line for line in said.splitlines() if line.startswith("ended: ")]
