@@ -17,9 +17,8 @@ from fjr_core.files.text_file import is_sealed, write_text
 from fjr_design.studies import suite
 from fjr_design.studies.compare_run import read_kept
 from fjr_design.studies.sweep import Sweep
-from fjr_design.studies.sweep_file import Options, usual
+from fjr_design.studies.sweep_file import Options, planned, usual
 from fjr_design.studies.sweep_run import open_store
-from fjr_design.studies.tune_run import planned
 from fjr_monitor.report.write import known_of
 from fjr_msgs_py.scenarios import library
 from fuzzing import answer, bytes_of, documents, fuzzed, texts

@@ -16,7 +16,7 @@ from fjr_core.model.robot import PRISMATIC, REVOLUTE
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.stability.sampled_loop import check
+from fjr_design.cli.check import check
 from fjr_monitor.report.write import report_run
 from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit

@@ -13,9 +13,7 @@ import pytest
 import fjr_core as fjr
 from core.simulation.test_batch import normals
 from fjr_core.config.controller import safety
-from fjr_core.config.parameter import vector
 from fjr_core.config.scenario import load_scenario
-from fjr_core.numerics.jit import NAMES
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
@@ -23,7 +21,7 @@ from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded
-from fjr_core.simulation.batch.parametric_robot import ParametricPlant
+from fjr_core.simulation.batch.parametric_robot import NAMES, ParametricPlant, vector
 from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.scenarios import installed
 
