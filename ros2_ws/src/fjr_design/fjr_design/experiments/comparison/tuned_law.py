@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prepare a law of a comparison: tuned to equal bandwidth (docs/baselines.md), with robust options."""
+"""Prepare a law of a comparison: tuned to equal bandwidth (docs/compare.md), with robust options."""
 
 from __future__ import annotations
 

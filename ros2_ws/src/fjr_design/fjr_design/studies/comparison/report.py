@@ -71,7 +71,7 @@ def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _page(suite: dict[str, Any]) -> str:
-    return "docs/tuning.md" if suite["tune"] else "docs/baselines.md"
+    return "docs/tuning.md" if suite["tune"] else "docs/compare.md"
 
 
 def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> dict[str, Any]:
@@ -130,7 +130,7 @@ TO_UNCERTAINTIES = (
     "to the same uncertainties (docs/tuning.md); every command is cut at the same limit. Gains are in comparison.json."
 )
 TUNED = (
-    "by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
+    "by one rule to equal bandwidth and peak effort (docs/compare.md); every command is cut at the same "
     "limit. Gains are in comparison.json."
 )
 DASHED = "Green: best, or within 5 % of the best. A dash: does not track the nominal robot."
