@@ -48,7 +48,7 @@ def gains_of_arm7(study: Sweep, tuned: Path) -> dict[str, fjr.Gains]:
         "`Pi_m = K`": softer,
         f"`K_md` {STIFFER:g} times as large": replace(given, K_md=STIFFER * np.asarray(given.K_md)),
         "both": replace(softer, K_md=STIFFER * np.asarray(given.K_md)),
-        "[tuning rule](../baselines.md#tuning-rule)": by_rule.matrices,
+        "[tuning rule](../compare.md#tuning-rule)": by_rule.matrices,
         "`fjr tune arm7_tune`": load_scenario(tuned).gains,
     }
 

@@ -34,7 +34,7 @@ TYPE = Parameter(
 TUNED = Parameter(
     "law.tuned",
     True,
-    "true: tune the selected law to the bandwidth that v_dpbc has with gains.* (docs/baselines.md); false: "
+    "true: tune the selected law to the bandwidth that v_dpbc has with gains.* (docs/compare.md); false: "
     "compute its gains from law.natural_frequency and law.damping_ratio. v_dpbc always uses gains.*, a class options",
 )
 NATURAL_FREQUENCY = Parameter(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control laws by name: v-dPBC, and laws that other packages register (docs/baselines.md)."""
+"""Control laws by name: v-dPBC, and laws that other packages register (docs/compare.md)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The baselines by name (docs/baselines.md), for the entry points of the group `fjr.laws`."""
+"""The baselines by name (docs/compare.md), for the entry points of the group `fjr.laws`."""
 
 from __future__ import annotations
 

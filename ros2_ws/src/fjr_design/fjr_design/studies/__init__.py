@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies of many simulated runs: `fjr sweep`, `fjr tune`, `fjr compare` and `fjr contraction`."""
+"""Studies of many simulated runs: `fjr sweep`, `fjr tune` and `fjr compare`."""

@@ -38,7 +38,7 @@ TO_UNCERTAINTIES = (
     "to the same uncertainties (docs/gains.md); every command is cut at the same limit. Gains are in comparison.json."
 )
 TUNED = (
-    "by one rule to equal bandwidth and peak effort (docs/baselines.md); every command is cut at the same "
+    "by one rule to equal bandwidth and peak effort (docs/compare.md); every command is cut at the same "
     "limit. Gains are in comparison.json."
 )
 DASHED = "Green: best, or within 5 % of the best. A dash: does not track the nominal robot."
@@ -97,7 +97,7 @@ def exception_to_tuning(document: dict[str, Any]) -> str:
 
 def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
     suite = document["suite"]
-    page = "docs/gains.md" if suite["tune"] else "docs/baselines.md"
+    page = "docs/gains.md" if suite["tune"] else "docs/compare.md"
     return [
         (str(len(document["laws"])), "versions of control laws"),
         (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),

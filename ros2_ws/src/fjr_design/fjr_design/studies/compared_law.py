@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prepare a law of a comparison: by the rule of equal bandwidth (docs/baselines.md), or tuned to stated uncertainties.
+"""Prepare a law of a comparison: by the rule of equal bandwidth (docs/compare.md), or tuned to stated uncertainties.
 
 Tuned laws have the same cost, draws and number of candidates, each with its robust options.
 """

@@ -34,7 +34,7 @@ ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 class LawChoice:
     """A column: label, law, robust options.
 
-    retune: v-dPBC with gains by the rule of docs/baselines.md; otherwise with the gains of the scenario.
+    retune: v-dPBC with gains by the rule of docs/compare.md; otherwise with the gains of the scenario.
     options: arguments of the constructor of a law of the user, module:Class.
     """
 

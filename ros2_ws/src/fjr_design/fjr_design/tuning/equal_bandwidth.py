@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tune all laws to equal bandwidth and peak effort, so that they can be compared (docs/baselines.md).
+"""Tune all laws to equal bandwidth and peak effort, so that they can be compared (docs/compare.md).
 
 The gains of a law follow from two numbers, a natural frequency and a damping ratio, by the standard choice of its paper
 (registry.LawKind.standard). The targets are bandwidth and peak effort of v-dPBC with the gains of the scenario:
