@@ -115,9 +115,14 @@ def test_options_with_an_optional_value() -> None:
     assert given("sweep", "--cores", "all")["cores"] == len(os.sched_getaffinity(0))
 
 
-def test_the_shell_completes_commands_and_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_shell_completes_commands_scenarios_and_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("_FJR_COMPLETE", "bash_complete")
-    for line, expected in (("fjr export-c", "export-c"), ("fjr run paper_k31", "paper_k31")):
+    for line, expected in (
+        ("fjr export-c", "export-c"),
+        ("fjr run paper_k31", "paper_k31"),
+        ("fjr run two_link --set lockstep_t", "lockstep_timeout:="),
+        ("fjr check arm7 --set limits.start_err", "limits.start_error:="),
+    ):
         monkeypatch.setenv("COMP_WORDS", line)
         monkeypatch.setenv("COMP_CWORD", str(len(line.split()) - 1))
         assert run_fjr(*line.split()[1:]) == f"plain,{expected}\n"

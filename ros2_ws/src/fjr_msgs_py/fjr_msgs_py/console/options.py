@@ -77,7 +77,6 @@ SINCE = number("a time", "seconds, 0 or more", lambda value: 0 <= value < math.i
 RATE = number("a rate", "a positive number", lambda value: 0 < value < math.inf)
 SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
 SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
-ANGLE = number("an angle", "rad, more than 0, at most 3", lambda value: 0 < value <= 3)
 ENCODER_NOISE = number("a noise", "rad, more than 0, at most 0.1", lambda value: 0 < value <= 0.1)
 DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)
 
@@ -88,7 +87,6 @@ SEED = integer("a seed", "0 or more", 0, 2**63)
 PORT = integer("a port", "0 to 65535", 0, 65535)
 CHAIN = integer("a chain", "its number, 1 or more", 1, 1000)
 RUNS = integer("a number of runs", "1 or more", 1, 1e9)
-SOLUTIONS = integer("a number of solutions", "2 to 64", 2, 64)
 
 
 def distances(text: str) -> tuple[float, ...]:
@@ -98,14 +96,35 @@ def distances(text: str) -> tuple[float, ...]:
 
 def complete_scenario(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Complete the names of installed scenarios, or else file names."""
+    names = [name for name in _installed_scenarios() if name.startswith(incomplete)]
+    return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
+
+
+def complete_assignment(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Complete the names of the parameters of the given scenario; the help is the present value."""
+    from fjr_core.config.scenario import load_scenario  # loads CasADi
+    from fjr_core.errors import FjrError
+
+    named = context.params.get("scenario") or "paper_k31"
+    try:
+        scenario = load_scenario(_installed_scenarios().get(named, Path(named)))
+    except FjrError:
+        return []
+    values = {**scenario.plant_values, **scenario.controller_values}
+    return [
+        CompletionItem(f"{name}:=", help=str(values[name])) for name in sorted(values) if name.startswith(incomplete)
+    ]
+
+
+def _installed_scenarios() -> dict[str, Path]:
+    """Return the installed scenarios by name; none where no workspace is sourced."""
     from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
     try:
         folder = Path(get_package_share_directory("fjr_bringup"), "scenarios")
-    except (PackageNotFoundError, OSError):  # OSError: no workspace is sourced
-        return [CompletionItem(incomplete, type="file")]
-    names = [path.stem for path in sorted(folder.glob("*.yaml")) if path.stem.startswith(incomplete)]
-    return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
+    except (PackageNotFoundError, OSError):
+        return {}
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 scenario_argument = click.argument("scenario", required=False, shell_complete=complete_scenario)
@@ -114,6 +133,7 @@ set_option = click.option(
     "assignments",
     metavar="NAME:=VALUE",
     multiple=True,
+    shell_complete=complete_assignment,
     help="Change a parameter, e.g. robot.joint_stiffness:=[10.0]; may be repeated.",
 )
 
