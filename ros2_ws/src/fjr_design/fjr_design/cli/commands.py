@@ -177,9 +177,9 @@ def sweep(scenario: str | None, **given: Any) -> Any:
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either.
     """
-    wanted = implementation("fjr_design.studies.sweep_file").Options.given(**given)
+    run = implementation("fjr_design.studies.sweep_run")
     with stoppable() as stop:
-        return implementation("fjr_design.studies.sweep_run").sweep(scenario, wanted, stop)
+        return run.sweep(scenario, run.Options.given(**given), stop)
 
 
 @command()
@@ -204,9 +204,9 @@ def tune(scenario: str | None, law: str | None, **given: Any) -> Any:
     drawn plants and are validated on fresh ones (docs/gains.md).
     """
     size = {name: value for name in ("draws", "candidates", "fresh") if (value := given.pop(name)) is not None}
-    wanted = implementation("fjr_design.studies.sweep_file").Options.given(**given)
+    run = implementation("fjr_design.studies.tune_run")
     with stoppable() as stop:
-        return implementation("fjr_design.studies.tune_run").tune(scenario, wanted, law, size, stop)
+        return run.tune(scenario, run.Options.given(**given), law, size, stop)
 
 
 @command()
@@ -236,5 +236,6 @@ def compare(suite: str, output: Path, cores: int | None, document: Path | None, 
     """
     if readme is not None:
         click.echo("fjr: --readme is deprecated; use --document", err=True)
+    run = implementation("fjr_design.studies.compare_run")
     with stoppable() as stop:
-        return implementation("fjr_design.studies.compare_run").compare(suite, output, cores, document or readme, stop)
+        return run.compare(suite, output, cores, document or readme, stop)
