@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fjr_core.config.controller import safety
 from fjr_core.config.scenario import load_scenario
+from fjr_core.runtime.events import State
 from system import shared_runs
 from system.executables import scenario
 from system.recorded import Recorded, record, recorded_run
 from system.shared_runs import shared_run
+from tracking.tracked import Loop
 
 pytestmark = pytest.mark.system
 
@@ -43,6 +46,23 @@ def test_nodes_agree_with_fjr_core(name: str, tmp_path: Path) -> None:
     k = len(run.t)
     assert np.max(np.abs(recorded.q_l[:k] - run.x[:, :n])) <= 1e-9
     assert np.max(np.abs(recorded.u[:k] - run.u)) <= 1e-8 * np.max(np.abs(run.u))
+
+
+@pytest.mark.parametrize(("at", "lost"), [(3.451, 0.263), (3.62, 0.24), (3.663, 0.208), (3.835, 0.233), (3.926, 0.263)])
+def test_a_fall_within_the_limits_does_not_end_in_a_stop(at: float, lost: float) -> None:
+    """Up to 0.99 of a velocity limit, towards a position limit that no transition of join_time or longer respects."""
+    made = load_scenario(scenario("arm7"))
+    loop = Loop(made.law, made.reference, safety(made.controller_values, made.robot), made.x0)
+    loop.run(at)
+    largest = np.abs(loop.efforts[2000:]).max()
+    loop.run(0.1, answered=False)
+    loop.u = np.zeros(made.robot.n)  # the plant's command_timeout
+    loop.run(lost - 0.1, answered=False)
+    before = len(loop.efforts)
+    loop.step()
+    loop.run_through_transition(0.1)
+    assert loop.tracker.state is State.TRACKING, loop.tracker.reason
+    assert np.abs(loop.efforts[before:]).max() < 1.5 * largest
 
 
 def test_report_contains_peak_effort_and_limit_of_each_joint(recorded: Recorded) -> None:

@@ -33,6 +33,7 @@ from tracking.tracked import (
 )
 
 SHARE, MORE = constant("VELOCITY_SHARE"), constant("MORE")
+QUICKEST, ROOM_SHARE, PEAK = constant("QUICKEST"), constant("ROOM_SHARE"), constant("PEAK")
 
 
 def joined(
@@ -75,6 +76,81 @@ def test_no_transition_of_a_moving_arm_exceeds_its_limits(seed: int) -> None:
         assert 1.0 <= duration <= 20.0
         assert np.abs(jets[:, 1]).max() < 3.0
         assert np.abs(jets[:, 0]).max() < 2.5
+
+
+def braking(tracker: ControlStep) -> float:
+    """Return how long the arm brakes before its transition [s]; 0 if it does not."""
+    brake = tracker.controller.supervisor.reference.brake
+    return max(0.0, brake.t1 - brake.t0)
+
+
+@pytest.mark.parametrize("acceleration", [1.0, 4.0, 10.0, 20.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_transition_leaves_the_position_limits_if_a_constant_deceleration_would_not(
+    seed: int, acceleration: float
+) -> None:
+    """From any state within the limits, next to them as well, that the stated deceleration can stop there."""
+    rng = np.random.default_rng(seed)
+    limits: dict[str, Any] = {"link_velocity": 3.0, "motor_velocity": 3.3, "acceleration": acceleration}
+    limits |= {"link_position_lower": -2.0, "link_position_upper": 2.0}
+    braked = 0
+    for _ in range(20):
+        amplitude, frequency, phase = rng.uniform(0.2, 0.6, 2), rng.uniform(0.5, 3.0, 2), rng.uniform(0.0, 6.0, 2)
+        reference = fjr.Sine(amplitude, frequency, rng.uniform(-0.5, 0.5, 2), phase)
+        dq = rng.uniform(0.0, 1.0, 2) * rng.choice([1.0, 0.3, 0.01], 2) * min(3.0, np.sqrt(2.0 * acceleration))
+        way = np.maximum(dq**2 / (2 * acceleration), dq * QUICKEST / 3)
+        room = np.where(rng.random(2) < 0.7, way * (1 + rng.exponential(0.3, 2)), rng.uniform(way, 4.0))
+        side = rng.choice([-1.0, 1.0], 2)
+        q, dq = side * (2.0 - np.minimum(room, 4.0)), side * dq
+        tracker, _, jets = joined(reference, q, dq, TWO, **limits)
+        braked += braking(tracker) > 0
+        assert np.abs(jets[:, 0]).max() <= 2.0 + 1e-9
+        assert np.abs(jets[:, 1]).max() < 3.0
+        np.testing.assert_allclose(jets[0, :2], [q, dq], atol=1e-12)
+    assert braked > 5
+
+
+@pytest.mark.parametrize("room", [1.1, 0.3, 0.16, 0.13, 0.1126])
+def test_a_brake_decelerates_no_more_than_the_way_to_a_position_limit_asks(room: float) -> None:
+    """At hold.deceleration, over ROOM_SHARE of the way, or over that of a constant deceleration at the limit."""
+    speed, most, usual = 1.5, 10.0, settings().hold_deceleration
+    limits = {"acceleration": most, "link_velocity": 2.0, "link_position_upper": 1.0 + room}
+    tracker, _, _ = joined(Hold([-1.5]), 1.0, speed, **limits)
+    before = braking(tracker)
+    times = np.linspace(0.0, before, 2000)
+    jets = np.array([tracker.jets_at(SECOND + round(t * 1e9)) for t in times])[:, :, 0]
+    way = min(PEAK * speed**2 / (3 * usual), max(ROOM_SHARE * room, speed**2 / (2 * most)))
+    np.testing.assert_allclose(jets[0, :3], [1.0, speed, 0.0], atol=1e-12)
+    np.testing.assert_allclose(jets[-1], [1.0 + way, 0, 0, 0, 0], atol=1e-3)
+    assert way <= room
+    assert (np.diff(jets[:, 1]) < 1e-9).all()
+    assert np.abs(jets[:, 2]).max() == pytest.approx(PEAK * speed**2 / (3 * way), rel=1e-4)
+    for order in range(4):
+        slope = np.gradient(jets[:, order], times)[1:-1]
+        np.testing.assert_allclose(slope, jets[1:-1, order + 1], atol=2e-3 * np.abs(jets[:, order + 1]).max())
+
+
+def test_a_transition_that_respects_the_limits_begins_without_a_brake() -> None:
+    """A position limit that the transition does not reach changes no bit of it."""
+    given = {"acceleration": 10.0, "link_velocity": 2.0}
+    free, near = (joined(SINE, 0.5, 0.8, **given, link_position_upper=upper) for upper in (np.inf, 2.0))
+    np.testing.assert_array_equal(free[2], near[2])
+    assert not braking(near[0])
+    assert near[2][:, 0].max() < 2.0
+
+
+def test_a_reference_is_followed_after_the_brake_and_can_be_replaced_in_it() -> None:
+    limits = {"acceleration": 10.0, "link_velocity": 2.0, "link_position_upper": 1.16}
+    tracker, duration, jets = joined(Hold([-1.5]), 1.0, 1.5, **limits)
+    assert braking(tracker) > 0
+    np.testing.assert_allclose(jets[-1], Hold([-1.5]).jets(0.0), atol=1e-9)
+    assert tracker.end == pytest.approx(SECOND + duration * 1e9)
+    stamp = SECOND + round(0.1 * 1e9)
+    here = tracker.jets_at(stamp)
+    tracker.hold()
+    command = tracker.command(sample(stamp, here[0], here[0], here[1], here[1]), stamp)  # type: ignore[index]
+    np.testing.assert_allclose(command.jets, here, rtol=1e-9, atol=1e-9)  # type: ignore[union-attr]
+    assert not braking(tracker)
 
 
 def test_without_a_limit_a_transition_accelerates_little_more_than_its_reference() -> None:

@@ -99,6 +99,7 @@ static void random_settings(struct fjr_settings* s) {
   for (int i = 0; i < N; ++i) {
     s->effort[i] = maybe(INFINITY, 0.1, 9), s->effort_rate[i] = maybe(INFINITY, 1, 1e4);
     s->start_error[i] = maybe(INFINITY, 0.2, 2);
+    s->acceleration[i] = maybe(INFINITY, 0, 20);
     s->B_inverse[i * N + i] = 1, s->hold_damping[i * N + i] = uniform(0, 9);
   }
   for (int i = 0; i < 6 * N; ++i) {

@@ -190,6 +190,12 @@ struct fjr_segment {
   double coefficients[4 * FJR_POWERS * FJR_JETS * FJR_N];
 };
 
+/* Standstill from position and speed at t0 [s], each joint over its own duration; until t1 it is the reference. */
+struct fjr_brake {
+  double t0, t1;
+  double position[FJR_N], speed[FJR_N], duration[FJR_N];
+};
+
 /* The reference that is tracked, on the time line of the stamps. */
 struct fjr_active {
   struct fjr_reference held;              /* where the controller holds a position of its own */
@@ -197,6 +203,7 @@ struct fjr_active {
   const struct fjr_reference* pending;    /* 0: none */
   int64_t zero, pending_start;            /* stamps of time 0; FJR_NEVER: not begun, at the next sample */
   int64_t transition_end;
+  struct fjr_brake brake;                 /* before the transition */
   int32_t joins;                          /* `segment` leads to the target: 1 instead of it, 2 added to it */
   struct fjr_segment segment;
 };
