@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run plant and controller in lock-step without ROS: simulated robot, message channels and tracker in one process.
 
-The code is that of the nodes (fjr_plant.timing.lock_step, fjr_controller.ros.command_loop), about a hundred times
+The code is that of the nodes (fjr_plant.lock_step, fjr_controller.command_loop), about a hundred times
 faster and reproducible to the bit.
 """
 

@@ -50,7 +50,7 @@ cases = pytest.mark.parametrize(("arm", "gains"), CASES, ids=["single-31", "sing
 def test_exact_rate_of_the_storage_detects_the_printed_coupling(
     arm: Arm, gains: GainSet, same: bool, coupling: str
 ) -> None:
-    """Repeat the test of control/test_law.py for (40), with x_v = x and x_v != x."""
+    """Repeat the test of tests/core/law/test_law.py for (40), with x_v = x and x_v != x."""
     residual = storage_rate(fresh_loop(arm, gains), random_point(arm, 0, same))
     assert residual <= TOLERANCE if coupling == "right" else residual > FAILS
 

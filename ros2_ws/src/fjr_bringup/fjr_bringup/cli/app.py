@@ -68,7 +68,7 @@ def _loaded() -> None:
 
 
 def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = lambda: None) -> int:
-    """Run a command line and return its exit code (fjr_msgs_py.console.exit_codes).
+    """Run a command line and return its exit code (fjr_msgs_py.console.ending).
 
     arguments: default sys.argv[1:]. loaded: called when the modules of the command are imported.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import FjrError, GainsError, ParameterError
 from ..extensions.law_registry import LAWS, V_DPBC, LawKind, law_kind
 from ..extensions.python_code import own_law
-from ..files import importing as other_package
+from ..files import importing
 from ..files.importing import is_named
 from ..law.gains import PAPER_GAINS, Gains
 from ..law.interfaces import StaticLaw
@@ -124,7 +124,7 @@ def control_law(values: Values, robot: Robot) -> StaticLaw:
 def _baseline_gains(values: Values, robot: Robot, kind: LawKind) -> Any:
     """Return the gains of a baseline: tuned, or of natural frequency and damping ratio; times law.gain_factors."""
     if values[TUNED.name]:
-        found = other_package.module("fjr_design.tuning.equal_bandwidth").tuning(values).law.gains
+        found = importing.module("fjr_design.tuning.equal_bandwidth").tuning(values).law.gains
     else:
         q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
         frequency, damping = number(values, NATURAL_FREQUENCY.name), number(values, DAMPING_RATIO.name)

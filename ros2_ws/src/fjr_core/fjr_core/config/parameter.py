@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..errors import FjrError, ParameterError
-from ..files import importing as python_class
+from ..files import importing
 from ..law.interfaces import StaticLaw
 from ..numerics.checks import Array
 from ..numerics.parameter_field import LIST, MATRIX, POINT, ROWS, SCALAR, VECTOR, Parameter, Value
@@ -132,14 +132,14 @@ def option_parameters(parameters: Sequence[Parameter], given: Mapping[str, objec
     found = []
     for parameter in parameters:
         name = given.get(parameter.name)
-        if parameter.options and python_class.is_named(name):
+        if parameter.options and importing.is_named(name):
             found += _options(parameter, str(name))
     return found
 
 
 def options(parameter: Parameter, values: Values) -> dict[str, Value]:
     """Return the values of the options of the class that this parameter names, by argument of its constructor."""
-    names = python_class.option_defaults(str(values[parameter.name]))
+    names = importing.option_defaults(str(values[parameter.name]))
     return {name: values[parameter.options + name] for name in names}
 
 
@@ -149,7 +149,7 @@ def in_python(parameter: Parameter, values: Values) -> str:
     A class made of expressions, which derives from StaticLaw, is compiled.
     """
     name = str(values[parameter.name])
-    if not python_class.is_named(name) or issubclass(python_class.load(name), StaticLaw):
+    if not importing.is_named(name) or issubclass(importing.load(name), StaticLaw):
         return ""
     return (
         f"{parameter.name} {name} is evaluated in Python: sweeps and comparisons are not compiled, so they take longer"
@@ -161,7 +161,7 @@ def unread_options(parameters: Iterable[Parameter], given: Mapping[str, object],
     return {
         name
         for parameter in parameters
-        if parameter.options and not (user_code and python_class.is_named(given.get(parameter.name)))
+        if parameter.options and not (user_code and importing.is_named(given.get(parameter.name)))
         for name in given
         if name.startswith(parameter.options)
     }
@@ -174,7 +174,7 @@ def is_option(parameters: Iterable[Parameter], name: str) -> bool:
 
 def _options(parameter: Parameter, name: str) -> list[Parameter]:
     try:
-        defaults = python_class.option_defaults(name)
+        defaults = importing.option_defaults(name)
     except ParameterError as error:
         raise ParameterError(f"parameter '{parameter.name}': {error}") from None
     return [_option(parameter, name, argument, default) for argument, default in defaults.items()]
@@ -193,7 +193,7 @@ def _option(parameter: Parameter, name: str, argument: str, default: Any) -> Par
             "a number, a string, true or false, or a list of numbers or strings"
         )
     value = tuple(entries) if listed else entries[0]
-    title = name.partition(python_class.SEPARATOR)[2]
+    title = name.partition(importing.SEPARATOR)[2]
     return Parameter(
         parameter.options + argument, value, f"Option {argument} of {title}", shape=LIST if listed else SCALAR
     )

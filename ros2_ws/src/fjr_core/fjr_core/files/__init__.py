@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading files of bounded size, and folders that only this user can write."""
+"""Files of bounded size, tables of motions, and code that is imported by its name."""

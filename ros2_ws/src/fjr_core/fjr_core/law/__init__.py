@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control laws: v-dPBC, its robust extensions, and the interfaces through which they are called."""
+"""Control laws: v-dPBC, its gains and rate, and the interfaces through which laws are called."""

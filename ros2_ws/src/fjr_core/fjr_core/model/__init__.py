@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot model: rigid arm, elastic joints, eq. (36), virtual system, equilibria and URDF."""
+"""Robot model: rigid arm, elastic joints, eq. (36), virtual system."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Monitoring of a run: certificate, diagnosis of violations, isolation of faults."""
+"""The certificate of a run, and the thresholds and axes with which it is judged."""

@@ -24,8 +24,8 @@ class Spline(PolynomialReference):
     """Reference through positions (k, n) [rad] at increasing times (k,) [s]: polynomials of degree 9, class C^4.
 
     velocities [rad/s], accelerations [rad/s^2]: (k, n) or None, interpolated at the points. Derivatives that are not
-    given minimise the jerk and are reduced where a segment would overshoot (minimum_jerk.py); they are zero at an end
-    with zero velocity.
+    given minimise the jerk and are reduced where a segment would overshoot (piecewise_polynomial.py); they are zero at
+    an end with zero velocity.
     start: jets (5, n) of the active reference at t = 0, from which the spline starts; all times must be > 0. If start
     moves and the first point is more than FAR ahead, the spline comes to a standstill within STANDSTILL, over half the
     distance of constant velocity: a single polynomial would swing out by jets times powers of its duration. Without

@@ -61,7 +61,7 @@ struct fjr_reference {
 
 /* ---- Settings and model ---------------------------------------------------------------------------------------- */
 
-/* Limits, durations and stop policy; a limit is infinite where there is none (law/safety_settings.py). */
+/* Limits, durations and stop policy; a limit is infinite where there is none (runtime/safety_settings.py). */
 struct fjr_settings {
   double effort[FJR_N], effort_rate[FJR_N]; /* N m, N m/s */
   double lower[6 * FJR_N], upper[6 * FJR_N]; /* of q_l, q_m, dq_l, dq_m, q_m - q_l, q_l - q_ld */
@@ -108,7 +108,7 @@ struct fjr_sample {
 
 enum fjr_state { FJR_WAITING, FJR_JOINING, FJR_TRACKING, FJR_STOPPED };
 
-/* The command for a sample; see tracking/tracker.py. */
+/* The command for a sample; see runtime/control_step.py. */
 struct fjr_command {
   double u[FJR_N], V;
   double jets[FJR_JETS * FJR_N];
@@ -142,7 +142,7 @@ enum fjr_wiring_kind {
   FJR_VELOCITY_OF_ANOTHER
 };
 
-/* A fault of the wiring; its sentence is in wiring_fault.py. count: number of joints, 0 for no fault. The velocity of
+/* A fault of the wiring; its sentence is in runtime/events.py. count: number of joints, 0 for no fault. The velocity of
  * the first joint may be that of the second. */
 struct fjr_wiring_fault {
   int32_t kind, side, count; /* side: 0 link, 1 motor */

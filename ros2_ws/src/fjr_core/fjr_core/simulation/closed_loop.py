@@ -76,7 +76,7 @@ def simulate(
     multiples of the sample period (of inner_step in continuous time) up to the duration.
     delay [s]: the effort for the state at t acts from t + delay on, with zero effort before the first; Trajectory.u is
     the effort computed at t. Only for a sampled loop.
-    law: a SampledLaw (e.g. robust.RobustLaw) requires a sample_period; it receives the reference at t + law.lead.
+    law: a SampledLaw (e.g. robust.law.RobustLaw) requires a sample_period; it receives the reference at t + law.lead.
     The robots of plant and law may differ (model mismatch). The law then receives the positions and velocities of the
     plant with momenta by its own inertia, and V is its own; Trajectory.x is the state of the plant.
     Raises StateError for wrong shapes or numbers, a law that is none, and if the state is no longer finite;

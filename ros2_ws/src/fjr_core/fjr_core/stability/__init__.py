@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stability of the closed loop: linearisation, the sampled loop and contraction."""
+"""Stability of the closed loop: linearisation and the sampled loop."""

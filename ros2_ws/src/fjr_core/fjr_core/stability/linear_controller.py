@@ -199,7 +199,7 @@ def _jacobian(step: ca.Function, at: list[Array]) -> Array:
 def _behind_observer(law: Controller, equilibria: Equilibria, bandwidth: float, T: float) -> Controller:
     """Return the law with the estimate of the observer as measurement and as part of the controller state.
 
-    Equations: see estimation.velocity_observer.
+    Equations: see runtime.velocity_observer.
     """
     n = equilibria.robot.n
     g, h = corrections(bandwidth, T)

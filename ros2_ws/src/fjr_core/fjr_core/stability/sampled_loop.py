@@ -96,7 +96,7 @@ def check(
 ) -> SampledCheck:
     """Check the law sampled every sample_period [s] with a loop delay [s]; see SampledCheck and this module.
 
-    law: a static law, or one with a controller state (robust.sampled_law). configurations (k, n) [rad]; None: 1024
+    law: a static law, or one with a controller state (robust.law.sampled_law). configurations (k, n) [rad]; None: 1024
     sampled ones (64 for another law than v-dPBC, which has no closed form here). plant: the controlled plant if it
     differs from the model of the law. sensing: measurements of the law; None: the state of the plant.
     Of more than 48 configurations the closed form of the static loop selects the worst, at which margins are searched.

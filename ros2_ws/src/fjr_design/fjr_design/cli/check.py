@@ -20,7 +20,7 @@ from fjr_core.config.parameter import options
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
 from fjr_core.extensions.law_registry import law_kind
-from fjr_core.files import importing as other_package
+from fjr_core.files import importing
 from fjr_core.files.importing import is_named
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import joined
@@ -80,15 +80,15 @@ def check_scenario(
     """
     loaded, rows, values, failed = library.load(scenario, assignments), {}, {}, False
     if errors or prove_error or (delay is not None and not prove_sampled):
-        bounds = other_package.module("fjr_proofs.check_rows")
+        bounds = importing.module("fjr_proofs.check_rows")
         bound = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None)
         rows["error bound"], values["error_bound"] = bound.sentence, bound.values
     if certificate is not None:
-        prover = other_package.module("fjr_proofs.kept_rate")
+        prover = importing.module("fjr_proofs.kept_rate")
         prover.write_certificate(prover.proven_rate(loaded, seconds), certificate)
     found = check(loaded)
     if prove_sampled:
-        proof = other_package.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
+        proof = importing.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
         rows, values["sampled_proof"], failed = rows | proof.rows, proof.values, not proof.found
     rows = found.rows | rows
     for sentence in [*found.values["warnings"], *([found.refusal] if found.refusal else [])]:
@@ -177,7 +177,7 @@ def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], tuple[
     """
     rate, exact, kept = law.rate(), scenario.plant_is_the_model, None
     if scenario.robot.links.M_l_vertices is None and _is_provable(scenario):
-        kept = other_package.module("fjr_proofs.kept_rate").cached_rate(scenario)
+        kept = importing.module("fjr_proofs.kept_rate").cached_rate(scenario)
     more = {}
     if kept is not None:
         basis = f"proven over the joint range{'' if kept.complete else ' so far'}" if exact else OTHER_PLANT
@@ -202,7 +202,7 @@ def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], tuple[
 
 def _is_provable(scenario: Scenario) -> bool:
     """Return whether something can be proven about the robot: the package of the proofs is there and covers it."""
-    bounds = other_package.module_if_there("fjr_proofs.verification.inertia_bounds")
+    bounds = importing.module_if_there("fjr_proofs.verification.inertia_bounds")
     return bounds is not None and bool(bounds.is_provable(scenario.robot))
 
 
@@ -252,8 +252,8 @@ def _elsewhere(scenario: Scenario) -> dict[str, str]:
     margin = f"delay margin {found.delay_margin:.2f} samples"
     rows = {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
     if _is_provable(scenario):
-        bounds = other_package.module("fjr_proofs.verification.inertia_bounds")
-        domain, radius = other_package.module("fjr_proofs.kept_rate").near_reference(scenario)
+        bounds = importing.module("fjr_proofs.verification.inertia_bounds")
+        domain, radius = importing.module("fjr_proofs.kept_rate").near_reference(scenario)
         rate = law.proven_rate(domain, most_boxes=bounds.few_boxes(scenario.robot))
         low, high = np.min(radius), np.max(radius)
         within = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"

@@ -9,7 +9,7 @@ from pathlib import Path
 from fjr_core.config.law import gain_values, robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError, ParameterError
-from fjr_core.files import importing as other_package
+from fjr_core.files import importing
 from fjr_core.files.text_file import read_text, write_text
 from fjr_core.law.rate import Rate
 from fjr_core.law.vdpbc import TrackingLaw
@@ -53,7 +53,7 @@ def synthesised(
     posterior = Posterior(identification, loaded, seed) if identification else None
     design, domain = posterior.design if posterior else None, None
     if proven:
-        prover = other_package.module("fjr_proofs.kept_rate")
+        prover = importing.module("fjr_proofs.kept_rate")
         prover.refuse_unprovable(loaded)
         domain = joint_range(robot) if everywhere else prover.near_reference(loaded)[0]
     gains = synthesize(robot, beta, period, delay * period, where, loaded.joints, design, domain)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stability of the sampled loop for many plants and wrong models, and modes that are too fast for it."""
+"""Modes that are too fast for the sample period or the integration step."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import GainsError
-from fjr_core.files import importing as other_package
+from fjr_core.files import importing
 from fjr_core.law.gains import Gains, relative_eigenvalues
 from fjr_core.law.linearized import Equilibria, Indices, equilibria_at, feedback, plant_matrices
 from fjr_core.law.vdpbc import TrackingLaw
@@ -212,7 +212,7 @@ def gain_search(
         inertias += [np.asarray(vertex) for vertex in robot.links.M_l_vertices or ()]
     s = max(float(relative_eigenvalues(M_l, M)[-1]) for M_l in inertias)
     if domain is not None:
-        prover = other_package.module("fjr_proofs.verification.inertia_bounds")
+        prover = importing.module("fjr_proofs.verification.inertia_bounds")
         s = max(s, prover.largest_inertia(robot, M, domain, GOAL).bound)
     return GainSearch(equilibria, M, s, sample_period, delay)
 

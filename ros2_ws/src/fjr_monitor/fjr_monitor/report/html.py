@@ -110,7 +110,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class ArmReplay:
-    """What the page shows of the arm: a scene (urdf_scene.py) and positions [rad, m] at the times t (k,) [s].
+    """What the page shows of the arm: a scene (scene.py) and positions [rad, m] at the times t (k,) [s].
 
     title: the result. link, motor, reference (k, n): q_l, q_m on the link side of the gears, q_ld; NaN: not known.
     magnification: of the deflections at first.

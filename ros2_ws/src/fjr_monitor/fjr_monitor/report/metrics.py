@@ -19,7 +19,7 @@ import numpy as np
 from fjr_core.config.controller import axes
 from fjr_core.config.law import robust as build_robust
 from fjr_core.config.scenario import Scenario
-from fjr_core.files import importing as other_package
+from fjr_core.files import importing
 from fjr_core.files.text_file import write_text
 from fjr_core.law.rate import NO_RATE, Rate
 from fjr_core.model.robot import joined
@@ -284,7 +284,7 @@ class Visited:
         if rate.proven or not self._finite:
             return rate
         farthest = max(np.abs(self._least).max(), np.abs(self._largest).max())
-        bounds = other_package.module_if_there("fjr_proofs.verification.inertia_bounds")
+        bounds = importing.module_if_there("fjr_proofs.verification.inertia_bounds")
         if bounds is None or not bounds.is_provable(self._scenario.robot) or farthest > FARTHEST:
             return law.rate(np.concatenate(self._some))
         domain = Domain(self._least - self._step, self._largest + self._step)

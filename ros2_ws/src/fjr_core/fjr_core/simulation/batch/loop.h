@@ -4,7 +4,7 @@
 #ifndef FJR_LOOP_H
 #define FJR_LOOP_H
 
-/* Functions of a plant with drawn parameters, see uncertain_robot.py. */
+/* Functions of a plant with drawn parameters, see parametric_robot.py. */
 struct fjr_plant {
   fjr_function step;     /* (x, u, parameters, dt) -> x */
   fjr_function velocity; /* (x, parameters) -> dq_l, dq_m */

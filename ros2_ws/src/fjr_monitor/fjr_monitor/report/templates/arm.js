@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws the scene of a URDF (scene/urdf_scene.py) with three.js. A link of the URDF is a group of the scene graph below
+// Draws the scene of a URDF (scene.py) with three.js. A link of the URDF is a group of the scene graph below
 // the group of its joint, which turns about, or slides along, the joint's axis.
 "use strict";
 const Arm = (() => {
@@ -15,7 +15,7 @@ const Arm = (() => {
     return Uint8Array.from(atob(text), (character) => character.charCodeAt(0)).buffer;
   }
 
-  // Return the geometry of a mesh (scene/mesh.py).
+  // Return the geometry of a mesh (scene.py).
   function meshGeometry({ low, step, vertices, triangles, wide }) {
     const steps = new Uint16Array(bytes(vertices));
     const geometry = new THREE.BufferGeometry();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replays a run in 3D (arm_replay.py): play, scrub, or follow the cursor of the plots, which follows the replay.
+// Replays a run in 3D (report/shown.py): play, scrub, or follow the cursor of the plots, which follows the replay.
 "use strict";
 (() => {
   const { arrays, arm } = JSON.parse(document.getElementById("plots").textContent);
@@ -7,7 +7,7 @@
   const part = (name) => section.querySelector(`.${name}`);
   const [DECADES, TICK] = [3, 1000 / 30]; // magnifications from 1 to 10^3; ms between two pictures
 
-  // Decode array number `place` (class Pool in figure.py).
+  // Decode array number `place` (class Pool in report/html.py).
   function numbers(place) {
     const [kind, count, text] = arrays[place].split(":");
     const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Shows the running loop of `fjr watch --browser`: events with the scene of the URDF and views (monitor/state.py).
+// Shows the running loop of `fjr watch --browser`: events with the scene of the URDF and views (watch/state.py).
 "use strict";
 (() => {
-  const [FACTORS, VISIBLE, DECADES] = [[1, 2, 5, 10, 20, 50, 100, 200, 500, 1000], 0.3, 3]; // as in arm_replay.py
+  const [FACTORS, VISIBLE, DECADES] = [[1, 2, 5, 10, 20, 50, 100, 200, 500, 1000], 0.3, 3]; // as in report/shown.py
   const [AROUND, SILENT] = [0.6, 1.0]; // rad or m about the first position that the picture includes; s
   const LEVELS = ["ok", "maybe", "no", "maybe"];
   const section = document.getElementById("arm");

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws the plots of a page of `fjr report` with uPlot. Reads the plots from the JSON element "plots" (figure.py).
+// Draws the plots of a page of `fjr report` with uPlot. Reads the plots from the JSON element "plots" (report/html.py).
 "use strict";
 (() => {
   const [HEIGHT, LOW] = [280, 210];
@@ -13,7 +13,7 @@
 
   const page = JSON.parse(document.getElementById("plots").textContent);
 
-  // Decode array number `place` (class Pool in figure.py).
+  // Decode array number `place` (class Pool in report/html.py).
   function numbers(place) {
     const [kind, count, text] = page.arrays[place].split(":");
     const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
