@@ -44,6 +44,7 @@ SHORTEST, LONGEST = 0.05, 1.0  # s
 WARM_UP, AFTER, UNDISTURBED = 2.0, 5.0, 9.0  # s
 REACTION = 10_000_000  # ns
 OLD = 5_000_000  # ns; an effort for a state older than the newest one by more is one for the past
+ON_ITS_WAY = 1_000_000  # ns; a state that left later before the effort may not have arrived
 PEAK_BOUND = 1.5  # of the peak effort of the undisturbed run
 LIMIT = 60.0  # s
 
@@ -194,7 +195,7 @@ def _judged(
     answers &= after
     seen, states = watch.states()
     newest = np.maximum.accumulate(seen[:, 1])
-    at_sending = newest[np.searchsorted(seen[:, 0], times[answers, 0]) - 1]
+    at_sending = newest[np.searchsorted(seen[:, 0], times[answers, 0] - ON_ITS_WAY) - 1]
     old = int(np.sum(at_sending - times[answers, 1] > OLD))
     first = int(times[answers, 0][0]) if answers.any() else woken
     left = bool((_outside(_scenario(robot), states) & (seen[:, 0] >= begin) & (seen[:, 0] <= first + REACTION)).any())
