@@ -6,9 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import yaml
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
@@ -16,6 +14,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fjr_core.config import ros_yaml
+from fjr_monitor.recording.topic import interface_class
+from fjr_msgs_py.messages.plain import fill
 
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 ALONE = {"bag": ("record", "play", "info"), "lifecycle": ("get", "list"), "node": ("list", "info")}
@@ -105,41 +105,15 @@ class Graph:
         assert name in self.topics, f"{name}: {sorted(self.topics)}"
         if verb == "pub":
             assert given[0].replace("/msg/", "/").split("/") == self.topics[name].replace("/msg/", "/").split("/")
-            fill(imported(given[0])(), yaml.safe_load(given[1]))
+            fill(interface_class(given[0])(check_fields=True), yaml.safe_load(given[1]))
 
     def _service(self, verb: str, name: str, kind: str, value: str = "{}") -> None:
         assert verb == "call"
         assert self.services.get(name) == kind, f"{name}: {sorted(self.services)}"
-        fill(imported(kind).Request(), yaml.safe_load(value))
+        fill(interface_class(kind).Request(check_fields=True), yaml.safe_load(value))
 
 
 def expanded(text: str) -> str:
     """Replace `$(ros2 pkg prefix --share NAME)` by its folder."""
     pattern = r"\$\(ros2 pkg prefix --share (\w+)\)"
     return re.sub(pattern, lambda found: get_package_share_directory(found[1]), text)
-
-
-def imported(kind: str) -> Any:
-    """Return the class of a type such as std_srvs/srv/Trigger."""
-    package, kind_of, name = kind.split("/")
-    return getattr(import_module(f"{package}.{kind_of}"), name)
-
-
-def fill(message: Any, values: Mapping[str, Any]) -> None:
-    """Set the fields named in a YAML mapping, as `ros2` does; the setters of the message check types."""
-    kinds = message.get_fields_and_field_types()
-    for field, value in values.items():
-        kind = re.sub(r"sequence<(.*)>", r"\1", kinds[field])
-        if isinstance(value, list) and "/" in kind:
-            value = [filled(kind, each) for each in value]
-        elif isinstance(value, dict):
-            value = filled(kind, value)
-        setattr(message, field, value)
-
-
-def filled(kind: str, values: Mapping[str, Any]) -> Any:
-    """Return a message of a type such as builtin_interfaces/Duration, filled from YAML."""
-    package, name = kind.split("/")
-    message = imported(f"{package}/msg/{name}")()
-    fill(message, values)
-    return message

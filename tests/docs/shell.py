@@ -92,8 +92,10 @@ def _shortened(command: str) -> str:
 
 
 def _length(command: list[str]) -> list[str]:
-    """Return the option that makes a recording command short."""
-    return ["--duration", SHORT] if command[1] in RECORDING and "--duration" not in command else []
+    """Return the options that make a recording command short, and `run` write no page of so short a run."""
+    if command[1] not in RECORDING or "--duration" in command:
+        return []
+    return ["--duration", SHORT, *(["--no-report"] if command[1] == "run" and "--no-report" not in command else [])]
 
 
 def syntax_error(text: str) -> str:

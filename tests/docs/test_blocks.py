@@ -22,7 +22,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_design.studies import suite, sweep_file
 from fjr_identification.record_map import read_map
-from system.executables import fjr_here
+from system.executables import fjr_here, python_here
 from time_limits import HANG
 
 LINKED = ("ros2_ws", "examples")  # folders that commands name relative to the checkout
@@ -54,31 +54,36 @@ def test_every_shell_block_is_valid_bash(block: Block) -> None:
 @pytest.mark.parametrize(
     "page", WITH_BLOCKS, ids=lambda page: page.parent.name if "examples" in page.parts else page.stem
 )
-def test_blocks_of_a_page_run_in_order(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # classes that the files name are looked up there, as by `fjr`
+def test_blocks_of_a_page_run_in_order(page: Path, reader_folder: Path) -> None:
     for name in LINKED:
-        (tmp_path / name).symlink_to(ROOT / name)
-    (tmp_path / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
+        (reader_folder / name).symlink_to(ROOT / name)
+    (reader_folder / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
     said = ""
     for block in blocks(page):
-        said = RUNNERS[block.language](block, tmp_path, said)
+        said = RUNNERS[block.language](block, reader_folder, said)
+
+
+@pytest.fixture
+def reader_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The working directory of a reader, whose modules are found there and forgotten at the end."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or ".").is_relative_to(tmp_path):
+            del sys.modules[name]
 
 
 def do_python(block: Block, folder: Path, _said: str) -> str:
-    """Run the block, as the file that it names if it names one."""
-    if "file" not in block.marks:
-        return run(block, [sys.executable, "-c", block.text], folder)
-    file = folder / block.marks["file"]
+    """Run the block, as the file that it names if it names one, in this process, which saves the imports."""
+    file = folder / block.marks.get("file", "block.py")
     file.write_text(block.text, encoding="utf-8")
-    return run(block, [sys.executable, str(file)], folder)
+    return python_here(block.text, file)
 
 
 def do_sh(block: Block, folder: Path, _said: str) -> str:
-    """Run the block in bash, or in this process if it is commands of `fjr` alone, which saves the imports of each.
-
-    Where the page has written classes in Python, these would stay imported: there bash runs all blocks.
-    """
-    commands = [] if any(folder.glob("*.py")) else only_fjr(block.text)
+    """Run the block in bash, or in this process if it is commands of `fjr` alone, which saves the imports of each."""
+    commands = only_fjr(block.text)
     if not commands:
         return run(block, ["bash", "-c", script(block.text)], folder)
     expected = [0] * (len(commands) - 1) + [int(block.marks.get("exit", 0))]

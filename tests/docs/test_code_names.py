@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every file, function, class, test and symbol that paper_map.md and notation.md name exists."""
+"""Every code name on a page exists, in paper_map.md and notation.md each file and symbol, too."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from pathlib import Path
 import pytest
 
 import fjr_core
-from docs.pages import ROOT, tokens
+from docs.pages import PAGES, ROOT, inline, tokens
 
-PACKAGES = ROOT / "ros2_ws" / "src"
-CORE = PACKAGES / "fjr_core" / "fjr_core"
-FOLDERS = (CORE, *sorted(PACKAGES.iterdir()), ROOT / "tests" / "core", ROOT / "tests", ROOT)
+SOURCES = ROOT / "ros2_ws" / "src"
+CORE = SOURCES / "fjr_core" / "fjr_core"
+HOMES = [folder for package in sorted(SOURCES.iterdir()) for folder in (package / package.name, package)]
+FOLDERS = (CORE, *HOMES, ROOT / "tests" / "core", ROOT / "tests", ROOT)
 """Folders to which the paths on a page are relative, in search order."""
-PAGES = tuple(ROOT / "docs" / f"{name}.md" for name in ("paper_map", "notation"))
+MAPS = tuple(ROOT / "docs" / f"{name}.md" for name in ("paper_map", "notation"))
 PATH = re.compile(r"([\w*/]+(?:\.(?:py|c|md)|/))(?:::([\w.]+))?")
 NAME = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*")
 
@@ -80,20 +81,27 @@ def missing(cell: list[str]) -> list[str]:
 def symbols() -> frozenset[str]:
     """Return all identifiers in the mathematics."""
     nodes = [
-        node for file in PACKAGES.glob("*/*/**/*.py") for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        node for file in SOURCES.glob("*/*/**/*.py") for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
     ]
     names = {getattr(node, key) for node in nodes for key in ("id", "attr", "arg", "name") if hasattr(node, key)}
     return frozenset(name for name in names if isinstance(name, str))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_code_and_tests_named_on_a_page_exist(page: Path) -> None:
+    said = [token.content for token in inline(page, "code_inline")]
+    named = [text for text in said if "::" in text or re.fullmatch(r"test_\w+", text)]
+    assert [text for text in named if missing([text])] == []
+
+
+@pytest.mark.parametrize("page", MAPS, ids=lambda page: page.stem)
 def test_files_functions_and_tests_named_in_a_map_exist(page: Path) -> None:
     found = [name for cell in cells(page) for name in missing(cell)]
     assert found == []
 
 
 def test_symbols_of_the_notation_are_in_the_code() -> None:
-    rows = [text for texts in first_column(PAGES[1]) for text in texts]
+    rows = [text for texts in first_column(MAPS[1]) for text in texts]
     assert len(rows) > 15
     assert {name for text in rows for name in re.findall(r"[A-Za-z_]\w*", text)} - symbols() == set()
 

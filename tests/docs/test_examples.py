@@ -1,21 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every example runs unchanged."""
+"""Every example runs unchanged; a notebook prints what it shows, and its links lead to files."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import json
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from time_limits import HANG
+from docs.pages import ROOT
+from system.executables import python_here
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+AGREE = 0.02
+"""Relative difference of numbers: libraries of another machine round differently."""
+each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path: Path) -> None:
-    done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=HANG)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout
+    assert python_here(path.read_text(encoding="utf-8"), path)
+
+
+def cells(path: Path, kind: str) -> list[dict[str, Any]]:
+    return [cell for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] if cell["cell_type"] == kind]
+
+
+def shown(path: Path) -> str:
+    """Return what the cells of a notebook print, as stored."""
+    outputs = [output for cell in cells(path, "code") for output in cell["outputs"]]
+    assert not [each for each in outputs if each["output_type"] == "error" or each.get("name") == "stderr"]
+    return "".join("".join(each["text"]) for each in outputs if each["output_type"] == "stream")
+
+
+def test_there_are_four_notebooks() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["compare_two_laws", "contraction", "paper", "your_arm"]
+
+
+@each_notebook
+def test_notebook_runs_and_prints_what_it_shows(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(path.parent)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    said = python_here("\n".join("".join(cell["source"]) for cell in cells(path, "code")), path)
+    assert NUMBER.split(said) == NUMBER.split(shown(path))
+    printed, stored = ([float(number) for number in NUMBER.findall(text)] for text in (said, shown(path)))
+    assert printed == pytest.approx(stored, rel=AGREE)
+
+
+@each_notebook
+def test_links_of_a_notebook_lead_to_files(path: Path) -> None:
+    text = "\n".join("".join(cell["source"]) for cell in cells(path, "markdown"))
+    links = re.findall(r"\]\(([^)#]+)", text)
+    assert all((path.parent / link).is_file() for link in links), links

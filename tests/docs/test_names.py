@@ -14,6 +14,7 @@ from docs.pages import PAGES, ROOT, blocks, inline
 from docs.ros2_lines import Graph
 from docs.shell import NOT_RUN, commands, is_run, program, words
 from fjr_bringup.cli.app import fjr
+from fjr_core.errors import FjrError
 from nodes.harness import Ros
 
 HELD = [c for page in PAGES for b in blocks(page) if b.language == "sh" for c in commands(b.text) if not is_run(c)]
@@ -72,7 +73,7 @@ def test_names_in_fjr_lines_for_running_nodes_exist(graph: Graph) -> None:
     ],
 )
 def test_line_with_a_missing_name_is_detected(graph: Graph, line: str) -> None:
-    with pytest.raises((AssertionError, LookupError, OSError)):
+    with pytest.raises((AssertionError, LookupError, OSError, FjrError)):
         graph.check(words(line))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures of the tests with pages and clusters: one real browser for the tests of a file, a real Dask cluster."""
+"""Fixtures: the started programs of a test, one real browser for a process, a real Dask cluster."""
 
 from __future__ import annotations
 
@@ -10,13 +10,33 @@ import pytest
 
 from isolation import without_proofs
 from system.browser import Browser
+from system.executables import PROGRAMS, Executable, Start
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
+@pytest.fixture
+def start() -> Iterator[Start]:
+    started: list[Executable] = []
+
+    def starter(program: str, *arguments: str) -> Executable:
+        started.append(Executable(*PROGRAMS[program], *arguments))
+        return started[-1]
+
+    yield starter
+    for executable in started:
+        executable.kill()
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Browser]:
     made = Browser()
     yield made
     made.close()
+
+
+@pytest.fixture(scope="module")
+def browser(chromium: Browser) -> Iterator[Browser]:
+    yield chromium
+    chromium.open("about:blank")  # which needs no processor time
 
 
 @pytest.fixture

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import IO
 from unittest import mock
 
-from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from ament_index_python.packages import get_package_share_directory
 
 from fjr_bringup.cli.app import main
+from fjr_bringup.node_process import executable
 from time_limits import HANG, Limit
 
 TIME_LIMIT = 60.0  # s on an idle machine
@@ -27,10 +28,9 @@ class Executable:
     """A running executable; `end` returns its exit code and standard error."""
 
     def __init__(self, package: str, name: str, *arguments: str) -> None:
-        path = Path(get_package_prefix(package)) / "lib" / package / name
         self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed in kill)
         self.process = subprocess.Popen(
-            [str(path), *arguments], stdout=self._said, stderr=self._said, start_new_session=True
+            [str(executable(package, name)), *arguments], stdout=self._said, stderr=self._said, start_new_session=True
         )
 
     def signal(self, number: int) -> None:
@@ -60,7 +60,7 @@ def wait_for(condition: Callable[[], bool], what: str) -> None:
 
 def fjr(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
     """Run the `fjr` command to its end, with exit code `code` or one of `codes`; return its output."""
-    command = [Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr", *arguments]
+    command = [executable("fjr_bringup", "fjr"), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=HANG)
     assert done.returncode in (codes or (code,)), done.stdout + done.stderr
     assert "Traceback" not in done.stderr
@@ -76,11 +76,22 @@ def fjr_here(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str
     return output.getvalue() + errors.getvalue()
 
 
+def python_here(text: str, file: Path) -> str:
+    """Run a Python program in this process, which saves its imports; return its output. file: where it stands."""
+    output = StringIO()
+    with mock.patch.dict(os.environ), redirect_stdout(output), redirect_stderr(output):
+        exec(compile(text, str(file), "exec"), {"__name__": "__main__", "__file__": str(file)})
+    return output.getvalue()
+
+
 def scenario(name: str) -> str:
     return str(Path(get_package_share_directory("fjr_bringup")) / "scenarios" / f"{name}.yaml")
 
 
 NODES = {"plant": ("fjr_plant", "plant_node"), "controller": ("fjr_controller", "controller_node")}
+PROGRAMS = {**NODES, "fjr": ("fjr_bringup", "fjr")}
+Start = Callable[..., Executable]
+"""The fixture `start`: start a program of PROGRAMS with arguments; what runs at the end of the test is killed."""
 LOCKSTEP = {"plant": ("-p", "lockstep:=true"), "controller": ("-p", "use_sim_time:=true")}
 SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_timeout:=600.0")}
 """Real time at 200 Hz, for little processor time; a controller that gets no core for long goes on all the same."""
@@ -93,8 +104,8 @@ def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[dic
     try:
         yield started
     finally:
-        for executable in started.values():
-            executable.kill()
+        for each in started.values():
+            each.kill()
 
 
 @contextmanager

@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from pathlib import Path
 from typing import IO
 
 TIME_LIMIT = 120.0  # s
@@ -101,10 +100,3 @@ def _run(*command: str) -> str:
     if done.returncode:
         raise RefusedError(f"`{' '.join(command)}`: {done.stderr.strip()}")
     return done.stdout
-
-
-def installed(package: str, name: str) -> str:
-    """Return the file that `ros2 run package name` starts."""
-    from ament_index_python.packages import get_package_prefix
-
-    return str(Path(get_package_prefix(package), "lib", package, name))

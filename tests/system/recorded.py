@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from nodes.harness import nanoseconds
 from system.executables import fjr_here
 
 TRIES = 3
@@ -52,26 +55,19 @@ def is_complete(folder: Path) -> bool:
 
 def recorded_run(folder: Path, said: str) -> Recorded:
     """Read the bag of a run."""
-    with reader(folder) as bag:
-        u = columns(bag, "/joint_commands", "effort")
-        n = len(next(iter(u.values())))
-        q_l = columns(bag, "/joint_states", "position")
-        q_ld = columns(bag, "/fjr_controller/reference", "position")
-    stamps = sorted(set(q_l) & set(q_ld) & set(u))
+    fields = {"/joint_states": "position", "/fjr_controller/reference": "position", "/joint_commands": "effort"}
+    tables: dict[str, dict[int, np.ndarray]] = {topic: {} for topic in fields}
+    for topic, message in messages(folder, *fields):  # of several with one stamp the first
+        tables[topic].setdefault(nanoseconds(message), np.array(getattr(message, fields[topic])))
+    stamps = sorted(set.intersection(*map(set, tables.values())))
+    n = len(tables["/joint_commands"][stamps[0]])
     t = (np.array(stamps) - stamps[0]) * 1e-9
-    return Recorded(folder, said, t, *(np.array([table[s][:n] for s in stamps]) for table in (q_l, q_ld, u)))
+    return Recorded(folder, said, t, *(np.array([table[s][:n] for s in stamps]) for table in tables.values()))
 
 
-def reader(folder: Path) -> AnyReader:
-    return AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-
-
-def columns(bag: AnyReader, topic: str, field: str) -> dict[int, np.ndarray]:
-    """Return a field by stamp [ns], of the first message of each stamp."""
-    found: dict[int, np.ndarray] = {}
-    connections = [connection for connection in bag.connections if connection.topic == topic]
-    for connection, _, raw in bag.messages(connections):
-        message = bag.deserialize(raw, connection.msgtype)
-        stamp = message.header.stamp
-        found.setdefault(stamp.sec * 10**9 + stamp.nanosec, np.array(getattr(message, field)))
-    return found
+def messages(folder: Path, *topics: str) -> Iterator[tuple[str, Any]]:
+    """Yield topic and message, in order, of topics in the bag of a run; of all without names."""
+    with AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
+        wanted = [connection for connection in bag.connections if not topics or connection.topic in topics]
+        for connection, _, raw in bag.messages(wanted):
+            yield connection.topic, bag.deserialize(raw, connection.msgtype)

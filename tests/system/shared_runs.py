@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from system.executables import fjr
+from system.executables import fjr_here
 from system.recorded import TRIES, is_complete
 
 DURATION = {"paper_k31": 2.5, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s
@@ -34,7 +34,7 @@ def _recorded(folder: Path, name: str) -> Path:
     """Record until no message is missing; return the output folder."""
     for number in range(TRIES):
         output = folder / str(number)
-        said = fjr("run", name, "--lockstep", "--duration", str(DURATION[name]), "--output", str(output))
+        said = fjr_here("run", name, "--lockstep", "--duration", str(DURATION[name]), "--output", str(output))
         (output / "said").write_text(said)
         if is_complete(output / name):
             break

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A test or a process of tests that does not end is ended, with the stacks of its threads."""
+"""What hangs in a process of tests is ended, with the stacks of its threads; the files that start first are there."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from longest_first import LONGEST_FIRST
 from time_limits import HANG
+
+TESTS = Path(__file__).parents[1]
 
 TEARDOWN = """
 import sys, threading, isolation
@@ -27,8 +30,11 @@ threading.Thread(target=threading.Event().wait).start()  # the interpreter waits
 
 @pytest.mark.parametrize("code", [TEARDOWN, EXIT], ids=["teardown", "exit"])
 def test_what_hangs_is_ended_with_its_stacks(code: str) -> None:
-    tests = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", code], cwd=tests, capture_output=True, text=True, timeout=HANG)
+    done = subprocess.run([sys.executable, "-c", code], cwd=TESTS, capture_output=True, text=True, timeout=HANG)
     assert done.returncode != 0
     assert "Timeout" in done.stderr
     assert "threading.py" in done.stderr
+
+
+def test_the_files_that_start_first_are_there() -> None:
+    assert [name for name in LONGEST_FIRST if not (TESTS / name).is_file()] == []

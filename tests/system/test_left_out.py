@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages that may be left out: everything else runs, and what needs one of them names it."""
+"""What may be missing, a package or the C compiler: everything else runs, and what needs it names it."""
 
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from fjr_msgs_py.console.ending import Exit
+from system.executables import Start, fjr_here
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
@@ -22,44 +25,50 @@ def without(*packages: str) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(kept)}
 
 
-def python(code: str, env: dict[str, str], folder: Path) -> tuple[int, str]:
+def python(code: str, env: dict[str, str], folder: Path, *arguments: str) -> tuple[int, str]:
     """Return exit code and output of a program."""
-    command = [sys.executable, "-c", code]
+    command = [sys.executable, "-c", code, *arguments]
     done = subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True, timeout=HANG, check=False)
     return done.returncode, done.stdout + done.stderr
 
 
-def fjr(folder: Path, *arguments: str) -> tuple[int, str]:
-    """Return exit code and output of a command without identification and proofs."""
-    code = f"import sys; from fjr_bringup.cli.app import main; sys.exit(main({list(arguments)!r}))"
-    return python(code, without("fjr_identification", "fjr_proofs"), folder)
+PROGRAM = """
+import sys
+from fjr_bringup.cli.app import main
+sys.stderr = sys.stdout
+for line in sys.argv[1:]:
+    print("|", int(main(line.split())))
+"""
+
+
+def fjr(folder: Path, *lines: str) -> list[tuple[int, str]]:
+    """Return exit code and output of commands without identification and proofs, run in one process."""
+    _, said = python(PROGRAM, without("fjr_identification", "fjr_proofs"), folder, *lines)
+    found = re.findall(r"(.*?)^\| (\d)$", said, re.DOTALL | re.MULTILINE)
+    assert len(found) == len(lines), said
+    return [(int(code), text) for text, code in found]
 
 
 def test_commands_run_without_identification_and_proofs(tmp_path: Path) -> None:
-    status, said = fjr(tmp_path, "check", "arm7")
-    assert status == 0, said
-    assert "near the reference" not in said  # nothing is proven
-    status, said = fjr(tmp_path, "gains", "two_link", "--beta", "1")
-    assert status == 0, said
-    status, said = fjr(tmp_path, "--help")
-    assert (status, " identify " in said, " check " in said) == (0, False, True)
+    found = fjr(tmp_path, "check arm7", "gains two_link --beta 1", "--help")
+    assert [code for code, _ in found] == [0, 0, 0], found
+    assert "near the reference" not in found[0][1]  # nothing is proven
+    assert (" identify " in found[2][1], " check " in found[2][1]) == (False, True)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "package"),
-    [
-        (("identify", "record.csv"), 2, "fjr_identification"),
-        (("excite", "two_link"), 2, "fjr_identification"),
-        (("check", "two_link", "--certificate", "rate.json"), 1, "fjr_proofs"),
-        (("check", "paper_k31", "--error", "payload=0.1"), 1, "fjr_proofs"),
-        (("check", "paper_k31", "--prove-sampled"), 1, "fjr_proofs"),
-        (("gains", "two_link", "--beta", "1", "--proven"), 1, "fjr_proofs"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, tuple) else str(value),
-)
-def test_what_needs_a_package_names_it(arguments: tuple[str, ...], status: int, package: str, tmp_path: Path) -> None:
-    seen, said = fjr(tmp_path, *arguments)
-    assert (seen, f"needs the package {package}, which is not installed" in said) == (status, True), said
+NEEDS = {
+    "identify record.csv": (2, "fjr_identification"),
+    "excite two_link": (2, "fjr_identification"),
+    "check two_link --certificate rate.json": (1, "fjr_proofs"),
+    "check paper_k31 --error payload=0.1": (1, "fjr_proofs"),
+    "check paper_k31 --prove-sampled": (1, "fjr_proofs"),
+    "gains two_link --beta 1 --proven": (1, "fjr_proofs"),
+}
+
+
+def test_what_needs_a_package_names_it(tmp_path: Path) -> None:
+    for (code, said), (status, package) in zip(fjr(tmp_path, *NEEDS), NEEDS.values(), strict=True):
+        assert (code, f"needs the package {package}, which is not installed" in said) == (status, True), said
 
 
 def test_the_core_runs_alone_and_names_the_package_of_a_name(tmp_path: Path) -> None:
@@ -89,3 +98,31 @@ except fjr.FjrError as error:
     for name, line in zip(("synthesize", "diagnose", "Record", "Diagnosis", "proven_rate"), lines[1:], strict=True):
         package = packages.get(name, "fjr_monitor")
         assert line == f"{name} this needs the package {package}, which is not installed; expected it beside fjr_core"
+
+
+SENTENCE = (
+    "no C compiler (no-such-cc) is on the path; expected one: apt-get install gcc libc6-dev, or pip install ziglang"
+)
+
+
+@pytest.fixture
+def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-cc")
+
+
+@pytest.mark.parametrize("command", [("run", "paper_k31"), ("demo",)], ids=["run", "demo"])
+@pytest.mark.usefixtures("no_compiler")
+def test_a_run_without_a_compiler_is_refused_before_anything_is_written(
+    command: tuple[str, ...], tmp_path: Path
+) -> None:
+    said = fjr_here(*command, "--duration", "1", "--output", str(tmp_path), code=Exit.FAILED)
+    assert said.splitlines()[-1] == f"fjr: {SENTENCE}"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_the_controller_node_without_a_compiler_ends_with_the_sentence(start: Start) -> None:
+    code, said = start("controller").end()
+    assert code == 1
+    assert SENTENCE in said
+    assert "Traceback" not in said

@@ -30,8 +30,8 @@ import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
 for k in range({SENT}):
     publisher.publish(String(data=f"{{k:0100}}"))
-    while f"{{k:0100}}".encode() not in (recorder.ends("/words") or (b"", b""))[1]:
-        time.sleep(0.001)
+    while not (k + 1) % 10 and f"{{k:0100}}".encode() not in (recorder.ends("/words") or (b"", b""))[1]:
+        time.sleep(0.001)  # the publisher keeps ten messages
 recorder.close()
 print(recorder.failure, recorder.loss)
 """

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fjr_plant.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop
-from system.executables import NODES, Executable, wait_for
-from system.recorded import is_complete, reader, record
+from system.executables import Start, wait_for
+from system.recorded import is_complete, messages, record
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
@@ -31,29 +32,22 @@ def payloads(folder: Path) -> dict[str, dict[int, bytes]]:
     An effort has no stamp; it gets that of the stamped command that was published with it. The recording may end
     between the two.
     """
-    found: dict[str, dict[int, bytes]] = {}
-    with reader(folder) as bag:
-        messages: dict[str, list] = {topic: [] for topic in (*STAMPED, EFFORTS)}
-        connections = [connection for connection in bag.connections if connection.topic in messages]
-        for connection, _, raw in bag.messages(connections):
-            messages[connection.topic].append(bag.deserialize(raw, connection.msgtype))
-    stamps = {topic: [nanoseconds(message) for message in messages[topic]] for topic in STAMPED}
-    for topic in STAMPED:
-        found[topic] = first(stamps[topic], [numbers(message) for message in messages[topic]])
-    efforts = [message.data.tobytes() for message in messages[EFFORTS]]
-    count = min(len(efforts), len(stamps["/joint_commands"]))
-    found[EFFORTS] = first(stamps["/joint_commands"][:count], efforts[:count])
-    return found
+    found: dict[str, list] = {topic: [] for topic in (*STAMPED, EFFORTS)}
+    for topic, message in messages(folder, *found):
+        found[topic].append(message)
+    stamps = {topic: list(map(nanoseconds, found[topic])) for topic in STAMPED}
+    bits = {topic: first(stamps[topic], map(numbers, found[topic])) for topic in STAMPED}
+    return {**bits, EFFORTS: first(stamps["/joint_commands"], (message.data.tobytes() for message in found[EFFORTS]))}
 
 
-def numbers(message) -> bytes:
+def numbers(message: Any) -> bytes:
     names = "".join(message.name).encode()
     return names + b"".join(getattr(message, field).tobytes() for field in ("position", "velocity", "effort"))
 
 
-def first(stamps: list[int], data: list[bytes]) -> dict[int, bytes]:
+def first(stamps: list[int], data: Iterable[bytes]) -> dict[int, bytes]:
     """Return the first message of each stamp, of the first samples only: the length of a run may vary."""
-    return {stamp: bits for stamp, bits in reversed(list(zip(stamps, data, strict=True))) if stamp < END}
+    return {stamp: bits for stamp, bits in reversed(list(zip(stamps, data, strict=False))) if stamp < END}
 
 
 END = START + SAMPLES * PERIOD
@@ -68,30 +62,22 @@ def test_two_runs_of_two_processes_are_bit_identical(tmp_path: Path, tmp_path_fa
         assert one[topic] == other[topic], topic
 
 
-def test_recorder_that_stands_still_for_a_while_loses_no_sample(tmp_path: Path) -> None:
+def test_recorder_that_stands_still_for_a_while_loses_no_sample(start: Start, tmp_path: Path) -> None:
     output = tmp_path / "runs"
-    run = Executable("fjr_bringup", "fjr", "run", "paper_k31", "--lockstep", "--no-report", "--output", str(output))
-    try:
-        wait_for(lambda: "running for" in run.said_so_far(), "the run")
-        run.signal(signal.SIGSTOP)
-        time.sleep(0.2)  # the nodes compute some thousand samples
-        run.signal(signal.SIGCONT)
-        code, said = run.end()
-    finally:
-        run.kill()
+    options = ("--lockstep", "--no-report", "--duration", "3", "--output", str(output))
+    run = start("fjr", "run", "paper_k31", *options)
+    wait_for(lambda: "running for" in run.said_so_far(), "the run")
+    run.signal(signal.SIGSTOP)
+    time.sleep(0.2)  # the nodes compute some thousand samples
+    run.signal(signal.SIGCONT)
+    code, said = run.end()
     assert code == 0, said
     assert is_complete(output / "paper_k31")
 
 
-@pytest.fixture
-def plant() -> Iterator[Executable]:
-    started = Executable(*NODES["plant"], "--ros-args", "-p", "lockstep:=true", "-p", "lockstep_timeout:=0.5")
-    yield started
-    started.kill()
-
-
-def test_silent_controller_ends_the_plant_with_a_sentence_and_exit_code_1(ros: Ros, plant) -> None:
+def test_silent_controller_ends_the_plant_with_a_sentence_and_exit_code_1(ros: Ros, start: Start) -> None:
     peer = Peer(ros)
+    plant = start("plant", "--ros-args", "-p", "lockstep:=true", "-p", "lockstep_timeout:=0.5")
     peer.meet_plant(lockstep=True)
     CommandLoop(peer).until(ros, 20)
     code, said = plant.end()

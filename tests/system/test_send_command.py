@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,16 +12,13 @@ import pytest
 
 from fjr_bringup import clients
 from fjr_controller.controller_node import ControllerNode
-from nodes.harness import PATIENCE, Listener, Peer, Ros, seconds, stamped
-from system.documented import documented_keys
+from nodes.harness import PATIENCE, Listener, Peer, Ros, stamped
 from system.executables import SLOW, fjr, fjr_here, running
 
 pytestmark = pytest.mark.system
 T = np.arange(1001) / 1000  # s
 MOTION = 0.5 * (1 - np.cos(3 * T)) ** 3
 HOLDING = ("-p", "reference.type:=hold", "-p", "limits.acceleration:=[200.0]")
-WATCHED = {**SLOW, "controller": (*SLOW["controller"], "-p", "auxiliary_rate:=0.0")}
-"""In real time with every reference: lock-step in native threads is too fast for a listener in Python."""
 
 
 def holding(loop: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
@@ -38,28 +34,6 @@ def motion_file(folder: Path, q: np.ndarray, header: str = "time,joint1") -> str
 @pytest.fixture
 def listener(ros: Ros) -> Listener:
     return Listener(ros, only=["fjr_controller/reference", "fjr_controller/tracking_error"])
-
-
-@pytest.mark.real_time  # a late state on a busy machine is a gap, after which a transition leads back to the motion
-def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, listener: Listener, tmp_path: Path) -> None:
-    file = motion_file(tmp_path, MOTION)
-    with running(holding(WATCHED)), ThreadPoolExecutor(1) as worker:
-        ros.until(lambda: listener.references, "the controller")
-        sent = worker.submit(fjr, "send", file, "--lead", "3", "--scenario", "paper_k31", "--json")
-        ros.until(sent.done, "the end of fjr send")
-        assert "through every sample the motion of the file would ask for" in sent.result()
-        assert set(json.JSONDecoder().raw_decode(sent.result())[0]) == documented_keys()["send"]
-        ros.until(lambda: listener.references[-1].position[0] > 0.4 and _rests(listener), "the end of the motion")
-    t, q = (np.array(each) for each in zip(*((seconds(m), m.position[0]) for m in listener.references), strict=True))
-    rising = (q > MOTION[300]) & (q < MOTION[900])
-    begin = np.median(t[rising] - np.interp(q[rising], MOTION, T))
-    inside = (t > begin + 0.05) & (t < begin + 0.95)
-    assert np.count_nonzero(inside) > 50
-    np.testing.assert_allclose(q[inside], np.interp(t[inside] - begin, T, MOTION), atol=0.01)
-
-
-def _rests(listener: Listener) -> bool:
-    return bool(listener.references[-1].velocity[0] == 0.0)
 
 
 def test_a_controller_in_a_namespace_takes_the_motion(ros: Ros, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from fjr_bringup import clients
 from fjr_bringup.clients import PlantClient
 from fjr_msgs_py.node.participant import own_node
 from system.documented import documented_keys
-from system.executables import NODES, SLOW, TIME_LIMIT, Executable, fjr_here, running, wait_for
+from system.executables import SLOW, TIME_LIMIT, Start, fjr_here, running, wait_for
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -154,16 +154,13 @@ def plant_client() -> Iterator[PlantClient]:
 
 
 def test_node_that_stands_still_has_not_discovered_new_subscriptions(
-    plant_client: PlantClient, monkeypatch: pytest.MonkeyPatch
+    plant_client: PlantClient, start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(clients, "RETRY_AFTER", 0.5)
     assert not plant_client.discovered_by("nobody")
-    plant = Executable(*NODES["plant"], "--ros-args", "-p", "start_paused:=true", "-p", "compile:=false")
-    try:
-        wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant")
-        plant.signal(signal.SIGSTOP)
-        assert not plant_client.discovered_by("fjr_plant")
-        plant.signal(signal.SIGCONT)
-        wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant after its pause")
-    finally:
-        plant.kill()
+    plant = start("plant", "--ros-args", "-p", "start_paused:=true", "-p", "compile:=false")
+    wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant")
+    plant.signal(signal.SIGSTOP)
+    assert not plant_client.discovered_by("fjr_plant")
+    plant.signal(signal.SIGCONT)
+    wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant after its pause")

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -12,28 +10,17 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
 from nodes.harness import Ros
-from system.executables import NODES, Executable
+from system.executables import Executable, Start
 
 pytestmark = pytest.mark.system
 
 ARMS = ("left", "right")
 SAMPLES = 300
-Start = Callable[..., Executable]
 
 
-@pytest.fixture
-def start() -> Iterator[Start]:
-    started: list[Executable] = []
-
-    def start_one(node: str, arm: str, *arguments: str) -> Executable:
-        timed = "lockstep:=true" if node == "plant" else "use_sim_time:=true"
-        place = ("--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, *arguments)
-        started.append(Executable(*NODES[node], *place))
-        return started[-1]
-
-    yield start_one
-    for executable in started:
-        executable.kill()
+def started(start: Start, node: str, arm: str, *arguments: str) -> Executable:
+    timed = "lockstep:=true" if node == "plant" else "use_sim_time:=true"
+    return start(node, "--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, *arguments)
 
 
 class Observer(Node):
@@ -67,7 +54,7 @@ def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(r
     observer = Observer(ros, *clocks)
     for arm, clock in zip(ARMS, clocks, strict=True):
         for node in ("plant", "controller"):
-            start(node, arm, "-r", f"/clock:={clock}")
+            started(start, node, arm, "-r", f"/clock:={clock}")
     ros.until(lambda: all(len(times) > SAMPLES for times in observer.times.values()), "both clocks")
     for times in observer.times.values():
         assert times == sorted(times)
@@ -80,10 +67,10 @@ def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(r
 
 def test_second_arm_on_one_clock_ends_with_one_sentence(ros: Ros, start: Start) -> None:
     observer = Observer(ros, "/clock")
-    plants = [start("plant", "left")]
-    start("controller", "left")
+    plants = [started(start, "plant", "left")]
+    started(start, "controller", "left")
     ros.until(lambda: len(observer.times["/clock"]) > SAMPLES, "the first arm's time")
-    plants.append(start("plant", "right"))
+    plants.append(started(start, "plant", "right"))
     ros.until(lambda: plants[1].process.poll() is not None, "the end of the second plant")
     code, said = plants[1].end()
     assert code == 1

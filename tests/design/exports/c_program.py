@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,6 +13,7 @@ from pathlib import Path
 from fjr_core.config.scenario import load_scenario
 from fjr_design.exports.c_code import prefix_of
 from fjr_design.exports.project import ExportedLoop, export, loop_of, write
+from program_cache import built
 from time_limits import HANG
 
 SCENARIOS = Path(__file__).parents[3] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
@@ -38,18 +39,6 @@ def exported(loop: ExportedLoop, folder: Path, samples: int = 100, prefix: str |
     """Export a loop to a folder and return the folder."""
     write(export(loop, prefix or prefix_of(loop.controller.name), samples), folder)
     return folder
-
-
-def built(command: Sequence[str], sources: Sequence[Path], program: Path, *options: str) -> Path:
-    """Compile sources to a program or object file; fail on the first warning."""
-    done = subprocess.run(
-        [*command, *options, *map(str, sources), "-o", str(program), "-lm"],
-        capture_output=True,
-        text=True,
-        timeout=HANG,
-    )
-    assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    return program
 
 
 def program_output(program: Path, *arguments: str, code: int = 0) -> str:

@@ -112,33 +112,21 @@ class ServiceClient(_Requests):
 
         A node without parameter services is not asked whether it has.
         """
-        parameters = f"{self._owner(client.srv_name)}/get_parameters"
-        if parameters in self._services():
-            self.ask(self.find(parameters), GetParameters.Request())
+        offered = self._node.get_service_names_and_types_by_node
+        for name, space in self._node.get_node_names_and_namespaces():
+            parameters = f"{space.rstrip('/')}/{name}/get_parameters"
+            if client.srv_name in dict(offered(name, space)) and parameters in self._services():
+                self.ask(self.find(parameters), GetParameters.Request())
         response = self._response(client, request, self._timeout)
         if response is None:
             raise ClientError(f"{self._silent(client)}; whether the request was carried out is not known")
         return response
-
-    def _owner(self, service: str) -> str:
-        """Return the full name of the node that offers a service; empty if the graph does not show it."""
-        for name, space in self._node.get_node_names_and_namespaces():
-            if service in dict(self._node.get_service_names_and_types_by_node(name, space)):
-                return f"{space.rstrip('/')}/{name}"
-        return ""
 
     def _services(self) -> dict[str, str]:
         return {name: types[0] for name, types in self._node.get_service_names_and_types()}
 
     def _silent(self, client: Client) -> str:
         return f"{client.srv_name} did not respond within {self._timeout:g} s"
-
-
-@contextmanager
-def service_client(timeout: float) -> Iterator[ServiceClient]:
-    """Yield a client of services, with a node in its own context."""
-    with own_node("fjr_client") as node, closing(ServiceClient(node, timeout)) as client:
-        yield client
 
 
 class PlantClient(_Requests):

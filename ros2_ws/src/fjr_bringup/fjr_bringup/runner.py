@@ -13,10 +13,9 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -41,6 +40,7 @@ SAMPLES = (STATES, EFFORT_COMMANDS, names.CLOCK, *(topic.replace("~", f"/{CONTRO
 STARTUP_LIMIT = 120.0  # s for each step of the start; a node that ends is detected at once
 SILENCE_LIMIT = 15.0  # s without a new command
 CATCH_UP_LIMIT = 5.0  # s for messages that are sent again to the recorder
+ENDED = 500_000_000  # ns; a topic that is older than the last command by this has ended, as V of a loop that diverges
 POLL = 0.02  # s
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
@@ -120,19 +120,29 @@ class _Run:
         except FjrError as error:
             kept = f"\nwhat was recorded is in {self.plan.folder}" if self.going else ""
             raise RunError(f"{error}{kept}", self.plan.folder if self.going else None) from None
-        finally:
-            self._end()
+        finally:  # the controller first; the recorder is still connected
+            for name in (CONTROLLER, PLANT):
+                if name in self.nodes:
+                    self.nodes[name].stop()
+            with suppress(Exception):
+                self.client.close()
 
     def _start_nodes(self) -> None:
         """Start plant and controller, and wait until both are connected with each other and with the recorder."""
         self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
         self._wait_for(PLANT, STATES)
         clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
-        self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
+        self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)  # it would answer another robot
         self._wait_for(CONTROLLER, JOINT_COMMANDS)
-        self._wait(self._matched, STARTUP_LIMIT, "plant and controller to find each other")
-        self._wait(lambda: not self._refuse_others(PASSING), STARTUP_LIMIT, "other publishers to leave")
-        self._wait(self.client.ready, STARTUP_LIMIT, "the plant's pause service")
+        commands = JOINT_COMMANDS if self.plan.lockstep else EFFORT_COMMANDS
+
+        def matched() -> bool:
+            subscribed = self.recorder.node.get_subscriptions_info_by_topic
+            return CONTROLLER in map(_name, subscribed(STATES)) and PLANT in map(_name, subscribed(commands))
+
+        self._wait(matched, "plant and controller to find each other")
+        self._wait(lambda: not self._refuse_others(PASSING), "other publishers to leave")
+        self._wait(self.client.ready, "the plant's pause service")
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
         log = self.plan.folder / f"{name}.log"
@@ -142,12 +152,25 @@ class _Run:
     def _wait_for(self, node: str, signature: str) -> None:
         """Wait until the node publishes the topic `signature` and the recorder is connected to all its topics."""
 
-        def wait(condition: Callable[[], bool], what: str) -> None:
-            self._wait(condition, STARTUP_LIMIT, what, lambda: f"; {self._graph(node)}")
+        def unconnected() -> list[str]:
+            connected, started = self.recorder.matched, self.nodes
+            published = self.client.published_by(node)
+            return [t for t in published if connected(t) < sum(name in started for name in self._publishers(t))]
 
-        wait(lambda: self._appeared(node, signature), f"{node} to appear")
-        wait(lambda: not self._unconnected(node), f"the recorder to be connected to {node}")
-        wait(lambda: self.client.discovered_by(node), f"{node} to discover the recorder")
+        def seen() -> str:
+            published, silent = (", ".join(each) for each in (self.client.published_by(node), unconnected()))
+            others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
+            return (
+                f"; it publishes {published or 'nothing'}; not connected to {silent or 'none of these'}; "
+                f"nodes in ROS domain {domain()}: {others}"
+            )
+
+        for condition, what in (
+            (lambda: self._appeared(node, signature), f"{node} to appear"),
+            (lambda: not unconnected(), f"the recorder to be connected to {node}"),
+            (lambda: self.client.discovered_by(node), f"{node} to discover the recorder"),
+        ):
+            self._wait(condition, what, seen)
 
     def _appeared(self, node: str, signature: str) -> bool:
         """Return whether our node publishes the topic `signature`, alone; raise RunError if others stay for PASSING.
@@ -162,30 +185,9 @@ class _Run:
         nodes = self.recorder.node.get_node_names_and_namespaces_with_enclaves()
         return [(name, enclave) for name, namespace, enclave in nodes if namespace == "/"]
 
-    def _unconnected(self, node: str) -> list[str]:
-        """Return the topics of the node that the recorder is not connected to."""
-        return [
-            topic
-            for topic in self.client.published_by(node)
-            if self.recorder.matched(topic) < sum(name in self.nodes for name in self._publishers(topic))
-        ]
-
-    def _graph(self, node: str) -> str:
-        """Describe a node in the graph, for the error message."""
-        topics, silent = self.client.published_by(node), self._unconnected(node)
-        seen = f"it publishes {', '.join(topics) or 'nothing'}; not connected to {', '.join(silent) or 'none of these'}"
-        others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
-        return f"{seen}; nodes in ROS domain {domain()}: {others}"
-
     def _publishers(self, topic: str) -> list[str]:
         """Return the node of each publisher on a topic, with its namespace unless that is /."""
         return [_name(info) for info in self.recorder.node.get_publishers_info_by_topic(topic)]
-
-    def _matched(self) -> bool:
-        """Return whether the graph shows both subscriptions: states by the controller, commands by the plant."""
-        commands = JOINT_COMMANDS if self.plan.lockstep else EFFORT_COMMANDS
-        subscriptions = self.recorder.node.get_subscriptions_info_by_topic
-        return CONTROLLER in map(_name, subscriptions(STATES)) and PLANT in map(_name, subscriptions(commands))
 
     def _refuse_others(self, lasting: float) -> bool:
         """Return whether there are other nodes (`_others`); raise RunError if there have been for `lasting` [s]."""
@@ -208,39 +210,39 @@ class _Run:
         return f"another node of ROS domain {domain()} is named /{twice[0]}" if twice else ""
 
     def _follow(self) -> None:
-        """Wait until commands for `duration` [s of stamped time] are recorded."""
+        """Wait until commands for `duration` [s of stamped time] are recorded; raise RunError after SILENCE_LIMIT."""
         name, duration = self.plan.name, self.plan.duration
         line = f"{name}: running for {duration:g} s of stamped time"
         with progress_bar(line, PROGRESS, desc=name, total=duration) as bar:
-            if bar.disable:  # not a terminal
-                with heartbeat(lambda: f"{name}: {min(self._elapsed(), duration):.1f} of {duration:g} s"):
-                    self._watch(bar)
-            else:
-                self._watch(bar)
+            terminal = not bar.disable
+            beat = heartbeat(lambda: f"{name}: {min(self._elapsed(), duration):.1f} of {duration:g} s")
+            with nullcontext() if terminal else beat:
+                last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
+                while last < duration:
+                    self._pause()
+                    if time.monotonic() > look:
+                        self._refuse_others(PASSING)
+                        look = time.monotonic() + GRAPH_PERIOD
+                    elapsed = self._elapsed()
+                    if elapsed > last:
+                        last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
+                        bar.update(min(elapsed, duration) - bar.n)
+                    elif time.monotonic() > deadline:
+                        raise RunError(f"no command to a new state for {SILENCE_LIMIT:g} s\n{self._logs()}")
+                self._catch_up()
         while self._refuse_others(PASSING):  # unless they leave, the bag is not of this run alone
             self._pause()
 
-    def _watch(self, bar: Any) -> None:
-        """Wait until the duration is recorded; raise RunError if no command to a new state comes for SILENCE_LIMIT."""
-        duration = self.plan.duration
-        last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
-        while last < duration:
-            self._pause()
-            if time.monotonic() > look:
-                self._refuse_others(PASSING)
-                look = time.monotonic() + GRAPH_PERIOD
-            elapsed = self._elapsed()
-            if elapsed > last:
-                last, deadline = elapsed, time.monotonic() + SILENCE_LIMIT
-                bar.update(min(elapsed, duration) - bar.n)
-            elif time.monotonic() > deadline:
-                raise RunError(f"no command to a new state for {SILENCE_LIMIT:g} s\n{self._logs()}")
-        self._catch_up()
-
     def _catch_up(self) -> None:
-        """Wait until the recorder has what was sent before the last command on each topic of samples."""
-        end, deadline = self.recorder.sent(JOINT_COMMANDS), time.monotonic() + CATCH_UP_LIMIT
-        while any(0 < self.recorder.sent(topic) < end for topic in SAMPLES) and time.monotonic() < deadline:
+        """Wait until the recorder has what was sent before the last command on each topic of samples.
+
+        A topic that has ENDED is not waited for: of a loop that diverges no certificate is finite.
+        """
+        sent, end, deadline = self.recorder.sent, self.recorder.sent(JOINT_COMMANDS), time.monotonic() + CATCH_UP_LIMIT
+        while time.monotonic() < deadline:
+            newest = sent(JOINT_COMMANDS)
+            if not any(newest - ENDED < sent(topic) < end for topic in SAMPLES):
+                return
             self._pause()
 
     def _elapsed(self) -> float:
@@ -248,12 +250,12 @@ class _Run:
         ends = self.recorder.ends(JOINT_COMMANDS)
         return (header_stamp(ends[1]) - header_stamp(ends[0])) * 1e-9 if ends else 0.0
 
-    def _wait(self, condition: Callable[[], bool], limit: float, what: str, seen: Callable[[], str] = str) -> None:
-        """Wait until the condition is true; raise RunError with what is `seen` after `limit` [s]."""
-        deadline = time.monotonic() + limit
+    def _wait(self, condition: Callable[[], bool], what: str, seen: Callable[[], str] = str) -> None:
+        """Wait until the condition is true; raise RunError with what is `seen` after STARTUP_LIMIT."""
+        deadline = time.monotonic() + STARTUP_LIMIT
         while not condition():
             if time.monotonic() > deadline:
-                raise RunError(f"waited {limit:g} s for {what}{seen()}\n{self._logs()}")
+                raise RunError(f"waited {STARTUP_LIMIT:g} s for {what}{seen()}\n{self._logs()}")
             self._pause()
 
     def _pause(self) -> None:
@@ -273,14 +275,6 @@ class _Run:
 
     def _logs(self) -> str:
         return "\n".join(f"log of {node.name}:\n{node.last_lines()}" for node in self.nodes.values())
-
-    def _end(self) -> None:
-        """Stop the controller, then the plant; the recorder is still connected."""
-        for name in (CONTROLLER, PLANT):
-            if name in self.nodes:
-                self.nodes[name].stop()
-        with suppress(Exception):
-            self.client.close()
 
 
 def _name(info: TopicEndpointInfo) -> str:

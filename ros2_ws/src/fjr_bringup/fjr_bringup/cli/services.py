@@ -4,18 +4,30 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from typing import Any
 
 import yaml
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 
-from fjr_bringup.clients import ClientError, service_client
+from fjr_bringup.clients import ClientError, ServiceClient
 from fjr_core.config import ros_yaml
 from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.ros2 import discover_quickly, refuse_over_ros2
 from fjr_msgs_py.messages.plain import fill, parameter_message, parameter_value, plain
+from fjr_msgs_py.node.participant import own_node
+
+
+@contextmanager
+def _services(command: str, advantage: str, force: bool, timeout: float) -> Iterator[ServiceClient]:
+    """Yield a client of services with a node of its own; refuse where the `command` of ros2 is, unless forced."""
+    refuse_over_ros2(command, advantage, force)
+    discover_quickly()
+    with own_node("fjr_client") as node, closing(ServiceClient(node, timeout)) as services:
+        yield services
 
 
 def call_service(service: str, request: str, timeout: float, force: bool) -> Result:
@@ -25,11 +37,9 @@ def call_service(service: str, request: str, timeout: float, force: bool) -> Res
     the request, ClientError if the service does not respond or its response has `success: false`.
     """
     command = shlex.join(["ros2", "service", "call", service, "TYPE", *filter(None, [request])])
-    refuse_over_ros2(command, "with any type", force)
-    discover_quickly()
-    service = absolute(service, "service", "/fjr_controller/hold")
-    given = ros_yaml.parse(request) if request else {}
-    with service_client(timeout) as services:
+    with _services(command, "with any type", force, timeout) as services:
+        service = absolute(service, "service", "/fjr_controller/hold")
+        given = ros_yaml.parse(request) if request else {}
         client = services.find(service)
         message = client.srv_type.Request(check_fields=True)
         fields = list(message.get_fields_and_field_types())
@@ -46,10 +56,8 @@ def set_value(node: str, parameter: str, value: str, timeout: float, force: bool
     Raises ParameterError if the text is not of that type, ClientError with the node's reason if it refuses.
     """
     command = f"ros2 param set {node} {parameter} {shlex.quote(value)}"
-    refuse_over_ros2(command, "with get, list, describe and dump", force)
-    discover_quickly()
-    of = absolute(node, "node", "/fjr_controller")
-    with service_client(timeout) as services:
+    with _services(command, "with get, list, describe and dump", force, timeout) as services:
+        of = absolute(node, "node", "/fjr_controller")
         setter, describer = services.find(f"{of}/set_parameters"), services.find(f"{of}/describe_parameters")
         declared = services.ask(describer, DescribeParameters.Request(names=[parameter])).descriptors
         if not declared:
@@ -65,10 +73,8 @@ def set_value(node: str, parameter: str, value: str, timeout: float, force: bool
 def change_state(node: str, transition: str | None, timeout: float, force: bool) -> Result:
     """Read the state of a managed node, after a transition if one is named; raises ClientError if that fails."""
     verb = f"set {node} {transition}" if transition else f"get {node}"
-    refuse_over_ros2(f"ros2 lifecycle {verb}", "with list and nodes", force)
-    discover_quickly()
-    node = absolute(node, "node", "/fjr_controller")
-    with service_client(timeout) as services:
+    with _services(f"ros2 lifecycle {verb}", "with list and nodes", force, timeout) as services:
+        node = absolute(node, "node", "/fjr_controller")
 
         def seen() -> tuple[str, dict[str, int]]:
             """Return the state and the transitions that the node offers, id by name."""

@@ -14,7 +14,6 @@ from typing import NoReturn
 from xml.parsers import expat
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..errors import RobotError
 from ..files.text_file import LARGEST, read_bytes
@@ -326,6 +325,8 @@ class UrdfFrames:
 
         positions [rad, m] by joint; 0 for joints without one, other names are ignored.
         """
+        from scipy.spatial.transform import Rotation  # loaded on use: SciPy takes a third of a node's start-up
+
         poses = np.array([joint.pose(_position_of(joint, positions)) for joint in self._joints])
         quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
         return [

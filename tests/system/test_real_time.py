@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plant and controller on two sides of a network: two namespaces joined by a veth pair."""
+"""What needs the clock: plant and controller on two sides of a network, a motion that is sent, the demo.
+
+These tests run alone (tests/conftest.py), so they stand in one file: others wait for them once.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,14 +19,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
-from system.executables import NODES, scenario
-from system.network import Network, RefusedError, installed
+from nodes.harness import Listener, Ros, seconds
+from system.documented import documented_keys
+from system.executables import NODES, SLOW, fjr, running, scenario
+from system.network import Network, RefusedError
+from system.test_send_command import MOTION, T, holding, motion_file
 from time_limits import HANG
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
-SECONDS = 4.0  # of stamped time
+SECONDS = 3.0  # of stamped time
 AUXILIARY_RATE = 100  # Hz, of the topics for observers in real time
 FAULTS = {"delay": 0.001, "loss": 0.05}
 SETTLED = 2.0  # s; the initial error of 0.5 rad has decayed by then
@@ -63,7 +71,9 @@ def network(monkeypatch) -> Iterator[Network]:
 
 def run(network: Network, **plant: Any) -> Seen:
     """Run plant and watcher on the left and the controller on the right."""
-    node = {name: [installed(*NODES[name]), "--ros-args", "--params-file", scenario("paper_k31")] for name in NODES}
+    node = {
+        name: [str(executable(*NODES[name])), "--ros-args", "--params-file", scenario("paper_k31")] for name in NODES
+    }
     given = [word for name, value in plant.items() for word in ("-p", f"{name.replace('__', '.')}:={value}")]
     watch = network.start(network.left, sys.executable, WATCH, str(SECONDS), out=subprocess.PIPE)
     nodes = [
@@ -106,3 +116,42 @@ def test_tracks_with_loss_and_delay_of_packets_in_the_network(network: Network) 
     seen = run(network)
     assert np.isfinite(seen.efforts).all()
     assert seen.worst <= 0.05
+
+
+WATCHED = {**SLOW, "controller": (*SLOW["controller"], "-p", "auxiliary_rate:=0.0")}
+"""In real time with every reference: lock-step in native threads is too fast for a listener in Python."""
+
+
+def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, tmp_path: Path) -> None:
+    """A late state on a busy machine would be a gap, after which a transition leads back to the motion."""
+    file = motion_file(tmp_path, MOTION)
+    listener = Listener(ros, only=["fjr_controller/reference"])
+    with running(holding(WATCHED)), ThreadPoolExecutor(1) as worker:
+        ros.until(lambda: listener.references, "the controller")
+        sent = worker.submit(fjr, "send", file, "--lead", "1", "--scenario", "paper_k31", "--json")
+        ros.until(sent.done, "the end of fjr send")
+        assert "through every sample the motion of the file would ask for" in sent.result()
+        assert set(json.JSONDecoder().raw_decode(sent.result())[0]) == documented_keys()["send"]
+        ros.until(lambda: (last := listener.references[-1]).position[0] > 0.4 and last.velocity[0] == 0.0, "its end")
+    t, q = (np.array(each) for each in zip(*((seconds(m), m.position[0]) for m in listener.references), strict=True))
+    rising = (q > MOTION[300]) & (q < MOTION[900])
+    begin = np.median(t[rising] - np.interp(q[rising], MOTION, T))
+    inside = (t > begin + 0.05) & (t < begin + 0.95)
+    assert np.count_nonzero(inside) > 50
+    np.testing.assert_allclose(q[inside], np.interp(t[inside] - begin, T, MOTION), atol=0.01)
+
+
+def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path) -> None:
+    said = fjr("demo", "--duration", "0.5", "--output", str(tmp_path))
+    for name in ("paper_k31", "paper_k3p1", "arm7"):
+        counts = json.loads((tmp_path / name / "report.json").read_text())["counts"]
+        assert counts["nominal"] == counts["published"] + counts["missing"]
+        assert counts["nominal"] in (500, 501)
+        assert counts["published"] == counts["answered_in_time"] + counts["late"] + counts["unanswered"] > 0
+        assert (tmp_path / name / "bag" / "metadata.yaml").is_file()
+        assert (tmp_path / name / "overview.png").is_file()
+        assert (tmp_path / name / "report.html").is_file()
+        assert name in said
+    page = (tmp_path / "comparison.html").read_text()
+    assert "The paper's claim" in said
+    assert "The paper&#39;s claim" in page

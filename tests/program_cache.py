@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile C and C++ of the tests; what the compiler has read once, in this or an earlier run, is not compiled again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from fjr_core.numerics.jit import processor, version
+from isolation import CACHE
+from time_limits import HANG
+
+FOLDER = CACHE / "programs"
+UNUSED = 7 * 86400.0  # s after which a program is removed
+
+
+def built(command: Sequence[str], sources: Sequence[Path], program: Path, *options: str) -> Path:
+    """Compile sources to a program, a library or an object file; fail on the first warning."""
+    kept = FOLDER / _digest(command, sources, options)
+    try:
+        os.utime(kept)
+    except FileNotFoundError:
+        FOLDER.mkdir(exist_ok=True)
+        made = kept.with_suffix(f".{os.getpid()}")
+        words = [*command, *options, *map(str, sources), "-o", str(made), "-lm"]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=HANG)
+        assert (done.returncode, done.stderr) == (0, ""), done.stderr
+        os.replace(made, kept)
+        for old in FOLDER.iterdir():
+            if time.time() - old.stat().st_mtime > UNUSED:
+                old.unlink(missing_ok=True)
+    shutil.copy2(kept, program)
+    return program
+
+
+def _digest(command: Sequence[str], sources: Sequence[Path], options: Sequence[str]) -> str:
+    """Return a digest of compiler, processor, options and sources with all that they include."""
+    objects = [source for source in sources if source.suffix == ".o"]
+    texts = [str(source) for source in sources if source not in objects]
+    read = hashlib.sha256(repr((command, version((command[0],)), processor())).encode())
+    read.update(repr([option for option in options if not option.startswith("-I")]).encode())
+    for each in objects:
+        read.update(each.read_bytes())
+    if texts:
+        words = [*command, *options, "-E", "-P", *texts]  # -P: without the names of the files
+        read.update(subprocess.run(words, capture_output=True, timeout=HANG).stdout)
+    return read.hexdigest()[:32]
