@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -83,6 +85,7 @@ class Environment:
         with Step(f"packages to {level} ({extent})") as step:
             self._pip(step, constraints, *(f"--requirement={file}" for file in files))
             self._pip(step, constraints, "--no-deps", f"--requirement={self._files_only()}")
+            share_equal_files(self.path)
 
     def _files_only(self) -> Path:
         return self.root / "requirements" / pins.FILES_ONLY
@@ -107,6 +110,22 @@ class Environment:
         target = self.path / "constraints.txt"
         target.write_text("\n".join(lines) + "\n", encoding="utf-8")
         return target
+
+
+def share_equal_files(folder: Path, least: int = 1 << 16) -> None:
+    """Make equal files of at least `least` bytes one file with several names.
+
+    Wheels cannot hold symbolic links, so that libraries of CasADi and ROS 2 come two to seven times.
+    """
+    first: dict[tuple[int, bytes], Path] = {}
+    for file in sorted(folder.rglob("*")):
+        status = file.lstat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size < least:
+            continue
+        other = first.setdefault((status.st_mode, hashlib.sha256(file.read_bytes()).digest()), file)
+        if not other.samefile(file):
+            file.unlink()
+            os.link(other, file)
 
 
 def ensure_venv_module(log: Path, env: dict[str, str]) -> None:
