@@ -45,6 +45,11 @@ class CellModels:
     effort: Array
     outputs: Array
 
+    def growing(self, factor: float) -> CellModels:
+        """Return the loop of Y_k = factor^k Z_k: all that enters the next sample is multiplied by the factor."""
+        inputs = self.torque_late, self.torque_early, self.curvature, self.effort
+        return CellModels(factor * self.loop, *(factor * each for each in inputs), self.outputs)
+
 
 def curvature(A: Array, E: Array, T: float) -> Array:
     """Return T^3 / 12 exp(|A| T) |A^2 E| (c, N, m), a bound of T^3 / 12 |exp(A s) A^2 E| for s from 0 to T."""
