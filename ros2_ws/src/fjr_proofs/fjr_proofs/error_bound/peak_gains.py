@@ -12,7 +12,7 @@ T^3 / 12 max |g''|. The rest of the sum beyond the last lag is bounded by (1 - |
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from os import cpu_count
 from typing import Any
@@ -47,8 +47,8 @@ class CellModels:
 
     def growing(self, factor: float) -> CellModels:
         """Return the loop of Y_k = factor^k Z_k: all that enters the next sample is multiplied by the factor."""
-        inputs = self.torque_late, self.torque_early, self.curvature, self.effort
-        return CellModels(factor * self.loop, *(factor * each for each in inputs), self.outputs)
+        names = ("loop", "torque_late", "torque_early", "curvature", "effort")
+        return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
 def curvature(A: Array, E: Array, T: float) -> Array:
