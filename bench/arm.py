@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,7 @@ class Arm:
         return ca.Function("forward_dynamics", [q, dq, tau], [ca.densify(ddq)], {"cse": True})
 
 
+@cache
 def arm7() -> Arm:
     """Return the arm of the scenario `arm7`; its joints are those of its URDF, in the same order."""
     return Arm(load_scenario(SCENARIO), pin.buildModelFromUrdf(str(URDF)))

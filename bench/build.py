@@ -14,8 +14,8 @@ from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
 import casadi as ca
+import numpy as np
 
-from bench.chain_urdf import chain_urdf, joint_names
 from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import Gains, Plant, Robot, TrackingLaw, robot_from_urdf
@@ -26,6 +26,12 @@ JOINTS = (2, 4, 6, 7, 8, 10, 12)
 GAINS = Gains(Lambda_l=8.0, Pi_l=20.0, K_ld=10.0, Lambda_m=20.0, Pi_m=200.0, K_md=2.0)
 BOUND = 10.0  # s, law of 12 joints
 LARGEST_RATIO = 2.5  # operations of the certificate, which contains the law, relative to those of the law
+LINK = """<link name="link{i}"><inertial><origin xyz="{com}"/><mass value="2.0"/>
+  <inertia ixx="0.03" iyy="0.025" izz="0.02" ixy="0.002" ixz="-0.001" iyz="0.003"/></inertial></link>
+"""
+JOINT = """<joint name="joint{i}" type="continuous"><origin xyz="{xyz}" rpy="{rpy}"/>
+  <parent link="link{parent}"/><child link="link{i}"/><axis xyz="0 0 1"/></joint>
+"""
 
 
 @dataclass(frozen=True)
@@ -100,3 +106,22 @@ def _parts(build: Build) -> dict[str, float]:
 def _empty_cache() -> Iterator[None]:
     with TemporaryDirectory(prefix="fjr-bench-") as folder, patch.dict(os.environ, {"XDG_CACHE_HOME": folder}):
         yield
+
+
+def joint_names(n: int) -> list[str]:
+    """Return the names of the n joints from base to tip."""
+    return [f"joint{i}" for i in range(1, n + 1)]
+
+
+def chain_urdf(n: int) -> str:
+    """Return the URDF: no joint axes are parallel or intersect, so that no term of the dynamics vanishes."""
+    random = np.random.default_rng(12)
+    parts = ['<robot name="chain">\n<link name="link0"/>\n']
+    for i in range(1, n + 1):
+        com, xyz, rpy = (_text(random.uniform(-size, size, 3)) for size in (0.05, 0.2, 1.5))
+        parts += [LINK.format(i=i, com=com), JOINT.format(i=i, parent=i - 1, xyz=xyz, rpy=rpy)]
+    return "".join([*parts, "</robot>\n"])
+
+
+def _text(vector: np.ndarray) -> str:
+    return " ".join(f"{value:.4f}" for value in vector)

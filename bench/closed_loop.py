@@ -7,7 +7,7 @@ from timeit import timeit
 
 import numpy as np
 
-from bench.arm import Arm
+from bench.arm import Arm, arm7
 from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import simulate
@@ -19,8 +19,9 @@ MOST_STEPS = 64
 REPEATS = 9
 
 
-def times_real_time(arm: Arm) -> list[Figure]:
+def times_real_time() -> list[Figure]:
     """Measure law and plant of the scenario at its sample period."""
+    arm = arm7()
     steps, change = fine_enough(arm)
     with one_core():
         walls = [timeit(lambda: positions(arm, steps), number=1) for _ in range(REPEATS)]

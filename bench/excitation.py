@@ -13,31 +13,20 @@ import argparse
 
 import numpy as np
 
+from bench.identification_cases import simulated
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_msgs_py.scenarios import library
 
 SHOWN = ("joint_stiffness", "motor_inertia")
 
 
-def record_of(scenario: Scenario, duration: float, noise: float) -> MotionRecord:
-    """Return a simulated record with encoder noise [rad] on both sides."""
-    n, run, rng = scenario.robot.n, scenario.simulate(duration), np.random.default_rng(0)
-    k = len(run.u)
-    q_l, q_m = (run.x[:k, i * n : (i + 1) * n] + noise * rng.standard_normal((k, n)) for i in (0, 1))
-    return MotionRecord(
-        scenario.name, scenario.joints, scenario.sample_period, run.u, q_l, q_m, np.full((k, n), np.nan)
-    )
-
-
 def half_widths(scenario: Scenario, duration: float, noise: float) -> dict[str, Array]:
     """Return the relative half widths (n,) of the 95 % intervals by parameter."""
-    found = identify(
-        [record_of(scenario, duration, noise)], scenario.robot, Prior.of(scenario.robot), IdentifyOptions()
-    )
+    record, _ = simulated(scenario, duration, noise)
+    found = identify([record], scenario.robot, Prior.of(scenario.robot), IdentifyOptions())
     return {
         name: np.array([(e.high - e.low) / (2 * e.value) for e in found.estimates if e.name == name]) for name in SHOWN
     }

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured figures with their bounds, as a table."""
+"""Measured figures with their bounds, as a table, and tables between the markers of a page."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+
+TABLES = Path(__file__).resolve().parents[1] / "docs" / "tables"
 
 FIELDS = ("name", "value", "unit", "bound", "aim", "at_least", "parts")
 HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
@@ -73,3 +76,11 @@ def table(figures: Sequence[Figure]) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
+
+
+def put(lines: Sequence[str], page: str, begin: str, end: str) -> None:
+    """Replace what is between two markers of a page of docs/tables; raise ValueError without the markers."""
+    path = TABLES / page
+    before, rest = path.read_text(encoding="utf-8").split(begin)
+    after = rest.split(end, 1)[1]
+    path.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")

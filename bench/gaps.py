@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Longest gap between two efforts of `arm7` in real time while others make use of the controller.
 
-    python -m bench.gaps [--quick]
-
 A trajectory of 100,000 points is sent to a standing and to a moving arm; parameters are read 100 times a second; a bag
 is recorded while `fjr watch --browser` serves a page.
 
@@ -17,10 +15,7 @@ largest gap. A refused trajectory gives no figure, unless the arm had stopped be
 
 from __future__ import annotations
 
-import argparse
-import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -39,17 +34,17 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from bench.arm import SCENARIO
-from bench.figures import Figure, table
+from bench.figures import Figure
+from bench.latency import at_rest
 from bench.machine import watched
 from bench.nodes import controller, plant, process, running, scenario_file
-from bench.round_trip import at_rest
 from bench.tap import Heard, Tap
 from fjr_core.config.scenario import load_scenario
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.trajectories import trajectory_message
 from fjr_msgs_py.node.participant import own_node
 
-REPEATS, QUICK = 5, 1
+REPEATS = 5
 BOUND = 5.0  # ms
 POINTS, SPACING, LEAD = 100_000, 1e-3, 20.0  # of the trajectory; s; s until its first point, while it is planned
 SHIFT, SWING = 0.3, 0.05  # rad, of the first joint beyond its reference
@@ -64,8 +59,8 @@ Use = Callable[[Tap, Heard], None]
 """What others do with the controller meanwhile; it empties the queues at least every five seconds."""
 
 
-def longest(quick: bool = False) -> list[Figure]:
-    """Return the longest gaps; quick: one repeat."""
+def longest(repeats: int = REPEATS) -> list[Figure]:
+    """Return the longest gaps between two efforts, of `repeats` for each use."""
     scenario = load_scenario(SCENARIO)
     standing = at_rest(scenario)
     uses: Mapping[str, tuple[Use, Mapping[str, Any]]] = {
@@ -74,7 +69,7 @@ def longest(quick: bool = False) -> list[Figure]:
         "while parameters are read 100 times a second": (_read_parameters, {}),
         "while a bag is recorded and fjr watch --browser is open": (_record_and_watch, {}),
     }
-    return [_figure(name, use, overrides, QUICK if quick else REPEATS) for name, (use, overrides) in uses.items()]
+    return [_figure(name, use, overrides, repeats) for name, (use, overrides) in uses.items()]
 
 
 def _figure(name: str, use: Use, overrides: Mapping[str, Any], repeats: int) -> Figure:
@@ -184,16 +179,3 @@ def _page() -> Iterator[Any]:
         address = next(word for word in watch.stdout.readline().split() if word.startswith("http://"))
         with urlopen(f"{address}events", timeout=LONGEST) as events:
             yield events
-
-
-def main() -> int:
-    """Print the table; exit 1 if a bound is missed."""
-    parser = argparse.ArgumentParser(prog="bench.gaps", description="Measure the longest gap between two efforts.")
-    parser.add_argument("--quick", action="store_true", help="one repeat")
-    figures = longest(parser.parse_args().quick)
-    print(f"{os.cpu_count()} cores\n\n{table(figures)}")
-    return 0 if all(figure.holds for figure in figures) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

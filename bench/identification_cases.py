@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from fjr_core.config.scenario import Scenario
 from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
@@ -43,6 +44,16 @@ class Case:
     robot: Robot
     prior: Prior
     truth: Mapping[str, Array]
+
+
+def simulated(scenario: Scenario, duration: float, noise: float, seed: int = 0) -> tuple[MotionRecord, Array]:
+    """Return a run of a scenario with white noise [rad] on all encoders as a record, and its true states (k, 4n)."""
+    n, run, random = scenario.robot.n, scenario.simulate(duration), np.random.default_rng(seed)
+    k = len(run.u)
+    q = run.x[:k, : 2 * n] + noise * random.standard_normal((k, 2 * n))
+    nothing = np.full((k, n), np.nan)
+    record = MotionRecord(scenario.name, scenario.joints, scenario.sample_period, run.u, q[:, :n], q[:, n:], nothing)
+    return record, run.x[:k]
 
 
 @cache

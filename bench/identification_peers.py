@@ -4,13 +4,10 @@
 Both start from the same wrong stiffness and rotor inertia and estimate these and the damping of both sides. MuJoCo gets
 true initial states, and the likelihood of its intervals is exact: the record has white noise and no delay. Records of
 seven joints are cut into pieces for it: from one rollout of a second, 100 iterations do not reach the minimum.
-
-    python -m bench.identification_peers --records 20 --seven 2
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
@@ -25,9 +22,10 @@ import numpy as np
 from absl import logging
 from mujoco import sysid
 
-from bench.arm import Arm, arm7
-from bench.campaign_peers import pendulum
-from bench.figures import Figure, table
+from bench.arm import arm7
+from bench.campaign import pendulum
+from bench.figures import Figure
+from bench.identification_cases import simulated
 from bench.mujoco_arm import mjcf
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
@@ -74,14 +72,9 @@ class Case:
         return self.truth * np.array(list(WRONG.values()))[:, None]
 
 
-def simulated(scenario: Scenario, model: Any, duration: float, seed: int) -> Case:
+def case_of(scenario: Scenario, model: Any, duration: float, seed: int) -> Case:
     """Return a case of `duration` seconds with white noise on all encoders."""
-    n, run, random = scenario.robot.n, scenario.simulate(duration), np.random.default_rng(seed)
-    k = len(run.u)
-    q = run.x[:k, : 2 * n] + NOISE * random.standard_normal((k, 2 * n))
-    nothing = np.full((k, n), np.nan)
-    record = MotionRecord("simulated", scenario.joints, scenario.sample_period, run.u, q[:, :n], q[:, n:], nothing)
-    return Case(scenario, model, record, run.x[:k])
+    return Case(scenario, model, *simulated(scenario, duration, NOISE, seed))
 
 
 def ours(case: Case) -> Estimated:
@@ -207,25 +200,12 @@ def _ratio(seconds: dict[str, float]) -> float:
     return ours / theirs
 
 
-def against_mujoco(arm: Arm, records: int = 20, of_seven: int = 2) -> list[Figure]:
+def against_mujoco(records: int = 20, of_seven: int = 2) -> list[Figure]:
     """Compare on records of the paper's joint, and on records of the seven-joint arm."""
-    joint = load_scenario(SINGLE)
+    joint, arm = load_scenario(SINGLE), arm7()
     M_l, load = float(joint.robot.M_l([0.0])[0, 0]), float(joint.robot.grad_P_l([np.pi / 2])[0])
-    single = [simulated(joint, pendulum(M_l, load), 1.0, seed) for seed in range(records)]
-    seven = [simulated(arm.scenario, arm.model, DURATION, seed) for seed in range(of_seven)]
+    single = [case_of(joint, pendulum(M_l, load), 1.0, seed) for seed in range(records)]
+    seven = [case_of(arm.scenario, arm.model, DURATION, seed) for seed in range(of_seven)]
     found = figures(f"one joint, {records} records of 1 s", single)
     pieces = round(DURATION / PIECE)
     return found + (figures(f"seven joints, {of_seven} records of {DURATION:g} s", seven, pieces) if seven else [])
-
-
-def main() -> None:
-    """Print the comparison."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--records", type=int, default=20, help="of one joint")
-    parser.add_argument("--seven", type=int, default=2, help="records of seven joints")
-    given = parser.parse_args()
-    print(table(against_mujoco(arm7(), given.records, given.seven)))
-
-
-if __name__ == "__main__":
-    main()

@@ -7,12 +7,7 @@ The record is a run in lock-step with encoder noise; stiffness and rotor inertia
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
 import tempfile
-import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +15,7 @@ import yaml
 
 from bench.arm import SCENARIO
 from bench.figures import Figure
+from bench.nodes import used
 from fjr_core.config.scenario import load_scenario
 
 DURATION = 60.0  # s
@@ -30,28 +26,20 @@ TRUE = {"joint_stiffness": "K", "motor_inertia": "M_m", "link_damping": "D_l", "
 """Attributes of the robot by parameter; the others are 0."""
 
 
-@dataclass(frozen=True)
-class Used:
-    """Wall time [s], processor time [s] and largest resident memory [MB] of a command."""
-
-    seconds: float
-    processor: float
-    memory: float
-
-
 def of_a_minute(duration: float = DURATION) -> list[Figure]:
     """Measure the command on a record of `duration` [s], and count the intervals that contain the truth."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _record(folder, duration)
         output = folder / "identified"
-        used = _fjr("identify", str(folder / "runs" / "excited"), "--robot", _robot(folder), "--output", str(output))
+        excited = str(folder / "runs" / "excited")
+        found = used("fjr", "identify", excited, "--robot", _robot(folder), "--output", str(output))
         inside = _inside(json.loads((output / "identification.json").read_text(encoding="utf-8")))
     label = f"{duration:g} s of seven joints"
     bound = LONGEST if duration == DURATION else None
-    parts = {"processor [s]": used.processor, "memory [MB]": used.memory}
+    parts = {"processor [s]": found.processor, "memory [MB]": found.memory}
     return [
-        Figure(f"fjr identify, {label}", used.seconds, "s", bound=bound, parts=parts),
+        Figure(f"fjr identify, {label}", found.seconds, "s", bound=bound, parts=parts),
         Figure(f"95 % intervals with the truth, {label}", 100 * sum(inside) / len(inside), "%"),
     ]
 
@@ -61,9 +49,9 @@ def _record(folder: Path, duration: float) -> None:
     excited = str(folder / "excited.yaml")
     noise = [f"imperfections.{side}_position_noise:={[NOISE] * 7}" for side in ("link", "motor")]
     changes = [argument for each in noise for argument in ("--set", each)]
-    _fjr("excite", str(SCENARIO), "--duration", f"{min(duration, 20.0):g}", "--output", excited)
+    used("fjr", "excite", str(SCENARIO), "--duration", f"{min(duration, 20.0):g}", "--output", excited)
     run = ["--lockstep", "--no-report", "--duration", f"{duration:g}", "--output", str(folder / "runs")]
-    _fjr("run", excited, *run, *changes)
+    used("fjr", "run", excited, *run, *changes)
 
 
 def _robot(folder: Path) -> str:
@@ -88,17 +76,3 @@ def _inside(found: dict[str, Any]) -> list[bool]:
     return [
         each["low"] <= _true(each["name"])[joints.index(each["joint"])] <= each["high"] for each in found["estimates"]
     ]
-
-
-def _fjr(*arguments: str) -> Used:
-    """Run `fjr` to its end."""
-    command = shutil.which("fjr")
-    if command is None:
-        raise RuntimeError("fjr is not on the path; expected a sourced workspace")
-    began = time.perf_counter()
-    process = subprocess.Popen([command, *arguments], stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(f"fjr {arguments[0]} ended with {process.returncode}; expected 0")
-    return Used(time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)

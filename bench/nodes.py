@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start our nodes and bare nodes as processes, on the arm of the scenario `arm7`."""
+"""Run processes: our nodes and bare nodes on the arm of the scenario `arm7`, commands to their end, busy loops."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -10,17 +11,36 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from bench.arm import ROOT, SCENARIO
-from bench.start_up import DOMAIN
 from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py.scenarios import library
 
 PRIORITY = 50  # as in the scenario; used if the system allows it
 GRACE = 5.0  # s
+DOMAIN = "100"  # outside the ids used by the tests
+MEASURING = """
+import json, resource, subprocess, sys, time
+began = time.perf_counter()
+done = subprocess.run(sys.argv[1:], stdout=subprocess.PIPE, text=True)
+seconds, used = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps([done.returncode, done.stdout, seconds, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024]))
+"""
+"""Runs a command from a small process: the peak of a child is at least that of the process that started it."""
+
+
+@dataclass(frozen=True)
+class Used:
+    """Output of a command; wall time [s], processor time [s] and largest resident memory [MB] of all its processes."""
+
+    output: str
+    seconds: float
+    processor: float
+    memory: float
 
 
 def ros_environment() -> Mapping[str, str]:
@@ -95,10 +115,14 @@ def burning(count: int) -> Iterator[None]:
         yield
 
 
-def output(command: Sequence[str], longest: float) -> str:
-    """Run a command to its end; return its output."""
-    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True, timeout=longest)
-    return done.stdout
+def used(*command: str, env: Mapping[str, str] | None = None, longest: float | None = None) -> Used:
+    """Run a command to its end, at most `longest` [s]; return what it used. Raise RuntimeError if it fails."""
+    measuring = [sys.executable, "-S", "-c", MEASURING, *command]
+    done = subprocess.run(measuring, cwd=ROOT, env=env, check=True, stdout=subprocess.PIPE, text=True, timeout=longest)
+    code, *found = json.loads(done.stdout)
+    if code:
+        raise RuntimeError(f"{' '.join(command)} ended with {code}; expected 0")
+    return Used(*found)
 
 
 def _ours(package: str, name: str, file: Path, arguments: Sequence[str]) -> list[str]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pauses of the processes (SIGSTOP, SIGCONT) in real time, and a controller that is killed beside a moving robot.
 
-`python -m bench.pauses [PAUSES [SEED]]` prints a row for each pause. An arm without efforts falls: it has left its
-limits by itself if a state violates one at most REACTION after the first new effort.
+Each prints a row. An arm without efforts falls: it has left its limits by itself if a state violates one at most
+REACTION after the first new effort.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -74,9 +73,16 @@ class Outcome:
 HEADING = "robot     paused             at [s] for [s]  stopped  left limits   peak  old efforts"
 
 
-def recovered(pauses: int = PAUSES, kills: int = KILLS, seed: int = SEED) -> list[Figure]:
-    """Return the worst of all pauses, and of all restarts of a killed controller."""
-    outcomes = run(pauses, kills, seed)
+def recovered(pauses: int = PAUSES, kills: int = KILLS) -> list[Figure]:
+    """Return the worst of all pauses, and of all restarts of a killed controller; print a row for each."""
+    ros_environment()
+    random, outcomes = np.random.default_rng(SEED), []
+    print(HEADING, flush=True)
+    for k in range(pauses + kills):
+        at, lost = random.uniform(0.0, 4.0), random.uniform(SHORTEST, LONGEST)
+        paused = PAUSED[k // len(ROBOTS) % len(PAUSED)] if k < pauses else ()
+        outcomes.append(_outcome(ROBOTS[k % len(ROBOTS)], paused, at, lost))
+        print(outcomes[-1].row(), flush=True)
     figures = []
     for what, chosen in (
         ("pauses", [each for each in outcomes if each.paused != "killed"]),
@@ -90,19 +96,6 @@ def recovered(pauses: int = PAUSES, kills: int = KILLS, seed: int = SEED) -> lis
             Figure(f"{what}: efforts for the past", sum(each.old for each in chosen), "", bound=0),
         ]
     return figures
-
-
-def run(pauses: int, kills: int, seed: int) -> list[Outcome]:
-    """Measure pauses and kills at random instants; print a row for each."""
-    ros_environment()
-    random, found = np.random.default_rng(seed), []
-    print(HEADING, flush=True)
-    for k in range(pauses + kills):
-        at, lost = random.uniform(0.0, 4.0), random.uniform(SHORTEST, LONGEST)
-        paused = PAUSED[k // len(ROBOTS) % len(PAUSED)] if k < pauses else ()
-        found.append(_outcome(ROBOTS[k % len(ROBOTS)], paused, at, lost))
-        print(found[-1].row(), flush=True)
-    return found
 
 
 class Watch(Tap):
@@ -260,8 +253,3 @@ def _end(nodes: Mapping[str, subprocess.Popen[bytes]]) -> None:
             node.wait(5.0)
         except subprocess.TimeoutExpired:
             node.kill()
-
-
-if __name__ == "__main__":
-    given = [int(each) for each in sys.argv[1:3]]
-    run(given[0] if given else PAUSES, KILLS, given[1] if len(given) > 1 else SEED)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from bench.arm import Arm, random_motion
+from bench.arm import arm7, random_motion
 from bench.figures import Figure
 from bench.measure import Call, in_turns, microseconds, ratio
 from bench.mujoco_arm import MujocoArm
@@ -22,8 +22,9 @@ from fjr_core.numerics.symbolic import bind
 STEP = 2.5e-4  # s
 
 
-def law_over_rnea(arm: Arm) -> list[Figure]:
+def law_over_rnea() -> list[Figure]:
     """Compare u(x, x, t) of the law with inverse dynamics, also through the public methods."""
+    arm = arm7()
     q, dq, ddq = random_motion(arm.robot.n, seed=1)
     x, jets = arm.robot.state(q, q + 0.01, dq, dq), arm.scenario.reference.jets(0.3)
     calls: dict[str, Call] = {
@@ -47,8 +48,9 @@ def law_over_rnea(arm: Arm) -> list[Figure]:
     ]
 
 
-def forward_dynamics_over_aba(arm: Arm) -> list[Figure]:
+def forward_dynamics_over_aba() -> list[Figure]:
     """Compare the forward dynamics of the rigid arm."""
+    arm = arm7()
     q, dq, tau = random_motion(arm.robot.n, seed=2)
     calls: dict[str, Call] = {
         "forward dynamics": _bound(compiled(arm.forward_dynamics), q, dq, tau),
@@ -57,8 +59,9 @@ def forward_dynamics_over_aba(arm: Arm) -> list[Figure]:
     return [_ratio("forward dynamics, 7 joints, over pin.aba", calls, bound=0.4)]
 
 
-def step_over_mujoco(arm: Arm) -> list[Figure]:
+def step_over_mujoco() -> list[Figure]:
     """Compare one Runge-Kutta step of the elastic arm without effort; MuJoCo continues from step to step."""
+    arm = arm7()
     q, dq, _ = random_motion(arm.robot.n, seed=3)
     u = np.zeros(arm.robot.n)
     peer = MujocoArm(arm.model, arm.robot, STEP)

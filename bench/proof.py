@@ -23,8 +23,9 @@ LEAST = 0.9  # proven / sampled
 NEAR_BOUND = 1.0  # s
 
 
-def over_joint_range_and_tube(arm: Arm, most_boxes: int = 4000) -> list[Figure]:
+def over_joint_range_and_tube(most_boxes: int = 4000) -> list[Figure]:
     """Prove the rate over the joint range and near the reference; compare with sampled rates."""
+    arm = arm7()
     law, where = arm.law, arm.scenario.configurations()
     with one_core():
         begin = time.process_time()

@@ -4,28 +4,33 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from resource import RUSAGE_CHILDREN, getrusage
 from tempfile import TemporaryDirectory
 from time import perf_counter
 from unittest.mock import patch
 
 import numpy as np
 
-from bench.arm import ROOT, SCENARIO
+from bench.arm import SCENARIO
 from bench.figures import Figure
+from bench.nodes import ros_environment, used
 from bench.tap import Tap
 from fjr_bringup.node_process import StartedNode
-from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py import names
 
 COLD_REPEATS, WARM_REPEATS, NODE_REPEATS, COMMAND_REPEATS = 3, 3, 11, 5
 LONGEST = 60.0  # s
-DOMAIN = "100"  # outside the ids used by the tests
+FIRST_EFFORT = """
+import sys
+from fjr_core import TrackingLaw
+from fjr_core.config.scenario import load_scenario
+scenario = load_scenario(sys.argv[1])
+law = TrackingLaw(scenario.robot, scenario.gains, compile=True)
+print(law.command(scenario.x0, scenario.reference.jets(0.0)).tolist(), flush=True)
+"""
 
 
 def library() -> list[Figure]:
@@ -43,8 +48,7 @@ def library() -> list[Figure]:
 
 def node() -> list[Figure]:
     """Measure the controller node with a cached law until its first command; the plant is running."""
-    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
-    set_ros_environment()
+    ros_environment()
     with TemporaryDirectory(prefix="fjr-bench-") as cache:
         _first_command(cache)
         seconds = [_first_command(cache) for _ in range(NODE_REPEATS)]
@@ -53,7 +57,7 @@ def node() -> list[Figure]:
 
 def command() -> list[Figure]:
     """Measure the processor time of `fjr` and the nodes that it starts, with filled caches."""
-    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
+    ros_environment()
     with TemporaryDirectory(prefix="fjr-bench-") as folder:
         run = ("run", "paper_k31", "--lockstep", "--duration", "0.2", "--output", folder)
         _processor_time(folder, *run)  # fills the cache
@@ -71,17 +75,11 @@ def command() -> list[Figure]:
 
 def _processor_time(cache: str, *arguments: str) -> float:
     """Return the time [s] that the processors spend on `fjr` and its nodes: unlike that of a clock, for any load."""
-    before = getrusage(RUSAGE_CHILDREN)
-    subprocess.run(["fjr", *arguments], env=_environment(cache), check=True, capture_output=True, timeout=2 * LONGEST)
-    after = getrusage(RUSAGE_CHILDREN)
-    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    return used("fjr", *arguments, env=_environment(cache), longest=2 * LONGEST).processor
 
 
 def _first_effort(cache: str) -> float:
-    start = perf_counter()
-    command = [sys.executable, "-m", "bench.first_effort", str(SCENARIO)]
-    subprocess.run(command, cwd=ROOT, env=_environment(cache), check=True, capture_output=True, timeout=LONGEST)
-    return perf_counter() - start
+    return used(sys.executable, "-c", FIRST_EFFORT, str(SCENARIO), env=_environment(cache), longest=LONGEST).seconds
 
 
 def _first_command(cache: str) -> float:

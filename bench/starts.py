@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts of `arm7` in real time by `fjr run`, from the first effort on: stopped or not, answers before the next state.
 
-    python -m bench.starts [--quick] [--only "quiet"]
-
 Quiet and beside busy processes, with the permission for real-time priority and as a user without it. `machine` is the
 largest lateness meanwhile of a thread of high priority that only sleeps (bench/machine.py).
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +20,7 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from bench.figures import Figure, table
+from bench.figures import Figure
 from bench.machine import watched
 from bench.nodes import burning, ros_environment
 from bench.tap import HEADER, STAMP
@@ -35,7 +31,7 @@ STATES = 1000  # from the first that is answered
 DURATION = 2.5  # s of each run
 LARGEST_ERROR = 2e-4  # rad, of any joint after 2 s
 LONGEST = 120.0  # s; timeout of a start
-QUICK = 2  # starts
+MOST = 50  # starts in a setting
 MEMORY = 8 << 20  # bytes that an ordinary user may lock
 ORDINARY = (
     *("setpriv", "--bounding-set=-sys_nice,-ipc_lock,-sys_resource", "--inh-caps=-all"),
@@ -73,10 +69,9 @@ class Start:
     error: float
 
 
-def arm7(quick: bool = False, only: Sequence[str] = ()) -> list[Figure]:
-    """Start the arm in all settings, or in those named; quick: a few times."""
-    chosen = [setting for setting in SETTINGS if not only or setting.name in only]
-    return [figure for each in chosen for figure in _figures(each, QUICK if quick else each.count)]
+def arm7(most: int = MOST) -> list[Figure]:
+    """Start the arm in all settings, at most so many times in each."""
+    return [figure for each in SETTINGS for figure in _figures(each, min(most, each.count))]
 
 
 def _figures(setting: Setting, count: int) -> Iterator[Figure]:
@@ -144,19 +139,3 @@ def answers(states: NDArray[np.int64], commands: NDArray[np.int64]) -> tuple[flo
     next_effort = np.searchsorted(commands[:, 1], seen[:-1, 1])
     waits = commands[np.minimum(next_effort, len(commands) - 1), 1] - seen[:-1, 1]
     return 100 * min(1.0, early / (STATES - lost)), 1e-6 * float(waits.max())
-
-
-def main() -> int:
-    """Run the selected settings and print the table; exit 1 if a bound is missed."""
-    parser = argparse.ArgumentParser(prog="bench.starts", description="Start arm7 many times in real time.")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} starts of each setting")
-    settings = [setting.name for setting in SETTINGS]
-    parser.add_argument("--only", action="append", choices=settings, default=[], help="one setting; may be repeated")
-    given = parser.parse_args()
-    figures = arm7(given.quick, given.only)
-    print(f"{os.cpu_count()} cores\n\n{table(figures)}")
-    return 0 if all(figure.holds for figure in figures) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -19,17 +19,15 @@ import bench.__main__ as command
 from bench import (
     build,
     campaign,
-    campaign_peers,
     driver,
     identification,
     identification_peers,
     lock_step,
     memory,
-    on_time,
-    periods,
+    real_time,
 )
 from bench.arm import Arm, arm7, random_motion
-from bench.chain_urdf import chain_urdf, joint_names
+from bench.build import chain_urdf, joint_names
 from bench.figures import Figure, page, table
 from bench.measure import in_turns, ratio
 from bench.mujoco_arm import MujocoArm
@@ -110,7 +108,7 @@ def test_missed_bound_is_reported_last_and_fails_the_command(
     value: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one, two = Figure("one", value, "", bound=2.0), Figure("two", 1.0, "s")
-    monkeypatch.setattr(command, "measurements", lambda quick: {"law": lambda: [one], "step": lambda: [two]})
+    monkeypatch.setattr(command, "USUAL", {"law": (lambda: [one], {}), "step": (lambda: [two], {})})
     monkeypatch.setattr("sys.argv", ["bench", "--output", str(tmp_path / "deep" / "bench.json")])
     assert command.main() == code
     assert ("missed: one" in capsys.readouterr().out) == bool(code)
@@ -130,15 +128,11 @@ def test_figures_of_one_day_are_written_together_and_others_dropped(tmp_path: Pa
     assert [each["name"] for each in command.write([Figure("three", 1.0, "s")], file)["figures"]] == ["three"]
 
 
-def test_measurements_have_the_listed_names() -> None:
-    assert tuple(command.measurements(quick=True)) == command.NAMES
-
-
 @pytest.mark.parametrize(("late_bare", "bound"), [(0, 0.1), (1, 1.25), (40, 50.0)])
 def test_late_periods_are_bounded_by_the_bare_node_or_0p1_percent(late_bare: int, bound: float) -> None:
     ours = np.array([1_500_000] * 199 + [1_500_001])
     bare = np.array([3_000_000] * late_bare + [1_000_000] * (100 - late_bare))
-    found = periods.figure("states", ours, bare)
+    found = real_time.figure("states", ours, bare)
     assert found.value == pytest.approx(0.5)
     assert found.bound == pytest.approx(bound)
     assert found.holds == (bound > 0.5)
@@ -154,7 +148,7 @@ def test_sides_alternate_by_blocks_and_the_first_round_is_discarded() -> None:
 def test_a_state_is_answered_in_time_by_a_command_before_the_next_state() -> None:
     states = np.array([[1, 100], [2, 200], [3, 300], [4, 400]])
     commands = np.array([[1, 150], [2, 301], [4, 450]])
-    assert on_time.in_time(states, commands) == pytest.approx(100 / 3)
+    assert real_time.in_time(states, commands) == pytest.approx(100 / 3)
 
 
 def test_samples_are_counted_by_their_stamps() -> None:
@@ -202,7 +196,7 @@ def _acceleration(
 def test_study_agrees_with_scipy_and_mujoco() -> None:
     loop, drawn = replace(campaign.loop(), duration=0.4, settle_after=0.1), campaign.draws(3)
     ours = loop.run(drawn).rms[:, 0]
-    for peer, agrees in ((campaign_peers.scipy_peer, 1e-8), (campaign_peers.mujoco_peer, 1e-11)):
+    for peer, agrees in ((campaign.scipy_peer, 1e-8), (campaign.mujoco_peer, 1e-11)):
         theirs = [peer(loop, drawn, run) for run in range(3)]
         assert theirs == pytest.approx(ours.tolist(), rel=agrees)
 
@@ -217,7 +211,7 @@ def test_study_measures_wall_time_and_two_ratios() -> None:
 def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> None:
     joint = load_scenario(identification_peers.SINGLE)
     M_l, load = float(joint.robot.M_l([0.0])[0, 0]), float(joint.robot.grad_P_l([np.pi / 2])[0])
-    case = identification_peers.simulated(joint, campaign_peers.pendulum(M_l, load), 0.9, seed=0)
+    case = identification_peers.case_of(joint, campaign.pendulum(M_l, load), 0.9, seed=0)
     for found in (identification_peers.ours(case), identification_peers.theirs(case, pieces=3)):
         np.testing.assert_allclose(found.values[:2], case.truth[:2], rtol=1e-2)
         assert np.all(found.low < found.high)

@@ -73,7 +73,7 @@ LAYERS = {
         "read_record",
         "cli",
     ),
-    "fjr_proofs": ("verification", "rate error_bound sampled_contraction", "kept_rate check_rows"),
+    "fjr_proofs": ("verification", "rate error_bound", "kept_rate check_rows"),
     "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""

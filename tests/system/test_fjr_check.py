@@ -402,7 +402,6 @@ def test_contraction_of_the_sampled_loop_is_proven_on_request() -> None:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (("arm7",), "the law has 7 joints; expected at most 2, more take too long"),
         (("paper_k31", "--set", "law.type:=lqr"), "law.type is lqr; expected v_dpbc"),
         (
             ("paper_k31", "--set", "robust.integral_gain:=[1.0]"),

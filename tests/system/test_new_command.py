@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from tools.robot_survey.robots import ROBOTS
+from tools.robot_survey import ROBOTS
 
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError

@@ -10,14 +10,14 @@ import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
+from bench.figures import put
 from fjr_core.config.controller import axes
 from fjr_monitor.diagnosis.diagnosis import diagnose
 
 from .fault_runs import FAULTS, HEALTHY, VALIDATION_SEED, WIRING, FaultCase, cases
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "diagnosis.md"
+PAGE = "diagnosis.md"
 BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/fault_table.py -->"
 END = "<!-- end of confusion -->"
 KINDS = (*FAULTS, *WIRING, HEALTHY)
@@ -85,11 +85,8 @@ def confusion(seed: int) -> list[str]:
 
 def main() -> int:
     """Rewrite the table on the page."""
-    page = PAGE.read_text(encoding="utf-8")
-    before, rest = page.split(BEGIN)
-    _, _, after = rest.partition(END)
     lines = ["", f"Validation set (seed {VALIDATION_SEED}):", "", *confusion(VALIDATION_SEED)]
-    PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
+    put([*lines, ""], PAGE, BEGIN, END)
     return 0
 
 

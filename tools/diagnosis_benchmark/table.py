@@ -12,12 +12,13 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
+from bench.figures import put
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 
 from .bags import read_record, write_bag
 from .runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, Label, cases, label, run
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "diagnosis.md"
+PAGE = "diagnosis.md"
 BEGIN = "<!-- confusion: written by tools/diagnosis_benchmark/table.py -->"
 END = "<!-- end of confusion -->"
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
@@ -75,9 +76,7 @@ def main() -> int:
     headings = {VALIDATION_SEED: "Validation set", TUNING_SEED: "Set on which the thresholds were tuned"}
     parts = [["", f"{heading} (seed {seed}):", "", *confusion(seed)] for seed, heading in headings.items()]
     lines = [line for part in parts for line in part]
-    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    after = rest.partition(END)[2]
-    PAGE.write_text("\n".join([before + BEGIN, *lines, "", END + after]), encoding="utf-8")
+    put([*lines, ""], PAGE, BEGIN, END)
     return 0
 
 

@@ -20,7 +20,7 @@ from fjr_core.robust.integral_action import IntegralAction, gain_values
 from fjr_core.robust.law import LONGEST_DELAY, Robust, RobustLaw, sampled_law
 from fjr_core.robust.smith_predictor import EffortBuffer
 from fjr_core.stability.sampled_loop import spectral_radius
-from robust_study.loops import PERIOD, errors, heavier, pushed, rms
+from robust_study import PERIOD, errors, heavier, pushed, rms
 
 JOINT = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
 TWO_LINK = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")

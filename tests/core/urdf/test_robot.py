@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from tools.robot_survey.robots import ROBOTS
+from tools.robot_survey import ROBOTS
 
 import fjr_core as fjr
 from core.oracles.cases import PLANAR, Array

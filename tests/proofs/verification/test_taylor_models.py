@@ -96,7 +96,10 @@ def test_rounding_of_exact_numbers_is_bounded() -> None:
 def test_values_in_intervals_lie_in_their_enclosures() -> None:
     rng = np.random.default_rng(0)
     boxes = [Interval(rng.uniform(-1, 1, (1, 50)), rng.choice([0.0, 1e-9, 0.2], (1, 50))) for _ in range(2)]
-    (result,) = EVERY_OPERATION.on_intervals(*boxes)
+    (found,) = EVERY_OPERATION(
+        *(TaylorModels(np.stack([box.mid.T, box.rad.T], axis=-1), Shape(0, 1, 1)) for box in boxes)
+    )
+    result = Interval(found.values[..., 0].T, found.values[..., 1].T)
     assert np.all(result.rad[:, np.all([box.rad[0] == 0 for box in boxes], axis=0)] < 1e-14)
     with mp.workdps(40):
         for share in (-1, 1, 0.3):

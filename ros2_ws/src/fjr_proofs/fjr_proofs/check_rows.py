@@ -17,8 +17,8 @@ from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.robust.law import Robust, RobustLaw
 from fjr_msgs_py.console.output import progress_bar
 
+from .error_bound.contraction import SampledContraction, sampled_contraction
 from .error_bound.search import SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
-from .sampled_contraction.proof import SampledContraction, sampled_contraction
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
 COMMON = {

@@ -83,7 +83,9 @@ def new(**given: Any) -> Any:
     help="Prove the bound of --error for three or more joints, too; takes minutes to an hour.",
 )
 @click.option(
-    "--prove-sampled", is_flag=True, help="Prove that the sampled loop contracts near the reference; takes seconds."
+    "--prove-sampled",
+    is_flag=True,
+    help="Prove that the sampled loop contracts near the reference; takes seconds, with many joints an hour or more.",
 )
 @click.option(
     "--delay",

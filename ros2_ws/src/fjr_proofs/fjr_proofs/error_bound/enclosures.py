@@ -153,39 +153,52 @@ class Ranges:
         return KnownErrors(torque, aging, effort)
 
     def unknown_errors(self, known: KnownErrors) -> Array:
-        """Return bounds (4n,) of torques, accelerations and defects along the centre motion beside the known ones."""
+        """Return bounds (4n,) of torques, accelerations and defects along the centre motion beside the known ones.
+
+        With a delay that varies the torques (n,) of the change of the effort in a sample precede the defects.
+        """
         n, age = self.linear.n, self.linear.delay + self._cells.sample_period
         (terms,) = self._range(self._model.torque_terms, self._cells.windows(self.blocks))
         apart = self._apart(terms, self._terms.swapaxes(1, 2).reshape(self._cells.count, -1))
         torque = self._coefficients[1] @ apart.reshape(-1, 2 * n)
         acting, share = self._cells.acting(self.blocks, self._whole)
-        rate = [models.mean_within(share) for models in self._range(self._model.defect, acting)[1]]
+        rates = self._range(self._model.defect, acting)[1]
+        rate = [models.mean_within(share) for models in rates]
         inertias = self.low[INERTIA], self.high[INERTIA]
         torque[n:] += age * np.max([self._apart(rate, -f * known.aging[:, n:]) / f for f in inertias], axis=0)
         defect, _ = self._range(self._model.defect, self._cells.sampling(self.blocks))
-        return np.concatenate([torque, np.zeros(n), self._apart(defect, known.effort[:, :, 0])])
+        changes = [self._cells.sample_period / inertias[0] * np.max([m.magnitude.max(axis=1) for m in rates], axis=0)]
+        late = changes if self.linear.late else []
+        return np.concatenate([torque, np.zeros(n), *late, self._apart(defect, known.effort[:, :, 0])])
 
-    def mismatch(self, bounds: Array, unknown: Array, lines: Array) -> Mismatch | None:
+    def mismatch(
+        self, bounds: Array, unknown: Array, lines: Array, acceleration: Array | None = None
+    ) -> Mismatch | None:
         """Return the differences from the linear model; None if they cannot be enclosed.
 
         The deviation at the start of a cell is a sum of its `lines` (c, 4n, u), each times -1 to 1, and of one within
-        the bounds (4n,).
+        the bounds (4n,). The slopes are the means on the way from zero to it. With bounds of the acceleration (n,) they
+        are those anywhere in the tube: of the difference of two motions, since M_l a_1 - M_l' a_2 = M_l (a_1 - a_2) +
+        (M_l - M_l') a_2.
         """
         linear, n, windows = self.linear, self.linear.n, self._cells.windows(self.blocks)
         S = linear.coordinates
         z = Tube(S.S_inverse * bounds, S.S_inverse @ lines)
         G_middle, B_middle = (np.broadcast_to(X, (self._cells.count, *X.shape)) for X in (linear.G, linear.B))
         try:
-            H, M = self._range(self._model.link_slope, windows, z)
+            H, M = self._range(self._model.link_slope, windows, z, acceleration)
             (F,) = self._range(self._model.law_slope, self._cells.sampling(self.blocks), z)
             G, B = self._range(self._model.motor_slope, windows, z)
         except ZeroDivisionError:
             return None
-        links = self._matrices_apart(H, linear.H, S.torque, S.S_inverse).mean_from_zero(z)
+        links = self._matrices_apart(H, linear.H, S.torque, S.S_inverse)
         motors = self._matrices_apart(G, G_middle, S.torque, S.S_inverse)
-        efforts = self._matrices_apart(F, linear.F, S.effort, S.S_inverse).mean_from_zero(z)
+        efforts = self._matrices_apart(F, linear.F, S.effort, S.S_inverse)
+        if acceleration is None:
+            links, efforts = links.mean_from_zero(z), efforts.mean_from_zero(z)
         known = slice(z.directions.shape[1], None)
-        along_lines = links.along(lines, known), motors.along(lines), np.zeros(n), efforts.along(lines, known)
+        others = np.zeros(len(unknown) - 3 * n)
+        along_lines = links.along(lines, known), motors.along(lines), others, efforts.along(lines, known)
         return Mismatch(
             unknown + np.concatenate(along_lines),
             H=links.largest,
@@ -252,15 +265,19 @@ class Ranges:
         largest, differences = (X.magnitude.reshape(len(half), -1).T for X in (models, apart))
         return middle, largest @ half, differences @ half
 
-    def _range(self, function: ca.Function, window: CellTimes, tube: Tube | None = None) -> list[Enclosure]:
-        """Return the ranges of each output in windows, a tube and the factors."""
+    def _range(
+        self, function: ca.Function, window: CellTimes, tube: Tube | None = None, acceleration: Array | None = None
+    ) -> list[Enclosure]:
+        """Return the ranges of each output in windows, a tube, deviations of the acceleration and the factors."""
         if self._cells.verified:
-            results = taylor_function(function)(*self._models(function.name_in(), window, tube))
+            results = taylor_function(function)(*self._models(function.name_in(), window, tube, acceleration))
             return [[models] for models in results]
         points = [[TaylorModels.exact(y) for y in _called(function, point)] for point in self._points(window, tube)]
         return list(map(list, zip(*points, strict=True)))
 
-    def _models(self, names: list[str], window: CellTimes, tube: Tube | None) -> Iterator[TaylorModels]:
+    def _models(
+        self, names: list[str], window: CellTimes, tube: Tube | None, acceleration: Array | None
+    ) -> Iterator[TaylorModels]:
         """Return models of arguments in the time of a window, the deviations and the uncertain factors."""
         k, symbols = np.ones(len(window.middle)), 0
         if tube is not None:
@@ -268,7 +285,10 @@ class Ranges:
         shape = Shape(symbols, order=2, mixed=1) if window.instant else Shape(symbols)
         for name in names:
             if name in ("path", "jets"):
-                yield (self._path if name == "path" else self._cells).models(window, shape)
+                models = (self._path if name == "path" else self._cells).models(window, shape)
+                if name == "path" and acceleration is not None:
+                    models.values[:, 2 * self.linear.n : 3 * self.linear.n, -1] += acceleration
+                yield models
             elif name == "z" and tube is not None:
                 directions = np.broadcast_to(tube.directions, (len(tube.lines), *tube.directions.shape))
                 slopes = np.concatenate([directions, tube.lines], axis=2)

@@ -52,6 +52,8 @@ class ModalCoordinates:
 class LinearLoop:
     """Linear model of the deviation in each of c cells about a centre motion, for a delay [s].
 
+    late [s]: longest time in a sample in which the effort before or after acts, as the delay varies; 0 if it does not.
+
     M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation of
     the effort. F (c, n, 4n): v = F z at the sample. The properties are in `coordinates`: y for z, and likewise for
     torques and efforts.
@@ -60,6 +62,7 @@ class LinearLoop:
     model: DeviationModel
     centre: CentreMotion
     delay: float
+    late: float
     coordinates: ModalCoordinates
     M: Array
     H: Array
@@ -144,11 +147,15 @@ class LinearLoop:
 
     @cached_property
     def models(self) -> CellModels:
-        """The sampled loop of each cell; outputs: accelerations M^-1 H z (n,) of the links, efforts F z (n,)."""
+        """The sampled loop of each cell.
+
+        Outputs: accelerations M^-1 H z (n,) of the links, efforts v = F z (n,), with a delay that varies also its
+        change since the last sample. That change is a further torque, on the motors while another effort acts.
+        """
         n, T = self.n, self.sample_period
         by_effort, by_torque = self.inputs
         whole, fraction = split(self.delay, T)
-        Phi, Gamma = held_maps(self.A, by_effort, (1 - fraction) * T)
+        Phi, Gamma = after, _ = held_maps(self.A, by_effort, (1 - fraction) * T)
         held = {whole: Gamma}
         if fraction:
             first, Gamma_late = held_maps(self.A, by_effort, fraction * T)
@@ -162,13 +169,22 @@ class LinearLoop:
 
         effort = padded(held.get(0, np.zeros((c, 4 * n, n))))
         effort[:, 4 * n : 5 * n] = np.eye(n)[: S - 4 * n]
-        outputs = np.zeros((c, 2 * n, S))
-        outputs[:, :n, : 4 * n], outputs[:, n:, : 4 * n] = self.A[:, 2 * n : 3 * n], self.law
+        outputs = np.zeros((c, (3 if self.late else 2) * n, S))
+        outputs[:, :n, : 4 * n], outputs[:, n : 2 * n, : 4 * n] = self.A[:, 2 * n : 3 * n], self.law
+        if self.late:
+            outputs[:, 2 * n :, : 4 * n], outputs[:, 2 * n :, 4 * n : 5 * n] = self.law, -np.eye(n)
         bend = curvature(self.A, by_torque, T) if self.between else np.zeros_like(by_torque)
+        ends, starts = by_torque, Phi @ by_torque
+        if self.late:  # of the sample; the effort changes in its middle part
+            change = self.late / T * (after @ by_effort)
+            growth, _ = held_maps(np.abs(self.A), np.abs(by_effort), T)
+            curved = self.late**2 / 2 * growth @ np.abs(self.A) @ np.abs(by_effort)
+            ends, starts = (np.concatenate([each, change], axis=2) for each in (ends, starts))
+            bend = np.concatenate([bend, curved], axis=2)
         return CellModels(
             loop,
-            torque_late=padded(by_torque),
-            torque_early=padded(Phi @ by_torque),
+            torque_late=padded(ends),
+            torque_early=padded(starts),
             curvature=padded(bend),
             effort=effort,
             outputs=outputs,
@@ -194,7 +210,7 @@ class LinearLoop:
         return np.asarray(integral[:, :, :k])
 
 
-def linear_loop(model: DeviationModel, centre: CentreMotion, delay: float) -> LinearLoop:
+def linear_loop(model: DeviationModel, centre: CentreMotion, delay: float, late: float = 0.0) -> LinearLoop:
     """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors."""
     n, cells, c = model.n, centre.cells, centre.factors
     zero, factors = np.zeros((4 * n, cells.count)), np.tile(c[:, None], cells.count)
@@ -204,7 +220,7 @@ def linear_loop(model: DeviationModel, centre: CentreMotion, delay: float) -> Li
     (F,) = columnwise(model.law_slope, path, jets, zero, factors)
     inertia, slopes, law = (X.T.reshape(cells.count, -1, n).swapaxes(1, 2).copy() for X in (M, H, F))
     coordinates = ModalCoordinates(model.robot, inertia.mean(axis=0))
-    return LinearLoop(model, centre, delay, coordinates, inertia, slopes, G, B, law)
+    return LinearLoop(model, centre, delay, late, coordinates, inertia, slopes, G, B, law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +255,8 @@ class KnownErrors:
 class Response:
     """Response Z (c, S, k) at the end of each cell, and largest magnitudes over all cells and all columns together.
 
-    z, rate (4n,): deviation and its rate. acceleration, effort (n,). remaining (S,): of Z before the sums of the gains.
+    z, rate (4n,): deviation and its rate. acceleration, effort (n,). change (n,): of the effort since the last sample.
+    remaining (S,): of Z before the sums of the gains.
     """
 
     Z: Array
@@ -247,12 +264,18 @@ class Response:
     rate: Array
     acceleration: Array
     effort: Array
+    change: Array
     remaining: Array
 
-    def __add__(self, other: Response) -> Response:
-        """Return the sum of the largest magnitudes; Z stays."""
-        names = ("z", "rate", "acceleration", "effort", "remaining")
-        return Response(self.Z, *(getattr(self, name) + getattr(other, name) for name in names))
+    @classmethod
+    def none(cls, n: int, states: int) -> Response:
+        """Return the response to nothing."""
+        return cls(np.zeros((0, states, 0)), *map(np.zeros, (4 * n, 4 * n, n, n, n, states)))
+
+    def plus(self, other: Response, share: float = 1.0) -> Response:
+        """Return the sum with a share of the largest magnitudes of another response; Z stays."""
+        names = ("z", "rate", "acceleration", "effort", "change", "remaining")
+        return Response(self.Z, *(getattr(self, name) + share * getattr(other, name) for name in names))
 
 
 def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) -> Response:
@@ -315,7 +338,10 @@ def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownError
             rates += [_largest(without_effort + by_effort @ effort) for effort in efforts]
             accelerations.append(_largest(without_effort[:, 2 * n : 3 * n]))
     rate, acceleration = linear.growth @ np.max(rates, axis=0), np.max(accelerations, axis=0)
-    return Response(Z, _largest(z), rate, acceleration, np.max([_largest(u) for u in efforts], axis=0), remaining)
+    answer, *transit = _efforts(linear, Z, errors)
+    change = _largest(answer - transit[0]) if linear.late else np.zeros(n)
+    effort = np.max([_largest(u) for u in efforts], axis=0)
+    return Response(Z, _largest(z), rate, acceleration, effort, change, remaining)
 
 
 def _efforts(linear: LinearLoop, Z: Array, errors: KnownErrors) -> list[Array]:

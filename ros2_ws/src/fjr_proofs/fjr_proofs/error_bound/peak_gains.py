@@ -12,7 +12,7 @@ T^3 / 12 max |g''|. The rest of the sum beyond the last lag is bounded by (1 - |
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from os import cpu_count
 from typing import Any
@@ -44,6 +44,11 @@ class CellModels:
     curvature: Array
     effort: Array
     outputs: Array
+
+    def growing(self, factor: float) -> CellModels:
+        """Return the loop of Y_k = factor^k Z_k: all that enters the next sample is multiplied by the factor."""
+        names = ("loop", "torque_late", "torque_early", "curvature", "effort")
+        return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
 def curvature(A: Array, E: Array, T: float) -> Array:

@@ -196,11 +196,18 @@ class Search:
     """Division of the box of factors into parts with invariant tubes."""
 
     def __init__(
-        self, law: StaticLaw, reference: Reference, T: float, delay: float, disturbing: Array, verified: bool
+        self,
+        law: StaticLaw,
+        reference: Reference,
+        T: float,
+        delay: float,
+        disturbing: Array,
+        verified: bool,
+        late: float = 0.0,
     ) -> None:
-        """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors."""
+        """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop."""
         self.model, self.cells = DeviationModel(law), cells_of(reference, T, verified)
-        self.T, self.delay, self.disturbing = T, delay, disturbing
+        self.T, self.delay, self.disturbing, self._late = T, delay, disturbing, late
 
     @property
     def applies(self) -> bool:
@@ -248,30 +255,44 @@ class Search:
 
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
         """Return the part of the box between the factors low and high (7,), with its invariant tube if there is one."""
-        n, middle = self.model.n, (low + high) / 2
-        coarse = steady_motion(self.model, self._coarse, middle, self.delay, start)
-        centre = replace(coarse, cells=self.cells)
-        linear, none = linear_loop(self.model, centre, self.delay), np.full(2 * n, np.inf)
-        box = FactorBox(low, high, centre, np.ones(np.count_nonzero(high > low)), none, none, none)
-        blocks = self._blocks(linear)
-        if blocks is None:
-            return box
-        gains = peak_gains(linear.models, self.cells, self.T, blocks, self._finals)
-        if not np.all(np.isfinite(gains)):
-            return box
+        linear, none = self.linear((low + high) / 2, start), np.full(2 * self.model.n, np.inf)
+        box = FactorBox(low, high, linear.centre, np.ones(np.count_nonzero(high > low)), none, none, none)
         try:
-            return _with_bounds(box, TubeProblem(Ranges(linear, low, high, blocks), gains, self.disturbing))
+            problem = self.problem(linear, low, high)
+            return box if problem is None else _with_bounds(box, problem)
         except ZeroDivisionError:  # a divisor may be zero: the part is too wide
             return box
+
+    def linear(self, factors: Array, start: CentreMotion | None = None) -> LinearLoop:
+        """Return the linear model about the steady motion of a robot with the factors (7,), found from `start`."""
+        coarse = steady_motion(self.model, self._coarse, factors, self.delay, start)
+        return linear_loop(self.model, replace(coarse, cells=self.cells), self.delay, self._late)
+
+    def problem(self, linear: LinearLoop, low: Array, high: Array) -> TubeProblem | None:
+        """Return the problem of a tube for factors from low to high (7,); None for an unstable loop."""
+        found = self.gains(linear)
+        return None if found is None else TubeProblem(Ranges(linear, low, high, found[1]), found[0], self.disturbing)
+
+    def gains(self, linear: LinearLoop, rate: float = 0.0, few: bool = False) -> tuple[Array, int] | None:
+        """Return peak gains of exp(rate t) Z and the cells of their sums; None if it does not decay.
+
+        few: at the end of SAMPLED_FINALS cells only.
+        """
+        finals = self._finals[:: -(-len(self._finals) // SAMPLED_FINALS)] if few else self._finals
+        growth = float(np.exp(rate * self.T))
+        blocks = self._blocks(growth * linear.at(self._finals).spectral_radius)
+        if blocks is None:
+            return None
+        found = peak_gains(linear.models.growing(growth), self.cells, self.T, blocks, finals)
+        return (found, blocks) if np.all(np.isfinite(found)) else None
 
     @cached_property
     def _coarse(self) -> Cells:
         """Cells on which centre motions are found."""
         return cells_of(self.cells.reference, self.T, self.cells.verified, COARSE)
 
-    def _blocks(self, linear: LinearLoop) -> int | None:
-        """Return the number of cells after which a deviation has decayed to REMAINS; None for an unstable loop."""
-        radius = linear.at(self._finals).spectral_radius
+    def _blocks(self, radius: float) -> int | None:
+        """Return the number of cells after which a deviation has decayed to REMAINS; None without a decay."""
         if not radius < 1:
             return None
         samples = np.log(REMAINS) / np.log(radius) if radius > 0 else 1.0

@@ -62,22 +62,27 @@ def steady_motion(
 class DeviationBounds:
     """Bounds in the coordinates of the linear model at all times.
 
-    z (4n,): of what the lines leave of the deviation; effort (n,) and link acceleration (n,) of the whole deviation.
+    z (4n,): of what the lines leave of the deviation; effort (n,), its change in a sample (n,) if the delay varies, and
+    link acceleration (n,) of the whole deviation.
     """
 
     z: Array
     effort: Array
+    change: Array
     acceleration: Array
 
 
-def fixed_point(linear: LinearLoop, gains: Array, mismatch: Mismatch, known: Response) -> DeviationBounds | None:
+def fixed_point(
+    linear: LinearLoop, gains: Array, mismatch: Mismatch, known: Response | None = None, aged: float = 1.0
+) -> DeviationBounds | None:
     """Return bounds that reproduce themselves, or None if the iteration diverges.
 
     gains: of peak_gains. They are verified: the disturbance that follows from the returned bounds, with a margin, is at
-    most that from which they were computed.
+    most that from which they were computed. aged: factor from bounds of what acts now to those of its cause.
     """
+    known = known or Response.none(linear.n, linear.models.loop.shape[1])
     n, disturbance = linear.n, mismatch.unknown
-    most = DIVERGED * (float(known.z.max()) + float((gains[: 4 * n, : 4 * n] @ disturbance).max()))
+    most = DIVERGED * (float(known.z.max()) + float((gains[: 4 * n, : len(disturbance)] @ disturbance).max()))
     for _ in range(MOST_ROUNDS):
         assumed = MARGIN * disturbance
         bounds = _bounds_under(linear, gains, assumed, known)
@@ -85,14 +90,15 @@ def fixed_point(linear: LinearLoop, gains: Array, mismatch: Mismatch, known: Res
             return None
         links, motors = mismatch.H @ bounds.z, mismatch.G @ bounds.z + mismatch.B @ bounds.effort
         accelerations, efforts = mismatch.M @ bounds.acceleration, mismatch.F @ bounds.z
-        disturbance = mismatch.unknown + np.concatenate([links, motors, accelerations, efforts])
+        change = bounds.change + 2 * assumed[-n:] if linear.late else np.zeros(0)
+        disturbance = mismatch.unknown + aged * np.concatenate([links, motors, accelerations, change, efforts])
         if np.all(disturbance <= assumed):
             return bounds
     return None
 
 
 def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: Response) -> DeviationBounds:
-    """Return the bounds of deviations under disturbances (4n,): torques, accelerations and effort errors.
+    """Return the bounds of deviations under disturbances: torques, accelerations, changes and errors of the effort.
 
     Between samples a bound grows by its rate. Efforts and accelerations at the end of a cell are those of its own model
     or, if aligned, of the next.
@@ -101,17 +107,20 @@ def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: R
     at_samples = gains @ np.append(disturbance, known.remaining)
     slope_jump, law_jump = linear.jumps
     at_samples[S : S + n] += slope_jump[2 * n : 3 * n] @ at_samples[: 4 * n]
-    at_samples[S + n :] += law_jump @ at_samples[: 4 * n]
-    torque, error = disturbance[: 3 * n], disturbance[3 * n :]
-    effort = at_samples[S + n :] + error
+    at_samples[S + n : S + 2 * n] += law_jump @ at_samples[: 4 * n]
+    at_samples[S + 2 * n :] += law_jump @ at_samples[: 4 * n] if linear.late else 0.0
+    torque, error = disturbance[: 3 * n], disturbance[-n:]
+    effort = at_samples[S + n : S + 2 * n] + error
+    acting = effort + disturbance[3 * n : 4 * n] if linear.late else effort
     slope = np.abs(linear.A).max(axis=0)
     by_effort, by_torque = (np.abs(inputs).max(axis=0) for inputs in linear.inputs)
-    rate = linear.growth @ (slope @ at_samples[: 4 * n] + by_effort @ effort + by_torque @ torque)
+    rate = linear.growth @ (slope @ at_samples[: 4 * n] + by_effort @ acting + by_torque @ torque)
     links = slice(2 * n, 3 * n)
     acceleration = at_samples[S : S + n] + (by_torque @ torque)[links] + half * slope[links] @ rate
     return DeviationBounds(
         z=at_samples[: 4 * n] + half * rate + known.z + half * known.rate,
         effort=effort + known.effort,
+        change=at_samples[S + 2 * n :] + known.change if linear.late else known.change,
         acceleration=acceleration + known.acceleration + half * slope[links] @ known.rate,
     )
 
@@ -147,16 +156,21 @@ class TubeProblem:
             excess = (largest + self.in_joints(first)[:n]) / (largest + self.in_joints()[:n])
             if np.max(excess) <= CLOSE:
                 return first
-        return self._shrunk(self.from_start or first)
+        return self.shrunk(self.from_start or first)
 
     @cached_property
     def from_start(self) -> DeviationBounds | None:
         """Bounds at all times of a robot that starts on the reference with the motors of its model; if verified."""
         if not self.linear.centre.cells.verified:
             return None
+        return self.grown(self.started)
+
+    @cached_property
+    def started(self) -> Response:
+        """Response to what is known of a robot that starts on the reference with the motors of its model."""
         decaying = -self.known.Z[-1]
         decaying[:, 0] += self._start
-        return self._grown(self.known + transient(self.linear, decaying, self.ranges.blocks))
+        return self.known.plus(transient(self.linear, decaying, self.ranges.blocks))
 
     @cached_property
     def known(self) -> Response:
@@ -207,7 +221,7 @@ class TubeProblem:
     @cached_property
     def _steady_tube(self) -> DeviationBounds | None:
         """Bounds of a robot in steady motion in the first tube that contains them; None without any."""
-        bounds = self._grown(self.known)
+        bounds = self.grown(self.known)
         if bounds is None or self.linear.centre.cells.verified:
             return bounds
         return bounds if np.max(self.in_joints(bounds)[: self.linear.n]) <= CREDIBLE else None
@@ -218,10 +232,10 @@ class TubeProblem:
         low, high = (c + share * (end - c) for end in (ranges.low, ranges.high))
         return replace(self, ranges=Ranges(self.linear, low, high, ranges.blocks))._steady_tube is not None
 
-    def _grown(self, known: Response) -> DeviationBounds | None:
+    def grown(self, known: Response) -> DeviationBounds | None:
         """Return bounds that lie within their tube, which grows from the known response; None if none are found."""
         n, rest = self.linear.n, self._without_lines(known)
-        tube = GROWTH * np.asarray(self.gains[: 4 * n, : 4 * n] @ self._unknown + rest.z)
+        tube = GROWTH * np.asarray(self.gains[: 4 * n, : len(self._unknown)] @ self._unknown + rest.z)
         for _ in range(ROUNDS):
             bounds = self._bounds_within(tube, rest)
             if bounds is None or np.all(bounds.z <= tube):
@@ -229,7 +243,7 @@ class TubeProblem:
             tube = GROWTH * np.maximum(bounds.z, tube / GROWTH)
         return None
 
-    def _shrunk(self, tube: DeviationBounds) -> DeviationBounds:
+    def shrunk(self, tube: DeviationBounds) -> DeviationBounds:
         """Return ultimate bounds of deviations that stay within a tube: each bound is the tube of the next one."""
         rest = self._without_lines(self.known)
         for _ in range(ROUNDS):
@@ -267,9 +281,10 @@ class TubeProblem:
 
     @cached_property
     def _unknown(self) -> Array:
-        S, disturbing = self.linear.coordinates, np.append(self.disturbing, np.zeros(2 * self.linear.n))
-        to_coordinates = np.abs(block_diag(S.torques, S.R, S.effort))
-        return np.asarray(to_coordinates @ (self.ranges.unknown_errors(self._known_errors) + disturbing))
+        S, unknown = self.linear.coordinates, self.ranges.unknown_errors(self._known_errors)
+        unknown[: len(self.disturbing)] += self.disturbing
+        changes = [S.torque] if self.linear.late else []
+        return np.asarray(np.abs(block_diag(S.torques, S.R, *changes, S.effort)) @ unknown)
 
     @property
     def _uncertain(self) -> int:

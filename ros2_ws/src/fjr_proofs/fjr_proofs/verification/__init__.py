@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verified numerics: Taylor models, interval matrices, bounds of the link inertia; all hold in spite of rounding."""
+"""Verified numerics: Taylor models, bounds of the link inertia; all hold in spite of rounding."""

@@ -25,7 +25,6 @@ from fjr_core.errors import ParameterError, StateError
 from fjr_core.motions.sine import Sines
 from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.intervals import Interval
 
 UP = 1 + 2.0**-43
 """Factor that covers the rounding of a sum of up to 500 terms."""
@@ -89,11 +88,6 @@ class TaylorModels:
             models.values[:, i, shape.order + first + j] = half[i]
             models.values[:, i, -1] = ROUNDED * (np.abs(models.values[:, i, 0]) + half[i])
         return models
-
-    @classmethod
-    def intervals(cls, numbers: Interval) -> TaylorModels:
-        """Return intervals (size, k) as models of the shape NUMBER."""
-        return cls(np.stack([numbers.mid.T, numbers.rad.T], axis=-1), NUMBER)
 
     @classmethod
     def sines(cls, reference: Sines, middle: Array, radius: float, derivatives: int, shape: Shape) -> TaylorModels:
@@ -177,11 +171,6 @@ class TaylorFunction:
         if any(failed) or not np.all(np.isfinite(results)):
             raise ZeroDivisionError("a Taylor model that may be zero")
         return [TaylorModels(values, shape) for values in np.split(results, self.ends, axis=1)]
-
-    def on_intervals(self, *arguments: Interval) -> list[Interval]:
-        """Return intervals (size, k) that contain the results for all arguments in intervals (size, k)."""
-        results = self(*(TaylorModels.intervals(numbers) for numbers in arguments))
-        return [Interval(models.values[..., 0].T, models.values[..., 1].T) for models in results]
 
     def _evaluate(self, inputs: Array, results: Array, part: Any, shape: Shape) -> int:
         if not len(part):

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop of `arm7` at 1 kHz from the first effort on: states answered before the next one, and processor time.
+"""The loop of `arm7` at 1 kHz: states answered before the next one, processor time, and late periods.
 
-Both hosts of the nodes are measured in turns, with the certificate, quiet and beside busy processes.
+Answers count from the first effort on, of both hosts of the nodes in turns, with the certificate, quiet and beside busy
+processes. Late periods are compared with those of a bare timer node.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.figures import Figure
-from bench.nodes import burning, controller, plant, running, scenario_file
+from bench.nodes import bare, burning, controller, plant, running, scenario_file
 from bench.tap import Tap
 from fjr_msgs_py import names
 
@@ -25,6 +26,10 @@ QUIET_BOUND, BUSY_BOUND = 99.9, 99.0  # % of the native host
 PROCESSOR_BOUND = 12.0  # % of a core
 WARM_UP = 3.0  # s; not in the processor time
 LONGEST = 60.0  # s; timeout of the start
+LATE = 1_500_000  # ns; a period that is late
+MOST = 0.1  # %; share of late periods that is allowed regardless of the bare node
+FACTOR = 1.25
+SKIPPED = 2.0  # s before periods count
 
 
 def answered(seconds: float = SECONDS) -> list[Figure]:
@@ -70,3 +75,43 @@ def processor_time(pid: int) -> float:
     """Return the processor time of a process [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def late(seconds: float = SECONDS) -> list[Figure]:
+    """Measure the share of late periods of states and commands; the bare node runs half before, half after."""
+    before = _bare(seconds / 2)
+    states, commands = _ours(seconds)
+    theirs = np.concatenate([before, _bare(seconds / 2)])
+    return [figure("states", states, theirs), figure("commands", commands, theirs)]
+
+
+def _ours(seconds: float) -> list[NDArray[np.int64]]:
+    with scenario_file() as file, running(plant(file), controller(file)):
+        return _periods([names.JOINT_STATES, names.JOINT_COMMANDS], seconds)
+
+
+def _bare(seconds: float) -> NDArray[np.int64]:
+    with scenario_file(), running(bare("timer")):
+        return _periods([names.JOINT_STATES], seconds)[0]
+
+
+def _periods(topics: list[str], seconds: float) -> list[NDArray[np.int64]]:
+    with Tap() as tap:
+        tap.sent(topics, SKIPPED, LONGEST)
+        return [np.diff(times) for times in tap.sent(topics, seconds, LONGEST)]
+
+
+def _share(periods: NDArray[np.int64]) -> float:
+    return 100 * float(np.mean(periods > LATE))
+
+
+def figure(what: str, ours: NDArray[np.int64], theirs: NDArray[np.int64]) -> Figure:
+    """Return the share of late periods [ns], bounded by that of the bare node."""
+    bound = max(FACTOR * _share(theirs), MOST)
+    parts = {
+        "bare [%]": _share(theirs),
+        "longest [ms]": 1e-6 * float(np.max(ours)),
+        "bare, longest [ms]": 1e-6 * float(np.max(theirs)),
+        "periods": float(len(ours)),
+    }
+    return Figure(f"{what} later than 1.5 ms at 1 kHz", _share(ours), "%", bound=bound, parts=parts)

@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate the sampled closed loop of a scenario with quantised, noisy sensors and the velocity observer; no ROS."""
+"""Study of sensors and observers: simulate a sampled loop with quantised, noisy sensors and the velocity observer.
+
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.measurement_study
+
+writes the tables of docs/tables/measurements.md between their markers; seeded, so that they repeat. No ROS.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from fjr_core import Plant
+from bench.figures import put
+from fjr_core import Plant, single_link
+from fjr_core.config.controller import BANDWIDTH
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
+SCENARIOS = Path(__file__).resolve().parents[1] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
 START = 1_000_000_000  # ns; stamp of the first sample
+TORQUE_RANGES = {"paper_k31": 5.0, "paper_k3p1": 5.0, "two_link": 50.0, "arm7": 200.0}  # N m, of the torque sensors
+BANDWIDTHS = (30.0, 60.0, 100.0, 150.0, 200.0, 300.0, 500.0)  # rad/s
+SETTLED = 2.0  # s
 
 
 @dataclass(frozen=True)
@@ -109,3 +120,62 @@ def run(
 
 def _rounded(values: Array, step: float) -> Array:
     return np.round(values / step) * step if step else values
+
+
+def modes(scenario: Scenario, torque_range: float) -> Iterator[tuple[str, Run]]:
+    """Yield a description of each sensor set with its run; torque_range [N m] of the torque sensors."""
+    exact, encoders = Sensors(), Sensors(bits=16)
+    yield "all measured, exact", run(scenario, exact, None)
+    yield "all measured, encoders", run(scenario, encoders, None)
+    yield "observer, exact positions", run(scenario, exact, BANDWIDTH)
+    yield "observer, encoders", run(scenario, encoders, BANDWIDTH)
+    yield "observer, encoders, positions not smoothed", run(scenario, encoders, BANDWIDTH, smoothed=False)
+    yield "observer, encoders, gear ratio 100", run(scenario, Sensors(bits=16, gear_ratio=100.0), BANDWIDTH)
+    sensors = Sensors(bits=16, torque_range=torque_range)
+    yield "observer, encoder and torque sensor", run(scenario, sensors, BANDWIDTH)
+
+
+def measured_table(scenarios: Mapping[str, Scenario]) -> list[str]:
+    """Return the table of errors [rad] and ripple [N m] by scenario and sensor set."""
+    lines = [
+        "| scenario | measurement | RMS, rad | largest, rad | ripple of u, N m |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name, loop in scenarios.items():
+        for sensor_set, found in modes(loop, TORQUE_RANGES[name]):
+            metrics = (found.rms(SETTLED), found.largest(SETTLED), found.ripple(SETTLED))
+            lines.append(f"| `{name}` | {sensor_set} | " + " | ".join(f"{value:.1e}" for value in metrics) + " |")
+    return lines
+
+
+def bandwidth_table(scenarios: Mapping[str, Scenario]) -> list[str]:
+    """Return the table of RMS error [rad] and ripple [N m] with encoders by bandwidth and scenario."""
+    lines = ["| bandwidth, rad/s | " + " | ".join(f"`{name}`" for name in scenarios) + " |"]
+    lines.append("| --- " * (len(scenarios) + 1) + "|")
+    for bandwidth in BANDWIDTHS:
+        runs = [run(loop, Sensors(bits=16), bandwidth) for loop in scenarios.values()]
+        cells = (f"{found.rms(SETTLED):.1e} / {found.ripple(SETTLED):.1e}" for found in runs)
+        lines.append(f"| {bandwidth:g} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def mismatch_table(scenarios: Mapping[str, Scenario]) -> list[str]:
+    """Return the table of RMS error [rad] of the paper's joint with a wrong model: by bandwidth."""
+    real = single_link(stiffness=32.55, link_inertia=0.0341, gravity_torque=0.88, link_damping=0.15)
+    observers = {"measured": None, **{f"{bandwidth:g}": bandwidth for bandwidth in BANDWIDTHS}}
+    loop, plant = scenarios["paper_k31"], Plant(real, compile=True)
+    found = [run(loop, Sensors(bits=16), bandwidth, plant=plant).rms(SETTLED) for bandwidth in observers.values()]
+    head = "| bandwidth, rad/s | " + " | ".join(observers) + " |"
+    return [
+        head,
+        "| --- " * (len(observers) + 1) + "|",
+        "| RMS, rad | " + " | ".join(f"{rms:.1e}" for rms in found) + " |",
+    ]
+
+
+if __name__ == "__main__":
+    loops = {name: scenario(name) for name in TORQUE_RANGES}
+    tables = {"measurements": measured_table, "bandwidths": bandwidth_table, "mismatch": mismatch_table}
+    for name, table in tables.items():
+        begin, end = f"<!-- {name}: written by tools/measurement_study.py -->", f"<!-- end of {name} -->"
+        put(["", *table(loops), ""], "measurements.md", begin, end)

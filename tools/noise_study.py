@@ -2,7 +2,7 @@
 """Regenerate the table of docs/tables/compare.md on the noise that arm7 tolerates, between its markers.
 
 . ros2_ws/install/setup.sh && fjr tune arm7_tune
-.venv/bin/python -m tools.noise_study.table runs/tuned/arm7_tune_v_dpbc/tuned.yaml
+.venv/bin/python -m tools.noise_study runs/tuned/arm7_tune_v_dpbc/tuned.yaml
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 import fjr_core as fjr
+from bench.figures import put
 from fjr_core.config.scenario import load_scenario
 from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop
@@ -26,8 +27,7 @@ from fjr_design.studies.trial import Trial
 from fjr_design.studies.tune import figures
 from fjr_design.tuning.equal_bandwidth import baseline_target, tune
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "tables" / "compare.md"
-BEGIN, END = "<!-- noise of arm7: written by tools/noise_study/table.py -->", "<!-- end of noise of arm7 -->"
+BEGIN, END = "<!-- noise of arm7: written by tools/noise_study.py -->", "<!-- end of noise of arm7 -->"
 STIFFER = 7.0  # factor on K_md
 DRAWN = 200  # plants
 SECONDS, SETTLED = 6.0, 2.0  # of the runs of the margin, as in the tables of laws
@@ -86,9 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("tuned", type=Path, help="tuned.yaml that `fjr tune arm7_tune` has written")
     tuned = parser.parse_args(arguments).tuned
     study = planned("arm7_tune", Options(1, None, Path(), {}, {}))
-    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    lines = [BEGIN, *table(study, tuned), END]
-    PAGE.write_text(before + "\n".join(lines) + rest.split(END)[1], encoding="utf-8")
+    put(table(study, tuned), "compare.md", BEGIN, END)
 
 
 if __name__ == "__main__":

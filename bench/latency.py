@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Latency from state to effort: controller node against a bare node with the same messages."""
+"""Latency from state to effort: controller node against a bare node with the same messages, and with its certificate.
+
+The effort leaves before the certificate is computed: its cost is the delay of the following cycle.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from bench.arm import Arm
+from bench.arm import arm7
 from bench.figures import Figure
 from bench.measure import ratio
-from bench.nodes import bare, controller, driver, output, running, scenario_file
+from bench.nodes import bare, controller, driver, running, scenario_file, used
 from fjr_core.config.scenario import Scenario
 
 ROUNDS = 15
 NATIVE, RCLPY, BARE = "native", "rclpy", "bare"
+WITH, WITHOUT = "with", "without"
 BOUNDS = {NATIVE: (0.75, 0.75), RCLPY: (1.25, 1.25)}
-"""Of each host of the control step: median and 99th percentile over those of the bare node."""
+"""Of each host of the control step: of the PERCENTILES over those of the bare node."""
+PERCENTILES = {"median": 50, "99th percentile": 99}
+WITH_BOUND = 1.10  # median with the certificate over that without it
 PATIENCE = 10.0  # s; timeout of a side waiting for its turn
 LONGEST = 60.0  # s; timeout of the start
 
@@ -26,22 +32,30 @@ Times = dict[str, list[list[float]]]
 """Latencies [us] of each round, by side."""
 
 
-def over_echo(arm: Arm, rounds: int = ROUNDS) -> list[Figure]:
+def over_echo(rounds: int = ROUNDS) -> list[Figure]:
     """Compare median and 99th percentile of both hosts with the bare node, round by round; the arm is at rest."""
-    with scenario_file(at_rest(arm.scenario)) as file:
+    with scenario_file(at_rest(arm7().scenario)) as file:
         nodes = (
             controller(file, "-r", f"__ns:=/{NATIVE}", "-p", "executor:=native"),
             controller(file, "-r", f"__ns:=/{RCLPY}", "-p", "executor:=events"),
             bare("echo", "-r", f"__ns:=/{BARE}"),
         )
-        times = latencies(arm, rounds, (NATIVE, RCLPY, BARE), nodes)
-    return [figure for host in (NATIVE, RCLPY) for figure in _over_echo(host, times)]
+        times = latencies(rounds, (NATIVE, RCLPY, BARE), nodes)
+    return [
+        figure(f"state to effort over a bare echo, {host}, {name}", percent, bound, {s: times[s] for s in (host, BARE)})
+        for host, bounds in BOUNDS.items()
+        for (name, percent), bound in zip(PERCENTILES.items(), bounds, strict=True)
+    ]
 
 
-def _over_echo(host: str, times: Times) -> list[Figure]:
-    name, pair = f"state to effort over a bare echo, {host}", {side: times[side] for side in (host, BARE)}
-    median, percentile = BOUNDS[host]
-    return [figure(f"{name}, median", 50, median, pair), figure(f"{name}, 99th percentile", 99, percentile, pair)]
+def with_certificate(rounds: int = ROUNDS) -> list[Figure]:
+    """Compare a controller with and without the certificate, round by round; the arm rests at its reference."""
+    still = at_rest(arm7().scenario)
+    with scenario_file(still) as file, scenario_file({**still, "certificate": False}) as plain:
+        nodes = (controller(file, "-r", f"__ns:=/{WITH}"), controller(plain, "-r", f"__ns:=/{WITHOUT}"))
+        times = latencies(rounds, (WITH, WITHOUT), nodes)
+    bounds = zip(PERCENTILES.items(), (WITH_BOUND, None), strict=True)
+    return [figure(f"state to effort with certificate, {name}", p, bound, times) for (name, p), bound in bounds]
 
 
 def at_rest(scenario: Scenario) -> dict[str, Any]:
@@ -51,13 +65,13 @@ def at_rest(scenario: Scenario) -> dict[str, Any]:
     return {"reference.amplitude": zeros, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}
 
 
-def latencies(arm: Arm, rounds: int, sides: tuple[str, ...], nodes: Sequence[Sequence[str]]) -> Times:
+def latencies(rounds: int, sides: tuple[str, ...], nodes: Sequence[Sequence[str]]) -> Times:
     """Run the nodes of both sides (namespaces) with the driver, which sends the reference as state."""
-    position = np.tile(arm.scenario.reference.jets(0.0)[0], 2).tolist()
+    position = np.tile(arm7().scenario.reference.jets(0.0)[0], 2).tolist()
     given = {"rounds": rounds, "sides": f"[{', '.join(sides)}]", "position": position}
     arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
     with running(*nodes):
-        times: Times = json.loads(output(driver(*arguments), LONGEST + 4 * rounds))
+        times: Times = json.loads(used(*driver(*arguments), longest=LONGEST + 4 * rounds).output)
     return times
 
 

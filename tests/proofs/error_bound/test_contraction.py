@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proven rates of sampled loops: pairs of simulated motions approach as fast; absent beyond the delay margin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fjr_core as fjr
+from bench.build import chain_urdf, joint_names
+from bench.error_bound import on_reference
+from fjr_core.numerics.checks import Array
+from fjr_proofs.error_bound import sampled_contraction
+from proofs.error_bound.test_error_bound import STILL, joint, two_link
+
+H = 1e-3
+FAST_SINE = fjr.Sine(0.3, 10.0)
+SHORT = fjr.Sine([0.1, 0.1], [10.0, 10.0], [0.3, 0.0])
+
+
+def late_runs(law: fjr.TrackingLaw, reference: fjr.Sine, starts: Array, delays: Array, period: float) -> Array:
+    """Return the states (k + 1, runs, 4n) at the samples of runs from `starts`; delays (k,) of efforts [samples]."""
+    plant, states = fjr.Plant(law.robot), [np.array(starts)]
+    held = [law.command(x, reference.jets(0.0)) for x in starts]
+    for k, late in enumerate(delays):
+        now = [law.command(x, reference.jets(period * k)) for x in states[-1]]
+        x = states[-1]
+        for efforts, duration in ((held, late * period), (now, (1 - late) * period)):
+            if duration:
+                x = np.array([plant.step(each, u, duration) for each, u in zip(x, efforts, strict=True)])
+        states.append(x)
+        held = now
+    return np.array(states)
+
+
+@settings(max_examples=3, deadline=None, derandomize=True)
+@given(
+    scale=st.floats(0.6, 1.5),
+    stiffness=st.floats(15.0, 60.0),
+    delays=st.sampled_from([(0.0, 0.0), (0.4, 0.4), (0.0, 1.0)]),
+    seed=st.integers(0, 99),
+)
+def test_pairs_of_motions_in_the_tube_approach_at_the_proven_rate(
+    scale: float, stiffness: float, delays: tuple[float, float], seed: int
+) -> None:
+    gains = fjr.Gains(10.0 * scale, 20.0 * scale, 0.6 * scale, 15.0 * scale, 60.0 * scale, 0.3 * scale)
+    law = fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), gains)
+    found = sampled_contraction(law, FAST_SINE, H, delays)
+    assert found is not None
+    assert found.rate > 0.5 * law.rate().beta
+    check_pairs(law, FAST_SINE, found.rate, 0.1 * found.tube[0], delays, seed)
+
+
+def check_pairs(
+    law: fjr.TrackingLaw,
+    reference: fjr.Sine,
+    rate: float,
+    size: float,
+    delays: tuple[float, float],
+    seed: int,
+    period: float = H,
+) -> None:
+    """Check that two motions, with the same delays from sample to sample, approach at a rate from sample 100 to 600."""
+    n, rng = law.robot.n, np.random.default_rng(seed)
+    x0 = on_reference(law.robot, reference)
+    q, dq = x0[: 2 * n], law.robot.velocities(x0)
+    apart = size * rng.uniform(-1, 1, (2, n))
+    starts = np.array([law.robot.state(*np.split(q + np.tile(e, 2), 2), *dq) for e in apart])
+    states = late_runs(law, reference, starts, rng.uniform(*delays, 600), period)
+    distances = [np.linalg.norm(np.concatenate([x[0, : 2 * n] - x[1, : 2 * n]])) for x in (states[100], states[600])]
+    assert rate <= 1.02 * np.log(distances[0] / distances[1]) / (500 * period)
+
+
+def test_two_links_contract_on_a_tube_about_a_short_motion() -> None:
+    law, delays = two_link(), (0.0, 1.0)
+    found = sampled_contraction(law, SHORT, H, delays)
+    assert found is not None
+    assert found.rate > law.rate().beta
+    assert np.all(found.tube < 0.1)
+    check_pairs(law, SHORT, found.rate, 0.5 * found.tube.min(), delays, seed=1)
+
+
+def test_three_joints_of_a_description_contract() -> None:
+    robot = fjr.robot_from_urdf(chain_urdf(3), joint_names(3), stiffness=2000.0, motor_inertia=0.3)
+    M, B = np.diag(robot.M_l(np.full(3, 0.5))), np.diag(robot.M_m)
+    law = fjr.TrackingLaw(robot, fjr.Gains(4.0, 16.0 * M, 8.0 * M, 6.0, np.diag(robot.K), 8.0 * B), compile=True)
+    reference, period = fjr.Sine(0.02, 2 * np.pi, [0.2, 0.4, 0.3]), 4e-3
+    found = sampled_contraction(law, reference, period)
+    assert found is not None
+    assert found.rate > 3.0
+    check_pairs(law, reference, found.rate, 0.5 * found.tube.min(), (0.0, 0.0), seed=2, period=period)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_simulated_errors_end_below_the_proven_offset(delay: float) -> None:
+    law = joint()
+    found = sampled_contraction(law, FAST_SINE, H, (0.0, delay))
+    assert found is not None
+    run = fjr.simulate(
+        fjr.Plant(law.robot), law, FAST_SINE, law.robot.state(0.0, 0.0, 3.0, 3.0), 2.5, H, H / 8, delay * H
+    )
+    seen = np.abs(run.x[1500:, 0] - run.jets[1500:, 0, 0]).max()
+    assert 0.1 * found.offset[0] < seen < found.offset[0] < found.tube[0]
+
+
+def test_a_smaller_gain_has_a_smaller_rate() -> None:
+    rates = [
+        sampled_contraction(fjr.TrackingLaw(fjr.single_link(), replace(fjr.PAPER_GAINS, K_ld=K_ld)), FAST_SINE, H)
+        for K_ld in (0.6, 0.3)
+    ]
+    assert rates[0].rate > 1.2 * rates[1].rate  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("period", [5e-3, 6e-3])
+def test_a_delay_beyond_the_margin_is_not_proven(period: float) -> None:
+    law = joint()
+    margin = fjr.check(law, period, configurations=FAST_SINE.configurations(16)).delay_margin
+    assert 0 < margin < 1
+    assert sampled_contraction(law, FAST_SINE, period, (margin + 0.02, margin + 0.02)) is None
+    assert sampled_contraction(law, FAST_SINE, period, (0.6 * margin, 0.6 * margin)) is not None
+
+
+def test_a_reference_at_rest_is_proven_at_the_rate_of_the_linear_loop() -> None:
+    law, reference = joint(), STILL
+    found = sampled_contraction(law, reference, H)
+    linear = -np.log(fjr.check(law, H, configurations=[[0.0]]).spectral_radius) / H
+    assert found is not None
+    assert 0.7 * linear < found.rate <= linear
+    assert found.offset[0] < 1e-12
+
+
+def test_the_tube_of_a_linear_loop_ends_at_the_largest_that_is_searched() -> None:
+    found = sampled_contraction(joint(gravity=0.0), FAST_SINE, H)
+    assert found is not None
+    assert 1.0 < found.tube[0] < 5.0
+
+
+def test_gains_that_are_unstable_as_sampled_are_not_proven() -> None:
+    hard = fjr.TrackingLaw(fjr.single_link(), replace(fjr.PAPER_GAINS, K_md=30.0))
+    assert sampled_contraction(hard, FAST_SINE, H) is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((joint(), fjr.Spline([0.0, 1.0], [[0.0], [1.0]]), H), "expected sines"),
+        ((two_link(), fjr.Sine(0.1, [1.0, np.sqrt(2)]), H), "neither a common period nor an end within 60 s"),
+        ((joint(), FAST_SINE, H, (0.5, 1.5)), "delay is 0.5 to 1.5 samples; expected within 0 and 1"),
+    ],
+)
+def test_what_the_proof_does_not_cover_is_refused(arguments: tuple[Any, ...], words: str) -> None:
+    with pytest.raises(fjr.FjrError, match=words):
+        sampled_contraction(*arguments)
