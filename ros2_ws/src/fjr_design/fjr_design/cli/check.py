@@ -32,7 +32,6 @@ from fjr_design.cli.preflight import (
     UnstableError,
     as_list,
     checked,
-    checked_at,
     position_unit,
     ranges,
     refuse_coarse_steps,
@@ -43,7 +42,7 @@ from fjr_design.cli.preflight import (
 from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.output import Result, plural
 from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured
@@ -118,7 +117,7 @@ def check(scenario: Scenario) -> Check:
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_in_the_loop(scenario),
         **rates,
-        "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
+        "spectral radius": f"{found.spectral_radius:.6f}, the worst of {plural(found.configurations, 'configuration')}",
         "    found at q_l": f"{at} {position_unit(scenario)}",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
         "lowest stable rate": "none" if lowest is None else f"{lowest:.4g} Hz",
@@ -242,12 +241,11 @@ def _elsewhere(scenario: Scenario) -> dict[str, str]:
 
     For v-dPBC also the rate that is proven within a radius of the reference, if something can be proven.
     """
-    law = scenario.law
+    law, found = scenario.law, checked(scenario, elsewhere=True, lowest_rate=False)
     if not isinstance(law, TrackingLaw):
-        found = checked_at(scenario, None)
-        return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
+        count = plural(found.configurations, "configuration")
+        return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {count}"}
     where = scenario.configurations()
-    found = checked_at(scenario, where)
     beta = f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it)"
     margin = f"delay margin {found.delay_margin:.2f} samples"
     rows = {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
@@ -309,7 +307,3 @@ def _start(scenario: Scenario) -> dict[str, str]:
         return {}
     found = start_outside(scenario)
     return {"initial position": f"BEYOND {'; '.join(found)}" if found else "within the ranges of the joints"}
-
-
-def _count(found: SampledCheck) -> str:
-    return f"{found.configurations} configurations" if found.configurations > 1 else "1 configuration"
