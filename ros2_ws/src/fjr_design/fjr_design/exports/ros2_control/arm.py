@@ -4,20 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import casadi as ca
-import numpy as np
 
 from fjr_core.config.parameter import Parameter
 from fjr_core.config.plant import PERIOD_JITTER, imperfection_parameters, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
-from fjr_core.config.robot import description
 from fjr_core.config.scenario import Scenario
-from fjr_core.errors import StateError
 from fjr_core.model.port_hamiltonian import Plant
-from fjr_core.numerics.checks import MOTOR, Array
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import MOTOR
 from fjr_core.numerics.parameter_field import declared
 from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfections, SensorErrors
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
@@ -30,53 +27,40 @@ SENSORS = {field: each for field, each in declared(SensorErrors).items() if fiel
 """Declarations of the parameters by field; their names are those of imperfections.* without the group."""
 
 
-@dataclass(frozen=True, eq=False)
-class ExportedArm:
-    """Simulated arm: plant with n joints and its initial positions (2n,) [rad] of links, then motors.
+def functions_of(plant: Plant) -> dict[str, ca.Function]:
+    """Return the functions of a plant with all its imperfections by their names in C."""
+    made = NonidealPlant(Plant(plant.robot, plant.integrator)).functions_as_c
+    return {f"plant_{name}": function for name, function in made.items()}
 
-    inner_step [ns]: integrator step. urdf: description of the robot. given: parameters of imperfections.* that are not
-    the defaults, without the group. Raises StateError for a plant in Python.
+
+def table_of(robot: Robot) -> list[tuple[str, int, int, float]]:
+    """Return name, first index, length and least value of each parameter of the plant.
+
+    The payload is left out for a robot without an end effector.
     """
-
-    plant: Plant
-    start: Array
-    inner_step: float
-    urdf: str
-    given: Mapping[str, object]
-
-    def __post_init__(self) -> None:
-        if self.plant.in_python:
-            raise StateError("the plant is written in Python; expected one made of expressions, to export it to C")
-
-    @property
-    def functions(self) -> dict[str, ca.Function]:
-        """Return the functions of the plant by their names in C."""
-        made = NonidealPlant(self.plant).functions_as_c
-        return {f"plant_{name}": function for name, function in made.items()}
-
-    @property
-    def table(self) -> list[tuple[str, int, int, float]]:
-        """Return name, first index, length and least value of each parameter of the plant.
-
-        The payload is left out for a robot without an end effector.
-        """
-        rows, first = [], 0
-        for field, size in layout(self.plant.robot.n).sizes.items():
-            if self.plant.robot.links.end_effector is not None or not field.startswith("payload"):
-                rows.append((DYNAMICS[field].name, first, size, DYNAMICS[field].minimum))
-            first += size
-        return rows
+    rows, first = [], 0
+    for field, size in layout(robot.n).sizes.items():
+        if robot.links.end_effector is not None or not field.startswith("payload"):
+            rows.append((DYNAMICS[field].name, first, size, DYNAMICS[field].minimum))
+        first += size
+    return rows
 
 
-def arm_of(scenario: Scenario) -> ExportedArm:
-    """Return the simulated arm of a scenario; raises ParameterError."""
-    values, plant = scenario.plant_values, scenario.plant
-    n = plant.robot.n
-    _ = build_imperfections(values, plant.robot), sensor_errors(values, n)
-    inner_step = scenario.sample_period / int(values["inner_steps"]) * 1e9  # type: ignore[arg-type]
-    start = np.asarray(scenario.x0)[: 2 * n]
-    plant = plant if plant.in_python else Plant(plant.robot, plant.integrator)
-    return ExportedArm(plant, start, inner_step, description(values), _given(values, n))
+def parameters_of(scenario: Scenario) -> dict[str, object]:
+    """Return the start of the arm, and the values of imperfections.* that it has and that are not the defaults.
+
+    Names are without the group. Raises ParameterError.
+    """
+    values, robot, n = scenario.plant_values, scenario.plant.robot, scenario.plant.robot.n
+    _ = build_imperfections(values, robot), sensor_errors(values, n)
+    known: dict[str, Parameter] = {each.name: each for each in imperfection_parameters(n)}
+    names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
+    found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
+    return {
+        "initial_link_position": tuple(scenario.x0[:n].tolist()),
+        "initial_motor_position": tuple(scenario.x0[n : 2 * n].tolist()),
+        **{name: value for name, (value, default) in found.items() if value != default},
+    }
 
 
 def not_exported(scenario: Scenario) -> list[str]:
@@ -89,14 +73,6 @@ def not_exported(scenario: Scenario) -> list[str]:
     }
     names |= {PERIOD_JITTER.name: 0.0, f"{_GROUP}publish_velocity": True}
     return [name for name, default in names.items() if values[name] != default]
-
-
-def _given(values: Mapping[str, object], n: int) -> dict[str, object]:
-    """Return the values of imperfections.* that differ from their defaults and that the arm has, without the group."""
-    known: dict[str, Parameter] = {each.name: each for each in imperfection_parameters(n)}
-    names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
-    found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
-    return {name: value for name, (value, default) in found.items() if value != default}
 
 
 def with_hardware(urdf: str, package: str, joints: Sequence[str], clock: str, parameters: Mapping[str, object]) -> str:

@@ -15,9 +15,11 @@ import casadi as ca
 import numpy as np
 import yaml
 
+from fjr_core.config.robot import description
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import AsSampledLaw
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.numerics.checks import MOTOR
@@ -29,8 +31,8 @@ from fjr_core.version import __version__
 
 from ..c_code import comment, filled, number, numbers, quoted
 from ..project import recorded_case
-from ..step_code import ExportedController, controller_of, step_code
-from .arm import DYNAMICS, SENSORS, ExportedArm, arm_of, not_exported, with_hardware
+from ..step_code import ExportedLoop, loop_of, step_code
+from .arm import DYNAMICS, SENSORS, functions_of, not_exported, parameters_of, table_of, with_hardware
 
 SAMPLES = 400
 LONGEST_NAME = 60
@@ -72,7 +74,7 @@ NAMES = (
 
 
 def package_name_of(scenario: str) -> str:
-    """Convert the name of a scenario to that of a package: "ExportedArm-7 b" gives arm_7_b_ros2_control."""
+    """Convert the name of a scenario to that of a package: "Arm-7 b" gives arm_7_b_ros2_control."""
     plain = re.sub(r"[^a-z0-9]+", "_", scenario.lower()).strip("_")
     return f"{plain if plain[:1].isalpha() else f'robot_{plain}'.rstrip('_')}_ros2_control"
 
@@ -88,27 +90,20 @@ def export_package(scenario: Scenario, package: str, samples: int = SAMPLES) -> 
             f"package is '{package}'; expected a lower-case letter, then letters, digits or single '_', "
             f"at most {LONGEST_NAME}"
         )
-    controller, arm = controller_of(scenario), arm_of(scenario)
-    functions = {**_certificate(controller), **arm.functions}
-    texts = {f"step/{name}": text for name, text in step_code(controller, functions).items()}
-    values = _values(scenario, controller, arm, package) | {"samples": str(samples)}
+    loop = loop_of(scenario)
+    functions = {**_certificate(loop.certified_law), **functions_of(loop.plant)}
+    texts = {f"step/{name}": text for name, text in step_code(loop, functions).items()}
+    values = _values(scenario, loop, package) | {"samples": str(samples)}
     texts |= {
         path.format(package=package): filled(name, values, "ros2_control/templates") for name, path in FILES.items()
     }
-    parameters = {
-        "initial_link_position": tuple(arm.start[: controller.n].tolist()),
-        "initial_motor_position": tuple(arm.start[controller.n :].tolist()),
-        **arm.given,
-    }
-    texts[f"urdf/{package}.urdf"] = with_hardware(arm.urdf, package, controller.joints, values["clock"], parameters)
-    inner_steps = round(scenario.sample_period * 1e9 / arm.inner_step)
-    case = recorded_case(controller, scenario.plant, scenario.x0, inner_steps, samples)
-    return texts | {"test/case.txt": case}
+    urdf, parameters = description(scenario.plant_values), parameters_of(scenario)
+    texts[f"urdf/{package}.urdf"] = with_hardware(urdf, package, loop.joints, values["clock"], parameters)
+    return texts | {"test/case.txt": recorded_case(loop, samples)}
 
 
-def _certificate(controller: ExportedController) -> dict[str, ca.Function]:
+def _certificate(law: TrackingLaw | None) -> dict[str, ca.Function]:
     """Return the function of the certificate with the outputs of CERTIFIED, if the law has one."""
-    law = controller.certified_law
     if law is None:
         return {}
     function = Certificate(law).function
@@ -116,23 +111,23 @@ def _certificate(controller: ExportedController) -> dict[str, ca.Function]:
     return {"certificate": function.slice("certificate", list(range(function.n_in())), outputs)}
 
 
-def _values(scenario: Scenario, controller: ExportedController, arm: ExportedArm, package: str) -> dict[str, str]:
+def _values(scenario: Scenario, loop: ExportedLoop, package: str) -> dict[str, str]:
     """Return the values of the names in the templates."""
-    joints, missing = controller.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
+    joints, missing = loop.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
     return {
         "package": package,
         "PACKAGE": package.upper(),
         "title": comment(scenario.name),
         "title_xml": escape(scenario.name),
         "version": __version__,
-        "rate": str(round(1 / controller.sample_period)),
+        "rate": str(round(1 / loop.sample_period)),
         "clock": f"{package}_clock",
         "joint_yaml": _yaml(joints),
         "motor_yaml": _yaml([f"{joint}{MOTOR}" for joint in joints]),
         "chained_yaml": _yaml([f"tracking_controller/{joint}" for joint in joints]),
-        **_certificate_values(scenario, controller),
-        **_arm_values(arm),
-        **_gain_values(controller),
+        **_certificate_values(scenario, loop),
+        **_arm_values(loop),
+        **_gain_values(loop.certified_law, loop.n),
         **_readme_rows(),
         "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{_level(name)}}}" for name in KINDS),
         "wiring_sentences": ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values()),
@@ -150,13 +145,13 @@ def _level(event: str) -> str:
     return "error" if event in ERRORS else "warn" if event in WARNINGS else "info"
 
 
-def _certificate_values(scenario: Scenario, controller: ExportedController) -> dict[str, str]:
+def _certificate_values(scenario: Scenario, loop: ExportedLoop) -> dict[str, str]:
     """Return the values of certificate.hpp; without a certificate its function is never called.
 
     The rate is that of the whole range where a closed form proves one, else of the scenario's configurations.
     """
-    law, name = controller.certified_law, "fjr_casadi_certificate"
-    values = {"longest": number(LONGEST), "B_numbers": numbers(controller.law.robot.B_m)}
+    law, name = loop.certified_law, "fjr_casadi_certificate"
+    values = {"longest": number(LONGEST), "B_numbers": numbers(loop.law.robot.B_m)}
     if law is None:
         absent = {"certificate_declaration": "", "certificate_function": "nullptr", "certified": "false"}
         return {**values, **absent, "bounded": "0", "beta": number(0.0)}
@@ -167,35 +162,34 @@ def _certificate_values(scenario: Scenario, controller: ExportedController) -> d
         "certificate_declaration": declaration,
         "certificate_function": name,
         "certified": "true",
-        "bounded": "1" if isinstance(controller.sampled_law, AsSampledLaw) else "0",
+        "bounded": "1" if isinstance(loop.sampled_law, AsSampledLaw) else "0",
         "beta": number(law.rate(where).beta),
     }
 
 
-def _arm_values(arm: ExportedArm) -> dict[str, str]:
+def _arm_values(loop: ExportedLoop) -> dict[str, str]:
     """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag.
 
     plant_table: name, place, length and least value of each parameter of the plant.
     """
-    ideal, rows = Imperfections(arm.plant.robot.n).vector, []
-    for name, first, length, least in arm.table:
+    ideal, rows = Imperfections(loop.n).vector, []
+    for name, first, length, least in table_of(loop.plant.robot):
         bound = number(float(least)) if np.isfinite(least) else "-std::numeric_limits<double>::infinity()"
         rows.append(f"  {{{quoted(name)}, {first}, {length}, {bound}}}")  # INFINITY is a float in C++
     return {
-        "inner_step": number(arm.inner_step),
+        "inner_step": number(loop.sample_period / loop.inner_steps * 1e9),
         "parameters": str(len(ideal)),
         "plant_table": ",\n".join(rows),
         "plant_numbers": numbers(ideal).replace("INFINITY", "HUGE_VAL"),
-        "start_numbers": numbers(arm.start),
+        "start_numbers": numbers(loop.x0[: 2 * loop.n]),
     }
 
 
-def _gain_values(controller: ExportedController) -> dict[str, str]:
+def _gain_values(law: TrackingLaw | None, n: int) -> dict[str, str]:
     """Return the rows of the gains that may be changed, and the index of K_md among them.
 
     Gains of v-dPBC only. A full matrix Pi_m is left out, because the law needs its inverse.
     """
-    law = controller.certified_law
     if law is None:
         return {"gain_table": "", "hold_damping_gain": "-1"}
     first, starts = 0, {}
@@ -203,7 +197,7 @@ def _gain_values(controller: ExportedController) -> dict[str, str]:
         starts[name] = first, symbol.nnz()
         first += symbol.nnz()
     inverse = starts.pop("Pi_m_inverse")
-    if inverse[1] != controller.n:
+    if inverse[1] != n:
         del starts["Pi_m"]
     rows = [(name, *start, inverse[0] if name == "Pi_m" else -1) for name, start in starts.items()]
     text = ",\n  ".join(f"{{{quoted(name)}, {start}, {length}, {at}}}" for name, start, length, at in rows)
