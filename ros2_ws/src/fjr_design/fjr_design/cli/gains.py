@@ -59,11 +59,11 @@ def synthesised(
     gains = synthesize(robot, beta, period, delay * period, where, loaded.joints, design, domain)
     law = TrackingLaw(robot, gains)
     found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
-    confirmed = posterior.confirmed(law, delay * period, where) if posterior else None
+    confirmed, counted = posterior.confirmed(law, delay * period, where) if posterior else ("", {})
     head = _head(loaded, rate, found, everywhere, beta if proven else None)
-    head += f"# {confirmed.sentence}\n" if confirmed else ""
+    head += f"# {confirmed}\n" if confirmed else ""
     numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
-    numbers |= {"delay_margin_samples": found.delay_margin, **(confirmed.numbers if confirmed else {})}
+    numbers |= {"delay_margin_samples": found.delay_margin, **counted}
     values = {name.partition(".")[2]: entries for name, entries in gain_values(gains, robot.n).items()}
     if write:
         try:
@@ -93,7 +93,8 @@ def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool,
 def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:
     """Check the gains with the scenario's robust.* options, observer and sensors; raise GainsError if unstable."""
     robust = robust_action(scenario.controller_values, law)
-    found = check(sampled_law(law, robust), scenario.sample_period, delay, where, sensing=scenario.sensing)
+    sampled, period = sampled_law(law, robust), scenario.sample_period
+    found = check(sampled, period, delay, where, None, scenario.sensing, lowest_rate=False)
     if not found.stable:
         raise GainsError(
             f"the spectral radius with the scenario's robust.* options and observer is {found.spectral_radius:.4g}; "

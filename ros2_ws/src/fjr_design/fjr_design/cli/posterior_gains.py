@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,52 +20,16 @@ from fjr_design.uncertainty.drawn_loops import (
     CONFIDENCE,
     DrawnLoops,
     DrawnPlants,
-    LargestMeanDifference,
     draws_needed,
+    in_common,
     largest_share,
 )
-from fjr_design.uncertainty.posterior import (
-    MATRICES,
-    drawn_plants,
-    read_identification,
-)
+from fjr_design.uncertainty.posterior import DELAY, MATRICES, drawn_plants, read_identification
 from fjr_msgs_py.console.output import progress_bar
-
-from ..uncertainty.posterior import DELAY
 
 DESIGN_DRAWS, WIDER = 200, 1.5  # from the posterior with standard deviations this many times as large
 SHARE = 1e-3  # largest share of lost plants that fresh draws are to exclude
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
-
-
-@dataclass(frozen=True)
-class Confirmed:
-    """Fresh draws none of which is unstable, and at how many configurations."""
-
-    draws: int
-    configurations: int
-    kept: tuple[str, ...]
-
-    @property
-    def sentence(self) -> str:
-        """Return what the draws say, and with which confidence."""
-        share = largest_share(0, self.draws)
-        return (
-            f"0 of {self.draws:,} robots drawn afresh from the identification are unstable, at the "
-            f"{self.configurations} worst configurations: at most {100 * share:.2g} % with {100 * CONFIDENCE:g} %"
-        )
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """Return the result as JSON values."""
-        share = largest_share(0, self.draws)
-        return {
-            "fresh_draws": self.draws,
-            "lost_draws": 0,
-            "largest_lost_share": share,
-            "confidence": CONFIDENCE,
-            "not_drawn": list(self.kept),
-        }
 
 
 class Posterior:
@@ -85,22 +48,31 @@ class Posterior:
         """Return the plants of the synthesis, from a posterior that is WIDER."""
         return drawn_plants(self._found, self._scenario.robot, DESIGN_DRAWS, 2 * self._seed, WIDER)
 
-    def confirmed(self, law: TrackingLaw, delay: float, where: Array | None) -> Confirmed:
-        """Check the law with robust.* options and sensing on fresh draws; raise GainsError if one is unstable."""
+    def confirmed(self, law: TrackingLaw, delay: float, where: Array | None) -> tuple[str, dict[str, Any]]:
+        """Check the law with robust.* options and sensing on fresh draws; raise GainsError if one is unstable.
+
+        Return what the draws say, and with which confidence, as a sentence and as JSON values.
+        """
         count = draws_needed(SHARE)
         fresh = drawn_plants(self._found, self._scenario.robot, count, 2 * self._seed + 1)
         loops, configurations = self._loops(law, delay, where)
         with progress_bar(f"checking {count:,} fresh draws", PROGRESS, total=1.0, desc="fresh draws") as bar:
             unstable = loops.unstable(fresh, lambda share: bar.update(share - bar.n))
-        if lost := int(unstable.sum()):
-            which = f", and {LargestMeanDifference.of(fresh, unstable).sentence(self._scenario.joints)}"
-            which = which if lost < count else ""
+        lost = int(unstable.sum())
+        share, sure = largest_share(lost, count), f"with {100 * CONFIDENCE:g} %"
+        if lost:
+            which = f", and {in_common(fresh, unstable, self._scenario.joints)}" if lost < count else ""
             raise GainsError(
                 f"{lost} of {count:,} robots drawn afresh from the identification are unstable (at most "
-                f"{100 * largest_share(lost, count):.2g} % with {100 * CONFIDENCE:g} %){which}; expected none: try "
-                "a lower rate, or narrower intervals from a record of more motion (fjr excite)"
+                f"{100 * share:.2g} % {sure}){which}; expected none: try a lower rate, or narrower intervals from a "
+                "record of more motion (fjr excite)"
             )
-        return Confirmed(count, configurations, self.kept)
+        numbers = {"fresh_draws": count, "lost_draws": 0, "largest_lost_share": share, "confidence": CONFIDENCE}
+        sentence = (
+            f"0 of {count:,} robots drawn afresh from the identification are unstable, at the {configurations} worst "
+            f"configurations: at most {100 * share:.2g} % {sure}"
+        )
+        return sentence, {**numbers, "not_drawn": list(self.kept)}
 
     def _loops(self, law: TrackingLaw, delay: float, where: Array | None) -> tuple[DrawnLoops, int]:
         """Return the loops at the configurations that are worst for some of the design draws."""
