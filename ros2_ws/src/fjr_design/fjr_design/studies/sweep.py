@@ -28,14 +28,22 @@ from fjr_core.simulation.imperfections import Imperfections, friction_rate
 from ..uncertainty import distributions
 from ..uncertainty.distributions import Distribution, DrawnColumn
 from ..uncertainty.posterior import Identification, PosteriorDraws
+from .study import Columns
 
-MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
-"""Outcomes that the success criterion may limit."""
+OUTCOMES = {
+    "rms": ("RMS error", "rad"),
+    "peak": ("largest error", "rad"),
+    "final": ("mean error of the last second", "rad"),
+    "settling": ("settling time", "s"),
+    "effort_rms": ("RMS effort", "N m"),
+    "effort_peak": ("peak effort", "N m"),
+    "power": ("mean power", "W"),
+}
+"""Words and unit of the outcomes that a sweep summarises and that its success criterion may limit."""
 MOST_RUNS = 10**9
 REACH = 2.0
 """Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
 NOISE_SEED = "seed"
-Columns = dict[str, NDArray[Any]]
 
 
 def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
@@ -100,8 +108,8 @@ class Sweep:
         if not 0 <= self.seed < 2**64:
             raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
         for name, limit in self.success.items():
-            if name not in MEASURES:
-                raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(MEASURES)}")
+            if name not in OUTCOMES:
+                raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(OUTCOMES)}")
             if np.isnan(limit):
                 raise ParameterError(f"'success' has {limit} as '{name}'; expected a number")
         refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
