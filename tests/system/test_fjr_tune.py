@@ -17,8 +17,7 @@ from fjr_core.config.scenario import load_scenario
 from fjr_design.studies.study import open_store, threads
 from fjr_design.studies.sweep_file import Options
 from fjr_design.studies.tune import search
-from fjr_design.studies.tune_picture import pareto
-from fjr_design.studies.tune_run import Evaluator, planned
+from fjr_design.studies.tune_run import Evaluator, pareto, planned
 from fjr_msgs_py.console.ending import Exit, Interrupted
 from system.documented import documented_keys
 from system.executables import fjr_here

@@ -109,9 +109,7 @@ def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
 def check(scenario: Scenario) -> Check:
     """Check the loop of a scenario: its rate, stability as sampled, margins, limits and initial position."""
     found, law = checked(scenario), scenario.law
-    rates, numbers = (
-        _rates(scenario, law) if isinstance(law, TrackingLaw) else (_other_law(scenario), (None, False, None))
-    )
+    rates, numbers = _rates(scenario, law) if isinstance(law, TrackingLaw) else (_other_law(scenario), {})
     lowest, at = found.lowest_stable_rate, as_list(found.configuration)
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
@@ -135,7 +133,7 @@ def check(scenario: Scenario) -> Check:
         "delay_margin_samples": found.delay_margin,
         "lowest_stable_rate_hz": lowest,
         "sample_period_s": found.sample_period,
-        **dict(zip(("beta_per_s", "beta_is_proven", "beta_attained_per_s"), numbers, strict=True)),
+        **{"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None, **numbers},
         "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings],
         "refused": refusal or None,
     }
@@ -168,8 +166,8 @@ def _in_the_loop(scenario: Scenario) -> dict[str, str]:
     return {"in the loop": ", ".join(named)} if named else {}
 
 
-def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], tuple[float, bool, float | None]]:
-    """Return the rows of beta and of the beta of eq. (50), and beta, whether it is proven, and the rate attained.
+def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return the rows of beta and of the beta of eq. (50), and their numbers as JSON values.
 
     Proven: by a closed form, or by branch and bound in an earlier command, which has kept its ProvenRate. Then the
     configuration that attains the smallest rate has a row, too. Otherwise the rate is a minimum over samples.
@@ -196,7 +194,7 @@ def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], tuple[
         **more,
     }
     proven = exact and (rate.proven or kept is not None)
-    return rows, (found.beta, proven, None if kept is None else kept.attained)
+    return rows, {"beta_per_s": found.beta, "beta_is_proven": proven, "beta_attained_per_s": kept and kept.attained}
 
 
 def _is_provable(scenario: Scenario) -> bool:

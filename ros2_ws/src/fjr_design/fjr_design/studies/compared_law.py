@@ -91,7 +91,7 @@ def tuned_law(
     found = tune(name, target, retune=retune)
     law = sampled_law(found.law, hold)
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
-    return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
+    return TunedLaw(law, target.effort_limit, gains, found.sentence + _unstable(law, scenario))
 
 
 def _unstable(law: SampledLaw, scenario: Scenario) -> str:

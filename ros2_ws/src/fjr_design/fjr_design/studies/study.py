@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -175,6 +176,16 @@ def _difference(name: str, there: object, here: object) -> str:
 def divided(begin: int, end: int, size: int) -> list[tuple[int, int]]:
     """Return the runs begin .. end - 1 in parts (begin, end) of at most `size` runs."""
     return [(first, min(first + size, end)) for first in range(begin, end, size)]
+
+
+_making = threading.Lock()
+_made = lru_cache(maxsize=4)(lambda make, text: make(text))
+
+
+def once(make: Callable[[str], Result], text: str) -> Result:
+    """Return the study that `make` makes of its text, made once for all jobs and threads of a process."""
+    with _making:
+        return _made(make, text)
 
 
 @dataclass(frozen=True)

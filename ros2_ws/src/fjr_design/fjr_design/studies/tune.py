@@ -11,37 +11,29 @@ since the best of many on a few draws is partly luck.
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fjr_core.errors import FjrError, ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.velocity_observer import VelocityObserver
-from fjr_core.simulation.batch import Outcomes
 from fjr_core.stability.sampled_loop import spectral_radius
 
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates, starts
-from .study import Columns
-from .sweep import Sweep, from_text
+from .study import once
+from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures, from_text
 from .sweep_file import number, whole
 
-MEANS = ("rms", "effort_rms", "effort_noise")
-LARGEST = ("peak", "final", "effort_peak")
-FIGURES = (*MEANS, *LARGEST, "power")
-"""Figures of a run that a goal may use: root mean square over the joints, largest of the joints, of the whole arm."""
 INFEASIBLE = 1e6
 """Cost of points that violate a constraint, at least; the cost of others is far below."""
 WORST = 1e3  # violation that counts at most
 TIES = 1e3  # largest part of the cost among points with the same violation
-SUCCESS = "success"
 FEW = 4  # configurations of the reference at which a loop is checked
 FINER = 2.0  # delays that are checked per sample
 SELECTION = 4  # times the draws of the search: those of the selection
@@ -52,14 +44,6 @@ Range = tuple[int, int]
 FIRST_DEVIATION = 0.4  # of the logarithms of the factors: e^0.4 = 1.5
 WIDEST = float(np.log(50.0))  # of the logarithms of the factors
 FINALISTS = 6
-Figures = Columns
-
-
-def figures(outcomes: Outcomes, success: NDArray[np.bool_]) -> Figures:
-    """Return the FIGURES (k,) of k runs, and `success` (k,)."""
-    found: Figures = {name: np.sqrt(np.mean(np.square(getattr(outcomes, name)), axis=1)) for name in MEANS}
-    found |= {name: np.max(getattr(outcomes, name), axis=1) for name in LARGEST}
-    return {**found, "power": outcomes.power, SUCCESS: success}
 
 
 @dataclass(frozen=True)
@@ -267,17 +251,16 @@ def study_of(text: str) -> TuningStudy:
     return TuningStudy(from_text(json.dumps(values)), goal, **numbers, start=start)
 
 
-_recent = lru_cache(maxsize=2)(study_of)
-_building = threading.Lock()
-
-
 def run_candidate(text: str, point: Point, begin: int, end: int) -> Figures:
     """Run a part of the runs of a point of a study given as text, in a local or remote worker; see TuningStudy.run."""
-    with _building:  # once for all threads of a process
-        study = _recent(text)
-        study.sweep.loop.build()
-        _ = study.coordinates
-    return study.run(point, begin, end)
+    return once(_built, text).run(point, begin, end)
+
+
+def _built(text: str) -> TuningStudy:
+    study = study_of(text)
+    study.sweep.loop.build()
+    _ = study.coordinates
+    return study
 
 
 @dataclass(frozen=True)
