@@ -21,10 +21,9 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_design.studies.imperfections import directions, motion_demand
-from fjr_design.studies.sweep import Sweep, scenario_loop
+from fjr_design.studies.sweep import Sweep, figures, scenario_loop
 from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.trial import Trial
-from fjr_design.studies.tune import figures
 from fjr_design.tuning.equal_bandwidth import baseline_target, tune
 
 BEGIN, END = "<!-- noise of arm7: written by tools/noise_study.py -->", "<!-- end of noise of arm7 -->"

@@ -12,7 +12,8 @@ from design.exports.c_program import C99, built
 from design.exports.ros2_control import exported_package
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.library import step_library
-from fjr_design.exports.project import export, loop_of, write
+from fjr_design.exports.project import export, write
+from fjr_design.exports.step_code import loop_of
 from hosts.inputs import Sequence
 from hosts.step_hosts import Efforts, changes
 from time_limits import HANG

@@ -16,7 +16,7 @@ from fjr_core.runtime.library import StepLibrary
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_core.runtime.structs import Model, settings_struct
 from fjr_core.simulation.batch.program import BatchProgram
-from fjr_design.exports.step_code import controller_of
+from fjr_design.exports.step_code import loop_of
 from hosts.inputs import Kind, Sequence
 
 Efforts = NDArray[np.float64]
@@ -33,7 +33,7 @@ class Replay(NamedTuple):
 def reference_replay(sequence: Sequence, repeats: bool = True) -> Replay:
     """Replay the inputs in the control step in Python; repeats: states with the stamp of the last one arrive."""
     s = sequence.scenario
-    made = controller_of(s)
+    made = loop_of(s)
     step = ControlStep(
         s.law, made.reference, made.settings, made.observer, sequence.simulated, made.robust, made.measurement
     )

@@ -35,6 +35,19 @@ def figures(output: str) -> dict[str, str]:
     return {name: text.strip() for name, _, text in rows}
 
 
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the path of a scenario of an arm of three joints from a URDF, with gains for a proven inertia."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(two_link_urdf(wrist_mass=0.3), encoding="utf-8")
+    path, robot = folder / "arm.yaml", "    joints: [shoulder, elbow, wrist]\n    robot:\n      model: urdf\n"
+    data = "      urdf: arm.urdf\n      joint_stiffness: [400.0, 400.0, 4.0]\n      motor_inertia: [0.1, 0.1, 0.05]\n"
+    path.write_text(f"/**:\n  ros__parameters:\n{robot}{data}", encoding="utf-8")
+    said = fjr_here("gains", str(path), "--beta", "1", "--proven", "--write")
+    assert "bounded by a proof near the reference" in said
+    return str(path)
+
+
 def test_the_papers_joint_is_stable_as_sampled_with_a_proven_rate() -> None:
     rows, made = figures(fjr_here("check", "paper_k31")), load_scenario(scenario("paper_k31"))
     found, rate = check(made.law, 1e-3), made.law.rate()
@@ -97,16 +110,10 @@ def test_no_rate_is_proven_if_the_plant_differs_from_the_model(tmp_path: Path) -
     assert "not proven here, the plant is not the law's model" in rows["beta"]
 
 
-def test_too_few_inner_steps_are_refused() -> None:
-    output = fjr_here("check", "arm7", "--set", "publish_rate:=250.0", "--set", "inner_steps:=1", code=1)
-    assert "inner_steps is 1, too few for rk4" in output
-    assert "expected at least " in output
-
-
-def test_a_reference_beyond_the_limits_is_named() -> None:
-    amplitude = "reference.amplitude:=[0.3, 2.0, 0.3, 0.3, 0.3, 0.3, 0.3]"
-    rows = figures(fjr_here("check", "arm7", "--set", amplitude))
-    assert rows["reference"] == "BEYOND the position limits of joint2; BEYOND the velocity limits of joint2"
+def test_a_reference_beyond_the_limits_is_named(arm: str) -> None:
+    motion = "reference.amplitude:=[0.1, 4.0, 0.1]", "reference.frequency:=[1.0, 2.0, 1.0]"
+    rows = figures(fjr_here("check", arm, *(part for text in motion for part in ("--set", text))))
+    assert rows["reference"] == "BEYOND the position limits of elbow; BEYOND the velocity limits of elbow"
 
 
 def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1() -> None:
@@ -159,19 +166,40 @@ def test_path_on_the_command_line_is_relative_to_the_current_folder(tmp_path: Pa
     )
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["check"], "no scenario given"),
-        (["check", "paper_k31", "--set", "robot.file:=none.yaml"], "parameter 'robot.file': cannot read robot file"),
-        (
-            ["check", "arm7", "--set", "robot.joint_stiffness:=[1.0]"],
-            "'robot.joint_stiffness' has 1 entries; expected 7",
-        ),
-    ],
-)
-def test_invalid_arguments_are_refused_in_one_sentence(arguments: list[str], words: str) -> None:
-    assert words in fjr_here(*arguments, code=2)
+REFUSED = [
+    ("check", 2, "no scenario given"),
+    ("check paper_k31 --set robot.file:=none.yaml", 2, "parameter 'robot.file': cannot read robot file"),
+    ("check arm7 --set robot.joint_stiffness:=[1.0]", 2, "'robot.joint_stiffness' has 1 entries; expected 7"),
+    (
+        "check paper_k3p1 --set robust.integral_gain:=[40.0]",
+        2,
+        "integral_gain is [40] 1/s, which makes the loop unstable at a hold of 0.001 s; expected at most [2",
+    ),
+    ("check paper_k31 --error mass=0.2", 2, "error 'mass' is unknown; expected some of payload, link_inertia"),
+    (
+        "check paper_k31 --error payload=0.1 --error payload=0.2",
+        2,
+        "error 'payload' is given 2 times; expected it once",
+    ),
+    ("check paper_k31 --error payload", 2, "'' is not an error; expected NAME=VALUE with 0 or a positive number"),
+    (
+        "check paper_k31 --delay 1 --set robust.residual_gain:=[60.0]",
+        2,
+        "robust.* is enabled; expected a static law",
+    ),
+    ("check paper_k31 --set publish_rate:=20.0 --set inner_steps:=1", 1, "inner_steps is 1, too few for rk4"),
+    ("check paper_k31 --set imperfections.command_delay:=0.008", 1, "is unstable as sampled at 1000 Hz"),
+    (
+        "gains paper_k31 --beta 5 --set robust.residual_gain:=[5000.0]",
+        1,
+        "the spectral radius with the scenario's robust.* options and observer is",
+    ),
+]
+
+
+@pytest.mark.parametrize(("line", "code", "words"), REFUSED)
+def test_what_cannot_run_is_refused_in_one_sentence(line: str, code: int, words: str) -> None:
+    assert words in fjr_here(*line.split(), code=code)
 
 
 def test_robust_action_observer_and_delay_are_in_the_loop() -> None:
@@ -184,18 +212,6 @@ def test_robust_action_observer_and_delay_are_in_the_loop() -> None:
     found = check(law, 1e-3, 1e-3, sensing=Sensing(150.0))
     assert rows["spectral radius"].startswith(f"{found.spectral_radius:.6f}")
     assert found.spectral_radius > check(made.law, 1e-3).spectral_radius + 0.01
-
-
-def test_delay_in_the_scenario_can_make_it_unstable() -> None:
-    output = fjr_here("check", "paper_k31", "--set", "imperfections.command_delay:=0.008", code=1)
-    assert figures(output)["as sampled"] == "UNSTABLE"
-
-
-def test_too_fast_integral_action_is_refused_with_the_largest_rate() -> None:
-    output = fjr_here("check", "paper_k3p1", "--set", "robust.integral_gain:=[40.0]", code=2)
-    assert (
-        "integral_gain is [40] 1/s, which makes the loop unstable at a hold of 0.001 s; expected at most [2" in output
-    )
 
 
 def test_radii_with_model_errors_are_listed() -> None:
@@ -232,55 +248,39 @@ def test_initial_position_outside_the_range_of_the_robot_is_refused() -> None:
             refuse_start_outside(made)
 
 
-def test_gains_are_checked_with_the_scenarios_robust_action() -> None:
-    output = fjr_here("gains", "paper_k31", "--beta", "5", "--set", "robust.residual_gain:=[5000.0]", code=1)
-    assert "the spectral radius with the scenario's robust.* options and observer is" in output
-
-
-def three_joints(folder: Path) -> str:
-    """Return the path of a scenario of an arm from a URDF."""
-    (folder / "arm.urdf").write_text(two_link_urdf(wrist_mass=0.3), encoding="utf-8")
-    path, robot = folder / "arm.yaml", "    joints: [shoulder, elbow, wrist]\n    robot:\n      model: urdf\n"
-    data = "      urdf: arm.urdf\n      joint_stiffness: [400.0, 400.0, 4.0]\n      motor_inertia: [0.1, 0.1, 0.05]\n"
-    path.write_text(f"/**:\n  ros__parameters:\n{robot}{data}", encoding="utf-8")
-    said = fjr_here("gains", str(path), "--beta", "1", "--proven", "--write")
-    assert "bounded by a proof near the reference" in said
-    return str(path)
-
-
 def test_a_rate_is_proven_with_a_certificate_and_kept_until_a_gain_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    path, file = three_joints(tmp_path), tmp_path / "folder" / "rate.json"
-    sampled = figures(fjr_here("check", path))
+    file = tmp_path / "folder" / "rate.json"
+    sampled = figures(fjr_here("check", arm))
     assert "minimum over sampled configurations, not proven" in sampled["beta"]
     near = sampled["near the reference"]
     assert near.endswith("1/s within 0.1 rad of the reference in each joint, proven")
     assert float(near.split()[1]) >= 0.995  # four digits of the gains are written
-    proven = figures(fjr_here("check", path, "--certificate", str(file)))
+    proven = figures(fjr_here("check", arm, "--certificate", str(file)))
     assert proven["beta"].endswith("in continuous time, proven over the joint range")
-    assert figures(fjr_here("check", path)) == proven
-    found = json.loads(fjr_here("check", path, "--json"))
+    found = json.loads(fjr_here("check", arm, "--json"))
+    assert found["rows"] == proven
     assert found["beta_is_proven"] is True
     assert 0.998 * found["beta_attained_per_s"] <= found["beta_per_s"] <= found["beta_attained_per_s"]
     certificate = json.loads(file.read_text())
     assert 0.9999 * found["beta_per_s"] < certificate["beta"] < found["beta_per_s"]
     assert certificate["joints"] == ["shoulder", "elbow", "wrist"]
-    changed = figures(fjr_here("check", path, "--set", "gains.K_md:=[9.0, 9.0, 9.0]"))
+    changed = figures(fjr_here("check", arm, "--set", "gains.K_md:=[9.0, 9.0, 9.0]"))
     assert "not proven" in changed["beta"]
 
 
 def test_a_kept_proof_that_is_not_as_written_is_not_used_and_proven_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    path, file = three_joints(tmp_path), str(tmp_path / "rate.json")
-    sampled = figures(fjr_here("check", path))
-    proven = figures(fjr_here("check", path, "--certificate", file))
+    file = str(tmp_path / "rate.json")
+    sampled = figures(fjr_here("check", arm))
+    proven = figures(fjr_here("check", arm, "--certificate", file))
     (kept,) = (tmp_path / "cache" / "fjr").glob("rate-*.json")
     written = kept.read_text()
-    loaded = library.load(path)
+    loaded = library.load(arm)
     for changed in changed_proofs(written):
         kept.write_text(changed, encoding="utf-8", errors="surrogateescape")
         assert cached_rate(loaded) is None
@@ -289,9 +289,9 @@ def test_a_kept_proof_that_is_not_as_written_is_not_used_and_proven_again(
         assert said.count("\n") == 1
         assert kept.read_bytes() == b""
     kept.write_text(written.replace('"beta": 0', '"beta": 768'))
-    assert "fjr: the kept proof " in (said := fjr_here("check", path))
+    assert "fjr: the kept proof " in (said := fjr_here("check", arm))
     assert figures(said)["beta"] == sampled["beta"]
-    assert figures(fjr_here("check", path, "--certificate", file)) == proven
+    assert figures(fjr_here("check", arm, "--certificate", file)) == proven
     assert json.loads(kept.read_text()) == json.loads(written)
 
 
@@ -371,19 +371,6 @@ def test_the_tracking_error_of_seven_joints_is_proven_on_request() -> None:
     assert "not proven: --prove-error tries a proof" in sampled["error bound"]
     assert "not proven" not in proven["error bound"]
     assert proven["error bound"].endswith("; proven")
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--error", "mass=0.2"), "error 'mass' is unknown; expected some of payload, link_inertia"),
-        (("--error", "payload=0.1", "--error", "payload=0.2"), "error 'payload' is given 2 times; expected it once"),
-        (("--error", "payload"), "'' is not an error; expected NAME=VALUE with 0 or a positive number"),
-        (("--delay", "1", "--set", "robust.residual_gain:=[60.0]"), "robust.* is enabled; expected a static law"),
-    ],
-)
-def test_an_error_bound_that_does_not_apply_is_refused(options: tuple[str, ...], words: str) -> None:
-    assert words in fjr_here("check", "paper_k31", *options, code=2)
 
 
 def test_contraction_of_the_sampled_loop_is_proven_on_request() -> None:

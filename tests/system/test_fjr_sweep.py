@@ -17,9 +17,10 @@ import matplotlib.image
 import pyarrow.parquet as pq
 import pytest
 
-from fjr_design.studies.study import ClusterError, cluster
+from fjr_design.studies.study import ClusterError, cluster, open_store
+from fjr_design.studies.sweep import Sweep
 from fjr_design.studies.sweep_file import Options, planned
-from fjr_design.studies.sweep_run import open_store, run_missing
+from fjr_design.studies.sweep_run import complete, run_missing
 from fjr_msgs_py.console.ending import Exit
 from system.browser import Browser
 from system.executables import Executable, fjr_here
@@ -86,7 +87,6 @@ def test_ctrl_c_keeps_finished_parts(tmp_path: Path) -> None:
     [
         (["--runs", "60"], "runs is 120, not 60", 1),
         (["--set", "gains.K_ld:=[0.7]"], "scenario_text differs", 1),
-        (["--scheduler", "tcp://127.0.0.1:{free}"], "no Dask scheduler answers at tcp://127.0.0.1", 1),
         (["--scheduler", "nowhere"], "address is 'nowhere'; expected e.g. tcp://", 1),
         (["--cores", "none"], "expected 1 or more, or all", 2),
         (["--runs", "0"], "expected 1 or more", 2),
@@ -96,13 +96,10 @@ def test_invalid_arguments_are_refused_in_one_sentence(
     tmp_path: Path, change: list[str], words: str, code: int
 ) -> None:
     name = sweep_file(tmp_path)
-    with open_store(tmp_path / "joint", *_planned(name)):
+    plan = _planned(name)
+    with open_store(tmp_path / "joint", plan.text, plan.loop.fingerprint):
         pass
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        change = [word.format(free=free.getsockname()[1]) for word in change]
-        said = fjr_here("sweep", name, *change, "--output", str(tmp_path), code=code)
-    assert words in said
+    assert words in fjr_here("sweep", name, *change, "--output", str(tmp_path), code=code)
 
 
 def test_parameter_name_that_is_no_text_is_refused_in_one_sentence(tmp_path: Path) -> None:
@@ -135,23 +132,23 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
                 killed.extend(sorted(client.run(os.getpid).values())[:1])
             os.kill(killed[0], signal.SIGKILL)
 
-    with open_store(tmp_path / "cluster", *_planned(name)) as store, cluster(address) as workers:
+    plan = _planned(name)
+    with open_store(tmp_path / "cluster", plan.text, "program") as store, cluster(address) as workers:
         assert workers.count == 2
-        assert run_missing(store, workers, lose_one, threading.Event())
-        assert store.complete().read_bytes() == table(tmp_path)
+        assert run_missing(plan, store, workers, lose_one, threading.Event())
+        assert complete(plan, store).read_bytes() == table(tmp_path)
     assert killed
     assert not Path(f"/proc/{killed[0]}/stat").exists() or "Z" in Path(f"/proc/{killed[0]}/stat").read_text()
 
 
-@pytest.mark.slow
-def test_fjr_sweep_runs_on_an_existing_scheduler(tmp_path: Path, local_cluster: Any) -> None:
-    name = sweep_file(tmp_path)
-    fjr_here("sweep", name, "--output", str(tmp_path / "one"))
-    said = fjr_here(
-        "sweep", name, "--scheduler", local_cluster.scheduler_address, "--output", str(tmp_path / "cluster")
-    )
-    assert "120 runs on 2 cores" in said
-    assert table(tmp_path / "one") == table(tmp_path / "cluster")
+def test_a_scheduler_that_does_not_answer_is_named() -> None:
+    pytest.importorskip("distributed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        wanted = pytest.raises(ClusterError, match=f"no Dask scheduler answers at {address}")
+        with wanted, cluster(address, timeout=0.5):
+            pass
 
 
 def test_missing_dask_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,9 +158,8 @@ def test_missing_dask_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPat
         pass
 
 
-def _planned(name: str) -> tuple[Any, str]:
-    plan = planned(name, Options(1, None, Path(), {}, {}))
-    return plan, plan.loop.fingerprint
+def _planned(name: str) -> Sweep:
+    return planned(name, Options(1, None, Path(), {}, {}))
 
 
 def wait_for(found: Any, running: Executable) -> None:

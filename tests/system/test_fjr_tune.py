@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.studies.study import threads
+from fjr_design.studies.study import open_store, threads
 from fjr_design.studies.sweep_file import Options
 from fjr_design.studies.tune import search
-from fjr_design.studies.tune_picture import pareto
-from fjr_design.studies.tune_run import open_store, planned
+from fjr_design.studies.tune_run import Evaluator, pareto, planned
 from fjr_msgs_py.console.ending import Exit, Interrupted
 from system.documented import documented_keys
 from system.executables import fjr_here
@@ -101,15 +100,18 @@ def test_no_point_beats_one_on_the_front_and_all_others_are_beaten() -> None:
 def test_a_search_that_was_cut_off_ends_with_the_same_result_on_another_number_of_cores(
     folder: Path, study: Path, said: str
 ) -> None:
-    whole = (folder / "joint_v_dpbc" / "evaluations.jsonl").read_bytes()
-    lines = whole.splitlines(keepends=True)
-    other = folder / "other" / "joint_v_dpbc"
-    other.mkdir(parents=True)
-    (other / "tuning.json").write_bytes((folder / "joint_v_dpbc" / "tuning.json").read_bytes())
-    (other / "evaluations.jsonl").write_bytes(b"".join(lines[: len(lines) // 2]) + lines[len(lines) // 2][:40])
+    whole, other = folder / "joint_v_dpbc", folder / "other" / "joint_v_dpbc"
+    shutil.copytree(whole, other)
+    (other / "table.parquet").unlink()
+    parts = sorted((other / "parts").glob("*.parquet"))
+    for part in parts[::2]:
+        part.unlink()
+    parts[1].write_bytes(parts[1].read_bytes()[:-40])  # as after a full disk
+    kept = {part: part.stat().st_mtime_ns for part in parts[3::2]}
     fjr_here("tune", str(study), "--cores", "1", "--output", str(folder / "other"))
-    assert sorted((other / "evaluations.jsonl").read_bytes().splitlines()) == sorted(whole.splitlines())
-    assert (other / "result.json").read_text() == (folder / "joint_v_dpbc" / "result.json").read_text()
+    assert {part: part.stat().st_mtime_ns for part in kept} == kept
+    for name in ("table.parquet", "result.json"):
+        assert (other / name).read_bytes() == (whole / name).read_bytes()
 
 
 @pytest.mark.slow
@@ -120,9 +122,8 @@ def test_a_dask_cluster_gives_the_same_search_and_result(
     shown = fjr_here("tune", str(study), "--scheduler", local_cluster.scheduler_address, "--output", str(other))
     assert "on 2 cores" in shown
     one, two = (place / "joint_v_dpbc" for place in (folder, other))
-    lines = [(place / "evaluations.jsonl").read_bytes().splitlines() for place in (one, two)]
-    assert sorted(lines[0]) == sorted(lines[1])
-    assert (one / "result.json").read_text() == (two / "result.json").read_text()
+    for name in ("table.parquet", "result.json"):
+        assert (one / name).read_bytes() == (two / name).read_bytes()
 
 
 def test_the_json_has_the_documented_keys(folder: Path, study: Path, said: str) -> None:
@@ -141,11 +142,11 @@ def test_a_search_that_is_interrupted_names_its_folder(folder: Path, study: Path
     plan = planned(str(study), Options(1, None, folder, {}, {}), None, numbers)
     stop = threading.Event()
     place = folder / "stopped"
-    with threads(1) as workers, open_store(place, plan, "program", workers, stop) as evaluate:
+    with threads(1) as workers, open_store(place, plan.text, "program") as store:
         with pytest.raises(Interrupted) as ended:
-            search(plan, replace(evaluate, on_progress=lambda runs: stop.set()))
+            search(plan, Evaluator(plan, store, workers, stop, lambda runs: stop.set()))
         assert ended.value.kept == place
-        assert 0 < len(evaluate.parts) < 5
+        assert 0 < len(list(place.glob("parts/*.parquet"))) < 5
 
 
 def test_a_scenario_is_tuned_for_the_usual_uncertainties_also_with_another_law(folder: Path) -> None:

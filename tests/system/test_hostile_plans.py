@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from fjr_core.files.text_file import is_sealed, write_text
 from fjr_design.studies import suite
 from fjr_design.studies.compare_run import read_kept
+from fjr_design.studies.study import open_store
 from fjr_design.studies.sweep import Sweep
 from fjr_design.studies.sweep_file import Options, planned, usual
-from fjr_design.studies.sweep_run import open_store
 from fjr_monitor.report.write import known_of
 from fjr_msgs_py.scenarios import library
 from fuzzing import answer, bytes_of, documents, fuzzed, texts
@@ -97,9 +97,9 @@ COLUMNS = {"run": np.arange(10), "success": np.ones(10, bool)}
 
 
 def filled(folder: Path) -> Path:
-    with open_store(folder, plan(), "program") as store:
-        store.keep(0, 10, COLUMNS)
-        assert store.finished() == 10
+    with open_store(folder, plan().text, "program") as store:
+        store.keep("first", COLUMNS)
+        assert store.holds("first")
     return next((folder / "parts").glob("*.parquet"))
 
 
@@ -111,20 +111,20 @@ def test_changed_part_is_computed_again(tmp_path_factory: pytest.TempPathFactory
     content = data.draw(bytes_of(part.read_bytes()))
     same = content == part.read_bytes()
     part.write_bytes(content)
-    with open_store(folder, plan(), "program") as store:
-        assert store.finished() == (10 if same else 0)
+    with open_store(folder, plan().text, "program") as store:
+        assert store.holds("first") == same
 
 
 def test_changed_table_is_refused(tmp_path: Path) -> None:
     filled(tmp_path)
-    with open_store(tmp_path, plan(), "program") as store:
-        store.keep(10, 20, COLUMNS)
-        table = store.complete()
+    with open_store(tmp_path, plan().text, "program") as store:
+        store.keep("second", COLUMNS)
+        table = store.write_table(["first", "second"])
         assert pq.read_table(table).num_rows == 20
     table.write_bytes(table.read_bytes()[:-1] + b"x")
 
     def taken_up() -> None:
-        with open_store(tmp_path, plan(), "program"):
+        with open_store(tmp_path, plan().text, "program"):
             pass
 
     assert "SHA-256" in answer(taken_up)
@@ -133,10 +133,10 @@ def test_changed_table_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", "3", "{", '{"program": []}', "\0"])
 def test_invalid_study_file_is_refused(text: str, tmp_path: Path) -> None:
     filled(tmp_path)
-    (tmp_path / "campaign.json").write_text(text)
+    (tmp_path / "study.json").write_text(text)
 
     def taken_up() -> None:
-        with open_store(tmp_path, plan(), "program"):
+        with open_store(tmp_path, plan().text, "program"):
             pass
 
     assert answer(taken_up)

@@ -102,6 +102,7 @@ def test_real_arms_have_one_chain_of_six_joints(name: str) -> None:
     assert len(arm.joints) == 6
     assert len(arm.chains) == 1
     assert len(arm.guesses["joint_stiffness"]) == 6
+    assert joints_without_inertia(arm.robot) == {}
 
 
 def test_joints_that_carry_no_mass_are_locked_with_a_note(tmp_path: Path) -> None:
@@ -150,11 +151,6 @@ def test_a_robot_file_that_moves_such_a_joint_is_named_before_the_record(
     assert warning.startswith("roll turns 150 kg")
 
 
-def test_no_joint_of_a_real_arm_is_taken_for_one_without_inertia() -> None:
-    for name in ("KUKA KR 16-2", "KUKA KR 210", "Universal Robots UR3e"):
-        assert joints_without_inertia(arm_of(rtb(name)).robot) == {}
-
-
 def test_paths_in_a_robot_file_are_relative_and_hold_when_both_are_moved(tmp_path: Path) -> None:
     (tmp_path / "a" / "urdf").mkdir(parents=True)
     (tmp_path / "a" / "urdf" / "arm.urdf").write_text(two_link_urdf())
@@ -193,9 +189,6 @@ def test_a_locked_joint_stays_within_its_range(tmp_path: Path) -> None:
 )
 def test_a_wrong_choice_is_one_sentence(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
     assert said in fjr_here("new", str(UR5E), *arguments, "--output", str(tmp_path), code=2)
-
-
-def test_a_file_that_is_no_urdf_is_one_sentence(tmp_path: Path) -> None:
     assert "cannot be read (No such file or directory)" in fjr_here("new", str(tmp_path / "none.urdf"), code=2)
 
 

@@ -322,6 +322,13 @@ def test_check_of_an_unstable_loop_reports_a_stable_rate() -> None:
     assert late.lowest_stable_rate is None
 
 
+def test_a_check_without_the_lowest_rate_finds_the_same_margin() -> None:
+    law = fjr.TrackingLaw(fjr.planar_two_link(), fjr.synthesize(fjr.planar_two_link(), 5.0, 1e-3))
+    whole, quick = check(law, 1e-3), check(law, 1e-3, lowest_rate=False)
+    assert (quick.spectral_radius, quick.delay_margin) == (whole.spectral_radius, whole.delay_margin)
+    assert quick.lowest_stable_rate is None
+
+
 def test_table_1_recipe_on_a_stiff_arm_is_unstable_as_sampled_and_in_simulation() -> None:
     law = fjr.TrackingLaw(arm7().robot, fjr.PAPER_GAINS)
     found = check(law, 1e-3)

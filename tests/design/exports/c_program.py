@@ -12,7 +12,8 @@ from pathlib import Path
 
 from fjr_core.config.scenario import load_scenario
 from fjr_design.exports.c_code import prefix_of
-from fjr_design.exports.project import ExportedLoop, export, loop_of, write
+from fjr_design.exports.project import export, write
+from fjr_design.exports.step_code import ExportedLoop, loop_of
 from program_cache import built
 from time_limits import HANG
 
@@ -29,15 +30,13 @@ def loop(name: str) -> ExportedLoop:
 
 
 def changed(scenario: str, **fields: object) -> ExportedLoop:
-    """Return the loop of a shipped scenario with other fields of the loop or its controller, e.g. another reference."""
-    made = loop(scenario)
-    of_loop = {name: fields.pop(name) for name in ("plant", "x0", "inner_steps") if name in fields}
-    return replace(made, controller=replace(made.controller, **fields), **of_loop)
+    """Return the loop of a shipped scenario with other fields, e.g. another reference."""
+    return replace(loop(scenario), **fields)  # type: ignore[arg-type]
 
 
 def exported(loop: ExportedLoop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
     """Export a loop to a folder and return the folder."""
-    write(export(loop, prefix or prefix_of(loop.controller.name), samples), folder)
+    write(export(loop, prefix or prefix_of(loop.name), samples), folder)
     return folder
 
 

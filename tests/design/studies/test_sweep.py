@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +17,13 @@ from scipy import stats
 
 import fjr_core as fjr
 from fjr_core import ParameterError
+from fjr_core.errors import MissingPackageError
 from fjr_design.studies import sensitivity, study, sweep, sweep_file, sweep_run
 from fjr_design.studies.study import StoreError, Workers, threads
 from fjr_design.studies.sweep import Columns, Sweep, from_text
-from fjr_design.studies.sweep_run import open_store, run_missing
+from fjr_design.studies.sweep_run import run_missing
 from fjr_design.uncertainty import distributions
+from time_limits import HANG
 
 SCENARIO = """
 /**:
@@ -44,10 +49,14 @@ def sweep_of(runs: int = 45, vary: dict[str, Any] = VARY, **changes: Any) -> Swe
     return Sweep("test", SCENARIO, runs, drawn, **values)
 
 
+def opened(folder: Path, plan: Sweep | None = None, program: str = "program") -> AbstractContextManager[study.Store]:
+    return study.open_store(folder, (plan or sweep_of()).text, program)
+
+
 def done(folder: Path, plan: Sweep, cores: int = 1, stop: threading.Event | None = None) -> bytes:
-    with open_store(folder, plan, "program") as kept, threads(cores) as workers:
-        assert run_missing(kept, workers, lambda runs: None, stop or threading.Event())
-        return kept.complete().read_bytes()
+    with opened(folder, plan) as kept, threads(cores) as workers:
+        assert run_missing(plan, kept, workers, lambda runs: None, stop or threading.Event())
+        return sweep_run.complete(plan, kept).read_bytes()
 
 
 class LogNormal:
@@ -137,10 +146,10 @@ def test_table_is_byte_identical_for_any_number_of_cores_and_any_order(tmp_path:
     plan = sweep_of()
     one = done(tmp_path / "one", plan)
     assert done(tmp_path / "more", plan, cores=4) == one
-    with open_store(tmp_path / "backwards", plan, "program") as kept:
-        for begin, end in reversed(list(kept.missing())):
-            kept.keep(begin, end, plan.part(begin, end))
-        assert kept.complete().read_bytes() == one
+    with opened(tmp_path / "backwards", plan) as kept:
+        for begin, end in reversed(sweep_run.missing_parts(plan, kept)):
+            kept.keep(f"{begin:09d}-{end:09d}", plan.part(begin, end))
+        assert sweep_run.complete(plan, kept).read_bytes() == one
 
 
 def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,14 +160,14 @@ def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.Mo
         return sweep.run_part(text, begin, end)
 
     monkeypatch.setattr(sweep_run, "run_part", counted)
-    with open_store(tmp_path / "a", plan, "program") as kept, threads(1) as workers:
-        assert not run_missing(kept, workers, lambda runs: stop.set(), stop)
-        there = kept.finished()
-        assert 0 < there < 45
+    with opened(tmp_path / "a", plan) as kept, threads(1) as workers:
+        assert not run_missing(plan, kept, workers, lambda runs: stop.set(), stop)
+        there = 5 - len(sweep_run.missing_parts(plan, kept))
+        assert 0 < there < 5
     first = set(asked)
     asked.clear()
     table = done(tmp_path / "a", plan)
-    assert len(asked) == 5 - there // 10
+    assert len(asked) == 5 - there
     assert len(first | set(asked)) == 5
     assert table == done(tmp_path / "b", plan)
     asked.clear()
@@ -185,25 +194,21 @@ def test_truncated_part_is_run_again(tmp_path: Path) -> None:
     ],
 )
 def test_store_of_another_study_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
-    with open_store(tmp_path, sweep_of(), "program"):
+    with opened(tmp_path):
         pass
-    with (
-        pytest.raises(StoreError, match="holds another study") as caught,
-        open_store(tmp_path, sweep_of(**changes), "program"),
-    ):
+    with pytest.raises(StoreError, match="holds another study") as caught, opened(tmp_path, sweep_of(**changes)):
         pass
     assert words in str(caught.value)
     assert "another --output" in str(caught.value)
 
 
 def test_store_of_another_program_in_use_or_damaged_is_refused(tmp_path: Path) -> None:
-    with open_store(tmp_path, sweep_of(), "program"), pytest.raises(StoreError, match="in use by another process"):  # noqa: SIM117
-        with open_store(tmp_path, sweep_of(), "program"):
-            pass
-    with pytest.raises(StoreError, match="another version of this program"), open_store(tmp_path, sweep_of(), "new"):
+    with opened(tmp_path), pytest.raises(StoreError, match="in use by another process"), opened(tmp_path):
         pass
-    (tmp_path / "campaign.json").write_text("{")
-    with pytest.raises(StoreError, match="cannot be read"), open_store(tmp_path, sweep_of(), "program"):
+    with pytest.raises(StoreError, match="another version of this program"), opened(tmp_path, program="new"):
+        pass
+    (tmp_path / "study.json").write_text("{")
+    with pytest.raises(StoreError, match="cannot be read"), opened(tmp_path):
         pass
 
 
@@ -211,14 +216,30 @@ def test_store_of_another_program_in_use_or_damaged_is_refused(tmp_path: Path) -
 def test_results_without_their_study_file_are_refused(tmp_path: Path, left: str) -> None:
     (tmp_path / "parts").mkdir()
     (tmp_path / left).write_bytes(b"of another campaign")
-    with pytest.raises(StoreError, match="without their campaign.json"), open_store(tmp_path, sweep_of(), "program"):
+    with pytest.raises(StoreError, match="without their study.json"), opened(tmp_path):
         pass
-    assert not (tmp_path / "campaign.json").exists()
+    assert not (tmp_path / "study.json").exists()
 
 
-def test_parts_cover_all_runs_and_stay_small(tmp_path: Path) -> None:
+def test_missing_pyarrow_error_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with (
+        pytest.raises(MissingPackageError, match=r"pyarrow is not installed; .*: pip install pyarrow$"),
+        opened(tmp_path),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_commands_without_a_study_do_not_need_pyarrow() -> None:
+    modules = "fjr_bringup.cli.run", "fjr_design.cli.check", "fjr_design.cli.files", "fjr_design.cli.gains"
+    code = f"import sys, {', '.join(modules)}; sys.exit('pyarrow' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=HANG).returncode == 0
+
+
+def test_parts_cover_all_runs_and_stay_small() -> None:
     for runs in (1, 9, 10, 999, 10_000, 1_000_001):
-        cut = sweep_run.Store(tmp_path, sweep_of(runs)).parts()
+        cut = sweep_run.parts_of(sweep_of(runs))
         assert cut[0][0] == 0
         assert cut[-1][1] == runs
         assert all(end == begin for (_, end), (begin, _) in zip(cut, cut[1:], strict=False))
@@ -234,10 +255,10 @@ def test_number_of_pending_parts_is_bounded(tmp_path: Path) -> None:
             most[0] = max(most[0], inner._work_queue.qsize())
             return future
 
-    with open_store(tmp_path, plan, "program") as kept, threads(1) as workers:
+    with opened(tmp_path, plan) as kept, threads(1) as workers:
         inner: Any = workers.executor
         watched = Workers(Watching(), 1)  # type: ignore[arg-type]
-        assert run_missing(kept, watched, lambda runs: None, threading.Event())
+        assert run_missing(plan, kept, watched, lambda runs: None, threading.Event())
     assert most[0] <= study.AHEAD
 
 
@@ -252,10 +273,10 @@ def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
 
     workers = Workers(Elsewhere(), 1, remote=True)  # type: ignore[arg-type]
     with (
-        open_store(tmp_path, plan, "program") as kept,
+        opened(tmp_path, plan) as kept,
         pytest.raises(study.ClusterError, match="No module named 'fjr_core'.*; expected this version of fjr_core"),
     ):
-        run_missing(kept, workers, lambda runs: None, threading.Event())
+        run_missing(plan, kept, workers, lambda runs: None, threading.Event())
 
 
 @pytest.mark.parametrize(

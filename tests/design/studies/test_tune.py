@@ -177,8 +177,8 @@ def test_robust_gains_and_the_observer_bandwidth_are_coordinates_that_change_the
 def test_a_point_without_gains_is_refused() -> None:
     given = study(changes={"law": {"type": "torque_feedback"}})
     heavier = [0.0, 0.0, 3.0]  # M_theta above M_m
-    assert given.run(heavier, 0, 4) == {}
-    assert given.score(heavier, {}).cost > INFEASIBLE
+    assert given.score(heavier, given.run(heavier, 0, 4)) == given.goal.refused()
+    assert given.goal.refused().cost > INFEASIBLE
 
 
 def test_candidates_run_the_draws_of_the_sweep() -> None:

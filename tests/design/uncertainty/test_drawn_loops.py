@@ -17,9 +17,9 @@ from fjr_design.tuning.gain_synthesis import gain_search
 from fjr_design.uncertainty.drawn_loops import (
     DrawnLoops,
     DrawnPlants,
-    LargestMeanDifference,
     contracting,
     draws_needed,
+    in_common,
     largest_share,
 )
 
@@ -97,9 +97,8 @@ def test_gains_hold_where_drawn_plants_are_worst_not_only_where_their_own_model_
 def test_the_parameter_in_which_lost_draws_differ_is_named() -> None:
     plants = drawn(60, 0.1, delay=1e-4)
     lost = plants.motor_inertia[:, 1] > np.quantile(plants.motor_inertia[:, 1], 0.9)
-    sentence = LargestMeanDifference.of(plants, lost).sentence(("a", "b"))
-    assert "motor inertia of b" in sentence
-    assert "delay: " in LargestMeanDifference.of(plants, plants.delay > 9e-5).sentence()
+    assert "motor inertia of b" in in_common(plants, lost, ("a", "b"))
+    assert "delay: " in in_common(plants, plants.delay > 9e-5)
 
 
 def test_4603_draws_of_which_none_is_lost_show_one_in_a_thousand_with_99_percent() -> None:

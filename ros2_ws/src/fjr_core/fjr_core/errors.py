@@ -45,7 +45,7 @@ class UserCodeError(FjrError):
 
 
 class MissingPackageError(FjrError):
-    """A package of this project is not installed."""
+    """A package is not installed."""
 
 
 class CompilerError(FjrError):

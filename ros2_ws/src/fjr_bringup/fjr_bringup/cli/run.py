@@ -14,7 +14,7 @@ from fjr_bringup import runner
 from fjr_bringup.runner import RunError, RunPlan
 from fjr_core.errors import FjrError
 from fjr_core.numerics.jit import require_compiler
-from fjr_design.cli.preflight import checked, refuse_coarse_steps, refuse_unstable
+from fjr_design.cli.preflight import refuse_coarse_steps, refuse_unstable
 from fjr_monitor.recording.topic import BagError
 from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
@@ -89,7 +89,7 @@ def _plan(
             print(f"fjr: {warning}", file=sys.stderr)
         if not force:
             refuse_coarse_steps(scenario)
-            refuse_unstable(scenario, checked(scenario))
+            refuse_unstable(scenario)
         scenario.warm_up()
     return RunPlan(path.stem, text, duration, output / path.stem, bool(scenario.plant_values["lockstep"]))
 

@@ -55,9 +55,9 @@ class SampledCheck:
     [rad]. delay_margin [samples]: the largest total delay such that all delays between the given one and this are
     stable; if the given one is unstable, counted from zero; 0 if no delay is stable; at most LONGEST_DELAY.
     lowest_stable_rate [Hz]: the lowest sample rate such that all rates between it and the given one are stable; if the
-    given one is unstable, the rate above which all are, up to HIGHEST_RATE; None: no such rate. Delay [s] and
-    parameters of the controller, robust.hold included, stay the same at other rates. configurations: number of checked
-    configurations. closely (c, n) [rad]: those at which the margins were searched.
+    given one is unstable, the rate above which all are, up to HIGHEST_RATE; None: no such rate, or not searched. Delay
+    [s] and parameters of the controller, robust.hold included, stay the same at other rates. configurations: number of
+    checked configurations. closely (c, n) [rad]: those at which the margins were searched.
     """
 
     stable: bool
@@ -93,12 +93,14 @@ def check(
     configurations: ArrayLike | None = None,
     plant: Plant | None = None,
     sensing: Sensing | None = None,
+    lowest_rate: bool = True,
 ) -> SampledCheck:
     """Check the law sampled every sample_period [s] with a loop delay [s]; see SampledCheck and this module.
 
     law: a static law, or one with a controller state (robust.law.sampled_law). configurations (k, n) [rad]; None: 1024
     sampled ones (64 for another law than v-dPBC, which has no closed form here). plant: the controlled plant if it
-    differs from the model of the law. sensing: measurements of the law; None: the state of the plant.
+    differs from the model of the law. sensing: measurements of the law; None: the state of the plant. lowest_rate:
+    search the lowest stable rate, which takes most of the time.
     Of more than 48 configurations the closed form of the static loop selects the worst, at which margins are searched.
     A static loop is then checked at all of them just within the margins, for delays up to MOST_STATES states. A loop
     with a controller state is checked only at about WITH_STATE of the worst.
@@ -110,29 +112,28 @@ def check(
     with_state = not isinstance(law, StaticLaw) or not sensing.plain
     most = WITH_STATE if with_state else FEW
     if len(q_l) <= most or plant.robot.n != law.robot.n:
-        return _checked(linearize(law, q_l, plant, sensing), sample_period, delay)
+        return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate)
     if not isinstance(below, TrackingLaw):
         count = WITH_STATE if with_state else len(q_l)
         few = np.linspace(0, len(q_l) - 1, count).round().astype(np.intp)
-        return replace(
-            _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay), configurations=len(few)
-        )
+        found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay, lowest_rate)
+        return replace(found, configurations=len(few))
     everywhere = closed_form(below, q_l, plant)
-    static = _of_many(below, everywhere, plant, sample_period, delay)
+    static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
     if not with_state:
         return static
     few = _worst_of(everywhere, static)
-    found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay)
+    found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay, lowest_rate)
     return replace(found, configurations=len(few))
 
 
 def _of_many(
-    law: TrackingLaw, everywhere: SampledLoop, plant: Plant, sample_period: float, delay: float
+    law: TrackingLaw, everywhere: SampledLoop, plant: Plant, sample_period: float, delay: float, lowest_rate: bool
 ) -> SampledCheck:
     """Check a static loop at the worst configurations of its closed form and at those that violate its margins."""
     q_l, few = everywhere.configurations, everywhere.critical(sample_period, delay, KEPT)
     for _ in range(ROUNDS):
-        found = _checked(linearize(law, q_l[few], plant), sample_period, delay)
+        found = _checked(linearize(law, q_l[few], plant), sample_period, delay, lowest_rate)
         missed = np.setdiff1d(_unstable(everywhere, found), few)
         if not len(missed):
             break
@@ -150,7 +151,7 @@ def _worst_of(everywhere: SampledLoop, found: SampledCheck) -> Indices:
     return ranked[np.sort(np.unique(ranked, return_index=True)[1])]
 
 
-def _checked(loop: SampledLoop, sample_period: float, delay: float) -> SampledCheck:
+def _checked(loop: SampledLoop, sample_period: float, delay: float, lowest_rate: bool) -> SampledCheck:
     radii = loop.radii(sample_period, delay)
     at_rates = loop if loop.with_state is None else loop.at(np.arange(len(radii))[:RATES_WITH_STATE])
     worst = int(np.argmax(radii))
@@ -160,7 +161,7 @@ def _checked(loop: SampledLoop, sample_period: float, delay: float) -> SampledCh
         spectral_radius=float(radii[worst]),
         configuration=loop.configurations[worst],
         delay_margin=_delay_margin(loop, sample_period, delay, stable),
-        lowest_stable_rate=_lowest_stable_rate(at_rates, 1 / sample_period, delay, stable),
+        lowest_stable_rate=_lowest_stable_rate(at_rates, 1 / sample_period, delay, stable) if lowest_rate else None,
         sample_period=sample_period,
         delay=delay,
         configurations=len(loop.configurations),

@@ -32,7 +32,6 @@ from fjr_design.cli.preflight import (
     UnstableError,
     as_list,
     checked,
-    checked_at,
     position_unit,
     ranges,
     refuse_coarse_steps,
@@ -43,7 +42,7 @@ from fjr_design.cli.preflight import (
 from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.output import Result, plural
 from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured
@@ -110,15 +109,13 @@ def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
 def check(scenario: Scenario) -> Check:
     """Check the loop of a scenario: its rate, stability as sampled, margins, limits and initial position."""
     found, law = checked(scenario), scenario.law
-    rates, numbers = (
-        _rates(scenario, law) if isinstance(law, TrackingLaw) else (_other_law(scenario), (None, False, None))
-    )
+    rates, numbers = _rates(scenario, law) if isinstance(law, TrackingLaw) else (_other_law(scenario), {})
     lowest, at = found.lowest_stable_rate, as_list(found.configuration)
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_in_the_loop(scenario),
         **rates,
-        "spectral radius": f"{found.spectral_radius:.6f}, the worst of {_count(found)}",
+        "spectral radius": f"{found.spectral_radius:.6f}, the worst of {plural(found.configurations, 'configuration')}",
         "    found at q_l": f"{at} {position_unit(scenario)}",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
         "lowest stable rate": "none" if lowest is None else f"{lowest:.4g} Hz",
@@ -136,7 +133,7 @@ def check(scenario: Scenario) -> Check:
         "delay_margin_samples": found.delay_margin,
         "lowest_stable_rate_hz": lowest,
         "sample_period_s": found.sample_period,
-        **dict(zip(("beta_per_s", "beta_is_proven", "beta_attained_per_s"), numbers, strict=True)),
+        **{"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None, **numbers},
         "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings],
         "refused": refusal or None,
     }
@@ -169,8 +166,8 @@ def _in_the_loop(scenario: Scenario) -> dict[str, str]:
     return {"in the loop": ", ".join(named)} if named else {}
 
 
-def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], tuple[float, bool, float | None]]:
-    """Return the rows of beta and of the beta of eq. (50), and beta, whether it is proven, and the rate attained.
+def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return the rows of beta and of the beta of eq. (50), and their numbers as JSON values.
 
     Proven: by a closed form, or by branch and bound in an earlier command, which has kept its ProvenRate. Then the
     configuration that attains the smallest rate has a row, too. Otherwise the rate is a minimum over samples.
@@ -197,7 +194,7 @@ def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], tuple[
         **more,
     }
     proven = exact and (rate.proven or kept is not None)
-    return rows, (found.beta, proven, None if kept is None else kept.attained)
+    return rows, {"beta_per_s": found.beta, "beta_is_proven": proven, "beta_attained_per_s": kept and kept.attained}
 
 
 def _is_provable(scenario: Scenario) -> bool:
@@ -242,12 +239,11 @@ def _elsewhere(scenario: Scenario) -> dict[str, str]:
 
     For v-dPBC also the rate that is proven within a radius of the reference, if something can be proven.
     """
-    law = scenario.law
+    law, found = scenario.law, checked(scenario, elsewhere=True, lowest_rate=False)
     if not isinstance(law, TrackingLaw):
-        found = checked_at(scenario, None)
-        return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {_count(found)}"}
+        count = plural(found.configurations, "configuration")
+        return {"in the whole range": f"spectral radius {found.spectral_radius:.6f}, the worst of {count}"}
     where = scenario.configurations()
-    found = checked_at(scenario, where)
     beta = f"beta {law.rate(where).beta:.4g} 1/s (minimum over {len(where)} points of it)"
     margin = f"delay margin {found.delay_margin:.2f} samples"
     rows = {"on the reference": f"{beta}, spectral radius {found.spectral_radius:.6f}, {margin}"}
@@ -309,7 +305,3 @@ def _start(scenario: Scenario) -> dict[str, str]:
         return {}
     found = start_outside(scenario)
     return {"initial position": f"BEYOND {'; '.join(found)}" if found else "within the ranges of the joints"}
-
-
-def _count(found: SampledCheck) -> str:
-    return f"{found.configurations} configurations" if found.configurations > 1 else "1 configuration"

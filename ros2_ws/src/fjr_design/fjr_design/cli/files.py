@@ -17,9 +17,9 @@ from fjr_core.config.scenario import left_out
 from fjr_core.errors import FjrError
 from fjr_core.files.text_file import write_text
 from fjr_design.exports.c_code import prefix_of
-from fjr_design.exports.project import export, loop_of, write
-from fjr_design.exports.ros2_control.arm import not_exported
-from fjr_design.exports.ros2_control.package import export_package, package_name_of
+from fjr_design.exports.project import export, write
+from fjr_design.exports.ros2_control.package import export_package, not_exported, package_name_of
+from fjr_design.exports.step_code import loop_of
 from fjr_design.scaffold.arm import Arm, arm_of, described
 from fjr_design.scaffold.files import locked_joints, origin_of, robot_text, scenario_text
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of

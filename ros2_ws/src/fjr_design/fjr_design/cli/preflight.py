@@ -24,20 +24,16 @@ class StartError(FjrError):
     """The robot of a scenario starts outside a limit of the controller."""
 
 
-def checked(scenario: Scenario) -> SampledCheck:
+def checked(scenario: Scenario, elsewhere: bool = False, lowest_rate: bool = True) -> SampledCheck:
     """Check the sampled loop that the nodes run in lock-step, with robust.* options, observer, sensors and delay.
 
     v-dPBC is checked in the whole range of the joints. Another law, whose gains may hold for one configuration only,
-    is checked along the reference.
+    is checked along the reference. elsewhere: the other way round. lowest_rate: see sampled_loop.check.
     """
-    where = None if isinstance(scenario.law, TrackingLaw) else scenario.configurations()
-    return checked_at(scenario, where)
-
-
-def checked_at(scenario: Scenario, where: Array | None) -> SampledCheck:
-    """Check the sampled loop at link positions (k, n) [rad, m], or at samples of the whole range for None."""
+    everywhere = isinstance(scenario.law, TrackingLaw) != elsewhere
+    where = None if everywhere else scenario.configurations()
     law, period, delay = scenario.sampled_law, scenario.sample_period, scenario.loop_delay
-    return check(law, period, delay, where, scenario.plant, scenario.sensing)
+    return check(law, period, delay, where, scenario.plant, scenario.sensing, lowest_rate)
 
 
 def refuse_coarse_steps(scenario: Scenario) -> None:
@@ -52,10 +48,14 @@ def refuse_coarse_steps(scenario: Scenario) -> None:
         )
 
 
-def refuse_unstable(scenario: Scenario, found: SampledCheck) -> None:
-    """Raise UnstableError if the checked loop is unstable."""
-    if found.stable:
+def refuse_unstable(scenario: Scenario, found: SampledCheck | None = None) -> None:
+    """Raise UnstableError if the loop is unstable; found: its check.
+
+    Without one the lowest stable rate, which takes most of the time, is searched only for an unstable loop.
+    """
+    if (found or checked(scenario, lowest_rate=False)).stable:
         return
+    found = found or checked(scenario)
     raise UnstableError(
         f"scenario {scenario.name} is unstable as sampled at {1 / found.sample_period:g} Hz: "
         f"spectral radius {found.spectral_radius:.4g} at q_l = {as_list(found.configuration)} "

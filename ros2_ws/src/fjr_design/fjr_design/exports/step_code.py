@@ -22,9 +22,12 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError, TrajectoryError
 from fjr_core.law.interfaces import ARGUMENTS, SampledLaw, StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.monitoring.certificate import OUTPUTS
 from fjr_core.motions.reference import Reference
-from fjr_core.numerics.checks import joint_names
+from fjr_core.numerics import integrators
+from fjr_core.numerics.checks import Array, joint_names
+from fjr_core.numerics.symbolic import dense_function
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import HEADER, SOURCES, text
@@ -45,11 +48,11 @@ KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, SampledMotion, joi
 
 
 @dataclass(frozen=True, eq=False)
-class ExportedController:
-    """ExportedController to export: everything between a measured state and an effort, without ROS.
+class ExportedLoop:
+    """Sampled closed loop to export: all between a measured state and an effort, without ROS, and a plant.
 
-    law: not compiled, so that C can be generated from it. Raises StateError for a law in Python, and if law, reference
-    and names differ in the number of joints.
+    law: not compiled, so that C can be generated from it. x0 (4n,): initial state. inner_steps: of the plant per
+    sample. Raises StateError for a law or plant in Python, and if the parts differ in the number of joints.
     """
 
     name: str
@@ -59,16 +62,25 @@ class ExportedController:
     settings: Settings
     sample_period: float
     measurement: Measurement
+    plant: Plant
+    x0: Array
+    inner_steps: int
     observer: VelocityObserver | None = None
     robust: Robust | None = None
 
     def __post_init__(self) -> None:
         joint_names("joints", self.joints, StateError)
-        n = [self.law.robot.n, self.reference.n, len(self.joints), self.settings.n]
-        if len(set(n)) != 1:
-            raise StateError(f"law, reference, names and settings have {n} joints; expected equal numbers")
-        if self.law.in_python:
-            raise StateError("the law is written in Python; expected one made of expressions, to export it to C")
+        n = [self.law.robot.n, self.reference.n, len(self.joints), self.settings.n, self.plant.robot.n]
+        if len({*n, np.size(self.x0) / 4}) != 1:
+            raise StateError(
+                f"law, reference, names, settings and plant have {n} joints, x0 has {np.size(self.x0)} entries; "
+                "expected equal numbers of joints, 4 entries each"
+            )
+        for name, part in (("law", self.law), ("plant", self.plant)):
+            if part.in_python:
+                raise StateError(
+                    f"the {name} is written in Python; expected one made of expressions, to export it to C"
+                )
 
     @property
     def n(self) -> int:
@@ -90,55 +102,79 @@ class ExportedController:
         """Return the functions of struct fjr_model by name."""
         return model_functions(self.sampled_law, self.observer)
 
+    @property
+    def plant_functions(self) -> dict[str, ca.Function]:
+        """Return the functions of the plant by their names in C, not compiled.
+
+        plant_measure: x (4n,) -> position (q_l, q_m), velocity (dq_l, dq_m), each (2n,).
+        """
+        x = ca.SX.sym("x", 4 * self.n)
+        signals = {"position": x[: 2 * self.n], "velocity": ca.vertcat(*self.plant.robot.velocity_expressions(x))}
+        return {
+            "plant_measure": dense_function("measure", {"x": x}, signals, cse=True),
+            "plant_step": integrators.step_as_c(self.plant.integrator, self.plant.dynamics),
+        }
+
     def step(self) -> ControlStep:
-        """Return the control step of this controller in memory, compiled, waiting for its first sample."""
+        """Return the control step of this loop in memory, compiled, waiting for its first sample."""
         given = self.law, self.reference, self.settings, self.observer
         return ControlStep(*given, robust=self.robust, measurement=self.measurement, compile=True)
 
 
-def controller_of(scenario: Scenario) -> ExportedController:
-    """Return the controller of a scenario; raises FjrError."""
+def loop_of(scenario: Scenario) -> ExportedLoop:
+    """Return the closed loop of a scenario with an ideal plant; raises FjrError."""
     values = {**scenario.controller_values, "compile": False}
     s = replace(scenario, controller_values=values)
-    settings, measured, seen = safety(values, s.robot), measurement(values, s.robot), observer(values, s.robot)
-    robust = robust_action(values, s.law)
-    return ExportedController(s.name, s.joints, s.law, s.reference, settings, s.sample_period, measured, seen, robust)
+    return ExportedLoop(
+        s.name,
+        s.joints,
+        s.law,
+        s.reference,
+        safety(values, s.robot),
+        s.sample_period,
+        measurement(values, s.robot),
+        s.plant,
+        np.asarray(s.x0),
+        int(s.plant_values["inner_steps"]),  # type: ignore[arg-type]
+        observer(values, s.robot),
+        robust_action(values, s.law),
+    )
 
 
-def step_code(controller: ExportedController, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
+def step_code(loop: ExportedLoop, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
     """Return the texts of the step by file name; `more` functions are written as fjr_casadi_<name>, too.
 
     Raises TrajectoryError for a reference that is not built in, CompilerError without a C compiler.
     """
-    functions = {**controller.functions, **(more or {})}
+    functions = {**loop.functions, **(more or {})}
     sizes = work_sizes(PREFIX, functions)
     sizes = {size: max(sizes[size], least) for size, least in CALLED.items()}
-    values = _values(controller) | {size: str(length) for size, length in sizes.items()}
+    values = _values(loop) | {size: str(length) for size, length in sizes.items()}
     texts = {name: filled(name, values) for name in ("model.h", "model.c", "control_step.c")}
     texts |= {name: text(name) for name in (HEADER, *SOURCES)}
     return texts | {"casadi.c": casadi_code(PREFIX, functions)}
 
 
-def _values(controller: ExportedController) -> dict[str, str]:
+def _values(loop: ExportedLoop) -> dict[str, str]:
     """Return the values of the names in the templates."""
-    law, step = controller.sampled_law, controller.step()
-    names = {name: f"{PREFIX}_casadi_{name}" for name in controller.functions}
+    law, step = loop.sampled_law, loop.step()
+    names = {name: f"{PREFIX}_casadi_{name}" for name in loop.functions}
     arguments = "const double** arg, double** res, long long int* iw, double* w, int mem"
     return {
-        "title": comment(controller.name),
-        "title_literal": quoted(controller.name),
-        "joint_list": comment(", ".join(controller.joints)),
-        "joint_literals": ", ".join(map(quoted, controller.joints)),
-        "n": str(controller.n),
+        "title": comment(loop.name),
+        "title_literal": quoted(loop.name),
+        "joint_list": comment(", ".join(loop.joints)),
+        "joint_literals": ", ".join(map(quoted, loop.joints)),
+        "n": str(loop.n),
         "memory_length": str(max(1, len(law.memory))),
         "gains": str(len(law.gain_values)),
-        "gain_words": _gain_words(controller.law),
+        "gain_words": _gain_words(loop.law),
         "gain_numbers": numbers(law.gain_values),
-        "sample_period": number(controller.sample_period),
+        "sample_period": number(loop.sample_period),
         "functions": "\n".join(f"int {name}({arguments});" for name in names.values()),
         "settings": _initialisers(step.ffi, step.controller.settings, {}),
         "model": _initialisers(step.ffi, step.model, names),
-        "reference": reference_code(controller.reference, "reference"),
+        "reference": reference_code(loop.reference, "reference"),
         "includes": "\n".join(f'#include "{name}"' for name in SOURCES),
     }
 

@@ -170,7 +170,7 @@ def first_gains(robot: Robot, sample_period: float, configurations: Array, delay
         gains = searches[where].best(beta)
         if gains is None:
             continue
-        found = check(TrackingLaw(robot, gains), sample_period, delay)
+        found = check(TrackingLaw(robot, gains), sample_period, delay, lowest_rate=False)
         if found.stable and (best is None or found.delay_margin > best.check.delay_margin):
             best = FirstGains(gains, beta, where, found)
         if best is not None and best.check.delay_margin >= DELAY_MARGIN:

@@ -142,10 +142,10 @@ def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
 
 def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[tuple[str, list[tuple[str, str]]]]]]:
     """Return the rows of one kind, grouped by the reference that heads them."""
-    chosen = [row for row in found if row.metric.group.partition(" ")[0] == kind]
+    chosen = [row for row in found if row.group.partition(" ")[0] == kind]
     return [
-        (group.partition(" ")[2], [(row.metric.name, _cells(row)) for row in rows_of_group])
-        for group, rows_of_group in groupby(chosen, lambda row: row.metric.group)
+        (group.partition(" ")[2], [(row.name, _cells(row)) for row in rows_of_group])
+        for group, rows_of_group in groupby(chosen, lambda row: row.group)
     ]
 
 
@@ -165,12 +165,10 @@ def comparison_plots(document: dict[str, Any]) -> list[Plot]:
         results = [document["results"][robot][law["label"]] for law in document["laws"]]
         laws = list(zip(styles, results, strict=True))
         place = place_of(i)
-        margins = [row for row in found if row.robot == robot and row.metric.group == "margins"]
+        margins = [row for row in found if row.robot == robot and row.group == "margins"]
         plots += [_trace(place, laws, "error"), _trace(place, laws, "effort")]
         for axis in document["suite"]["margins"]:
-            caption = _winners(
-                [row for row in margins if row.metric.name.startswith(axis)], [name for name, *_ in styles]
-            )
+            caption = _winners([row for row in margins if row.name.startswith(axis)], [name for name, *_ in styles])
             plots.append(_curve(place, laws, axis, document["suite"]["tracks"], caption))
     return [plot for plot in plots if not plot.is_empty]
 
@@ -208,7 +206,7 @@ def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:
     for row in margins:
         best = [i for i, best in enumerate(row.best) if best]
         if best:
-            first = (min if row.metric.less else max)(best, key=lambda i: row.values[i].number or 0.0)
+            first = (min if row.less else max)(best, key=lambda i: row.values[i].number or 0.0)
             largest.append(f"{row.values[first].words} ({'several' if len(best) > 1 else names[first]})")
     return f"Largest: {', '.join(largest)}" if largest else "No law tracks."
 

@@ -8,7 +8,7 @@ imperfections, errors under imperfections, metrics of the nominal run, and figur
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -77,26 +77,18 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Metric:
-    """A quantity of the results of a law. less: smaller is better. of: its value from the results of one law.
+class Row:
+    """One quantity of one robot, for all laws. less: smaller is better. in_table: it is a row of the short table.
 
-    group: heading, of which the first word is the kind, the rest a reference. in_table: it is a row of the short table.
+    group: heading, of which the first word is the kind, the rest a reference.
     """
 
+    robot: str
     group: str
     name: str
-    of: Callable[[dict[str, Any]], Value]
+    values: tuple[Value, ...]
     less: bool = True
     in_table: bool = False
-
-
-@dataclass(frozen=True)
-class Row:
-    """One metric of one robot, for all laws."""
-
-    robot: str
-    metric: Metric
-    values: tuple[Value, ...]
 
     @property
     def best(self) -> tuple[bool, ...]:
@@ -104,48 +96,18 @@ class Row:
         costs = [math.inf] * len(self.values)
         for i, value in enumerate(self.values):
             if value.number is not None and value.state == "tracks":
-                costs[i] = value.number if self.metric.less else 1 / value.number if value.number > 0 else math.inf
+                costs[i] = value.number if self.less else 1 / value.number if value.number > 0 else math.inf
         return tuple(cost < math.inf and cost <= min(costs) * (1 + TIE) for cost in costs)
 
 
-def rows(document: dict[str, Any]) -> list[Row]:
-    """Return all rows of a comparison (`document`), robot by robot: drawn plants, margins, errors, nominal run."""
-    found = []
-    for robot, results in document["results"].items():
-        laws = [results[law["label"]] for law in document["laws"]]
-        metrics = _metrics(document["suite"], list(document["robots"][robot]["references"]))
-        if not all(law["uncertain"] for law in laws):
-            metrics = [metric for metric in metrics if metric.group != "uncertain"]
-        found += [Row(robot, metric, tuple(map(metric.of, laws))) for metric in metrics]
-    return found
+@dataclass(frozen=True)
+class Metric:
+    """A number of a run or of drawn plants: its name in a row, its key in the results, and its text."""
 
-
-def table_rows(document: dict[str, Any]) -> list[Row]:
-    """Return the rows of the table: drawn plants, margins, and error and peak effort of the nominal run."""
-    return [row for row in rows(document) if row.metric.in_table]
-
-
-def _metrics(suite: dict[str, Any], references: Sequence[str]) -> list[Metric]:
-    """Return the metrics of a robot in the order of the page."""
-    found = []
-    if suite["tune"]:
-        least = suite["tune"]["success"]
-        for name, key, words, less in DRAWN:
-            found.append(Metric("uncertain", name, _drawn(key, words, least), less, True))
-    for direction in directions(suite["margins"]):
-        found.append(Metric("margins", direction.name, _margin(direction), direction.is_down, True))
-    for reference in references:
-        for name in suite["imperfections"]:
-            in_table = reference == references[0] and name == NOMINAL
-            found.append(Metric(f"errors {reference}", name, _cell(reference, name, "rms", _mrad), True, in_table))
-    for reference in references:
-        for name, key, words in OF_A_RUN:
-            in_table = reference == references[0] and key == "effort_peak"
-            found.append(Metric(f"metrics {reference}", name, _cell(reference, NOMINAL, key, words), True, in_table))
-    return found
-
-
-Words = Callable[[float], str]
+    name: str
+    key: str
+    words: Callable[[float], str]
+    less: bool = True
 
 
 def _mrad(value: float) -> str:
@@ -156,61 +118,77 @@ def _torque(value: float) -> str:
     return number(value, "N m")
 
 
-DRAWN: tuple[tuple[str, str, Words, bool], ...] = (
-    ("drawn: RMS error [mrad]", "rms", _mrad, True),
-    ("drawn: its 95 % [mrad]", "rms_outer", _mrad, True),
-    ("drawn: share that tracks", "success", lambda v: percent(v, 1), False),
-    ("drawn: noise of effort", "effort_noise", _torque, True),
+DRAWN = (
+    Metric("drawn: RMS error [mrad]", "rms", _mrad),
+    Metric("drawn: its 95 % [mrad]", "rms_outer", _mrad),
+    Metric("drawn: share that tracks", "success", lambda v: percent(v, 1), less=False),
+    Metric("drawn: noise of effort", "effort_noise", _torque),
 )
-OF_A_RUN: tuple[tuple[str, str, Words], ...] = (
-    ("largest error", "peak", _mrad),
-    ("settled after", "settling", lambda v: number(v, "s")),
-    ("RMS effort", "effort_rms", _torque),
-    ("peak effort", "effort_peak", _torque),
-    ("mean power", "power", lambda v: number(v, "W")),
+ERROR, PEAK_EFFORT = Metric("RMS error", "rms", _mrad), Metric("peak effort", "effort_peak", _torque)
+OF_A_RUN = (
+    Metric("largest error", "peak", _mrad),
+    Metric("settled after", "settling", lambda v: number(v, "s")),
+    Metric("RMS effort", "effort_rms", _torque),
+    PEAK_EFFORT,
+    Metric("mean power", "power", lambda v: number(v, "W")),
 )
 
 
-def _drawn(key: str, words: Words, least: float) -> Callable[[dict[str, Any]], Value]:
+def rows(document: dict[str, Any]) -> list[Row]:
+    """Return all rows of a comparison (`document`), robot by robot: drawn plants, margins, errors, nominal run."""
+    return [row for robot in document["robots"] for row in _rows(document, robot)]
+
+
+def table_rows(document: dict[str, Any]) -> list[Row]:
+    """Return the rows of the table: drawn plants, margins, and error and peak effort of the nominal run."""
+    return [row for row in rows(document) if row.in_table]
+
+
+def _rows(document: dict[str, Any], robot: str) -> Iterator[Row]:
+    suite, laws = document["suite"], [document["results"][robot][law["label"]] for law in document["laws"]]
+    if suite["tune"] and all(law["uncertain"] for law in laws):
+        for metric in DRAWN:
+            values = tuple(_drawn(metric, law["uncertain"], suite["tune"]["success"]) for law in laws)
+            yield Row(robot, "uncertain", metric.name, values, metric.less, True)
+    for direction in directions(suite["margins"]):
+        values = tuple(_margin(direction, law["margins"][direction.name]) for law in laws)
+        yield Row(robot, "margins", direction.name, values, direction.is_down, True)
+    references = list(document["robots"][robot]["references"])
+    errors = [(f"errors {each}", each, name, name, ERROR) for each in references for name in suite["imperfections"]]
+    metrics = [(f"metrics {each}", each, NOMINAL, metric.name, metric) for each in references for metric in OF_A_RUN]
+    for group, reference, imperfection, name, metric in (*errors, *metrics):
+        values = tuple(_cell(metric, law["cells"][reference][imperfection]) for law in laws)
+        in_table = reference == references[0] and imperfection == NOMINAL and metric in (ERROR, PEAK_EFFORT)
+        yield Row(robot, group, name, values, True, in_table)
+
+
+def _drawn(metric: Metric, figures: dict[str, Any], least: float) -> Value:
     """Return a figure on fresh draws; of a law that tracks too few of them it does not count.
 
     An arm that a limit has stopped has little noise and a small effort.
     """
-
-    def of(law: dict[str, Any]) -> Value:
-        value, success = law["uncertain"][key], law["uncertain"]["success"] or 0.0
-        counts = value is not None and (key == "success" or success >= least)
-        return Value(value, DASH if value is None else words(value), "tracks" if counts else "lost")
-
-    return of
+    value, counts = figures[metric.key], metric.key == "success" or (figures["success"] or 0.0) >= least
+    words = DASH if value is None else metric.words(value)
+    return Value(value, words, "tracks" if counts and value is not None else "lost")
 
 
-def _margin(direction: Direction) -> Callable[[dict[str, Any]], Value]:
+def _margin(direction: Direction, margin: dict[str, Any]) -> Value:
     """Return the largest level up to which a law tracks, after a sign if no larger one was tested."""
-
-    def of(law: dict[str, Any]) -> Value:
-        level, beyond = (law["margins"][direction.name][key] for key in ("level", "beyond"))
-        if level is None:
-            return Value(None, DASH, "lost")
-        further = "≤ " if direction.is_down else "≥ "
-        return Value(level, (further if beyond is None else "") + level_words(direction.imperfection.name, level))
-
-    return of
+    level = margin["level"]
+    if level is None:
+        return Value(None, DASH, "lost")
+    further = "" if margin["beyond"] is not None else "≤ " if direction.is_down else "≥ "
+    return Value(level, further + level_words(direction.imperfection.name, level))
 
 
-def _cell(reference: str, imperfection: str, key: str, words: Words) -> Callable[[dict[str, Any]], Value]:
-    """Return a metric of a run along a reference with an imperfection."""
-
-    def of(law: dict[str, Any]) -> Value:
-        cell = law["cells"][reference][imperfection]
-        if not cell["stable"]:
-            return Value(None, "unstable", "unstable")
-        if cell["stopped"]:
-            return Value(None, "stopped", "lost")
-        value = cell[key]
-        return Value(value, DASH if value is None else words(value), "tracks" if cell["tracks"] else "lost")
-
-    return of
+def _cell(metric: Metric, run: dict[str, Any]) -> Value:
+    """Return a metric of a run."""
+    if not run["stable"]:
+        return Value(None, "unstable", "unstable")
+    if run["stopped"]:
+        return Value(None, "stopped", "lost")
+    value = run[metric.key]
+    return Value(value, DASH if value is None else metric.words(value), "tracks" if run["tracks"] else "lost")
 
 
 def level_words(name: str, level: float) -> str:
@@ -244,7 +222,7 @@ def cells(document: dict[str, Any]) -> list[list[str]]:
     for robot in document["robots"]:
         found.append([robot, *[""] * len(names)])
         for row in (row for row in shown if row.robot == robot):
-            what = "RMS error [mrad]" if row.metric.group.startswith("errors") else row.metric.name
+            what = "RMS error [mrad]" if row.group.startswith("errors") else row.name
             found.append([what, *(value.words for value in row.values)])
     return found
 

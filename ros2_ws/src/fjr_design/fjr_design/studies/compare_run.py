@@ -12,9 +12,9 @@ import json
 import os
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -82,17 +82,15 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
 
 @dataclass(frozen=True)
 class Job:
-    """Input of a worker process, plain values only. scenarios: (reference, text) each."""
+    """Input of a worker process, plain values only.
+
+    scenarios: (reference, text) each. suite: what all jobs have in common, without laws and robots.
+    """
 
     law: LawChoice
     robot: str
     scenarios: tuple[tuple[str, str], ...]
-    imperfections: Mapping[str, Mapping[str, float]]
-    margins: tuple[str, ...]
-    duration: float
-    settle_after: float
-    tracks: float
-    tune: Mapping[str, Any] | None = None
+    suite: Suite
 
     @property
     def name(self) -> str:
@@ -114,8 +112,8 @@ def _source() -> str:
 def jobs(suite: Suite) -> list[Job]:
     """Return a job for every law on every robot, robot by robot; raise CompareError for an invalid robot."""
     texts = [(robot.label, scenario_texts(robot)) for robot in suite.robots]
-    shared = (suite.imperfections, suite.margins, suite.duration, suite.settle_after, suite.tracks, suite.tune)
-    return [Job(law, robot, found, *shared) for robot, found in texts for law in suite.laws]
+    shared = replace(suite, name="", laws=(), robots=())
+    return [Job(law, robot, found, shared) for robot, found in texts for law in suite.laws]
 
 
 def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> list[Values]:
@@ -185,13 +183,13 @@ def work(job: Job) -> Values:
     runs = 0
     for done, (label, scenario) in enumerate(scenarios.items(), 1):
         band = SETTLED * demands[label].motion
-        loop = scenario_loop(scenario, chosen.law, job.duration, settle_after=job.settle_after, band=band)
-        trial = Trial(loop, demands[label], chosen.effort_limit, job.tracks)
-        each = trial.metrics(list(job.imperfections.values()))
-        cells[label] = {name: asdict(cell) for name, cell in zip(job.imperfections, each, strict=True)}
+        loop = scenario_loop(scenario, chosen.law, job.suite.duration, settle_after=job.suite.settle_after, band=band)
+        trial = Trial(loop, demands[label], chosen.effort_limit, job.suite.tracks)
+        each = trial.metrics(list(job.suite.imperfections.values()))
+        cells[label] = {name: asdict(cell) for name, cell in zip(job.suite.imperfections, each, strict=True)}
         found = found or {**_margins(job, trial), "trace": _trace(trial)}
         runs += len(each) + len(trial.evaluated)
-        on_progress(max(done / len(scenarios), TUNING if job.tune else 0.0))
+        on_progress(max(done / len(scenarios), TUNING if job.suite.tune else 0.0))
     return {
         "robot": {
             "joints": list(first.joints),
@@ -223,7 +221,7 @@ def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callab
     law = job.law
     try:
         ruled = tuned_law(law.law, law.robust, first, law.retune, law.options)
-        if job.tune is None:
+        if job.suite.tune is None:
             return ruled
         n = first.robot.n
         values: Values = {"law.type": law.law, "robust.hold": first.sample_period}
@@ -231,17 +229,17 @@ def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callab
             f"robust.{name}": [value] * n if name.endswith("gain") else value for name, value in law.robust.items()
         }
         text = library.text_with(job.robot, job.scenarios[0][1], values)
-        wanted = Uncertainties(**job.tune)
-        return law_for(text, wanted, demand, ruled.effort_limit, job.tracks, lambda s: on_progress(TUNING * s))
+        wanted = Uncertainties(**job.suite.tune)
+        return law_for(text, wanted, demand, ruled.effort_limit, job.suite.tracks, lambda s: on_progress(TUNING * s))
     except FjrError as error:
         raise CompareError(f"{job.name}: {error}") from None
 
 
 def _margins(job: Job, trial: Trial) -> Values:
     """Return the margins and the RMS errors evaluated in their search."""
-    edges = trial.margins(directions(job.margins))
+    edges = trial.margins(directions(job.suite.margins))
     curves = {}
-    for name in job.margins:
+    for name in job.suite.margins:
         levels, cells = trial.curve(name)
         curves[name] = {"levels": levels.tolist(), "relative": [cell.relative for cell in cells]}
     return {"margins": {name: asdict(edge) for name, edge in edges.items()}, "curves": curves}

@@ -6,14 +6,13 @@ Tuned laws have the same cost, draws and number of candidates, each with its rob
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
-from fjr_core.config.parameter import number
+from fjr_core.config.parameter import number as parameter
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.extensions.python_code import own_law
@@ -28,10 +27,26 @@ from ..uncertainty import distributions
 from ..uncertainty.distributions import FIXED, Distribution
 from .imperfections import MotionDemand, fields_of, imperfection
 from .sweep import Sweep
-from .tune import FINALISTS, SELECTION, Goal, Point, Range, Score, TuningStudy, quantile, search, with_better_start
+from .sweep_file import check_keys, number, whole
+from .tune import (
+    FINALISTS,
+    GOAL,
+    HERE,
+    SELECTION,
+    SIZE,
+    Goal,
+    Point,
+    Range,
+    Score,
+    TuningStudy,
+    given_goal,
+    quantile,
+    search,
+    with_better_start,
+)
 
 FEW = 4  # configurations of the reference at which a loop is checked
-MAPPINGS = ("vary", "imperfections", "minimise")
+NUMBERS: Mapping[str, Callable[[str, object, str], float]] = {"seed": whole, "duration": number, "settle_after": number}
 MOST = 10**6  # candidates, draws
 LONGEST = 600.0  # s
 OUTER = 0.95  # quantile that is reported beside the median
@@ -76,7 +91,7 @@ def tuned_law(
     found = tune(name, target, retune=retune)
     law = sampled_law(found.law, hold)
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
-    return TunedLaw(law, found.effort_limit, gains, found.sentence + _unstable(law, scenario))
+    return TunedLaw(law, target.effort_limit, gains, found.sentence + _unstable(law, scenario))
 
 
 def _unstable(law: SampledLaw, scenario: Scenario) -> str:
@@ -96,8 +111,8 @@ def _plain(value: Any, *names: str) -> dict[str, Any]:
 class Uncertainties:
     """What every law is tuned for. vary: distributions as in a sweep file. imperfections: their levels.
 
-    minimise, quantile, success: see Goal. candidates, draws, fresh, seed: see TuningStudy. duration, settle_after [s].
-    Raises ParameterError, CompareError.
+    minimise, quantile, success, limits, delay_margin: see Goal. candidates, draws, fresh, seed: see TuningStudy.
+    duration, settle_after [s]. Raises ParameterError, CompareError.
     """
 
     vary: Mapping[str, Any] = field(default_factory=dict)
@@ -105,6 +120,8 @@ class Uncertainties:
     minimise: Mapping[str, float] = field(default_factory=lambda: {"rms": 1.0})
     quantile: float = 0.5
     success: float = 0.95
+    limits: Mapping[str, float] = field(default_factory=dict)
+    delay_margin: float = 0.0
     candidates: int = 150
     draws: int = 24
     fresh: int = 400
@@ -113,8 +130,8 @@ class Uncertainties:
     settle_after: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("candidates", "draws", "fresh"):
-            if not (float(getattr(self, name)).is_integer() and 1 <= getattr(self, name) <= MOST):
+        for name in SIZE:
+            if not 1 <= getattr(self, name) <= MOST:
                 raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {MOST}")
         if not 0 <= self.settle_after < self.duration <= LONGEST:
             raise ParameterError(
@@ -125,22 +142,29 @@ class Uncertainties:
             distributions.read(name, given)
         for name, level in self.imperfections.items():
             imperfection(name).checked(level)
-        Goal(self.minimise, self.quantile, self.success)
+        _ = self.goal
+
+    @property
+    def goal(self) -> Goal:
+        """Goal of the search."""
+        return Goal(**{name: getattr(self, name) for name in GOAL})
 
 
 def uncertainties(section: Mapping[str, Any]) -> Uncertainties:
     """Return the uncertainties of the section `tune` of a comparison; raises ParameterError, CompareError."""
-    names = [each.name for each in fields(Uncertainties)]
-    for key in section:
-        if key not in names:
-            close = difflib.get_close_matches(str(key), names, n=1)
-            raise ParameterError(f"has '{key}'; expected {close[0] if close else 'some of ' + ', '.join(names)}")
-    for key, value in section.items():
-        if key in MAPPINGS and not isinstance(value, Mapping):
-            raise ParameterError(f"'{key}' is {value!r}; expected a mapping")
-        if key not in MAPPINGS and (isinstance(value, bool) or not isinstance(value, (int, float))):
-            raise ParameterError(f"'{key}' is {value!r}; expected a number")
-    return Uncertainties(**section)
+    check_keys(section, [each.name for each in fields(Uncertainties)], HERE)
+    goal, size = given_goal(section)
+    given: dict[str, Any] = {**goal, **size}
+    for key in ("vary", "imperfections"):
+        if not isinstance(section.get(key, {}), Mapping):
+            raise ParameterError(f"{HERE}has {section[key]!r} as '{key}'; expected a mapping")
+        given[key] = section.get(key, {})
+    given["imperfections"] = {name: number(name, level, HERE) for name, level in given["imperfections"].items()}
+    given |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}
+    try:
+        return Uncertainties(**given)
+    except ParameterError as error:
+        raise ParameterError(f"'tune': {error}") from None
 
 
 def law_for(
@@ -185,7 +209,7 @@ def law_for(
 def _study(text: str, wanted: Uncertainties, demand: MotionDemand, effort_limit: Array, tracks: float) -> TuningStudy:
     """Return the study of a law: its draws vary as stated, its imperfections have fixed levels."""
     scenario = parse_scenario("tuned", text)
-    step = scenario.sample_period / number(scenario.plant_values, "inner_steps")
+    step = scenario.sample_period / parameter(scenario.plant_values, "inner_steps")
     fixed = {"effort_limit": effort_limit, **fields_of(wanted.imperfections, demand, step)}
     vary = {name: distributions.read(name, given) for name, given in wanted.vary.items()}
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
@@ -199,5 +223,4 @@ def _study(text: str, wanted: Uncertainties, demand: MotionDemand, effort_limit:
         wanted.settle_after,
         success={"rms": tracks * demand.motion},
     )
-    goal = Goal(wanted.minimise, wanted.quantile, wanted.success)
-    return TuningStudy(sweep, goal, wanted.draws, wanted.candidates, wanted.fresh)
+    return TuningStudy(sweep, wanted.goal, wanted.draws, wanted.candidates, wanted.fresh)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fjr_core.numerics.checks import Array
 
 from ..uncertainty.distributions import Distribution
-from .sweep import Sweep
+from .sweep import OUTCOMES, Sweep
 
 BINS, FULL_BIN = 20, 25
 """Largest number of bins, and smallest mean number of runs per bin."""
@@ -61,10 +61,6 @@ class Summary:
     worst: int
     failed: int
 
-    def as_json(self) -> dict[str, Any]:
-        """Return plain values, with None for NaN and inf."""
-        return dict(_plain(asdict(self)))
-
 
 def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
     """Summarise a table; `column` reads one column, of which one at a time is in memory."""
@@ -74,7 +70,6 @@ def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
     effects = [
         _effect(each.column, each.distribution, column(each.column), success, log_rms, stable) for each in sweep.drawn
     ]
-    names = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
     low, high = interval(int(success.sum()), len(success))
     good = np.where(success, rms, -1.0)
     return Summary(
@@ -84,7 +79,7 @@ def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
         stopped=int(np.isfinite(column("stopped")).sum()),
         low=float(low),
         high=float(high),
-        quantiles={name: _quantiles(_largest(sweep, column, name)[stable]) for name in names},
+        quantiles={name: _quantiles(_largest(sweep, column, name)[stable]) for name in OUTCOMES},
         effects=tuple(sorted(effects, key=lambda effect: -max(effect.success, effect.error))),
         worst=int(good.argmax()) if success.any() else -1,
         failed=int(np.argmin(success)) if not success.all() else -1,
@@ -142,13 +137,3 @@ def _quantiles(values: Array) -> list[float]:
     if not len(values):
         return [float("nan")] * len(QUANTILES)
     return [float(value) for value in np.quantile(values, QUANTILES, method="higher")]
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(each) for each in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return value

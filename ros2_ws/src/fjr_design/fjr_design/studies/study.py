@@ -4,7 +4,11 @@
 A study is its description, plain values: studies with equal descriptions, run by the same program, have equal results.
 It consists of independent jobs, each of which is kept as soon as it is finished, so that the same command goes on where
 Ctrl-C, a kill or a power cut ended it. Jobs run in threads (a sweep: compiled runs release the GIL), in processes (a
-comparison: much of its work is Python) or on a Dask cluster, with equal results.
+comparison: much of its work is Python) or on a Dask cluster, with equal results. The folder of a sweep or a tuning:
+
+study.json       description of the study and hash of the program
+parts/           <key>.parquet: the runs of each finished job
+table.parquet    all runs, once all jobs are finished
 """
 
 from __future__ import annotations
@@ -16,20 +20,27 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fjr_core.errors import FjrError
-from fjr_core.files.text_file import read_json, write_text
+import numpy as np
+from numpy.typing import NDArray
+
+from fjr_core.errors import FjrError, MissingPackageError
+from fjr_core.files.text_file import is_sealed, read_json, whole_file, write_text
 
 AHEAD = 3
 """Jobs submitted per worker; no more results than these are in memory."""
 LOOK = 0.2  # s between checks of `stop`
+DESCRIPTION = "study.json"
+Columns = dict[str, NDArray[Any]]
+"""Values of the runs of a job by name, (runs,) each."""
 Job = TypeVar("Job", bound=tuple[Any, ...])
 Result = TypeVar("Result")
 
@@ -42,44 +53,114 @@ class ClusterError(FjrError):
     """A cluster is unreachable or failed."""
 
 
-@contextmanager
-def opened(
-    description: Path, wanted: Mapping[str, Any], program: str, holds_runs: Callable[[], bool], command: str
-) -> Iterator[None]:
-    """Lock the folder of a study for this process, and write its description or check that it describes this study.
+def _parquet() -> Any:
+    """Return pyarrow with its module for Parquet files, loaded on use: no other command needs it."""
+    try:
+        import pyarrow.parquet
+    except ModuleNotFoundError:
+        raise MissingPackageError(
+            "pyarrow is not installed; expected it for the files of a study: pip install pyarrow"
+        ) from None
+    return pyarrow
 
-    description: path of the file in an existing folder. program: hash of the code that computes the results.
-    holds_runs: whether the folder holds results. command: that writes them. Raise StoreError.
+
+@dataclass(frozen=True)
+class Store:
+    """Folder of a study: the columns of each finished job by its key; create it by `open_store`."""
+
+    folder: Path
+
+    @property
+    def table(self) -> Path:
+        """Path of the table of all runs."""
+        return self.folder / "table.parquet"
+
+    def holds(self, key: str) -> bool:
+        """Return whether a job is finished and its file is as it was written."""
+        return is_sealed(self._file(key))
+
+    def keep(self, key: str, columns: Columns) -> None:
+        """Write the columns of a finished job atomically."""
+        pa = _parquet()
+        with whole_file(self._file(key), sealed=True) as scratch:
+            pa.parquet.write_table(pa.table(columns), scratch, compression="zstd")
+
+    def read(self, key: str) -> Columns:
+        """Return the columns of a finished job."""
+        found = _parquet().parquet.read_table(self._file(key))
+        return {name: found.column(name).to_numpy() for name in found.column_names}
+
+    def write_table(self, keys: Sequence[str]) -> Path:
+        """Write the table of these jobs, in their order; return its path."""
+        parquet, files = _parquet().parquet, [self._file(key) for key in keys]
+        with (
+            whole_file(self.table, sealed=True) as scratch,
+            parquet.ParquetWriter(scratch, parquet.read_schema(files[0]), compression="zstd") as writer,
+        ):
+            for file in files:
+                writer.write_table(parquet.read_table(file))
+        return self.table
+
+    def remove_parts(self) -> None:
+        """Remove the files of the jobs, which the table holds."""
+        for file in (self.folder / "parts").glob("*"):
+            file.unlink()
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a column of the table (runs,)."""
+        return np.asarray(_parquet().parquet.read_table(self.table, columns=[name]).column(0).to_numpy())
+
+    def _file(self, key: str) -> Path:
+        return self.folder / "parts" / f"{key}.parquet"
+
+
+@contextmanager
+def open_store(folder: Path, text: str, program: str) -> Iterator[Store]:
+    """Open or create the folder of a study, locked for this process; raise StoreError, MissingPackageError.
+
+    text: description of the study as JSON. program: hash of the code that computes the results.
     """
-    with (description.parent / ".lock").open("a") as lock:
+    _parquet()
+    (folder / "parts").mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("a") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise StoreError(f"{description.parent} is in use by another process; expected one at a time") from None
-        _check(description, wanted, program, holds_runs(), command)
-        yield
+            raise StoreError(f"{folder} is in use by another process; expected one at a time") from None
+        _check(folder, json.loads(text), program)
+        for left in folder.rglob("*.part"):
+            left.unlink()
+        store = Store(folder)
+        if store.table.exists() and not is_sealed(store.table):
+            raise StoreError(
+                f"{store.table} is not what this command wrote (its SHA-256 digest differs); expected it unchanged, or "
+                "removed to compute it again"
+            )
+        yield store
 
 
-def _check(path: Path, wanted: Mapping[str, Any], program: str, holds_runs: bool, command: str) -> None:
+def _check(folder: Path, wanted: Mapping[str, Any], program: str) -> None:
+    """Write the description of a study, or check that the folder holds the same; raise StoreError."""
+    path = folder / DESCRIPTION
     try:
         found = read_json(path)
     except FileNotFoundError:
-        if holds_runs:
+        if any(folder.rglob("*.parquet")):
             raise StoreError(
-                f"{path.parent} holds runs without their {path.name}; expected both, or another --output"
+                f"{folder} holds runs without their {DESCRIPTION}; expected both, or another --output"
             ) from None
         write_text(path, json.dumps({**wanted, "program": program}, indent=1))
         return
     except ValueError:
-        raise StoreError(f"{path} cannot be read; expected the file that `{command}` wrote") from None
+        raise StoreError(f"{path} cannot be read; expected the file that this command wrote") from None
     differences = [_difference(name, found.get(name), here) for name, here in wanted.items() if found.get(name) != here]
     if differences:
         raise StoreError(
-            f"{path.parent} holds another study ({', '.join(differences)}); expected the same one, or another --output"
+            f"{folder} holds another study ({', '.join(differences)}); expected the same one, or another --output"
         )
     if found.get("program") != program:
         raise StoreError(
-            f"{path.parent} was started by another version of this program (source, CasADi, C compiler); "
+            f"{folder} was started by another version of this program (source, CasADi, C compiler); "
             "expected the same version, or another --output"
         )
 
@@ -90,6 +171,21 @@ def _difference(name: str, there: object, here: object) -> str:
     if isinstance(there, dict) and isinstance(here, dict):
         return f"{name} differs in {', '.join(sorted(k for k in {*there, *here} if there.get(k) != here.get(k)))}"
     return f"{name} differs"
+
+
+def divided(begin: int, end: int, size: int) -> list[tuple[int, int]]:
+    """Return the runs begin .. end - 1 in parts (begin, end) of at most `size` runs."""
+    return [(first, min(first + size, end)) for first in range(begin, end, size)]
+
+
+_making = threading.Lock()
+_made = lru_cache(maxsize=4)(lambda make, text: make(text))
+
+
+def once(make: Callable[[str], Result], text: str) -> Result:
+    """Return the study that `make` makes of its text, made once for all jobs and threads of a process."""
+    with _making:
+        return _made(make, text)
 
 
 @dataclass(frozen=True)

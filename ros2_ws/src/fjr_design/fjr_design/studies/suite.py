@@ -20,6 +20,7 @@ from fjr_msgs_py.scenarios import library
 from .compared_law import uncertainties
 from .imperfections import directions, imperfection
 from .sweep import refuse_what_is_left_out
+from .sweep_file import check_keys
 from .trial import TRACKS
 
 REQUIRED = ("laws", "robots")
@@ -84,10 +85,14 @@ def load(path: Path) -> Suite:
 
 def read(name: str, document: Any) -> Suite:
     """Return the suite of a parsed document; raise CompareError."""
-    given = _mapping("a suite", document)
-    for key in given:
-        if key not in KEYS:
-            raise CompareError(f"unknown key '{key}'; expected one of {', '.join(KEYS)}")
+    try:
+        return _read(name, _mapping("a suite", document))
+    except ParameterError as error:
+        raise CompareError(str(error)) from None
+
+
+def _read(name: str, given: Mapping[str, Any]) -> Suite:
+    check_keys(given, KEYS)
     for key in REQUIRED:
         if not given.get(key):
             raise CompareError(f"has no '{key}'; expected at least one")
@@ -106,16 +111,8 @@ def read(name: str, document: Any) -> Suite:
         duration=duration,
         settle_after=_number("settle_after", given.get("settle_after", duration / 2), lambda v: 0 <= v < duration),
         tracks=_number("tracks", given.get("tracks", TRACKS), lambda value: 0 < value < 1),
-        tune=_tune(given["tune"]) if "tune" in given else None,
+        tune=asdict(uncertainties(_mapping("'tune'", given["tune"]))) if "tune" in given else None,
     )
-
-
-def _tune(given: Any) -> dict[str, Any]:
-    """Return the section `tune` with all its defaults as plain values."""
-    try:
-        return asdict(uncertainties(_mapping("'tune'", given)))
-    except ParameterError as error:
-        raise CompareError(f"'tune': {error}") from None
 
 
 def _laws(given: Any) -> tuple[LawChoice, ...]:
@@ -132,21 +129,17 @@ def _laws(given: Any) -> tuple[LawChoice, ...]:
 def _law(given: Any) -> LawChoice:
     if isinstance(given, str):
         return LawChoice(given, _known_law(given))
-    options = {**_mapping("a law", given)}
-    label, law = str(options.pop("label", options.get("law"))), _known_law(options.pop("law", None))
-    robust = _mapping(f"'robust' of {label}", options.pop("robust", {}))
-    gains, own = options.pop("gains", None), _mapping(f"'options' of {label}", options.pop("options", {}))
+    label, law = str(_mapping("a law", given).get("label", given.get("law"))), _known_law(given.get("law"))
+    check_keys(given, ("label", "law", "robust", "gains", "options"), f"law '{label}' ")
+    robust = _mapping(f"'robust' of {label}", given.get("robust", {}))
+    check_keys(robust, ROBUST, f"'robust' of {label} ")
+    gains, own = given.get("gains"), _mapping(f"'options' of {label}", given.get("options", {}))
     if own and not is_named(law):
         raise CompareError(f"law '{label}' has options; expected them for a law of your own, module:Class")
     if gains not in (None, *GAINS) or (gains and law != V_DPBC):
         raise CompareError(
             f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, for {V_DPBC} only, other laws are tuned"
         )
-    for key in options:
-        raise CompareError(f"law '{label}' has an unknown key '{key}'; expected label, law, robust, gains, options")
-    for key in robust:
-        if key not in ROBUST:
-            raise CompareError(f"law '{label}' has an unknown robust option '{key}'; expected {', '.join(ROBUST)}")
     numbers = {key: _number(f"robust.{key}", value, lambda v: v >= 0) for key, value in robust.items()}
     return LawChoice(label, law, numbers, gains == TUNED, own)
 
@@ -161,9 +154,7 @@ def _known_law(name: Any) -> str:
 
 def _robot(label: str, given: Any) -> RobotChoice:
     options = _mapping(f"robot '{label}'", given)
-    for key in options:
-        if key not in ("scenario", "references"):
-            raise CompareError(f"robot '{label}' has an unknown key '{key}'; expected scenario, references")
+    check_keys(options, ("scenario", "references"), f"robot '{label}' ")
     name = str(options.get("scenario", label))
     references = _mapping(f"'references' of {label}", options.get("references") or {"scenario": {}})
     changes = {str(key): _mapping(f"reference '{key}' of {label}", value or {}) for key, value in references.items()}

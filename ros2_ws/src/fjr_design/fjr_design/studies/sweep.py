@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,14 +27,27 @@ from fjr_core.simulation.imperfections import Imperfections, friction_rate
 from ..uncertainty import distributions
 from ..uncertainty.distributions import Distribution, DrawnColumn
 from ..uncertainty.posterior import Identification, PosteriorDraws
+from .study import Columns, once
 
-MEASURES = ("rms", "peak", "final", "settling", "effort_rms", "effort_peak", "power")
-"""Outcomes that the success criterion may limit."""
+OUTCOMES = {
+    "rms": ("RMS error", "rad"),
+    "peak": ("largest error", "rad"),
+    "final": ("mean error of the last second", "rad"),
+    "settling": ("settling time", "s"),
+    "effort_rms": ("RMS effort", "N m"),
+    "effort_peak": ("peak effort", "N m"),
+    "power": ("mean power", "W"),
+}
+"""Words and unit of the outcomes that a sweep summarises and that its success criterion may limit."""
+MEANS, LARGEST = ("rms", "effort_rms", "effort_noise"), ("peak", "final", "effort_peak")
+FIGURES = (*MEANS, *LARGEST, "power")
+"""Figures of a run: root mean square over the joints, largest of the joints, of the whole arm."""
+SUCCESS = "success"
+Figures = Columns
 MOST_RUNS = 10**9
 REACH = 2.0
 """Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
 NOISE_SEED = "seed"
-Columns = dict[str, NDArray[Any]]
 
 
 def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
@@ -58,6 +70,13 @@ def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **option
         measurement=measurement(values, robot),
         **options,
     )
+
+
+def figures(outcomes: Outcomes, success: NDArray[np.bool_]) -> Figures:
+    """Return the FIGURES (k,) of k runs, and `success` (k,)."""
+    found: Figures = {name: np.sqrt(np.mean(np.square(getattr(outcomes, name)), axis=1)) for name in MEANS}
+    found |= {name: np.max(getattr(outcomes, name), axis=1) for name in LARGEST}
+    return {**found, "power": outcomes.power, SUCCESS: success}
 
 
 def refuse_what_is_left_out(scenario: Scenario, instead: str) -> None:
@@ -100,8 +119,8 @@ class Sweep:
         if not 0 <= self.seed < 2**64:
             raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
         for name, limit in self.success.items():
-            if name not in MEASURES:
-                raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(MEASURES)}")
+            if name not in OUTCOMES:
+                raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(OUTCOMES)}")
             if np.isnan(limit):
                 raise ParameterError(f"'success' has {limit} as '{name}'; expected a number")
         refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
@@ -166,7 +185,7 @@ class Sweep:
         columns: Columns = {"run": np.arange(begin, end)}
         for each in self.drawn:
             columns[each.column] = drawn_values.columns(each.name, len(joints))[:, each.entry]
-        columns["success"] = self.succeeded(outcomes)
+        columns[SUCCESS] = self.succeeded(outcomes)
         for name in FIELDS:
             values = getattr(outcomes, name)
             if name in PER_JOINT:
@@ -240,13 +259,12 @@ def from_text(text: str) -> Sweep:
     return Sweep(**values, vary=vary)
 
 
-_recent = lru_cache(maxsize=2)(from_text)
-_building = threading.Lock()
-
-
 def run_part(text: str, begin: int, end: int) -> Columns:
     """Run a part of a sweep given as text, in a local or remote worker; see Sweep.part."""
-    with _building:  # once for all threads of a process
-        sweep = _recent(text)
-        sweep.loop.build()
-    return sweep.part(begin, end)
+    return once(_built, text).part(begin, end)
+
+
+def _built(text: str) -> Sweep:
+    sweep = from_text(text)
+    sweep.loop.build()
+    return sweep

@@ -7,6 +7,7 @@ import difflib
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -18,6 +19,7 @@ from fjr_design.uncertainty.distributions import Distribution
 from fjr_design.uncertainty.posterior import read_identification
 from fjr_msgs_py.scenarios import installed, library
 
+from .study import Workers, cluster, threads
 from .sweep import Sweep
 
 WHOLE = ("runs", "seed")
@@ -130,6 +132,13 @@ class Options:
         """Return the options of a command line; numbers: of the study, None keeps its own."""
         given = {name: value for name, value in numbers.items() if value is not None}
         return cls(cores, scheduler, output, library.parse_assignments(assignments), given)
+
+    def workers(self, sweep: Sweep) -> AbstractContextManager[Workers]:
+        """Return the workers of a sweep: a cluster, or threads of this process, for which its loop is compiled."""
+        if self.scheduler is not None:
+            return cluster(self.scheduler)
+        sweep.loop.build()
+        return threads(self.cores)
 
 
 def file_of(name: str | None) -> Path:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import matplotlib as mpl
@@ -18,20 +19,11 @@ from fjr_design.uncertainty.distributions import FIXED, LOG_UNIFORM
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, STYLE, draw_plot
-from fjr_msgs_py.console.output import number, percent
+from fjr_msgs_py.console.output import finite, number, percent
 
 from .sensitivity import Effect, ReadColumn, Summary
-from .sweep import Sweep
+from .sweep import OUTCOMES, Sweep
 
-ROWS = {
-    "rms": ("RMS error", "rad"),
-    "peak": ("largest error", "rad"),
-    "final": ("mean error of the last second", "rad"),
-    "settling": ("settling time", "s"),
-    "effort_rms": ("RMS effort", "N m"),
-    "effort_peak": ("peak effort", "N m"),
-    "power": ("mean power", "W"),
-}
 INFLUENCE = (
     "Share of the variance of success, and of log RMS error, that each parameter explains alone (first-order "
     "sensitivity)."
@@ -57,7 +49,7 @@ def headline(sweep: Sweep, summary: Summary) -> str:
 def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> Path:
     """Write the page as one self-contained file."""
     outcomes = [
-        [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in ROWS.items()
+        [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in OUTCOMES.items()
     ]
     html.write_page(
         path,
@@ -70,14 +62,16 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
         tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],
         effects=_drawn(summary),
         influence_text=INFLUENCE,
-        json=html.as_json(summary.as_json()),
+        json=html.as_json(finite(asdict(summary))),
         footer=HOW,
     )
     return path
 
 
 def _notes(sweep: Sweep) -> list[str]:
-    limits = "".join(f", {ROWS[name][0]} at most {limit:g} {ROWS[name][1]}" for name, limit in sweep.success.items())
+    limits = "".join(
+        f", {OUTCOMES[name][0]} at most {limit:g} {OUTCOMES[name][1]}" for name, limit in sweep.success.items()
+    )
     wanted = f"a run succeeds when it is stable, not stopped by a limit of the controller{limits}"
     fixed = [f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED]
     return [

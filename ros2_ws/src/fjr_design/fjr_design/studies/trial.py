@@ -17,6 +17,7 @@ from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded
 from fjr_core.simulation.batch.draws import PARAMETERS
 
 from .imperfections import Direction, MotionDemand, fields_of
+from .sweep import figures
 
 TRACKS = 0.1  # largest RMS error of a tracking run, relative to the RMS motion
 STEPS = 16  # levels of the first scan, evenly spaced on a logarithmic scale
@@ -120,7 +121,9 @@ class Trial:
     def metrics(self, runs: Sequence[Mapping[str, float]]) -> list[RunMetrics]:
         """Return the metrics of one run per item: levels by the names of IMPERFECTIONS, {} for the nominal plant."""
         outcomes = self.loop.run(self.draws(runs))
-        return [self._metrics(outcomes, i) for i in range(len(runs))]
+        found = figures(outcomes, outcomes.stable)
+        each = [{name: float(values[i]) for name, values in found.items()} for i in range(len(runs))]
+        return [self._metrics(outcomes, i, of) for i, of in enumerate(each)]
 
     def margins(self, directions: Sequence[Direction]) -> dict[str, RobustnessMargin]:
         """Return the largest level of each imperfection up to which the loop tracks."""
@@ -152,21 +155,16 @@ class Trial:
         self.evaluated |= dict(zip(new, cells, strict=True))
         return np.array([self.evaluated[key].tracks for key in levels])
 
-    def _metrics(self, outcomes: Outcomes, i: int) -> RunMetrics:
+    def _metrics(self, outcomes: Outcomes, i: int, of: Mapping[str, float]) -> RunMetrics:
         if not outcomes.stable[i]:
             return RunMetrics(stable=False, tracks=False)
-        rms, effort_rms = (float(np.sqrt(np.mean(each[i] ** 2))) for each in (outcomes.rms, outcomes.effort_rms))
-        relative, stopped = rms / self.demand.motion, str(outcomes.cause[i]) or None
+        relative, stopped = of["rms"] / self.demand.motion, str(outcomes.cause[i]) or None
         return RunMetrics(
             stable=True,
-            tracks=bool(relative <= self.tracks) and not stopped,
-            rms=rms,
+            tracks=relative <= self.tracks and not stopped,
             relative=relative,
-            peak=float(np.max(outcomes.peak[i])),
             settling=float(outcomes.settling[i]) if np.isfinite(outcomes.settling[i]) else None,
-            effort_rms=effort_rms,
-            effort_peak=float(np.max(outcomes.effort_peak[i])),
-            power=float(outcomes.power[i]),
-            steady=float(np.max(np.abs(outcomes.final[i]))),
+            steady=of["final"],
             stopped=stopped,
+            **{name: of[name] for name in ("rms", "peak", "effort_rms", "effort_peak", "power")},
         )

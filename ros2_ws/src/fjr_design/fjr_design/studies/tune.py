@@ -11,35 +11,29 @@ since the best of many on a few draws is partly luck.
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fjr_core.errors import FjrError, ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.velocity_observer import VelocityObserver
-from fjr_core.simulation.batch import Outcomes
 from fjr_core.stability.sampled_loop import spectral_radius
 
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates, starts
-from .sweep import Sweep, from_text
+from .study import once
+from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures, from_text
+from .sweep_file import number, whole
 
-MEANS = ("rms", "effort_rms", "effort_noise")
-LARGEST = ("peak", "final", "effort_peak")
-FIGURES = (*MEANS, *LARGEST, "power")
-"""Figures of a run that a goal may use: root mean square over the joints, largest of the joints, of the whole arm."""
 INFEASIBLE = 1e6
 """Cost of points that violate a constraint, at least; the cost of others is far below."""
 WORST = 1e3  # violation that counts at most
 TIES = 1e3  # largest part of the cost among points with the same violation
-SUCCESS = "success"
 FEW = 4  # configurations of the reference at which a loop is checked
 FINER = 2.0  # delays that are checked per sample
 SELECTION = 4  # times the draws of the search: those of the selection
@@ -50,14 +44,6 @@ Range = tuple[int, int]
 FIRST_DEVIATION = 0.4  # of the logarithms of the factors: e^0.4 = 1.5
 WIDEST = float(np.log(50.0))  # of the logarithms of the factors
 FINALISTS = 6
-Figures = dict[str, NDArray[Any]]
-
-
-def figures(outcomes: Outcomes, success: NDArray[np.bool_]) -> Figures:
-    """Return the figures (k,) of k runs, and `success` (k,)."""
-    found: Figures = {name: np.sqrt(np.mean(np.square(getattr(outcomes, name)), axis=1)) for name in MEANS}
-    found |= {name: np.max(getattr(outcomes, name), axis=1) for name in LARGEST}
-    return {**found, "power": outcomes.power, SUCCESS: success}
 
 
 @dataclass(frozen=True)
@@ -126,6 +112,26 @@ class Goal:
         return Score({name: float("inf") for name in FIGURES}, 0.0, violation, INFEASIBLE * (1 + violation))
 
 
+GOAL = tuple(each.name for each in fields(Goal))
+SIZE = ("draws", "candidates", "fresh")
+"""Keys of the section `tune` of a sweep or a suite: fields of Goal, and numbers of a TuningStudy."""
+HERE = "'tune' "  # start of a message about it
+
+
+def given_goal(section: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what a section `tune` gives of GOAL and of SIZE; raise ParameterError."""
+    goal: dict[str, Any] = {}
+    for key in (key for key in GOAL if key in section):
+        given = section[key]
+        if key not in ("minimise", "limits"):
+            goal[key] = number(key, given, HERE)
+        elif isinstance(given, Mapping):
+            goal[key] = {str(name): number(f"{key}.{name}", value, HERE) for name, value in given.items()}
+        else:
+            raise ParameterError(f"{HERE}has {given!r} as '{key}'; expected figures and numbers, e.g. {{rms: 1.0}}")
+    return goal, {key: whole(key, section[key], HERE) for key in SIZE if key in section}
+
+
 def joined(parts: list[Figures]) -> Figures:
     """Concatenate the figures of several parts."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -154,7 +160,7 @@ class TuningStudy:
     start: str = SCENARIO
 
     def __post_init__(self) -> None:
-        for name in ("draws", "candidates", "fresh"):
+        for name in SIZE:
             if not 1 <= getattr(self, name) <= 10**7:
                 raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {10**7}")
 
@@ -185,18 +191,18 @@ class TuningStudy:
         return begin, begin + self.fresh
 
     def run(self, point: Sequence[float], begin: int, end: int) -> Figures:
-        """Return the figures of the runs begin .. end - 1 with the gains at a point; none if no such gains exist."""
+        """Return the figures of the runs begin .. end - 1 with the gains at a point; NaN if no such gains exist."""
         first = self.sweep.loop
         try:
             loop = first.with_law(*self._controller(point))
         except FjrError:
-            return {}
+            return {**dict.fromkeys(FIGURES, np.full(end - begin, np.nan)), SUCCESS: np.zeros(end - begin, bool)}
         outcomes = loop.run(self.sweep.draws(begin, end))
         return figures(outcomes, self.sweep.succeeded(outcomes))
 
     def score(self, point: Sequence[float], runs: Figures) -> Score:
         """Return the score of a point from its runs."""
-        if not runs:
+        if np.isnan(runs["rms"]).all():
             return self.goal.refused()
         return self.goal.score(runs, self._instability(self._controller(point)[0]))
 
@@ -218,7 +224,7 @@ class TuningStudy:
     @property
     def text(self) -> str:
         """Study as JSON; studies with equal text have equal results."""
-        numbers = {name: getattr(self, name) for name in ("draws", "candidates", "fresh")}
+        numbers = {name: getattr(self, name) for name in SIZE}
         goal = {"goal": asdict(self.goal), "start": self.start}
         return json.dumps({**json.loads(self.sweep.text), **goal, **numbers}, indent=1)
 
@@ -241,21 +247,20 @@ def study_of(text: str) -> TuningStudy:
     """Return the study described by TuningStudy.text."""
     values: dict[str, Any] = json.loads(text)
     goal, start = Goal(**values.pop("goal")), values.pop("start")
-    numbers = {name: values.pop(name) for name in ("draws", "candidates", "fresh")}
+    numbers = {name: values.pop(name) for name in SIZE}
     return TuningStudy(from_text(json.dumps(values)), goal, **numbers, start=start)
-
-
-_recent = lru_cache(maxsize=2)(study_of)
-_building = threading.Lock()
 
 
 def run_candidate(text: str, point: Point, begin: int, end: int) -> Figures:
     """Run a part of the runs of a point of a study given as text, in a local or remote worker; see TuningStudy.run."""
-    with _building:  # once for all threads of a process
-        study = _recent(text)
-        study.sweep.loop.build()
-        _ = study.coordinates
-    return study.run(point, begin, end)
+    return once(_built, text).run(point, begin, end)
+
+
+def _built(text: str) -> TuningStudy:
+    study = study_of(text)
+    study.sweep.loop.build()
+    _ = study.coordinates
+    return study
 
 
 @dataclass(frozen=True)

@@ -1,42 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fjr tune`: search gains for stated uncertainties, validate them on fresh draws, write and draw the result.
 
-Every finished part of a candidate is kept in the folder of the study, so that a search goes on where it ended:
-
-tuning.json          specification of the study and hash of the program
-evaluations.jsonl    a line for each finished part: point, runs, figures
+Every finished part of a candidate is kept in the folder of the study (study.py), so that a search goes on where it
+ended. The table has the figures of all runs with the coordinates of their point, NaN for the gains of the scenario.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.law import TYPE
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
+from fjr_core.numerics.checks import Array
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, STYLE
 from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
 from . import sweep_file
 from .coordinates import RULE, SCENARIO
-from .study import Workers, cluster, opened, threads
-from .sweep import Sweep
+from .study import Store, Workers, divided, open_store
+from .sweep import OUTCOMES
 from .sweep_file import Options, check_keys, described, file_of
 from .sweep_run import PROGRESS, check_and_warn
 from .tune import (
     FINALISTS,
+    GOAL,
+    HERE,
     OF_SCENARIO,
     SELECTION,
+    SIZE,
     Figures,
     Found,
     Goal,
@@ -44,53 +51,24 @@ from .tune import (
     Range,
     Score,
     TuningStudy,
+    given_goal,
     joined,
     quantile,
     run_candidate,
     search,
     with_better_start,
 )
-from .tune_picture import draw
 
-NUMBERS = ("draws", "candidates", "fresh")
-GOAL = ("minimise", "quantile", "success", "limits", "delay_margin")
 LAW = "law"
-SECTION = (LAW, *GOAL, *NUMBERS)
-HERE = "'tune' "  # start of a message
-DESCRIPTION, EVALUATIONS = "tuning.json", "evaluations.jsonl"
-Part = tuple[Point, int, int]
 SMALL, LARGE, MANY = 16, 200, 1000
 """Runs of a part: of a few draws, of at least MANY draws."""
-SHOWN = {
-    "rms": "RMS error",
-    "peak": "largest error",
-    "effort_noise": "noise in the effort",
-    "effort_peak": "peak effort",
+SHOWN = {name: OUTCOMES[name] for name in ("rms", "peak")} | {
+    "effort_noise": ("noise in the effort", "N m"),
+    "effort_peak": OUTCOMES["effort_peak"],
 }
-UNITS = {"rms": "rad", "peak": "rad", "effort_noise": "N m", "effort_peak": "N m"}
+AXES = {"effort_noise": "noise in the effort [N m]", "effort_peak": "peak effort [N m]"}
 QUANTILES = (0.5, 0.95)
 STARTS = {SCENARIO: "the scenario", RULE: "the rule of equal bandwidth"}
-
-
-def read_section(sweep: Sweep, section: Mapping[str, Any], numbers: Mapping[str, int]) -> TuningStudy:
-    """Return the study of the section `tune` of a sweep file; numbers: replace its own. Raise ParameterError."""
-    check_keys(section, SECTION, HERE)
-    goal: dict[str, Any] = {}
-    for key in GOAL:
-        if key in section:
-            given = section[key]
-            if key not in ("minimise", "limits"):
-                goal[key] = sweep_file.number(key, given, HERE)
-                continue
-            if not isinstance(given, Mapping):
-                raise ParameterError(
-                    f"'tune' has {given!r} as '{key}'; expected figures and numbers, e.g. {{rms: 1.0}}"
-                )
-            goal[key] = {str(name): sweep_file.number(f"{key}.{name}", value, HERE) for name, value in given.items()}
-    size: dict[str, Any] = {key: sweep_file.whole(key, section[key], HERE) for key in NUMBERS if key in section} | dict(
-        numbers
-    )
-    return TuningStudy(sweep, Goal(**goal), **size)
 
 
 def law_of(document: object) -> str | None:
@@ -104,16 +82,13 @@ def law_of(document: object) -> str | None:
 
 @dataclass(frozen=True)
 class Evaluator:
-    """Evaluates points of a study, and keeps each finished part in its folder; create it by `open_store`.
+    """Evaluates points of a study, and keeps each finished part in its folder.
 
-    parts: figures by (point, begin, end) of their runs. on_progress: called with the number of runs of each part, also
-    of a kept one. Raises Interrupted when `stop` is set.
+    on_progress: called with the number of runs of each part, also of a kept one. Raises Interrupted when `stop` is set.
     """
 
-    folder: Path
     study: TuningStudy
-    file: IO[str]
-    parts: dict[Part, Figures]
+    store: Store
     workers: Workers
     stop: threading.Event
     on_progress: Callable[[int], object] = lambda runs: None
@@ -123,61 +98,26 @@ class Evaluator:
         return [self.study.score(*each) for each in zip(points, self.figures(points, runs), strict=True)]
 
     def figures(self, points: Sequence[Point], runs: Range) -> list[Figures]:
-        """Return the figures of points over a range of runs; empty if a point has no gains."""
-        parts = {point: list(_parts(point, runs)) for point in points}
-        text = self.study.text
-        missing = [(text, *part) for each in parts.values() for part in each if part not in self.parts]
-        if not self.workers.run(run_candidate, missing, lambda job, found: self._keep(job[1:], found), self.stop):
-            raise Interrupted(self.folder)
-        for _, begin, end in (part for each in parts.values() for part in each):
+        """Return the figures of points over a range of runs."""
+        parts = divided(*runs, LARGE if runs[1] - runs[0] >= MANY else SMALL)
+        jobs = [(self.study.text, point, *part) for point in dict.fromkeys(points) for part in parts]
+        missing = [job for job in jobs if not self.store.holds(_key(*job[1:]))]
+        if not self.workers.run(run_candidate, missing, self._keep, self.stop):
+            raise Interrupted(self.store.folder)
+        for _, _, begin, end in jobs:
             self.on_progress(end - begin)
-        return [joined([self.parts[part] for part in parts[point]]) for point in points]
+        return [joined([self.store.read(_key(point, *part)) for part in parts]) for point in points]
 
-    def _keep(self, part: Part, figures: Figures) -> None:
-        """Add a part and write it to the file."""
-        point, begin, end = part
-        plain = {name: values.tolist() for name, values in figures.items()}
-        self.file.write(json.dumps({"point": point, "begin": begin, "end": end, "figures": plain}) + "\n")
-        self.file.flush()
-        self.parts[part] = figures
-
-
-def _parts(point: Point, runs: Range) -> list[Part]:
-    begin, end = runs
-    size = LARGE if end - begin >= MANY else SMALL
-    return [(point, first, min(first + size, end)) for first in range(begin, end, size)]
+    def _keep(self, job: tuple[str, Point, int, int], figures: Figures) -> None:
+        """Write the figures of a finished part, with the numbers of its runs and the coordinates of its point."""
+        _, point, begin, end = job
+        names = [axis.name for axis in self.study.coordinates.axes]
+        at = {name: np.full(end - begin, z) for name, z in zip(names, point or [np.nan] * len(names), strict=True)}
+        self.store.keep(_key(point, begin, end), {"run": np.arange(begin, end), **at, **figures})
 
 
-@contextmanager
-def open_store(
-    folder: Path, study: TuningStudy, program: str, workers: Workers, stop: threading.Event
-) -> Iterator[Evaluator]:
-    """Open or create the folder of a study, locked for this process; program: see study.opened. Raise StoreError."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / EVALUATIONS
-    with opened(folder / DESCRIPTION, json.loads(study.text), program, path.exists, "fjr tune"):
-        parts, length = _read(path)
-        with path.open("a", encoding="utf-8") as file:
-            file.truncate(length)
-            yield Evaluator(folder, study, file, parts, workers, stop)
-
-
-def _read(path: Path) -> tuple[dict[Part, Figures], int]:
-    """Return the finished parts and the length of their lines [bytes]; a line cut off by a crash ends them."""
-    found: dict[Part, Figures] = {}
-    length = 0
-    for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
-        try:
-            values = json.loads(line)
-            part = tuple(values["point"]), values["begin"], values["end"]
-            figures = {name: np.array(each) for name, each in values["figures"].items()}
-        except (ValueError, KeyError, TypeError):
-            break
-        if not line.endswith(b"\n"):
-            break
-        found[part] = figures
-        length += len(line)
-    return found, length
+def _key(point: Point, begin: int, end: int) -> str:
+    return f"{begin:09d}-{end:09d}-{hashlib.sha256(json.dumps(point).encode()).hexdigest()[:16]}"
 
 
 @dataclass(frozen=True)
@@ -198,7 +138,9 @@ def planned(name: str | None, options: Options, law: str | None, numbers: Mappin
     chosen = law or law_of(document)
     overrides = {**options.overrides, **({TYPE.name: chosen} if chosen else {})}
     sweep, file = described(path, document, replace(options, overrides=overrides))
-    return read_section(sweep, file.tune, numbers)
+    check_keys(file.tune, (LAW, *GOAL, *SIZE), HERE)
+    goal, size = given_goal(file.tune)
+    return TuningStudy(sweep, Goal(**goal), **{**size, **numbers})
 
 
 def tune(
@@ -208,10 +150,8 @@ def tune(
     study = planned(name, options, law, numbers)
     check_and_warn(study.sweep)
     _ = study.coordinates
-    if options.scheduler is None:
-        study.sweep.loop.build()
     folder = options.output / f"{study.sweep.name}_{study.sweep.scenario.controller_values[TYPE.name]}"
-    with cluster(options.scheduler) if options.scheduler else threads(options.cores) as workers:
+    with options.workers(study.sweep) as workers:
 
         def run(one: TuningStudy, point: Point, begin: int, end: int) -> Figures:
             found: list[Figures] = []
@@ -221,11 +161,12 @@ def tune(
             return found[0]
 
         study = with_better_start(study, run)
-        with open_store(folder, study, study.sweep.loop.fingerprint, workers, stop) as evaluate:
+        with open_store(folder, study.text, study.sweep.loop.fingerprint) as store:
             total = study.draws * study.candidates + (FINALISTS + 1) * SELECTION * study.draws + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
-                tuned = _searched(study, replace(evaluate, on_progress=bar.update))
+                tuned = _searched(study, Evaluator(study, store, workers, stop, bar.update))
+            store.write_table(sorted(path.stem for path in store.folder.glob("parts/*.parquet")))
     return _shown(tuned, folder)
 
 
@@ -267,7 +208,7 @@ def _values(tuned: Tuned, values: Mapping[str, Any]) -> dict[str, Any]:
                 for label, runs in (("scenario", tuned.scenario), ("tuned", tuned.chosen))
                 for q in QUANTILES
             }
-            for name in UNITS
+            for name in SHOWN
         },
     }
 
@@ -279,10 +220,10 @@ def _table(tuned: Tuned) -> list[str]:
         f"{study.sweep.name}, {law}: best of {len(tuned.found.candidates)} candidates, on {study.fresh:,} fresh draws",
         f"  {'':32}{'scenario':>12}{'tuned':>12}{'ratio':>9}",
     ]
-    for name, unit in UNITS.items():
+    for name, (words, unit) in SHOWN.items():
         for q in QUANTILES:
             pair = quantile(tuned.scenario[name], q), quantile(tuned.chosen[name], q)
-            what = f"{SHOWN[name]}, {'median' if q == 0.5 else percent(q, 0)}"
+            what = f"{words}, {'median' if q == 0.5 else percent(q, 0)}"
             lines.append(f"  {what:32}{number(pair[0]):>12}{number(pair[1]):>12}{_ratio(*pair):>9} {unit}")
     lines.append(f"  {'successful runs':32}{percent(scenario.success):>12}{percent(chosen.success):>12}")
     lines.append(f"  factors on the gains of {STARTS[study.start]}:")
@@ -295,3 +236,61 @@ def _table(tuned: Tuned) -> list[str]:
 
 def _ratio(start: float, tuned: float) -> str:
     return f"{tuned / start:.3g}" if np.isfinite([start, tuned]).all() and start > 0 else ""
+
+
+@mpl.rc_context(STYLE)
+def draw(tuned: Tuned, path: Path) -> Path:
+    """Write the picture: error against noise in the effort, error against peak effort, distribution of the error."""
+    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    axes = figure.subplots(1, 3)
+    for ax, name in zip(axes, AXES, strict=False):
+        _front(ax, tuned, name)
+    _distribution(axes[2], tuned.scenario, tuned.chosen)
+    title = f"{tuned.study.sweep.name}: {len(tuned.found.candidates)} candidates, {tuned.study.fresh:,} fresh draws"
+    figure.suptitle(title, fontsize=13, x=0.01, ha="left")
+    figure.savefig(path)
+    return path
+
+
+def _front(ax: Axes, tuned: Tuned, name: str) -> None:
+    """Draw all candidates on the draws of the search, those on the front joined, start and choice marked."""
+    found, quantile = tuned.found, tuned.study.goal.quantile
+    scores = [one.score for one in found.candidates]
+    x, y = (np.array([score.figures[key] for score in scores]) for key in (name, "rms"))
+    kept = np.array([score.feasible for score in scores])
+    finite = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
+    ax.plot(x[finite & ~kept], 1e3 * y[finite & ~kept], ".", ms=4, color="#C9CCD3", label="violates a constraint")
+    ax.plot(x[finite & kept], 1e3 * y[finite & kept], ".", ms=4, color=COLOURS[5], label="keeps the constraints")
+    best = pareto(x, y, finite & (kept if kept.any() else True))
+    ax.plot(x[best], 1e3 * y[best], "-", drawstyle="steps-post", color=COLOURS[0], lw=1.5, label="Pareto front")
+    points = [one.point for one in found.candidates]
+    at = [points.index(found.start.point), points.index(found.chosen)]
+    for i, marker, label in zip(at, "s*", ("start of the search", "chosen"), strict=True):
+        if finite[i]:
+            ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)
+    ax.set(xscale="log", yscale="log", xlabel=AXES[name], ylabel="RMS error [mrad]")
+    ax.set_title(f"Candidates, {percent(quantile, 0)} quantile over {tuned.study.draws} draws")
+    ax.legend(loc="best", **{**LEGEND, "markerscale": 1.0})
+
+
+def pareto(x: Array, y: Array, among: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the indices of the points that no other one beats in both values, by increasing x."""
+    order = np.flatnonzero(among)
+    order = order[np.lexsort((y[order], x[order]))]
+    best: list[int] = []
+    for i in order:
+        if not best or y[i] < y[best[-1]]:
+            best.append(int(i))
+    return np.array(best, dtype=np.intp)
+
+
+def _distribution(ax: Axes, scenario: Figures, chosen: Figures) -> None:
+    """Draw the share of the fresh draws whose error is at most a level; lost runs are missing at the top."""
+    for runs, colour, label in ((scenario, GREY, "scenario"), (chosen, COLOURS[1], "chosen")):
+        rms = np.sort(runs["rms"])
+        share = 100.0 * np.arange(1, len(rms) + 1) / len(rms)
+        stable = np.isfinite(rms) & (rms > 0)
+        ax.plot(1e3 * rms[stable], share[stable], color=colour, label=label)
+    ax.set(xscale="log", xlabel="RMS error [mrad]", ylabel="fresh draws with at most this error [%]", ylim=(0, 101))
+    ax.set_title("Fresh draws, cumulative")
+    ax.legend(loc="lower right", **LEGEND)

@@ -101,14 +101,6 @@ class BaselineTarget:
         u, _ = law.measured_command(*self.start, self._jets)
         return max(float(np.max(np.abs(u) / self._scale)), self.reference_effort)
 
-    def same_bandwidth(self, bandwidth: float) -> bool:
-        """Return whether a bandwidth [rad/s] equals the target."""
-        return abs(bandwidth - self.bandwidth) <= BANDWIDTH_TOLERANCE * self.bandwidth
-
-    def same_peak(self, peak: float) -> bool:
-        """Return whether a peak effort equals the target."""
-        return abs(peak - self.peak) <= PEAK_TOLERANCE * self.peak
-
     def loop(self, law: StaticLaw) -> tuple[Array, Array]:
         """Return A, B of the closed loop dx/dt = A x + B dq_ld, linearised at rest at q_0."""
         F, G = slope_at_rest(law, self.q_0)
@@ -152,19 +144,14 @@ class Tuning:
     peak: float
 
     @property
-    def effort_limit(self) -> Array:
-        """Common saturation (n,) [N m] of all laws."""
-        return self.target.effort_limit
-
-    @property
     def same_bandwidth(self) -> bool:
         """Return whether the bandwidth equals the target."""
-        return self.target.same_bandwidth(self.bandwidth)
+        return abs(self.bandwidth - self.target.bandwidth) <= BANDWIDTH_TOLERANCE * self.target.bandwidth
 
     @property
     def same_peak(self) -> bool:
         """Return whether the peak effort equals the target."""
-        return self.target.same_peak(self.peak)
+        return abs(self.peak - self.target.peak) <= PEAK_TOLERANCE * self.target.peak
 
     @property
     def sentence(self) -> str:

@@ -33,7 +33,7 @@ from fjr_core.stability.linearization import SampledLoop, in_error_coordinates
 from fjr_core.stability.sampled_loop import FEW, checked_times
 
 from ..stability.fast_modes import late_spring
-from ..uncertainty.drawn_loops import DrawnLoops, DrawnPlants, LargestMeanDifference
+from ..uncertainty.drawn_loops import DrawnLoops, DrawnPlants, in_common
 
 SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate
 COUPLING = (1.0, 1.1, 1.2, 1.35, 1.5)  # g = Pi_m / K
@@ -77,7 +77,7 @@ def synthesize(
     gains = replace(task, plants=plants).best(beta)
     if gains is None and plants is not None and (own := task.best(beta)) is not None:
         lost = task.lost(own, plants)
-        why = f" ({LargestMeanDifference.of(plants, lost).sentence(joints)})" if lost.any() and not lost.all() else ""
+        why = f" ({in_common(plants, lost, joints)})" if lost.any() and not lost.all() else ""
         raise GainsError(
             f"beta = {beta:g} 1/s is out of reach for all {len(plants)} drawn plants{why}; "
             f"{_reachable_by_all(task, plants, beta)}"

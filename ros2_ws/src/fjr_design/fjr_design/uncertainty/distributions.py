@@ -97,11 +97,11 @@ class DrawnColumn(NamedTuple):
     distribution: Distribution
 
 
-def standard_normal(share: Array) -> Array:
-    """Return standard normal numbers at a share in [0, 1), truncated at WIDEST."""
+def standard_normal(share: Array, widest: float = WIDEST) -> Array:
+    """Return standard normal numbers at a share in [0, 1), truncated at +-widest."""
     from scipy.special import ndtr, ndtri  # loaded on use: see law/gains.py
 
-    outside = ndtr(-WIDEST)
+    outside = ndtr(-widest)
     return np.asarray(ndtri(outside + (1 - 2 * outside) * share))
 
 

@@ -59,34 +59,21 @@ class DrawnPlants:
         return DrawnPlants(*(getattr(self, name)[which] for name in (*FIELDS, "delay")))
 
 
-@dataclass(frozen=True)
-class LargestMeanDifference:
-    """Drawn parameter whose mean over the lost draws differs most from that over all, in standard deviations.
+def in_common(plants: DrawnPlants, lost: NDArray[np.bool_], joints: Sequence[str] = ()) -> str:
+    """Return what the lost draws (k,) have in common, as a sentence.
 
-    field: of DrawnPlants. joint: index, -1 for the delay. lost, all: both means.
+    It is the drawn number whose mean over the lost draws differs most from that over all, in standard deviations.
+    joints: their names, joint1 to jointn if empty.
     """
-
-    field: str
-    joint: int
-    lost: float
-    all: float
-
-    @classmethod
-    def of(cls, plants: DrawnPlants, lost: NDArray[np.bool_]) -> LargestMeanDifference:
-        """Compare the lost draws (k,) with all in standard deviations of each drawn number."""
-        drawn = np.column_stack([*(getattr(plants, name) for name in FIELDS), plants.delay])
-        mean, own, spread = drawn.mean(axis=0), drawn[lost].mean(axis=0), drawn.std(axis=0)
-        which = int(np.argmax(np.abs(own - mean) / np.where(spread > 1e-9 * np.abs(mean), spread, np.inf)))
-        field, joint = divmod(which, plants.stiffness.shape[1])
-        name, joint = (FIELDS[field], joint) if field < len(FIELDS) else ("delay", -1)
-        return cls(name, joint, float(own[which]), float(mean[which]))
-
-    def sentence(self, joints: Sequence[str] = ()) -> str:
-        """Return what the lost draws have in common; joints: their names, joint1 to jointn if empty."""
-        names = joints or [f"joint{j + 1}" for j in range(self.joint + 1)]
-        where = f" of {names[self.joint]}" if self.joint >= 0 else ""
-        what = self.field.replace("_", " ")
-        return f"the lost draws differ most in {what}{where}: {self.lost:.3g} on average, {self.all:.3g} over all draws"
+    n = plants.stiffness.shape[1]
+    drawn = np.column_stack([*(getattr(plants, name) for name in FIELDS), plants.delay])
+    mean, own, spread = drawn.mean(axis=0), drawn[lost].mean(axis=0), drawn.std(axis=0)
+    which = int(np.argmax(np.abs(own - mean) / np.where(spread > 1e-9 * np.abs(mean), spread, np.inf)))
+    what = "delay"
+    if which < n * len(FIELDS):
+        name = joints[which % n] if joints else f"joint{which % n + 1}"
+        what = f"{FIELDS[which // n].replace('_', ' ')} of {name}"
+    return f"the lost draws differ most in {what}: {own[which]:.3g} on average, {mean[which]:.3g} over all draws"
 
 
 class DrawnLoops:

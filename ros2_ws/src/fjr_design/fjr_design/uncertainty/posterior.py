@@ -2,8 +2,8 @@
 """What an identification knows about a robot: intervals and verdicts, a posterior, and plants drawn from it.
 
 The posterior is normal in the coordinates of its parameters, so that every draw is a linear function of standard normal
-numbers z: theta = mean + S z with S S = covariance. Studies take z from a random generator that counts runs, so that a
-run draws the same plant whichever runs accompany it; the synthesis of gains takes a few draws at once.
+numbers z: theta = mean + S z with S S = covariance. z comes from a random generator that counts the draws, so that a
+run draws the same plant whichever runs accompany it.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ NAMES = {one.identified: one for one in PARAMETERS.values() if one.identified}
 DELAY = "effort_delay"
 LEAST = 1e-3  # of the robot's own value; smallest drawn stiffness and motor inertia
 STREAM = "posterior"
+WHOLE = 8.0  # standard deviations, beyond which one draw in 10^15 is
 
 
 def natural(z: Array, coordinate: str) -> Array:
@@ -124,12 +125,13 @@ class Identification:
             if each.verdict == UNKNOWN and each.name in names
         ]
 
-    def draws(self, count: int, seed: int) -> Array:
-        """Return draws (count, len(estimates)) of all parameters from the posterior; UNKNOWN ones keep their prior."""
-        return self.at(np.random.default_rng(seed).standard_normal((count, len(self.mean))))
+    def draws(self, count: int, seed: int, first: int = 0, widest: float = WHOLE) -> Array:
+        """Return the draws (count, len(estimates)) from the number `first` on; UNKNOWN parameters keep their prior.
 
-    def at(self, normal: Array) -> Array:
-        """Return draws (k, len(estimates)) at standard normal numbers (k, p), by the symmetric root of covariance."""
+        widest: standard deviations at which z is truncated; the default leaves the posterior whole.
+        """
+        words = draws.rows((seed, distributions.stream(STREAM)), first, count, len(self.mean))
+        normal = distributions.standard_normal(draws.unit(words), widest)
         w, v = np.linalg.eigh(self.covariance)
         z = self.mean + normal @ (v * np.sqrt(np.maximum(w, 0.0))) @ v.T
         drawn = np.tile([each.value for each in self.estimates], (len(normal), 1))
@@ -262,8 +264,7 @@ class PosteriorDraws:
 
     def drawn(self, seed: int, first: int, count: int) -> dict[str, Array]:
         """Return the draws by deviation, (count, n), (count,) or (count, 3), of the runs from `first` on."""
-        words = draws.rows((seed, distributions.stream(STREAM)), first, count, len(self.found.mean))
-        table = self.found.at(distributions.standard_normal(draws.unit(words)))
+        table = self.found.draws(count, seed, first, distributions.WIDEST)
         return {one.name: self._drawn(name, table) for name, one in NAMES.items() if one.name in self.columns}
 
     def _drawn(self, name: str, table: Array) -> Array:
@@ -275,7 +276,8 @@ class PosteriorDraws:
         if NAMES[name].per_run:
             return self.found.drawn_values(table, name)[""]
         own = self._own(name)
-        return self.found.by_joint(table, name, own) / np.where(own > 0, own, 1.0)
+        nominal = own if name in MATRICES else np.zeros(n)
+        return self.found.by_joint(table, name, nominal) / np.where(own > 0, own, 1.0)
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the smallest and the largest value of a deviation, by its marginals."""

@@ -8,30 +8,43 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
 import casadi as ca
 import numpy as np
 import yaml
 
+from fjr_core.config.plant import PERIOD_JITTER, imperfection_parameters, sensor_errors
+from fjr_core.config.plant import imperfections as build_imperfections
+from fjr_core.config.robot import description
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import AsSampledLaw
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.numerics.checks import MOTOR
 from fjr_core.numerics.parameter_field import Parameter, declared
 from fjr_core.runtime.events import ERRORS, KINDS, SENTENCES, WARNINGS
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.simulation.imperfections import Imperfections
+from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfections, SensorErrors
+from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
+from fjr_core.urdf.tree import parse_xml
 from fjr_core.version import __version__
 
 from ..c_code import comment, filled, number, numbers, quoted
 from ..project import recorded_case
-from ..step_code import ExportedController, controller_of, step_code
-from .arm import DYNAMICS, SENSORS, ExportedArm, arm_of, not_exported, with_hardware
+from ..step_code import ExportedLoop, loop_of, step_code
 
+TAG = "ros2_control"
+_GROUP = "imperfections."
+DYNAMICS = {field: declared(Imperfections)[field] for field in NAMES}
+SENSORS = {field: each for field, each in declared(SensorErrors).items() if field != "velocities"}
+"""Declarations of the parameters by field; their names are those of imperfections.* without the group."""
 SAMPLES = 400
 LONGEST_NAME = 60
 CERTIFIED = ("V", "H", "dissipation", "dissipated", "u_law", "drive")
@@ -62,7 +75,7 @@ FILES = {
     "test_step.cpp": "test/test_step.cpp",
 }
 """Templates and the files that they become."""
-NAMES = (
+INTERFACES = (
     ("joints", "the scenario's", "state interfaces of the links: `<joint>/position`, `<joint>/velocity`"),
     ("motors", "`<joint>_motor`", "state interfaces of the motors: `<motor>/position`, `<motor>/velocity`"),
     ("command_joints", "`<joint>_motor`", "command interfaces: `<command_joint>/effort`"),
@@ -72,7 +85,7 @@ NAMES = (
 
 
 def package_name_of(scenario: str) -> str:
-    """Convert the name of a scenario to that of a package: "ExportedArm-7 b" gives arm_7_b_ros2_control."""
+    """Convert the name of a scenario to that of a package: "Arm-7 b" gives arm_7_b_ros2_control."""
     plain = re.sub(r"[^a-z0-9]+", "_", scenario.lower()).strip("_")
     return f"{plain if plain[:1].isalpha() else f'robot_{plain}'.rstrip('_')}_ros2_control"
 
@@ -88,27 +101,20 @@ def export_package(scenario: Scenario, package: str, samples: int = SAMPLES) -> 
             f"package is '{package}'; expected a lower-case letter, then letters, digits or single '_', "
             f"at most {LONGEST_NAME}"
         )
-    controller, arm = controller_of(scenario), arm_of(scenario)
-    functions = {**_certificate(controller), **arm.functions}
-    texts = {f"step/{name}": text for name, text in step_code(controller, functions).items()}
-    values = _values(scenario, controller, arm, package) | {"samples": str(samples)}
+    loop = loop_of(scenario)
+    functions = {**_certificate(loop.certified_law), **functions_of(loop.plant)}
+    texts = {f"step/{name}": text for name, text in step_code(loop, functions).items()}
+    values = _values(scenario, loop, package) | {"samples": str(samples)}
     texts |= {
         path.format(package=package): filled(name, values, "ros2_control/templates") for name, path in FILES.items()
     }
-    parameters = {
-        "initial_link_position": tuple(arm.start[: controller.n].tolist()),
-        "initial_motor_position": tuple(arm.start[controller.n :].tolist()),
-        **arm.given,
-    }
-    texts[f"urdf/{package}.urdf"] = with_hardware(arm.urdf, package, controller.joints, values["clock"], parameters)
-    inner_steps = round(scenario.sample_period * 1e9 / arm.inner_step)
-    case = recorded_case(controller, scenario.plant, scenario.x0, inner_steps, samples)
-    return texts | {"test/case.txt": case}
+    urdf, parameters = description(scenario.plant_values), parameters_of(scenario)
+    texts[f"urdf/{package}.urdf"] = with_hardware(urdf, package, loop.joints, values["clock"], parameters)
+    return texts | {"test/case.txt": recorded_case(loop, samples)}
 
 
-def _certificate(controller: ExportedController) -> dict[str, ca.Function]:
+def _certificate(law: TrackingLaw | None) -> dict[str, ca.Function]:
     """Return the function of the certificate with the outputs of CERTIFIED, if the law has one."""
-    law = controller.certified_law
     if law is None:
         return {}
     function = Certificate(law).function
@@ -116,23 +122,23 @@ def _certificate(controller: ExportedController) -> dict[str, ca.Function]:
     return {"certificate": function.slice("certificate", list(range(function.n_in())), outputs)}
 
 
-def _values(scenario: Scenario, controller: ExportedController, arm: ExportedArm, package: str) -> dict[str, str]:
+def _values(scenario: Scenario, loop: ExportedLoop, package: str) -> dict[str, str]:
     """Return the values of the names in the templates."""
-    joints, missing = controller.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
+    joints, missing = loop.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
     return {
         "package": package,
         "PACKAGE": package.upper(),
         "title": comment(scenario.name),
         "title_xml": escape(scenario.name),
         "version": __version__,
-        "rate": str(round(1 / controller.sample_period)),
+        "rate": str(round(1 / loop.sample_period)),
         "clock": f"{package}_clock",
         "joint_yaml": _yaml(joints),
         "motor_yaml": _yaml([f"{joint}{MOTOR}" for joint in joints]),
         "chained_yaml": _yaml([f"tracking_controller/{joint}" for joint in joints]),
-        **_certificate_values(scenario, controller),
-        **_arm_values(arm),
-        **_gain_values(controller),
+        **_certificate_values(scenario, loop),
+        **_arm_values(loop),
+        **_gain_values(loop.certified_law, loop.n),
         **_readme_rows(),
         "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{_level(name)}}}" for name in KINDS),
         "wiring_sentences": ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values()),
@@ -150,13 +156,13 @@ def _level(event: str) -> str:
     return "error" if event in ERRORS else "warn" if event in WARNINGS else "info"
 
 
-def _certificate_values(scenario: Scenario, controller: ExportedController) -> dict[str, str]:
+def _certificate_values(scenario: Scenario, loop: ExportedLoop) -> dict[str, str]:
     """Return the values of certificate.hpp; without a certificate its function is never called.
 
     The rate is that of the whole range where a closed form proves one, else of the scenario's configurations.
     """
-    law, name = controller.certified_law, "fjr_casadi_certificate"
-    values = {"longest": number(LONGEST), "B_numbers": numbers(controller.law.robot.B_m)}
+    law, name = loop.certified_law, "fjr_casadi_certificate"
+    values = {"longest": number(LONGEST), "B_numbers": numbers(loop.law.robot.B_m)}
     if law is None:
         absent = {"certificate_declaration": "", "certificate_function": "nullptr", "certified": "false"}
         return {**values, **absent, "bounded": "0", "beta": number(0.0)}
@@ -167,35 +173,34 @@ def _certificate_values(scenario: Scenario, controller: ExportedController) -> d
         "certificate_declaration": declaration,
         "certificate_function": name,
         "certified": "true",
-        "bounded": "1" if isinstance(controller.sampled_law, AsSampledLaw) else "0",
+        "bounded": "1" if isinstance(loop.sampled_law, AsSampledLaw) else "0",
         "beta": number(law.rate(where).beta),
     }
 
 
-def _arm_values(arm: ExportedArm) -> dict[str, str]:
+def _arm_values(loop: ExportedLoop) -> dict[str, str]:
     """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag.
 
     plant_table: name, place, length and least value of each parameter of the plant.
     """
-    ideal, rows = Imperfections(arm.plant.robot.n).vector, []
-    for name, first, length, least in arm.table:
+    ideal, rows = Imperfections(loop.n).vector, []
+    for name, first, length, least in table_of(loop.plant.robot):
         bound = number(float(least)) if np.isfinite(least) else "-std::numeric_limits<double>::infinity()"
         rows.append(f"  {{{quoted(name)}, {first}, {length}, {bound}}}")  # INFINITY is a float in C++
     return {
-        "inner_step": number(arm.inner_step),
+        "inner_step": number(loop.sample_period / loop.inner_steps * 1e9),
         "parameters": str(len(ideal)),
         "plant_table": ",\n".join(rows),
         "plant_numbers": numbers(ideal).replace("INFINITY", "HUGE_VAL"),
-        "start_numbers": numbers(arm.start),
+        "start_numbers": numbers(loop.x0[: 2 * loop.n]),
     }
 
 
-def _gain_values(controller: ExportedController) -> dict[str, str]:
+def _gain_values(law: TrackingLaw | None, n: int) -> dict[str, str]:
     """Return the rows of the gains that may be changed, and the index of K_md among them.
 
     Gains of v-dPBC only. A full matrix Pi_m is left out, because the law needs its inverse.
     """
-    law = controller.certified_law
     if law is None:
         return {"gain_table": "", "hold_damping_gain": "-1"}
     first, starts = 0, {}
@@ -203,7 +208,7 @@ def _gain_values(controller: ExportedController) -> dict[str, str]:
         starts[name] = first, symbol.nnz()
         first += symbol.nnz()
     inverse = starts.pop("Pi_m_inverse")
-    if inverse[1] != controller.n:
+    if inverse[1] != n:
         del starts["Pi_m"]
     rows = [(name, *start, inverse[0] if name == "Pi_m" else -1) for name, start in starts.items()]
     text = ",\n  ".join(f"{{{quoted(name)}, {start}, {length}, {at}}}" for name, start, length, at in rows)
@@ -218,8 +223,90 @@ def _readme_rows() -> dict[str, str]:
         description = each.description.replace("|", "\\|")
         return f"| `{each.name}` | {default} | {description}{unit} |"
 
-    own = [f"| `{name}` | {default} | {text} |" for name, default, text in NAMES]
+    own = [f"| `{name}` | {default} | {text} |" for name, default, text in INTERFACES]
     safety = [row(each, "the scenario's") for each in declared(Settings).values()]
     defaults = [(each, each.default) for each in (*DYNAMICS.values(), *SENSORS.values())]
     arm = [row(each, f"{value:g}" if isinstance(value, float) else str(value)) for each, value in defaults]
     return {"controller_rows": "\n".join([*own, *safety]), "arm_rows": "\n".join(arm)}
+
+
+def functions_of(plant: Plant) -> dict[str, ca.Function]:
+    """Return the functions of a plant with all its imperfections by their names in C."""
+    made = NonidealPlant(Plant(plant.robot, plant.integrator)).functions_as_c
+    return {f"plant_{name}": function for name, function in made.items()}
+
+
+def table_of(robot: Robot) -> list[tuple[str, int, int, float]]:
+    """Return name, first index, length and least value of each parameter of the plant.
+
+    The payload is left out for a robot without an end effector.
+    """
+    rows, first = [], 0
+    for field, size in layout(robot.n).sizes.items():
+        if robot.links.end_effector is not None or not field.startswith("payload"):
+            rows.append((DYNAMICS[field].name, first, size, DYNAMICS[field].minimum))
+        first += size
+    return rows
+
+
+def parameters_of(scenario: Scenario) -> dict[str, object]:
+    """Return the start of the arm, and the values of imperfections.* that it has and that are not the defaults.
+
+    Names are without the group. Raises ParameterError.
+    """
+    values, robot, n = scenario.plant_values, scenario.plant.robot, scenario.plant.robot.n
+    _ = build_imperfections(values, robot), sensor_errors(values, n)
+    known: dict[str, Parameter] = {each.name: each for each in imperfection_parameters(n)}
+    names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
+    found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
+    return {
+        "initial_link_position": tuple(scenario.x0[:n].tolist()),
+        "initial_motor_position": tuple(scenario.x0[n : 2 * n].tolist()),
+        **{name: value for name, (value, default) in found.items() if value != default},
+    }
+
+
+def not_exported(scenario: Scenario) -> list[str]:
+    """Return the names of the scenario's imperfections that the exported arm does not have."""
+    values, defaults = scenario.plant_values, ChannelErrors()
+    fields = ("jitter", "loss", "repetition")
+    channel = {f: declared(ChannelErrors)[f].name for f in fields}
+    names = {
+        f"{_GROUP}{side}_{name}": getattr(defaults, f) for side in ("state", "command") for f, name in channel.items()
+    }
+    names |= {PERIOD_JITTER.name: 0.0, f"{_GROUP}publish_velocity": True}
+    return [name for name, default in names.items() if values[name] != default]
+
+
+def with_hardware(urdf: str, package: str, joints: Sequence[str], clock: str, parameters: Mapping[str, object]) -> str:
+    """Return the URDF with the simulated arm as its only hardware.
+
+    A joint of the tag must be one of the URDF, so that motors are components of the kind <gpio>, which need none.
+    """
+    robot = parse_xml(urdf)
+    for other in robot.findall(TAG):
+        robot.remove(other)
+    system = ElementTree.SubElement(robot, TAG, name=package, type="system")
+    hardware = ElementTree.SubElement(system, "hardware")
+    ElementTree.SubElement(hardware, "plugin").text = f"{package}/ElasticArm"
+    for name, value in {"time": "clock", "wait_for_command": "true", **parameters}.items():
+        ElementTree.SubElement(hardware, "param", name=name).text = text_of(value)
+    for joint in joints:
+        _component(system, "joint", joint, command=False)
+        _component(system, "gpio", f"{joint}{MOTOR}", command=True)
+    ElementTree.SubElement(ElementTree.SubElement(system, "sensor", name=clock), "state_interface", name="stamp")
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def text_of(value: object) -> str:
+    """Format a parameter of the hardware: numbers are separated by spaces."""
+    return " ".join(map(repr, value)) if isinstance(value, (tuple, list)) else str(value)
+
+
+def _component(system: ElementTree.Element, kind: str, name: str, command: bool) -> None:
+    component = ElementTree.SubElement(system, kind, name=name)
+    if command:
+        ElementTree.SubElement(component, "command_interface", name="effort")
+    for interface in ("position", "velocity", "effort"):
+        ElementTree.SubElement(component, "state_interface", name=interface)
