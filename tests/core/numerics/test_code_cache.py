@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
@@ -20,20 +20,12 @@ from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics import code_cache
 from fjr_core.numerics import jit as compiling
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
+pytestmark = [
+    pytest.mark.usefixtures("cache"),
+    pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine"),
+]
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
 NOBODY = 65534
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Provide an empty cache and no temporary one."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv("CC", raising=False)
-    compiling._warn_once.cache_clear()
-    code_cache._temporary_base.cache_clear()
-    yield tmp_path / "cache" / "fjr"
-    code_cache._temporary_base.cache_clear()
 
 
 def function() -> ca.Function:
