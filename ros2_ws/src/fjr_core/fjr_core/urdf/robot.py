@@ -74,7 +74,10 @@ def robot_from_urdf(
     matrices = zip(names, values, strict=True)
     K, M_m, D_l, D_m, B_m = (checks.matrix(name, value, len(chain), RobotError) for name, value in matrices)
     if gear_ratio is not None:
-        M_m = _reflected(M_m, gear_ratio)
+        ratio = checks.vector("gear_ratio", gear_ratio, len(chain), RobotError)
+        if not np.all(ratio != 0):
+            raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
+        M_m = np.diag(ratio) @ M_m @ np.diag(ratio)
     limits = JointLimits(*np.array([joint.limits for joint in named]).T)
     prismatic = tuple(joint.kind == "prismatic" for joint in named)
     return Robot(_in_order(links, [chain.index(name) for name in joints]), M_m, K, D_l, D_m, B_m, limits, prismatic)
@@ -183,14 +186,6 @@ def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
         for i in reversed(range(links.n)):
             if not np.linalg.eigvalsh(M_l[i:, i:])[0] > 1e-14 * np.max(M_l[i:, i:]):
                 raise MasslessJointError(chain[i])
-
-
-def _reflected(J: Array, gear_ratio: ArrayLike) -> Array:
-    """Return the inertia r J r on the link side of gears with ratio r."""
-    ratio = checks.vector("gear_ratio", gear_ratio, len(J), RobotError)
-    if not np.all(ratio != 0):
-        raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
-    return np.diag(ratio) @ J @ np.diag(ratio)
 
 
 def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:
