@@ -30,18 +30,28 @@ def refused(error: type[fjr.FjrError], call: Callable[[], object], *words: str) 
     assert "\n" not in message
 
 
-def labels(rows: list[tuple]) -> list[str]:
-    """Return the ids of the cases: the given parameters and a number."""
-    given = ["-".join(next(part for part in row if isinstance(part, dict))) for row in rows]
-    return [f"{name}-{i}" for i, name in enumerate(given)]
+def run(**overrides: object) -> fjr.Trajectory:
+    values = {
+        "plant": fjr.Plant(ROBOT),
+        "law": LAW,
+        "reference": fjr.Sine((1.0, 1.0), 1.0),
+        "x0": X,
+        "duration": 0.01,
+        "sample_period": 1e-3,
+    }
+    return fjr.simulate(**{**values, **overrides})  # type: ignore[arg-type]
 
 
-ROBOTS = [
-    ("single_link", {"stiffness": 0.0}, "K", "positive definite"),
+MAKE: dict[str, tuple[type[fjr.FjrError], Callable[..., object]]] = {
+    "single_link": (fjr.RobotError, fjr.single_link),
+    "planar_two_link": (fjr.RobotError, fjr.planar_two_link),
+    "gains": (fjr.GainsError, lambda **values: fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, **values}))),
+    "simulation": (fjr.StateError, run),
+}
+VALUES = [
     ("single_link", {"stiffness": -31.0}, "K", "-31", "positive definite"),
     ("single_link", {"stiffness": NAN}, "K", "nan", "finite"),
     ("single_link", {"motor_inertia": 0.0}, "M_m", "positive definite"),
-    ("single_link", {"motor_inertia": -0.004}, "M_m", "-0.004", "positive definite"),
     ("single_link", {"link_inertia": 0.0}, "link_inertia", "positive"),
     ("single_link", {"link_inertia": INF}, "link_inertia", "inf", "finite"),
     ("single_link", {"link_damping": -0.2}, "D_l", "-0.2", "semidefinite"),
@@ -61,38 +71,43 @@ ROBOTS = [
     ("planar_two_link", {"link_mass": (1.0, -0.1)}, "link_mass", "-0.1", "positive"),
     ("planar_two_link", {"link_length": (1.0, 1.0, 1.0)}, "link_length", "(3,)", "(2,)"),
     ("planar_two_link", {"gravity": (9.81, 9.81)}, "gravity", "(2,)"),
+    ("gains", {"Pi_l": 0.0}, "Pi_l", "positive definite"),
+    ("gains", {"Pi_m": -60.0}, "Pi_m", "-60", "positive definite"),
+    ("gains", {"K_ld": 0.0}, "K_ld", "positive definite"),
+    ("gains", {"K_md": -0.3}, "K_md", "-0.3", "positive definite"),
+    ("gains", {"Lambda_l": 0.0}, "Lambda_l", "(32)", "positive definite"),
+    ("gains", {"Lambda_m": -15.0}, "Lambda_m", "-15", "(41)", "positive definite"),
+    ("gains", {"Gamma_l": -1.0}, "Gamma_l", "-20", "(32)", "nonnegative"),
+    ("gains", {"Gamma_m": -1.0}, "Gamma_m", "-60", "(41)", "nonnegative"),
+    ("gains", {"Pi_l": NAN}, "Pi_l", "nan", "finite"),
+    ("gains", {"Lambda_m": INF}, "Lambda_m", "inf", "finite"),
+    ("gains", {"Lambda_l": "fast"}, "Lambda_l", "fast", "numbers"),
+    ("gains", {"K_md": [0.3, 0.3, 0.3]}, "K_md", "(3,)", "(2,)"),
+    ("gains", {"Pi_m": np.eye(3)}, "Pi_m", "(3, 3)", "(2, 2)"),
+    ("gains", {"Pi_m": [[60, 1], [0, 60]]}, "Pi_m", "symmetric"),
+    ("gains", {"K_ld": [[1, 2], [2, 1]]}, "K_ld", "-1", "positive definite"),
+    ("simulation", {"x0": X[:4]}, "x0", "(4,)", "(8,)"),
+    ("simulation", {"x0": np.full(8, NAN)}, "x0", "nan", "finite"),
+    ("simulation", {"duration": 0.0}, "duration", "0.0", "positive"),
+    ("simulation", {"duration": NAN}, "duration", "nan", "positive"),
+    ("simulation", {"sample_period": 0.0}, "period", "0.0", "positive"),
+    ("simulation", {"sample_period": INF}, "period", "inf", "positive"),
+    ("simulation", {"inner_step": -1e-4}, "-0.0001", "positive"),
+    ("simulation", {"inner_step": NAN}, "nan", "positive"),
+    ("simulation", {"inner_step": -1e-4, "sample_period": None}, "-0.0001", "positive"),
+    ("simulation", {"delay": -1e-3}, "delay", "-0.001", "0 or more"),
+    ("simulation", {"delay": NAN}, "delay", "nan", "0 or more"),
+    ("simulation", {"delay": 1e-3, "sample_period": None}, "delay", "0.001", "continuous"),
+    ("simulation", {"reference": fjr.Sine(1.0, 1.0)}, "joints", "2", "1"),
+    ("simulation", {"plant": fjr.Plant(fjr.single_link())}, "x0", "(8,)", "(4,)"),
+    ("simulation", {"plant": fjr.Plant(fjr.single_link()), "x0": np.zeros(4)}, "joints", "1", "2"),
 ]
 
 
-@pytest.mark.parametrize(("factory", "values", "words"), [(f, v, w) for f, v, *w in ROBOTS], ids=labels(ROBOTS))
-def test_invalid_robots_are_rejected(factory: str, values: dict[str, object], words: list[str]) -> None:
-    refused(fjr.RobotError, lambda: getattr(fjr, factory)(**values), *words)
-
-
-GAINS = [
-    ({"Pi_l": 0.0}, "Pi_l", "positive definite"),
-    ({"Pi_m": -60.0}, "Pi_m", "-60", "positive definite"),
-    ({"K_ld": 0.0}, "K_ld", "positive definite"),
-    ({"K_md": -0.3}, "K_md", "-0.3", "positive definite"),
-    ({"Lambda_l": 0.0}, "Lambda_l", "(32)", "positive definite"),
-    ({"Lambda_m": -15.0}, "Lambda_m", "-15", "(41)", "positive definite"),
-    ({"Gamma_l": -1.0}, "Gamma_l", "-20", "(32)", "nonnegative"),
-    ({"Gamma_m": -1.0}, "Gamma_m", "-60", "(41)", "nonnegative"),
-    ({"Pi_l": NAN}, "Pi_l", "nan", "finite"),
-    ({"Lambda_m": INF}, "Lambda_m", "inf", "finite"),
-    ({"Lambda_l": "fast"}, "Lambda_l", "fast", "numbers"),
-    ({"K_md": [0.3, 0.3, 0.3]}, "K_md", "(3,)", "(2,)"),
-    ({"Pi_m": np.eye(3)}, "Pi_m", "(3, 3)", "(2, 2)"),
-    ({"Pi_m": [[60, 1], [0, 60]]}, "Pi_m", "symmetric"),
-    ({"K_ld": [[1, 2], [2, 1]]}, "K_ld", "-1", "positive definite"),
-]
-
-
-@pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in GAINS], ids=labels(GAINS))
-def test_gains_that_violate_the_conditions_of_the_proof_are_rejected(
-    values: dict[str, object], words: list[str]
-) -> None:
-    refused(fjr.GainsError, lambda: fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, **values})), *words)
+@pytest.mark.parametrize(("what", "values", "words"), [(k, v, w) for k, v, *w in VALUES])
+def test_invalid_values_are_rejected(what: str, values: dict[str, object], words: list[str]) -> None:
+    error, make = MAKE[what]
+    refused(error, lambda: make(**values), *words)
 
 
 FULL_PI = [[20.0, 18.0], [18.0, 20.0]]
@@ -126,20 +141,6 @@ def test_rounding_of_the_product_is_tolerated(first: float, second: float) -> No
         Pi = 20 * (root @ root.T + 0.1 * np.eye(2))
         Gamma = np.linalg.inv(Pi) @ np.diag([first, second])
         fjr.TrackingLaw(ROBOT, fjr.Gains(**{**PAPER, "Pi_l": Pi, "Gamma_l": Gamma}))
-
-
-SINES = [
-    ({"amplitude": (1.0, 2.0), "frequency": (1.0, 2.0, 3.0)}, "(2,)", "(3,)"),
-    ({"amplitude": NAN, "frequency": 1.0}, "amplitude", "nan", "finite"),
-    ({"amplitude": 1.0, "frequency": INF}, "frequency", "inf", "finite"),
-    ({"amplitude": 1.0, "frequency": "slow"}, "frequency", "slow", "numbers"),
-    ({"amplitude": np.ones((1, 2)), "frequency": 1.0}, "amplitude", "(1, 2)"),
-]
-
-
-@pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in SINES], ids=labels(SINES))
-def test_invalid_references_are_rejected(values: dict[str, object], words: list[str]) -> None:
-    refused(fjr.TrajectoryError, lambda: fjr.Sine(**values), *words)
 
 
 SHAPES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
@@ -181,45 +182,6 @@ SHAPES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
 def test_states_inputs_and_jets_of_the_wrong_shape_are_rejected(name: str) -> None:
     call, words = SHAPES[name]
     refused(fjr.StateError, call, *words)
-
-
-def run(**overrides: object) -> fjr.Trajectory:
-    values = {
-        "plant": fjr.Plant(ROBOT),
-        "law": LAW,
-        "reference": fjr.Sine((1.0, 1.0), 1.0),
-        "x0": X,
-        "duration": 0.01,
-        "sample_period": 1e-3,
-    }
-    return fjr.simulate(**{**values, **overrides})  # type: ignore[arg-type]
-
-
-SIMULATIONS = [
-    ({"x0": X[:4]}, "x0", "(4,)", "(8,)"),
-    ({"x0": np.full(8, NAN)}, "x0", "nan", "finite"),
-    ({"duration": 0.0}, "duration", "0.0", "positive"),
-    ({"duration": -1.0}, "duration", "-1.0", "positive"),
-    ({"duration": NAN}, "duration", "nan", "positive"),
-    ({"sample_period": 0.0}, "period", "0.0", "positive"),
-    ({"sample_period": -1e-3}, "period", "-0.001", "positive"),
-    ({"sample_period": INF}, "period", "inf", "positive"),
-    ({"inner_step": -1e-4}, "-0.0001", "positive"),
-    ({"inner_step": 0.0}, "0.0", "positive"),
-    ({"inner_step": NAN}, "nan", "positive"),
-    ({"inner_step": -1e-4, "sample_period": None}, "-0.0001", "positive"),
-    ({"delay": -1e-3}, "delay", "-0.001", "0 or more"),
-    ({"delay": NAN}, "delay", "nan", "0 or more"),
-    ({"delay": 1e-3, "sample_period": None}, "delay", "0.001", "continuous"),
-    ({"reference": fjr.Sine(1.0, 1.0)}, "joints", "2", "1"),
-    ({"plant": fjr.Plant(fjr.single_link())}, "x0", "(8,)", "(4,)"),
-    ({"plant": fjr.Plant(fjr.single_link()), "x0": np.zeros(4)}, "joints", "1", "2"),
-]
-
-
-@pytest.mark.parametrize(("values", "words"), [(v, w) for v, *w in SIMULATIONS], ids=labels(SIMULATIONS))
-def test_invalid_simulations_are_rejected(values: dict[str, object], words: list[str]) -> None:
-    refused(fjr.StateError, lambda: run(**values), *words)
 
 
 def test_divergence_is_reported_with_its_time() -> None:

@@ -82,6 +82,8 @@ HOSTILE = {
     "200 kB of levels": ("\n".join(" " * i + "a:" for i in range(630)), "nested"),
     "half a surrogate pair": (r'a: "\ud800"', "line 1, column 7"),
     "NUL": (r'a: "b\0c"', "U+0000"),
+    "alias": ("a: &x [1.0]\nb: *x\n", "alias"),
+    "twice": ("/**/fjr_controller: {a: 1}\n/**/fjr_controller: {b: 2}\n", "'/**/fjr_controller' twice"),
 }
 
 

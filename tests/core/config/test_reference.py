@@ -19,7 +19,6 @@ from fjr_core.config.reference import reference as build_reference
 from fjr_core.config.reference import reference_parameters
 from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
 from fjr_core.motions.reference import Reference
-from fjr_core.simulation.closed_loop import simulate
 
 T = np.array([0.3, 1.3, 2.2, 7.7])
 OFFSET = {"offset": (0.4, -0.3)}
@@ -175,12 +174,6 @@ def test_a_self_contained_scenario_holds_the_motion(load: Load, tmp_path: Path) 
     text = ros_yaml.dump(self_contained(given, tmp_path))
     (tmp_path / "motion.csv").unlink()
     np.testing.assert_array_equal(parse_scenario("own", text).reference.jets(AT), expected)
-
-
-def test_a_robot_tracks_the_file(load: Load) -> None:
-    scenario = load(1 - np.cos(AT))
-    run = simulate(scenario.plant, scenario.law, scenario.reference, scenario.x0, 5.0, 0.001)
-    assert np.abs(run.x[1000:, 0] - run.jets[1000:, 0, 0]).max() < 0.01
 
 
 def test_rounding_is_reported_with_both_efforts(load: Load) -> None:

@@ -9,24 +9,20 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from core.motions import cases
 from fjr_core.motions.motion_limits import check_points
 from fjr_core.motions.reference import Reference
 
 RNG = np.random.default_rng(5)
 TIMES = np.array([0.4, 1.0, 2.2, 3.0])
 SPLINE = fjr.Spline(TIMES, RNG.normal(size=(4, 2)), start=RNG.normal(size=(5, 2)))
-SINE = fjr.Sine((0.5, -0.3), (1.0, 2.5), (0.1, 0.2), (0.3, 4.0))
+NAMES = ("half still", "one row", "series", "one way", "to and fro", "hold", "late")
 REFERENCES: dict[str, Reference] = {
-    "sine": SINE,
-    "backwards": fjr.Sine((0.5, -0.3), (-1.0, 0.0), (0.1, 0.2), (0.3, 4.0)),
-    "one row": fjr.MultiSine([[0.5, 0.2]], [[1.3, 2.0]], 0.3, (0.1, 0.2)),
-    "one way": fjr.PointToPoint((0.1, -0.5), (1.0, 0.5), 1.9),
-    "to and fro": fjr.PointToPoint((0.1, -0.5), (1.0, 0.5), 0.9, 0.2, returns=True),
+    **{name: cases.REFERENCES[name] for name in NAMES},
     "circle": fjr.Circle((0.1, 0.2), 0.5, 3.0, 0.4, 1.5),
-    "hold": fjr.Hold((0.4, 0.5)),
+    "joined": fjr.transition(RNG.normal(size=(5, 2)), 0.0, cases.RUNNING, 1.0),
     "spline": SPLINE,
-    "joined": fjr.transition(RNG.normal(size=(5, 2)), 0.0, SINE, 1.0),
-    "shifted": fjr.time_shifted(SPLINE, 0.7),
+    "shifted spline": fjr.time_shifted(SPLINE, 0.7),
 }
 references = pytest.mark.parametrize("reference", REFERENCES.values(), ids=REFERENCES)
 

@@ -8,42 +8,30 @@ import pytest
 from scipy.special import betainc
 
 import fjr_core as fjr
+from core.motions.cases import FREE, KNOTS, OTHERS, SERIES, SINES, SPLINES, T0, T1, references
 from core.oracles.oracle import stencil
 from fjr_core.motions.reference import Reference
+from fjr_core.motions.sine import common_period, logarithmic_harmonics
+from fjr_core.motions.transition import Transition
 
-SINES = {
-    "plain": fjr.Sine(1.0, 1.0),
-    "shifted": fjr.Sine(0.7, 2.5, offset=-0.4, phase=1.1),
-    "three": fjr.Sine((1.0, 0.5, -0.2), (1.0, 2.0, 3.5), offset=(0.0, 0.1, 0.2), phase=(0.3, 0.0, -2.0)),
-    "backwards": fjr.Sine((1.0, -0.5), (-1.0, -2.0), phase=(0.3, 2.0)),
-    "still": fjr.Sine(0.0, 1.0, offset=0.3),
-}
-OTHERS = {
-    "two sines": fjr.MultiSine([[1.0, 0.5], [0.3, -0.2]], [[1.0, 2.0], [3.0, 0.0]], [[0.1, 0.2], [0.3, 0.4]], (0.5, 1)),
-    "one way": fjr.PointToPoint((0.1, -0.5), (1.0, 0.5), 1.9),
-    "to and fro": fjr.PointToPoint((0.1, -0.5), (1.0, 0.5), 1.9, dwell=0.3, returns=True),
-    "no dwell": fjr.PointToPoint(0.1 * np.ones(1), 1.0, 1.7, returns=True),
-    "circle": fjr.Circle((0.4, -0.2, 1.0), 0.5, -2.0, 0.3, 1.6),
-    "hold": fjr.Hold((0.3, -0.2)),
-}
-references = pytest.mark.parametrize("reference", [*SINES.values(), *OTHERS.values()], ids=[*SINES, *OTHERS])
 sines = pytest.mark.parametrize("reference", SINES.values(), ids=SINES)
 
 
 @references
-@pytest.mark.parametrize("t", [0.37, 1.23, 2.6, 12.3])
+@pytest.mark.parametrize("t", [0.37, 1.23, 1.54, 2.6, 4.7, 12.3])
 def test_each_row_is_the_derivative_of_the_one_above(reference: Reference, t: float) -> None:
     rates = stencil(lambda s: reference.jets(t + s), 0.01)
     np.testing.assert_allclose(reference.jets(t)[1:], rates[:-1], rtol=1e-9, atol=1e-9)
 
 
 @references
-@pytest.mark.parametrize("t", [0.0, 1.6, 1.7, 1.9, 2.2, 3.4, 4.1, 4.4, 8.8])
-def test_derivatives_are_continuous_at_the_ends_of_a_transition(reference: Reference, t: float) -> None:
-    if t == 0.0 and isinstance(reference, (fjr.Sine, fjr.MultiSine)):
-        return  # no transition at the start
-    before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
-    np.testing.assert_allclose(before, after, atol=1e-11)
+def test_references_are_c4_once_they_have_begun(reference: Reference) -> None:
+    motion = reference.segment if isinstance(reference, Transition) else getattr(reference, "pieces", None)
+    begin = 0.0 if motion is None else motion.times[0]
+    scale = 1.0 + np.abs(reference.jets(np.linspace(0.0, 5.0, 501))).max(axis=(0, 2))[:, None]
+    for t in KNOTS:
+        before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
+        assert t <= begin or np.all(np.abs(before - after) < np.maximum(1e-12 * scale, 1e-11)), t
 
 
 @sines
@@ -56,8 +44,8 @@ def test_first_row_is_the_sine(reference: fjr.Sine) -> None:
 def test_shapes(reference: Reference) -> None:
     n = reference.n
     assert reference.jets(0.5).shape == (5, n)
-    times = np.array([-0.1, 0.0, 0.5, 1.5, 7.0])
-    assert reference.jets(times).shape == (5, 5, n)
+    times = np.array([-0.1, 0.0, 0.5, T0, 1.5, np.nextafter(T1, 0.0), T1, 7.0])
+    assert reference.jets(times).shape == (8, 5, n)
     np.testing.assert_allclose(reference.jets(times), [reference.jets(t) for t in times], rtol=1e-12, atol=1e-12)
     assert reference.configurations(17).shape == (17, n)
     assert reference.configurations(1).shape == (1, n)
@@ -80,23 +68,13 @@ def test_after_its_end_a_reference_is_constant(reference: Reference) -> None:
         np.testing.assert_array_equal(reference.jets(reference.end + 100.0), last)
 
 
-@references
+@pytest.mark.parametrize("reference", [*SINES.values(), *OTHERS.values(), *SPLINES.values()])
 def test_configurations_lie_on_the_reference(reference: Reference) -> None:
     e = reference.motion_bounds(0.0, np.inf)
     q = reference.configurations(200)
     assert np.all((q >= e.lower[0] - 1e-12) & (q <= e.upper[0] + 1e-12))
     reach = np.ptp(q, axis=0)
     assert np.all(reach >= 0.9 * (e.upper[0] - e.lower[0]))
-
-
-def test_scalars_apply_to_every_joint() -> None:
-    assert fjr.Sine(1.0, 1.0).n == 1
-    mixed, spelled = (
-        fjr.Sine((1.0, 0.5), 2.0, offset=0.1),
-        fjr.Sine((1.0, 0.5), (2.0, 2.0), offset=(0.1, 0.1)),
-    )
-    assert mixed.n == 2
-    assert np.array_equal(mixed.jets(0.7), spelled.jets(0.7))
 
 
 def test_paper_reference_starts_at_zero_with_unit_velocity() -> None:
@@ -144,3 +122,29 @@ def test_circle_is_exact_from_rest_to_its_frequency() -> None:
     np.testing.assert_allclose(circle.jets(9.0), circle.jets(9.0 + np.pi), atol=1e-12)
     (x, y), (dx, dy) = circle.jets(5.0)[:2, :2] - [[0.4, -0.2], [0.0, 0.0]]
     assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency is clockwise
+
+
+def test_any_free_coefficients_rest_at_the_start_and_at_the_end_of_each_period() -> None:
+    jets = SERIES.reference(FREE).jets(np.array([0.0, 4.0, 8.0]))
+    moving = np.abs(SERIES.reference(FREE).jets(np.linspace(0, 4, 101))).max(axis=0)
+    assert np.all(np.abs(jets[:, 1:]) < 1e-9 * moving[1:])
+    assert np.allclose(jets[:, 0], jets[0, 0])
+
+
+def test_the_basis_gives_the_jets_of_the_reference() -> None:
+    t = np.linspace(0, 5, 23)
+    jets = np.einsum("rks,sn->krn", SERIES.jet_basis(t), FREE)
+    assert np.allclose(jets, SERIES.reference(FREE).jets(t), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("highest", "count"), [(3, 10), (8, 5), (100, 10)])
+def test_harmonics_are_distinct_and_reach_the_highest(highest: int, count: int) -> None:
+    found = logarithmic_harmonics(highest, count)
+    assert len(found) == min(highest, count) == len(set(found))
+    assert (found[0], found[-1]) == (1, highest)
+
+
+def test_the_common_period_is_that_of_the_greatest_common_divisor() -> None:
+    assert common_period(2 * np.pi * np.array([0.6, 1.0, 0.0, 1.4])) == pytest.approx(5.0)
+    assert common_period(np.array([1.0, np.pi])) is None
+    assert common_period(np.array([0.0])) is None

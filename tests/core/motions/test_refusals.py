@@ -20,6 +20,10 @@ RUNNING = fjr.Sine((0.5, 0.3), (1.0, 2.0))
 JETS = RUNNING.jets(0.0)
 
 BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
+    "sine-lengths": (lambda: fjr.Sine((1.0, 2.0), (1.0, 2.0, 3.0)), ("(2,)", "(3,)")),
+    "sine-nan": (lambda: fjr.Sine(np.nan, 1.0), ("amplitude", "nan", "finite")),
+    "sine-word": (lambda: fjr.Sine(1.0, "slow"), ("frequency", "slow", "numbers")),
+    "sine-rows": (lambda: fjr.Sine(np.ones((1, 2)), 1.0), ("amplitude", "(1, 2)")),
     "multi-vector": (lambda: fjr.MultiSine([1.0], 1.0), ("amplitude", "(1,)", "(m, n)")),
     "multi-shape": (lambda: fjr.MultiSine([[1.0, 2.0]], [[1.0]]), ("frequency", "(1, 1)", "(1, 2)")),
     "multi-nan": (lambda: fjr.MultiSine([[1.0, 2.0]], 1.0, np.nan), ("phase", "nan", "finite")),

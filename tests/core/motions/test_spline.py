@@ -11,24 +11,12 @@ from scipy.interpolate import BPoly, make_interp_spline
 from scipy.linalg import solveh_banded
 
 import fjr_core as fjr
-from core.oracles.oracle import stencil
+from core.motions.cases import ACCELERATIONS, BEGIN, GIVEN, POSITIONS, START, TIMES, VELOCITIES, K, N
 from fjr_core.motions import piecewise_polynomial as polynomials
 from fjr_core.motions.piecewise_polynomial import MONOTONE, TURNING, PiecewisePolynomial, taylor
 from fjr_core.motions.spline import STANDSTILL
 
-RNG = np.random.default_rng(4)
-K, N = 7, 3
-TIMES = np.array([0.3, 1.0, 1.4, 2.5, 2.9, 4.0, 5.0])
-POSITIONS, VELOCITIES, ACCELERATIONS = RNG.normal(size=(3, K, N))
-VELOCITIES[-1] = 0.0
-START = RNG.normal(size=(5, N))
-GIVEN: dict[str, dict[str, Any]] = {
-    "positions": {},
-    "velocities": {"velocities": VELOCITIES},
-    "both": {"velocities": VELOCITIES, "accelerations": ACCELERATIONS},
-    "accelerations": {"accelerations": ACCELERATIONS},
-}
-BEGIN: dict[str, dict[str, Any]] = {"alone": {}, "replacing": {"start": START}}
+RNG = np.random.default_rng(5)
 given = pytest.mark.parametrize("derivatives", GIVEN.values(), ids=GIVEN)
 begin = pytest.mark.parametrize("start", BEGIN.values(), ids=BEGIN)
 
@@ -41,28 +29,6 @@ def test_given_values_are_interpolated(derivatives: dict[str, Any], start: dict[
     for row, name in ((1, "velocities"), (2, "accelerations")):
         if name in derivatives:
             np.testing.assert_allclose(jets[:-1, row], derivatives[name][:-1], rtol=1e-12, atol=1e-13)
-
-
-@given
-@begin
-def test_spline_is_c4_at_and_between_its_points(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
-    reference = fjr.Spline(TIMES, POSITIONS, **derivatives, **start)
-    points = TIMES if start else TIMES[1:]
-    middles = points[:-1] + np.diff(points) / 2
-    for t in np.concatenate([points, middles]):
-        before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
-        scale = 1e-12 * (1.0 + np.abs(reference.jets(np.linspace(0.0, 5.0, 501))).max(axis=(0, 2)))[:, None]
-        assert np.all(np.abs(before - after) < np.maximum(scale, 1e-11)), t
-
-
-@given
-@begin
-def test_each_row_is_the_derivative_of_the_one_above(derivatives: dict[str, Any], start: dict[str, Any]) -> None:
-    reference = fjr.Spline(TIMES, POSITIONS, **derivatives, **start)
-    for t in (0.5, 1.2, 2.0, 2.7, 3.3, 4.7):
-        rates = stencil(lambda s, t=t: reference.jets(t + s), 0.01)
-        scale = 1.0 + np.abs(rates).max(axis=1, keepdims=True)[:-1]
-        assert np.all(np.abs(reference.jets(t)[1:] - rates[:-1]) < 1e-8 * scale)
 
 
 @given

@@ -7,22 +7,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.oracle import stencil
+from core.motions.cases import DURATION, RUNNING, T0, T1, TARGETS, VIA
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.transition import Transition
 
-RUNNING = fjr.Sine((0.5, 0.3), (1.0, 2.0), (0.1, -0.2), (0.3, 0.7))
-T0, DURATION = 1.3, 0.8
-T1 = T0 + DURATION
-TIMES = np.array([1.5, 2.0, 3.0, 4.5])
-TARGETS: dict[str, Reference] = {
-    "sine": fjr.Sine((0.4, -0.2), 1.7, 0.2),
-    "hold": fjr.Hold((0.3, -0.4)),
-    "circle": fjr.Circle((0.1, 0.2), 0.3, 1.2),
-    "spline": fjr.Spline(TIMES, [[0.1, 0.2], [0.3, -0.1], [0.5, 0.4], [0.0, 0.0]]),
-    "shifted": fjr.time_shifted(fjr.PointToPoint((0.0, 0.1), (0.4, -0.2), 2.0), 1.6),
-    "joined": fjr.transition(fjr.standing((0.1, 0.1)), 1.8, fjr.Hold((0.5, 0.5)), 1.0),
-}
 targets = pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
 LAW = fjr.TrackingLaw(fjr.planar_two_link(), fjr.PAPER_GAINS)
 X = LAW.robot.state((0.2, -0.1), (0.25, -0.12), (0.3, 0.1), (0.2, 0.15))
@@ -43,22 +31,6 @@ def test_transitions_are_exact_at_both_ends(target: Reference) -> None:
 
 
 @targets
-def test_in_a_transition_each_row_is_the_derivative_of_the_one_above(target: Reference) -> None:
-    joined = fjr.transition(RUNNING.jets(T0), T0, target, DURATION)
-    for t in (1.4, 1.6, 1.7, 2.0):
-        rates = stencil(lambda s, t=t: joined.jets(t + s), 0.01)
-        scale = 1.0 + np.abs(rates[:-1]).max(axis=1, keepdims=True)
-        assert np.all(np.abs(joined.jets(t)[1:] - rates[:-1]) < 1e-9 * scale)
-
-
-@targets
-def test_arrays_of_times_give_the_values_of_scalars(target: Reference) -> None:
-    joined = fjr.transition(RUNNING.jets(T0), T0, target, DURATION)
-    t = np.array([0.0, T0, 1.5, nearly(T1), T1, 3.0])
-    np.testing.assert_allclose(joined.jets(t), [joined.jets(s) for s in t], rtol=1e-12, atol=1e-12)
-
-
-@targets
 def test_the_effort_is_continuous_when_the_reference_is_replaced(target: Reference) -> None:
     joined = fjr.transition(RUNNING.jets(T0), T0, target, DURATION)
     for old, new, t in ((RUNNING, joined, T0), (joined, target, T1)):
@@ -75,10 +47,10 @@ def test_without_a_transition_the_effort_jumps() -> None:
 @pytest.mark.parametrize("velocities", [None, np.zeros((4, 2))], ids=["positions", "velocities"])
 def test_the_effort_is_continuous_when_a_trajectory_replaces_a_moving_reference(velocities: np.ndarray | None) -> None:
     points = [[0.1, 0.2], [0.3, -0.1], [0.5, 0.4], [0.0, 0.0]]
-    trajectory = fjr.time_shifted(fjr.Spline(TIMES, points, velocities, start=RUNNING.jets(T0)), T0)
+    trajectory = fjr.time_shifted(fjr.Spline(VIA, points, velocities, start=RUNNING.jets(T0)), T0)
     before = LAW.command(X, RUNNING.jets(nearly(T0)))
     np.testing.assert_allclose(LAW.command(X, trajectory.jets(T0)), before, rtol=1e-9, atol=1e-9)
-    for t in T0 + TIMES:
+    for t in T0 + VIA:
         before, after = (LAW.command(X, trajectory.jets(s)) for s in (nearly(t), t))
         np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
 
@@ -122,8 +94,3 @@ def test_configurations_are_those_of_the_transition_and_of_the_target(target: Re
     assert q.shape == (64, 2)
     np.testing.assert_allclose(q[0], RUNNING.jets(T0)[0])
     np.testing.assert_array_equal(q[16:], target.configurations(48))
-
-
-def test_constant_jets_have_zero_higher_derivatives() -> None:
-    np.testing.assert_array_equal(fjr.standing((1.0, 2.0), (3.0, 4.0)), [[1, 2], [3, 4], [0, 0], [0, 0], [0, 0]])
-    np.testing.assert_array_equal(fjr.standing((1.0, 2.0))[1:], np.zeros((4, 2)))

@@ -14,6 +14,7 @@ from cffi import FFI
 from fjr_core.numerics.c_library import ffi_of
 from fjr_core.runtime.library import HEADER, declarations, text
 
+pytestmark = pytest.mark.usefixtures("cache")
 STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
 STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")
 READ = """
@@ -22,12 +23,6 @@ from fjr_core.numerics.c_library import ffi_of
 assert ffi_of("struct point { double x, y; };").sizeof("struct point") == 16
 print("pycparser" in sys.modules)
 """
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return tmp_path / "fjr"
 
 
 def layout(ffi: FFI) -> dict[str, object]:
@@ -62,5 +57,6 @@ def test_changed_code_is_not_executed(cache: Path) -> None:
 
 
 def test_folder_that_is_not_writable_only_costs_time(cache: Path) -> None:
+    cache.parent.mkdir()
     cache.write_text("a file in place of the folder")
     assert ffi_of(STEP).sizeof("struct fjr_sample") == 8 * (1 + 4 * 3)

@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
@@ -20,20 +20,12 @@ from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics import code_cache
 from fjr_core.numerics import jit as compiling
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
+pytestmark = [
+    pytest.mark.usefixtures("cache"),
+    pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine"),
+]
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
 NOBODY = 65534
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Provide an empty cache and no temporary one."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv("CC", raising=False)
-    compiling._warn_once.cache_clear()
-    code_cache._temporary_base.cache_clear()
-    yield tmp_path / "cache" / "fjr"
-    code_cache._temporary_base.cache_clear()
 
 
 def function() -> ca.Function:
@@ -102,29 +94,23 @@ def test_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Pat
     assert not (tmp_path / "marker").exists()
 
 
-def writable_by_others(cache: Path) -> None:
-    cache.chmod(0o777)
-
-
-def writable_by_the_group(cache: Path) -> None:
-    cache.chmod(0o770)
-
-
-def a_link(cache: Path) -> None:
+def replace_by_a_link(cache: Path) -> None:
     cache.rename(cache.with_name("elsewhere"))
     cache.symlink_to("elsewhere")
 
 
-def of_another_user(cache: Path) -> None:
-    os.chown(cache, NOBODY, -1)
-
-
-def a_file(cache: Path) -> None:
+def replace_by_a_file(cache: Path) -> None:
     shutil.rmtree(cache)
     cache.touch()
 
 
-SPOILT = [writable_by_others, writable_by_the_group, a_link, pytest.param(of_another_user, marks=as_root), a_file]
+SPOILT = [
+    pytest.param(lambda cache: cache.chmod(0o777), id="writable by others"),
+    pytest.param(lambda cache: cache.chmod(0o770), id="writable by the group"),
+    pytest.param(lambda cache: os.chown(cache, NOBODY, -1), marks=as_root, id="of another user"),
+    replace_by_a_link,
+    replace_by_a_file,
+]
 
 
 @pytest.mark.parametrize("spoil", SPOILT)

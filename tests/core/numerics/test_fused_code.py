@@ -12,6 +12,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import fjr_core as fjr
+from core.oracles.cases import LOOPS, Arm, GainSet, random_point
+from core.oracles.chains import arm7, scaled_gains
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.fused_code import LONGEST, fused
 from time_limits import HANG
@@ -122,3 +125,22 @@ def test_functions_with_calls_do_not_change() -> None:
     function = re.compile(r"^static int casadi_f0.*?^\}", re.MULTILINE | re.DOTALL)
     assert "casadi_f1(" in function.search(calls)[0]
     assert function.search(fused(calls, LONGEST))[0] == function.search(calls)[0]
+
+
+SEVEN = (arm7(), scaled_gains(arm7()))
+
+
+@pytest.mark.parametrize(("arm", "gains"), [*LOOPS[::4], SEVEN], ids=lambda case: case.name)
+def test_compiled_law_and_plant_give_the_same_numbers(arm: Arm, gains: GainSet) -> None:
+    as_c, in_vm = (fjr.TrackingLaw(arm.robot, gains.gains, compile=flag) for flag in (True, False))
+    fast, slow = (fjr.Plant(arm.robot, compile=flag) for flag in (True, False))
+    for seed in range(5):
+        p = random_point(arm, seed)
+        assert as_c.effort(p.x_v, p.x, p.jets, p.omega) == pytest.approx(
+            in_vm.effort(p.x_v, p.x, p.jets, p.omega), rel=1e-9
+        )
+        assert as_c.command(p.x, p.jets) == pytest.approx(in_vm.command(p.x, p.jets), rel=1e-9)
+        assert as_c.command(p.x, p.jets) == pytest.approx(in_vm.effort(p.x, p.x, p.jets), rel=1e-9)
+        here, there = as_c.evaluate(p.x_v, p.x, p.jets), in_vm.evaluate(p.x_v, p.x, p.jets)
+        assert (here.V, here.dV) == pytest.approx((there.V, there.dV), rel=1e-9)
+        assert fast.step(p.x, p.u, 1e-3) == pytest.approx(slow.step(p.x, p.u, 1e-3), rel=1e-9)

@@ -9,7 +9,6 @@ import pytest
 
 from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, random_urdf
-from fjr_core.errors import RobotError
 from fjr_core.urdf.chains import chains
 from fjr_core.urdf.tree import UrdfFrames, read_urdf
 
@@ -72,11 +71,6 @@ def test_a_sliding_joint_moves_along_its_unit_axis_and_a_mimic_joint_follows() -
     np.testing.assert_allclose(slide.quaternion, [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
     assert (turn.parent, turn.child) == ("palm", "b")
     np.testing.assert_allclose(turn.quaternion, [0.0, 0.0, 0.0, 1.0], atol=1e-15)  # -2 * 0.25 + 0.5 = 0
-
-
-def test_invalid_text_is_refused() -> None:
-    with pytest.raises(RobotError, match="does not parse as XML"):
-        UrdfFrames("<robot")
 
 
 Joint = tuple[str, str, str]

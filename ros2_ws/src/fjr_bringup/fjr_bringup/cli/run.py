@@ -13,7 +13,7 @@ from typing import Any
 from fjr_bringup import runner
 from fjr_bringup.runner import RunError, RunPlan
 from fjr_core.errors import FjrError
-from fjr_core.numerics.jit import require_compiler
+from fjr_core.numerics.jit import c_compiler
 from fjr_design.cli.preflight import refuse_coarse_steps, refuse_unstable
 from fjr_monitor.recording.topic import BagError
 from fjr_monitor.report.comparison_page import Claim, paper_claim
@@ -80,7 +80,7 @@ def _plan(
 
     Raises UnstableError for a scenario that is unstable as sampled, unless forced, and CompilerError.
     """
-    require_compiler()
+    c_compiler()  # refused before anything else
     path = library.find(name)
     discover_quickly()  # an invalid ROS domain is refused before anything is compiled
     with phase(f"{path.stem}: checking and compiling the law"):

@@ -133,7 +133,11 @@ def option_parameters(parameters: Sequence[Parameter], given: Mapping[str, objec
     for parameter in parameters:
         name = given.get(parameter.name)
         if parameter.options and importing.is_named(name):
-            found += _options(parameter, str(name))
+            try:
+                defaults = importing.option_defaults(str(name))
+            except ParameterError as error:
+                raise ParameterError(f"parameter '{parameter.name}': {error}") from None
+            found += [_option(parameter, str(name), *each) for each in defaults.items()]
     return found
 
 
@@ -170,14 +174,6 @@ def unread_options(parameters: Iterable[Parameter], given: Mapping[str, object],
 def is_option(parameters: Iterable[Parameter], name: str) -> bool:
     """Return whether this is the name of an option of a class that one of the parameters may name."""
     return any(parameter.options and name.startswith(parameter.options) for parameter in parameters)
-
-
-def _options(parameter: Parameter, name: str) -> list[Parameter]:
-    try:
-        defaults = importing.option_defaults(name)
-    except ParameterError as error:
-        raise ParameterError(f"parameter '{parameter.name}': {error}") from None
-    return [_option(parameter, name, argument, default) for argument, default in defaults.items()]
 
 
 def _option(parameter: Parameter, name: str, argument: str, default: Any) -> Parameter:

@@ -75,14 +75,11 @@ class _Loader(_SafeLoader):
             _check_scalar(node)
         try:
             return super().construct_object(node, deep)
-        except _NO_VALUE:
+        except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError):
             tag, line = node.tag.replace(_TAG, "!!"), node.start_mark.line + 1
             raise ParameterError(
                 f"has '{_brief(str(node.value))}' in line {line}; expected what the tag {tag} says"
             ) from None
-
-
-_NO_VALUE = (ValueError, ArithmeticError, LookupError, TypeError, AttributeError)
 
 
 def _check_scalar(node: yaml.ScalarNode) -> None:

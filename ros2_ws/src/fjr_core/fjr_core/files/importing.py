@@ -10,7 +10,6 @@ import os
 import sys
 import traceback
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -123,7 +122,7 @@ def module(name: str) -> ModuleType:
     """Import a module by its full name; raise MissingPackageError, which names its package, if that is not there."""
     package = name.partition(".")[0]
     try:
-        return import_module(name)
+        return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name != package:
             raise

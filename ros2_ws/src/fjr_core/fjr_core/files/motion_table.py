@@ -44,15 +44,14 @@ def read_motion(path: str | os.PathLike[str], joints: Sequence[str]) -> MotionTa
     name = os.fspath(path)
     if is_text(name):
         return parse_motion(name, joints)
-    if name.endswith(PARQUET):
-        return _named(name, lambda: _parquet_motion(name, joints))
     try:
-        text = read_text(path)
+        return _parquet_motion(name, joints) if name.endswith(PARQUET) else parse_motion(read_text(path), joints)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{name}: {error}") from None
     except OSError as error:
         raise TrajectoryError(f"{name} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise TrajectoryError(f"{name} is not UTF-8 text; expected CSV with a header line") from None
-    return _named(name, lambda: parse_motion(text, joints))
 
 
 def parse_motion(text: str, joints: Sequence[str]) -> MotionTable:
@@ -123,14 +122,6 @@ def motion_table(values: _Array, joints: Sequence[str], where: Callable[[int], s
         )
     velocities = values[:, 1 + n :] if values.shape[1] > 1 + n else None
     return MotionTable(times - times[0], values[:, 1 : 1 + n], velocities)
-
-
-def _named(name: str, read: Callable[[], MotionTable]) -> MotionTable:
-    """Return what `read` returns; name the file in a TrajectoryError."""
-    try:
-        return read()
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{name}: {error}") from None
 
 
 def _parquet_motion(path: str, joints: Sequence[str]) -> MotionTable:

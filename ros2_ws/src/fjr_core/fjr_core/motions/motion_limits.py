@@ -13,9 +13,8 @@ from ..errors import TrajectoryError
 from ..model.robot import REVOLUTE, JointLimits, Units
 from ..numerics.checks import Array, floats, freeze
 from ..numerics.one_line import one_line
-from .piecewise_polynomial import PiecewisePolynomial
+from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
 from .reference import Reference, check_reference
-from .sampled_motion import SampledMotion
 from .spline import Spline
 
 ROUNDING = 1e-9  # relative tolerance of a limit
@@ -95,7 +94,7 @@ def check_motion(
         given = (reference.positions, reference.velocities, reference.accelerations)
         q, dq, ddq = (None if rows is None else np.asarray(rows)[first:] for rows in given)
         check_points(limits, np.asarray(q), dq, ddq, joints, first)
-    hull = reference.hull(t0, t1) if isinstance(reference, (Spline, SampledMotion, PiecewisePolynomial)) else ()
+    hull = reference.hull(t0, t1) if isinstance(reference, (PolynomialReference, PiecewisePolynomial)) else ()
     if hull and not any(_beyond(bounds, limits).any() for bounds in hull):
         return
     e = reference.motion_bounds(t0, t1)

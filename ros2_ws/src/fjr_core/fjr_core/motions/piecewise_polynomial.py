@@ -74,24 +74,26 @@ class PiecewisePolynomial:
         return f"PiecewisePolynomial({joints(self.n)}, {len(self.times) - 1} pieces, {span(self.times)})"
 
     def __post_init__(self) -> None:
-        with np.errstate(all="ignore"):  # checked by `finite`
-            self._make(np.diff(self.times))
-
-    def _make(self, h: Array) -> None:
+        h = np.diff(self.times)
         halves = np.stack([h, -h], axis=1).ravel()  # from each knot forwards, then from the next knot backwards
         near = self.knots.repeat(2, axis=0)[1:-1]
         far = near.reshape(-1, 2, *near.shape[1:])[:, ::-1].reshape(near.shape)
-        outer = [0.0, halves[-1] if self.continues else 0.0]
-        middle = coefficients(taylor(near, halves), taylor(far, halves))
-        ends = np.zeros((2, *middle.shape[1:]))
-        ends[:, :JETS] = taylor(self.knots[[0, -1]], np.array(outer))
-        rates = np.concatenate([[0.0], 1 / halves, [1 / halves[-1] if self.continues else 0.0]])
-        c = np.concatenate([ends[:1], middle, ends[1:]])
+        with np.errstate(all="ignore"):  # checked by `finite`
+            outer = [0.0, halves[-1] if self.continues else 0.0]
+            middle = coefficients(taylor(near, halves), taylor(far, halves))
+            ends = np.zeros((2, *middle.shape[1:]))
+            ends[:, :JETS] = taylor(self.knots[[0, -1]], np.array(outer))
+            rates = np.concatenate([[0.0], 1 / halves, [1 / halves[-1] if self.continues else 0.0]])
+            c = np.concatenate([ends[:1], middle, ends[1:]])  # (k, 10, n), of the position in s = rate t
+            tables = np.zeros((len(c), DEGREE + 1, JETS, self.n))
+            for order in range(JETS):
+                slopes = _SLOPES[order:, order, None] * c[:, order:]
+                tables[:, : DEGREE + 1 - order, order] = slopes * rates[:, None, None] ** order
         edges = np.stack([self.times[:-1], self.times[:-1] + h / 2], axis=1).ravel()
         object.__setattr__(self, "_edges", np.append(edges, np.nextafter(self.times[-1], inf)))
         object.__setattr__(self, "_origins", self.times.repeat(2))
         object.__setattr__(self, "_rates", rates)
-        object.__setattr__(self, "_tables", _tables(c, rates))
+        object.__setattr__(self, "_tables", tables.reshape(len(c), DEGREE + 1, -1))
 
     @property
     def n(self) -> int:
@@ -163,15 +165,6 @@ class PiecewisePolynomial:
         lower, upper = (np.stack([f(row, axis=0) for row in rows], axis=1) for f in (np.min, np.max))
         shape = (-1, 2, ROWS, self.n)
         return lower.reshape(shape).min(axis=1), upper.reshape(shape).max(axis=1)
-
-
-def _tables(c: Array, rates: Array) -> Array:
-    """Return the coefficients (k, 10, 5 n) of all five jets from those of the position, c (k, 10, n) in s = rate t."""
-    tables = np.zeros((len(c), DEGREE + 1, JETS, c.shape[2]))
-    for order in range(JETS):
-        slopes = _SLOPES[order:, order, None] * c[:, order:]
-        tables[:, : DEGREE + 1 - order, order] = slopes * rates[:, None, None] ** order
-    return tables.reshape(len(c), DEGREE + 1, -1)
 
 
 class PolynomialReference:

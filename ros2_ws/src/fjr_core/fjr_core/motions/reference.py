@@ -86,17 +86,13 @@ def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBound
     The grid is refined at the zeros of higher derivatives, so that double zeros between grid points are found.
     """
     for _ in range(_REFINEMENTS):
-        grid = _refined(grid, jets(grid))
+        rows = jets(grid)[:, 2:]
+        interval, row, joint = np.nonzero(rows[:-1] * rows[1:] < 0)
+        zeros = _secant(grid, interval, rows[interval, row, joint], rows[interval + 1, row, joint])
+        grid = np.union1d(grid, zeros)
     samples = jets(grid)
-    bounds = [_row(jets, grid, samples, row) for row in range(ROWS)]
+    bounds = [_extremes(jets, grid, samples, row) for row in range(ROWS)]
     return MotionBounds(*(np.array(values) for values in zip(*bounds, strict=True)))
-
-
-def _refined(grid: Array, samples: Array) -> Array:
-    """Return the grid (k,) with the approximate zeros of the derivatives 2 .. 4 added."""
-    rows = samples[:, 2:]
-    interval, row, joint = np.nonzero(rows[:-1] * rows[1:] < 0)
-    return np.union1d(grid, _secant(grid, interval, rows[interval, row, joint], rows[interval + 1, row, joint]))
 
 
 def _secant(grid: Array, interval: Indices, first: Array, last: Array) -> Array:
@@ -105,28 +101,27 @@ def _secant(grid: Array, interval: Indices, first: Array, last: Array) -> Array:
     return left + (right - left) * (first / (first - last))
 
 
-def _row(jets: Callable[[Array], Array], grid: Array, samples: Array, row: int) -> tuple[Array, Array, Array, Array]:
-    """Return lower, upper, lower_at, upper_at (n,) of one row."""
+def _extremes(
+    jets: Callable[[Array], Array], grid: Array, samples: Array, row: int
+) -> tuple[Array, Array, Array, Array]:
+    """Return lower, upper, lower_at, upper_at (n,) of one row.
+
+    An interval is searched if its value may exceed the extrema at the grid points; its slope is at most that at its
+    ends.
+    """
     value, slope = samples[:, row], samples[:, row + 1]
-    interval, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & _may_exceed(grid, value, slope))
+    reach = np.maximum(np.abs(slope[:-1]), np.abs(slope[1:])) * np.diff(grid)[:, None]
+    high, low = np.maximum(value[:-1], value[1:]) + reach, np.minimum(value[:-1], value[1:]) - reach
+    may_exceed = (high > value.max(axis=0)) | (low < value.min(axis=0))
+    interval, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & may_exceed)
     n = samples.shape[2]
     t, values = np.tile(grid[:, None], (2, n)), np.vstack([value, value])
     if len(interval):
         roots = _roots(jets, grid, slope, row, interval, joint)
         t[interval, joint] = roots
         values[interval, joint] = jets(roots)[np.arange(len(roots)), row, joint]
-    low, high, each = values.argmin(axis=0), values.argmax(axis=0), np.arange(n)
-    return values[low, each], values[high, each], t[low, each], t[high, each]
-
-
-def _may_exceed(grid: Array, value: Array, slope: Array) -> NDArray[np.bool_]:
-    """Return the intervals (k - 1, n) in which a value may exceed the extrema at the grid points.
-
-    The slope is at most that at the ends of the interval.
-    """
-    reach = np.maximum(np.abs(slope[:-1]), np.abs(slope[1:])) * np.diff(grid)[:, None]
-    high, low = np.maximum(value[:-1], value[1:]) + reach, np.minimum(value[:-1], value[1:]) - reach
-    return np.asarray((high > value.max(axis=0)) | (low < value.min(axis=0)))
+    lowest, highest, each = values.argmin(axis=0), values.argmax(axis=0), np.arange(n)
+    return values[lowest, each], values[highest, each], t[lowest, each], t[highest, each]
 
 
 def _roots(

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, floats, freeze
@@ -118,18 +118,13 @@ def _brought_to_rest(times: Array, jets: Array) -> tuple[Array, Array]:
 class SplineFit(NamedTuple):
     """A least-squares spline: breakpoints (m + 1,) [s], jets (m + 1, 5, n) there, largest deviation (n,) [rad].
 
-    rests: True for the first and the last point if all derivatives of the fit are zero there.
+    score: the sum over the joints of RSS / (1 - p / k)^2 for p parameters and k samples.
     """
 
     times: Array
     jets: Array
     deviation: Array
-    rests: tuple[bool, bool]
-
-    @property
-    def pieces(self) -> int:
-        """Number of polynomials."""
-        return len(self.times) - 1
+    score: float
 
 
 def least_squares_fit(times: Array, positions: Array, tolerance: float | Array) -> SplineFit | None:
@@ -138,27 +133,27 @@ def least_squares_fit(times: Array, positions: Array, tolerance: float | Array) 
     tolerance: largest deviation [rad, m], one number or (n,).
     At an end where the samples rest, to the resolution of the fit, all derivatives of the fit are exactly zero.
     """
-    best, pieces = None, 1
+    best, pieces, chosen = None, 1, 1
     while pieces <= len(times) // FEWEST_SAMPLES - DEGREE:
         found = _fitted(times, positions, pieces, (False, False))
-        if found is not None and np.all(found[0].deviation <= tolerance) and (best is None or found[1] < best[1]):
-            best = found
-        elif found is not None and best is not None and pieces > best[0].pieces * GROWTH**PATIENCE:
+        if found is not None and np.all(found.deviation <= tolerance) and (best is None or found.score < best.score):
+            best, chosen = found, pieces
+        elif found is not None and best is not None and pieces > chosen * GROWTH**PATIENCE:
             break
         pieces = max(pieces + 1, int(pieces * GROWTH))
     if best is None:
         return None
     for rests in ((True, True), (True, False), (False, True)):
-        found = _fitted(times, positions, best[0].pieces, rests)
-        if found is not None and np.all(found[0].deviation <= tolerance) and found[1] <= REST_COST * best[1]:
-            return found[0]
-    return best[0]
+        found = _fitted(times, positions, chosen, rests)
+        if found is not None and np.all(found.deviation <= tolerance) and found.score <= REST_COST * best.score:
+            return found
+    return best
 
 
-def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool]) -> tuple[SplineFit, float] | None:
-    """Return the fit with a number of pieces and its score; None if the least-squares problem is singular.
+def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool]) -> SplineFit | None:
+    """Return the fit with a number of pieces; None if the least-squares problem is singular.
 
-    The score is the sum over the joints of RSS / (1 - p / k)^2 for p parameters and k samples.
+    rests: at the first and at the last sample, where all derivatives of the fit are then zero.
     """
     from scipy.interpolate import BSpline  # loaded on use: SciPy takes a third of a node's start-up
     from scipy.linalg import solveh_banded
@@ -170,9 +165,12 @@ def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool
     parameters = design.shape[1]
     if parameters >= len(times):
         return None
-    mean = positions.mean(axis=0)
+    mean, normal = positions.mean(axis=0), (design.T @ design).todia()
+    band = np.zeros((DEGREE + 1, parameters))
+    for offset in range(min(DEGREE + 1, parameters)):
+        band[offset, : parameters - offset] = normal.diagonal(-offset)
     try:
-        solution = solveh_banded(_band(design), design.T @ (positions - mean), lower=True, check_finite=False)
+        solution = solveh_banded(band, design.T @ (positions - mean), lower=True, check_finite=False)
     except np.linalg.LinAlgError:
         return None
     spline = BSpline(knots, expansion @ solution, DEGREE)
@@ -182,7 +180,7 @@ def _fitted(times: Array, positions: Array, pieces: int, rests: tuple[bool, bool
         jets[-end, 1:] = 0.0  # exact instead of rounded
     residuals = design @ solution + mean - positions
     score = float(np.sum(residuals**2) / (1 - parameters / len(times)) ** 2)
-    return SplineFit(breaks, jets, np.abs(residuals).max(axis=0), rests), score
+    return SplineFit(breaks, jets, np.abs(residuals).max(axis=0), score)
 
 
 def _expansion(coefficients: int, rests: tuple[bool, bool]) -> Any:
@@ -199,15 +197,6 @@ def _expansion(coefficients: int, rests: tuple[bool, bool]) -> Any:
     column = np.clip(np.arange(coefficients) - first, 0, parameters - 1)
     entries = (np.ones(coefficients), (np.arange(coefficients), column))
     return csr_array(entries, shape=(coefficients, parameters))
-
-
-def _band(design: Any) -> NDArray[np.float64]:
-    """Return the lower band (10, p) of the normal equations."""
-    normal = (design.T @ design).todia()
-    band = np.zeros((DEGREE + 1, design.shape[1]))
-    for offset in range(min(DEGREE + 1, design.shape[1])):
-        band[offset, : design.shape[1] - offset] = normal.diagonal(-offset)
-    return band
 
 
 class Waypoints(NamedTuple):

@@ -47,7 +47,7 @@ class Sines(Reference):
     @cached_property
     def _factors(self) -> Array:
         """Factors (5, m, n) of sine or cosine in the five jets: signed powers of the frequency."""
-        _, w, _ = self.rows
+        w = self.rows[1]
         return np.stack([np.ones_like(w), w, -(w**2), -(w**3), w**4])
 
     def jets(self, t: ArrayLike) -> Array:
@@ -70,7 +70,10 @@ class Sines(Reference):
 
         For several rows they are the sums of the bounds of the rows, which is conservative, and their times are NaN.
         """
-        each = [_row_bounds(*row, t0, t1) for row in zip(*self.rows, strict=True)]
+        each = [
+            np.stack([_sine_bounds(a * w**order, w, p + order * np.pi / 2, t0, t1) for order in range(ROWS)], axis=1)
+            for a, w, p in zip(*self.rows, strict=True)
+        ]  # a derivative multiplies by the frequency, and advances by a quarter turn
         bounds = np.sum(each, axis=0)
         bounds[:2, 0] += np.asarray(self.offset)
         if len(each) > 1:
@@ -188,12 +191,6 @@ def _turns(k: int, m: int) -> Array:
         ratio = (1.0 + ratio) ** (1.0 / m)
     steps = np.append(1.0 / k, ratio ** -np.arange(1.0, m))
     return np.asarray(np.outer(np.arange(k), steps) % 1.0)
-
-
-def _row_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> Array:
-    """Return lower, upper, lower_at, upper_at (4, 3, n) of a sin(w t + phase) and its first two derivatives."""
-    orders = [_sine_bounds(a * w**order, w, phase + order * np.pi / 2, t0, t1) for order in range(ROWS)]
-    return np.stack(orders, axis=1)
 
 
 def _sine_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> Array:

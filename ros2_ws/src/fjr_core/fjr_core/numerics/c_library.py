@@ -13,7 +13,7 @@ import _cffi_backend
 import numpy as np
 
 from . import jit
-from .code_cache import code_folder, is_intact, keep
+from .code_cache import kept
 
 INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 
@@ -27,7 +27,8 @@ def ffi_of(declarations: str) -> Any:
     key = hashlib.sha256(f"{_cffi_backend.__version__}\n{declarations}".encode())
     name = f"c_types-{key.hexdigest()[:32]}.py"
     found: dict[str, Any] = {}
-    exec(compile(_code(name, declarations), name, "exec"), found)
+    code = kept(name, lambda: _written(declarations)).read(name) or b""
+    exec(compile(code, name, "exec"), found)
     return found["ffi"]
 
 
@@ -47,19 +48,6 @@ def record_type(ffi: Any, kind: Any) -> np.dtype[Any]:
             "itemsize": ffi.sizeof(kind),
         }
     )
-
-
-def _code(name: str, declarations: str) -> bytes:
-    """Return the kept code, or write and keep it; a folder that is not writable only costs time."""
-    try:
-        folder = code_folder()
-        if is_intact(folder, name):
-            return folder.read(name) or b""
-        code = _written(declarations)
-        keep(folder, name, code)
-    except OSError:
-        return _written(declarations)
-    return code
 
 
 def _written(declarations: str) -> bytes:

@@ -61,18 +61,13 @@ def joint_names(where: str, value: object, error: type[FjrError]) -> tuple[str, 
     if isinstance(value, str) or not isinstance(value, Sequence) or not value:
         raise error(f"{where} is {value!r}; expected a list of joint names")
     for name in value:
-        if not isinstance(name, str) or not is_name(name):
+        if not isinstance(name, str) or not name or not name.isprintable() or name != name.strip():
             raise error(f"{where} holds {name!r}; expected names of printable characters without spaces at their ends")
         if value.count(name) > 1:
             raise error(f"{where} holds {name!r} twice; expected every joint once")
         if f"{name}{MOTOR}" in value:
             raise error(f"{where} holds {name!r} and '{name}{MOTOR}', the name of its motor side; expected others")
     return tuple(value)
-
-
-def is_name(text: str) -> bool:
-    """Return whether a text is not empty, all its characters can be printed, and none of its ends is a space."""
-    return bool(text) and text.isprintable() and text == text.strip()
 
 
 def symmetric(name: str, array: Array, error: type[FjrError]) -> Array:

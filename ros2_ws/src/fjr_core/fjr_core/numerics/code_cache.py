@@ -17,7 +17,7 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -138,15 +138,33 @@ def temporary_folder(reason: str) -> PrivateFolder:
 
 
 def is_intact(folder: PrivateFolder, name: str) -> bool:
-    """True if the shared object exists with the content that was stored."""
+    """Return whether a file exists with the content that was stored."""
     content, digest = folder.read(name), folder.read(f"{name}.sha256")
     return content is not None and digest == _digest(content)
 
 
-def keep(folder: PrivateFolder, name: str, content: bytes) -> None:
-    """Store a shared object and its digest. Raises OSError."""
-    folder.write(name, content)
-    folder.write(f"{name}.sha256", _digest(content))
+def kept(name: str, make: Callable[[], bytes]) -> PrivateFolder:
+    """Return the folder that holds an intact file of this name; the file is made where it is missing. Raises OSError.
+
+    If two processes ask for the same file, one makes it and the other waits. Where the cache folder cannot be written,
+    a temporary folder holds the file.
+    """
+    folder = code_folder()
+    try:
+        return _ensured(folder, name, make)
+    except OSError as error:
+        reason = f"cannot write to {folder.path} ({error.strerror or error})"
+        return _ensured(temporary_folder(reason), name, make)
+
+
+def _ensured(folder: PrivateFolder, name: str, make: Callable[[], bytes]) -> PrivateFolder:
+    if not is_intact(folder, name):
+        with folder.locked(f"{name}.lock"):
+            if not is_intact(folder, name):
+                content = make()
+                folder.write(name, content)
+                folder.write(f"{name}.sha256", _digest(content))
+    return folder
 
 
 def _digest(content: bytes) -> bytes:

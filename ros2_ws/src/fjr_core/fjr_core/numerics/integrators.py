@@ -53,11 +53,14 @@ def implicit_midpoint(f: ca.Function, solver: str = "newton") -> ca.Function:
 INTEGRATORS: dict[str, Callable[[ca.Function], ca.Function]] = {"rk4": rk4, "implicit_midpoint": implicit_midpoint}
 
 
-def step(name: str, f: ca.Function) -> ca.Function:
-    """Return the step of the integrator `name` for dx/dt = f(x, u); raise ParameterError if unknown."""
+def step(name: str, f: ca.Function, as_c: bool = False) -> ca.Function:
+    """Return the step of the integrator `name` for dx/dt = f(x, u); raise ParameterError if unknown.
+
+    as_c: in a form that supports C code generation.
+    """
     if name not in INTEGRATORS:
         raise ParameterError(f"integrator is {name!r}; expected one of {', '.join(INTEGRATORS)}")
-    return INTEGRATORS[name](f)
+    return implicit_midpoint(f, "fast_newton") if as_c and name == "implicit_midpoint" else INTEGRATORS[name](f)
 
 
 def step_to_compile(name: str, f: ca.Function) -> ca.Function:
@@ -65,21 +68,11 @@ def step_to_compile(name: str, f: ca.Function) -> ca.Function:
     return rk4(f, ca.MX) if name == "rk4" and f.n_instructions() > LONGEST_COPIED else step(name, f)
 
 
-def step_as_c(name: str, f: ca.Function) -> ca.Function:
-    """Return the step of the integrator `name` in a form that supports C code generation."""
-    return implicit_midpoint(f, "fast_newton") if name == "implicit_midpoint" else step(name, f)
-
-
 def step_expression(
     name: str, f: ca.Function, x: ca.MX, inputs: tuple[ca.MX, ca.MX, ca.MX], dt: ca.MX, as_c: bool = False
 ) -> ca.MX:
-    """Return the step of the integrator `name` as an expression; inputs as in rk4_expression.
-
-    as_c: in a form that supports C code generation.
-    """
-    if name == "rk4":
-        return rk4_expression(f, x, inputs, dt)
-    return (step_as_c if as_c else step)(name, f)(x, inputs[1], dt)
+    """Return the step of the integrator `name` as an expression; inputs as in rk4_expression, as_c as in step."""
+    return rk4_expression(f, x, inputs, dt) if name == "rk4" else step(name, f, as_c)(x, inputs[1], dt)
 
 
 def _symbols(f: ca.Function, kind: type) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -127,24 +127,18 @@ def factorisable(entries: Array, diagonal: float) -> NDArray[np.bool_]:
 
     entries (n, n, k), symmetric: the matrices N.
     """
-    k = entries.shape[-1]
-    found = np.zeros(k, dtype=bool)
-    for begin in range(0, k, CHUNK):
-        found[begin : begin + CHUNK] = _factorisable(entries[..., begin : begin + CHUNK], diagonal)
-    return found
-
-
-def _factorisable(entries: Array, diagonal: float) -> NDArray[np.bool_]:
-    n, G = len(entries), -entries
-    for i in range(n):
-        G[i, i] += diagonal
-    found = np.ones(G.shape[-1], dtype=bool)
+    n, k = entries.shape[1:]
+    found = np.ones(k, dtype=bool)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for i in range(n):
-            found &= G[i, i] > TINY
-            G[i, i:] /= np.sqrt(G[i, i])
-            for j in range(i + 1, n):
-                G[j, j:] -= G[i, j] * G[i, j:]
+        for chunk in (slice(begin, begin + CHUNK) for begin in range(0, k, CHUNK)):
+            G = -entries[..., chunk]
+            for i in range(n):
+                G[i, i] += diagonal
+            for i in range(n):
+                found[chunk] &= G[i, i] > TINY
+                G[i, i:] /= np.sqrt(G[i, i])
+                for j in range(i + 1, n):
+                    G[j, j:] -= G[i, j] * G[i, j:]
     return found
 
 

@@ -25,7 +25,7 @@ import casadi as ca
 
 from ..errors import CompilerError
 from . import fused_code
-from .code_cache import PrivateFolder, code_folder, is_intact, keep, temporary_folder
+from .code_cache import cache_folder, code_folder, is_intact, kept
 
 NAMES = ("cc", "gcc", "clang")
 REMEDY = "expected one: apt-get install gcc libc6-dev, or pip install ziglang"
@@ -38,13 +38,12 @@ SOURCES = (".py", ".c", ".h")
 PACKAGE = Path(__file__).parents[1]
 
 
-class CompileError(Exception):
-    """Reason why a function cannot be compiled; handled inside numerics."""
-
-
 def c_compiler() -> tuple[str, ...]:
-    """Return the command of the compiler; raise CompileError if there is none."""
-    wanted = shlex.split(os.environ.get("CC", ""))
+    """Return the command of the compiler; raise CompilerError, which names two remedies, if there is none."""
+    try:
+        wanted = shlex.split(os.environ.get("CC", ""))
+    except ValueError as error:
+        raise CompilerError(f"CC is {os.environ['CC']!r} ({error}); expected a command") from None
     for command in [wanted] if wanted else [[name] for name in NAMES]:
         found = shutil.which(command[0])
         if found:
@@ -53,22 +52,22 @@ def c_compiler() -> tuple[str, ...]:
     zig = Path(spec.origin).with_name("zig") if spec and spec.origin else None
     if zig and os.access(zig, os.X_OK):
         return (str(zig), "cc")
-    raise CompileError(f"no C compiler ({wanted[0] if wanted else ', '.join(NAMES)}) is on the path; {REMEDY}")
+    raise CompilerError(f"no C compiler ({wanted[0] if wanted else ', '.join(NAMES)}) is on the path; {REMEDY}")
 
 
 def run_compiler(command: Sequence[str]) -> None:
-    """Run the compiler; raise CompileError with its first error."""
+    """Run the compiler; raise CompilerError with its first error."""
     try:
         result = subprocess.run(
             command, capture_output=True, text=True, timeout=LONGEST_BUILD, check=False, env=_environment(command[0])
         )
     except OSError as error:
-        raise CompileError(f"{command[0]} cannot be started: {error.strerror}") from None
+        raise CompilerError(f"{command[0]} cannot be started: {error.strerror}") from None
     except subprocess.TimeoutExpired:
-        raise CompileError(f"{command[0]} did not finish within {LONGEST_BUILD:g} s") from None
+        raise CompilerError(f"{command[0]} did not finish within {LONGEST_BUILD:g} s") from None
     if result.returncode:
         lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
-        raise CompileError(f"{command[0]} failed: {lines[0]}")
+        raise CompilerError(f"{command[0]} failed: {lines[0]}")
 
 
 @cache
@@ -105,18 +104,12 @@ def compiled(function: ca.Function) -> ca.Function:
     The result is not differentiable. The logger "fjr_core.numerics.jit" warns once if nothing is compiled; the function
     then runs in CasADi's virtual machine.
     """
-    return compile_named(function)[0]
-
-
-def compile_named(function: ca.Function) -> tuple[ca.Function, str | None]:
-    """Compile a function; return it with the name of its file in code_folder(), or None if it was not compiled."""
     try:
         name = function.name()
-        folder, library = _library(name, _c_code(name, [function]))
-        return external(name, folder.within(library)), library
-    except (CompileError, OSError, RuntimeError, ValueError) as error:
+        return external(name, _library(name, _c_code(name, [function])))
+    except (CompilerError, OSError, RuntimeError) as error:
         _warn_once(str(error))
-        return function, None
+        return function
 
 
 def external(name: str, path: str) -> ca.Function:
@@ -140,86 +133,59 @@ def shared_object(name: str, source: str, options: Sequence[str] = ()) -> str:
     options: of the compiler, after its usual ones. Raises CompilerError if there is no C compiler or it fails.
     """
     try:
-        folder, library = _library(name, source, options)
-        return folder.within(library)
-    except (CompileError, OSError) as error:
+        return _library(name, source, options)
+    except (CompilerError, OSError) as error:
         raise CompilerError(f"the {name.replace('_', ' ')} cannot be compiled: {error}") from None
 
 
 def compiled_together(name: str, functions: Iterable[ca.Function]) -> list[ca.Function]:
     """Compile functions into one library, in one call of the compiler; raises CompilerError if that is not possible."""
     functions = list(functions)
-    try:
-        path = shared_object(name, _c_code(name, functions))
-    except (CompileError, RuntimeError, ValueError) as error:
-        raise CompilerError(f"the {name.replace('_', ' ')} cannot be compiled: {error}") from None
+    path = shared_object(name, _c_code(name, functions))
     return [external(function.name(), path) for function in functions]
 
 
 def machine() -> list[str]:
     """Return what machine code depends on apart from the C code: compiler, options, processor, rewriting of the code.
 
-    Raises CompileError.
+    Raises CompilerError.
     """
     compiler = c_compiler()
     rewriting = hashlib.sha256(Path(fused_code.__file__).read_bytes()).hexdigest()
     return [*compiler, version(compiler), *OPTIONS, processor(), rewriting]
 
 
-def require_compiler() -> None:
-    """Raise CompilerError, which names two remedies, if there is no C compiler."""
-    try:
-        c_compiler()
-    except CompileError as error:
-        raise CompilerError(str(error)) from None
-
-
-def _library(name: str, source: str, options: Sequence[str] = ()) -> tuple[PrivateFolder, str]:
-    """Find or build the shared object of a C source; return its folder and its name."""
+def _library(name: str, source: str, options: Sequence[str] = ()) -> str:
+    """Find or build the shared object of a C source; return its path."""
     compiler = c_compiler()
     key = hashlib.sha256("\n".join([source, *machine(), *options]).encode())
-    stem = f"{name}-{key.hexdigest()[:32]}"
-    folder = code_folder()
-    try:
-        return folder, _ensured(folder, stem, source, compiler, options)
-    except OSError as error:  # the folder is not writable
-        folder = temporary_folder(f"cannot write to {folder.path} ({error.strerror or error})")
-        return folder, _ensured(folder, stem, source, compiler, options)
+    library = f"{name}-{key.hexdigest()[:32]}.so"
+    return kept(library, lambda: _built(name, source, [*compiler, *OPTIONS], options)).within(library)
 
 
-def _ensured(folder: PrivateFolder, stem: str, source: str, compiler: tuple[str, ...], options: Sequence[str]) -> str:
-    """Build the library unless it is intact or another process builds it meanwhile; return its name."""
-    library = f"{stem}.so"
-    if is_intact(folder, library):
-        return library
-    with folder.locked(f"{stem}.lock"):
-        if not is_intact(folder, library):
-            lines, what = source.count("\n"), stem.rpartition("-")[0]
-            _log.info(
-                "compiling %s (%d lines of C) in %s; this happens once and takes some seconds", what, lines, folder.path
-            )
-            keep(folder, library, _built(source, compiler, options))
-    return library
-
-
-def _built(source: str, compiler: tuple[str, ...], options: Sequence[str]) -> bytes:
+def _built(name: str, source: str, command: Sequence[str], options: Sequence[str]) -> bytes:
     """Compile in a temporary folder; return the content of the shared object."""
+    lines, where = source.count("\n"), cache_folder()
+    _log.info("compiling %s (%d lines of C) in %s; this happens once and takes some seconds", name, lines, where)
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder, "code.c"), Path(folder, "code.so")
         code.write_text(fused_code.fused(source, fused_code.LONGEST), encoding="utf-8")
-        run_compiler([*compiler, *OPTIONS, "-o", str(built), str(code), *options, "-lm"])
+        run_compiler([*command, "-o", str(built), str(code), *options, "-lm"])
         if not built.exists():
-            raise CompileError(f"{compiler[0]} wrote no shared object")
+            raise CompilerError(f"{command[0]} wrote no shared object")
         return built.read_bytes()
 
 
 def _c_code(name: str, functions: Sequence[ca.Function]) -> str:
     generator = ca.CodeGenerator(name)
-    for function in functions:
-        generator.add(function)
-    code = str(generator.dump())
+    try:
+        for function in functions:
+            generator.add(function)
+        code = str(generator.dump())
+    except RuntimeError as error:
+        raise CompilerError(f"CasADi cannot write {name} as C: {error}") from None
     if "#error" in code:
-        raise CompileError(f"CasADi cannot write {name} as C")
+        raise CompilerError(f"CasADi cannot write {name} as C")
     return code
 
 
@@ -244,12 +210,12 @@ def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[
         found = (folder.read(note) or b"").decode("ascii", "replace")
         if found.startswith(f"{name}-") and "/" not in found and is_intact(folder, found):
             return external(name, folder.within(found))
-    except (CompileError, OSError, RuntimeError):
+    except (CompilerError, OSError, RuntimeError):
         return compiled(build())
-    function, library = compile_named(build())
-    if library is not None:
+    function = compiled(build())
+    if path := getattr(function, "shared_object", ""):
         with suppress(OSError):
-            code_folder().write(note, library.encode())
+            code_folder().write(note, os.path.basename(path).encode())
     return function
 
 

@@ -80,7 +80,12 @@ class Parameter:
                 f"parameter '{self.name}' holds {value!r} ({_kind(value)}); expected {_kind(like)}{hint}"
             )
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            self._check_range(value)
+            if not math.isfinite(value) and not (self.infinite and math.isinf(value)):
+                raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
+            if not self.minimum <= value <= self.maximum:
+                unit = f" {self.unit}" if self.unit else ""
+                expected = _range(self.minimum, self.maximum)
+                raise ParameterError(f"parameter '{self.name}' holds {value}{unit}; expected {expected}{unit}")
         if self.choices and value not in self.choices and not (self.options and is_named(value)):
             raise ParameterError(f"parameter '{self.name}' is {value!r}; expected one of {self.listed_choices}")
         return value  # type: ignore[return-value]
@@ -89,15 +94,6 @@ class Parameter:
     def listed_choices(self) -> str:
         """The choices as text."""
         return ", ".join(self.choices) + (", or module:Class of your own" if self.options else "")
-
-    def _check_range(self, value: float) -> None:
-        if not math.isfinite(value) and not (self.infinite and math.isinf(value)):
-            raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
-        if not self.minimum <= value <= self.maximum:
-            unit = f" {self.unit}" if self.unit else ""
-            raise ParameterError(
-                f"parameter '{self.name}' holds {value}{unit}; expected {_range(self.minimum, self.maximum)}{unit}"
-            )
 
 
 def parameter_field(default: Any, description: str, unit: str = "", *, name: str = "", **properties: Any) -> Any:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from functools import cache
 
 import casadi as ca
@@ -75,7 +74,10 @@ def robot_from_urdf(
     matrices = zip(names, values, strict=True)
     K, M_m, D_l, D_m, B_m = (checks.matrix(name, value, len(chain), RobotError) for name, value in matrices)
     if gear_ratio is not None:
-        M_m = _reflected(M_m, gear_ratio)
+        ratio = checks.vector("gear_ratio", gear_ratio, len(chain), RobotError)
+        if not np.all(ratio != 0):
+            raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
+        M_m = np.diag(ratio) @ M_m @ np.diag(ratio)
     limits = JointLimits(*np.array([joint.limits for joint in named]).T)
     prismatic = tuple(joint.kind == "prismatic" for joint in named)
     return Robot(_in_order(links, [chain.index(name) for name in joints]), M_m, K, D_l, D_m, B_m, limits, prismatic)
@@ -86,7 +88,7 @@ def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
     if len(joints) > MOST_CONTROLLED:
         raise RobotError(f"joints has {len(joints)} names; expected at most {MOST_CONTROLLED}")
     for name in joints:
-        joint = _joint(tree, name)
+        joint = tree.joint(name)
         if joint.mimics:
             raise RobotError(f"joint '{name}' mimics '{joint.mimics[0]}'; expected joints that move by themselves")
         if joint.kind not in MOVING:
@@ -110,19 +112,10 @@ def _warn(sentence: str) -> None:
     _log.warning(sentence)
 
 
-def _joint(tree: UrdfTree, name: str) -> UrdfJoint:
-    if name not in tree.joints:
-        close = get_close_matches(str(name), tree.joints, n=1)
-        hint = f"did you mean '{close[0]}'? " if close else ""
-        moving = [joint.name for joint in tree.joints.values() if joint.kind in MOVING]
-        raise RobotError(f"the URDF has no joint '{name}'; {hint}expected some of {', '.join(moving)}")
-    return tree.joints[name]
-
-
 def _locked_positions(tree: UrdfTree, joints: Sequence[str], locked: dict[str, float]) -> dict[str, float]:
     """Return the positions of all moving joints that are not named."""
     for name, position in locked.items():
-        joint = _joint(tree, name)
+        joint = tree.joint(name)
         if name in joints:
             raise RobotError(f"joint '{name}' is named and locked; expected one of the two")
         if joint.mimics or joint.kind not in MOVING:
@@ -130,21 +123,7 @@ def _locked_positions(tree: UrdfTree, joints: Sequence[str], locked: dict[str, f
             raise RobotError(f"locked joint '{name}' {what}; expected a joint that moves by itself")
         checks.vector(f"position of locked joint '{name}'", [position], 1, RobotError)
     moving = [joint for joint in tree.joints.values() if joint.kind in MOVING and joint.name not in joints]
-    return {joint.name: _position(tree, joint, joints, locked) for joint in moving}
-
-
-def _position(tree: UrdfTree, joint: UrdfJoint, joints: Sequence[str], locked: dict[str, float]) -> float:
-    """Return the locked position of a joint: the given one, that of the mimicked joint, or 0."""
-    scale, offset = 1.0, 0.0
-    for _ in tree.joints:
-        if joint.mimics is None:
-            return scale * locked.get(joint.name, 0.0) + offset
-        leader, multiplier, shift = joint.mimics
-        scale, offset = scale * multiplier, scale * shift + offset
-        if leader in joints:
-            raise RobotError(f"joint '{joint.name}' mimics the named joint '{leader}'; expected it to be independent")
-        joint = _joint(tree, leader)
-    raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
+    return {joint.name: tree.position(joint, locked, joints) for joint in moving}
 
 
 def reduced_bodies(tree: UrdfTree, joints: Sequence[str], locked: Mapping[str, float]) -> dict[str, Body]:
@@ -207,14 +186,6 @@ def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
         for i in reversed(range(links.n)):
             if not np.linalg.eigvalsh(M_l[i:, i:])[0] > 1e-14 * np.max(M_l[i:, i:]):
                 raise MasslessJointError(chain[i])
-
-
-def _reflected(J: Array, gear_ratio: ArrayLike) -> Array:
-    """Return the inertia r J r on the link side of gears with ratio r."""
-    ratio = checks.vector("gear_ratio", gear_ratio, len(J), RobotError)
-    if not np.all(ratio != 0):
-        raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
-    return np.diag(ratio) @ J @ np.diag(ratio)
 
 
 def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:

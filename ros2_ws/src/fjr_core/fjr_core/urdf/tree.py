@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import NoReturn
 from xml.parsers import expat
 
@@ -83,6 +84,33 @@ class UrdfTree:
     joints: dict[str, UrdfJoint]
     inertias: dict[str, LinkInertia]
     faulty: dict[str, str]
+
+    def joint(self, name: str) -> UrdfJoint:
+        """Return the joint of this name; raise RobotError, with a suggestion, if there is none."""
+        if name not in self.joints:
+            close = get_close_matches(str(name), self.joints, n=1)
+            hint = f"did you mean '{close[0]}'? " if close else ""
+            moving = [joint.name for joint in self.joints.values() if joint.kind in MOVING]
+            raise RobotError(f"the URDF has no joint '{name}'; {hint}expected some of {', '.join(moving)}")
+        return self.joints[name]
+
+    def position(self, joint: UrdfJoint, given: Mapping[str, float], named: Collection[str] = ()) -> float:
+        """Return the position [rad, m] of a joint: that of the joint which it mimics, else the given one, else 0.
+
+        Raises RobotError for a joint that mimics itself, one that is not there or one of the `named` joints.
+        """
+        scale, offset = 1.0, 0.0
+        for _ in self.joints:
+            if joint.mimics is None:
+                return scale * given.get(joint.name, 0.0) + offset
+            leader, multiplier, shift = joint.mimics
+            scale, offset = scale * multiplier, scale * shift + offset
+            if leader in named:
+                raise RobotError(
+                    f"joint '{joint.name}' mimics the named joint '{leader}'; expected it to be independent"
+                )
+            joint = self.joint(leader)
+        raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
 
     def moved_by(self, names: Iterable[str]) -> set[str]:
         """Return the links that these joints move."""
@@ -178,7 +206,12 @@ def _joint(name: str, element: ET.Element) -> UrdfJoint:
     if kind in MOVING and not np.linalg.norm(axis) > 0:
         raise RobotError(f"{where} has the axis 0 0 0; expected a direction")
     parent, child = (_attribute(where, element, tag, "link") for tag in ("parent", "child"))
-    limits, mimics = _limits(where, kind, element), _mimics(where, element)
+    limits = _limits(where, kind, element)
+    mimics: tuple[str, float, float] | None = None
+    if element.find("mimic") is not None:
+        multiplier = _number(where, element, "mimic", "multiplier", "1")
+        offset = _number(where, element, "mimic", "offset", "0")
+        mimics = _attribute(where, element, "mimic", "joint"), multiplier, offset
     return UrdfJoint(name, kind, parent, child, xyz, rpy, axis, limits, mimics)
 
 
@@ -192,13 +225,6 @@ def _limits(where: str, kind: str, element: ET.Element) -> tuple[float, ...]:
     if kind == "continuous" or lower == upper == 0:
         lower, upper = NO_LIMIT[:2]
     return lower, upper, velocity or np.inf, effort or np.inf
-
-
-def _mimics(where: str, element: ET.Element) -> tuple[str, float, float] | None:
-    if element.find("mimic") is None:
-        return None
-    multiplier = _number(where, element, "mimic", "multiplier", "1")
-    return _attribute(where, element, "mimic", "joint"), multiplier, _number(where, element, "mimic", "offset", "0")
 
 
 def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
@@ -218,19 +244,16 @@ def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
     if len(roots) > 1:
         raise RobotError(f"links {', '.join(roots)} have no parent joint; expected a single root")
     for link in links:
-        if any(above == link for above in _ancestors(link, carriers, joints)):
-            raise RobotError(f"link '{link}' is its own ancestor (a closed chain); expected a tree")
+        above = link
+        for _ in joints:
+            if above not in carriers:
+                break
+            above = joints[carriers[above]].parent
+            if above == link:
+                raise RobotError(f"link '{link}' is its own ancestor (a closed chain); expected a tree")
     for joint in joints.values():
         if joint.kind in ("floating", "planar"):
             raise RobotError(f"joint '{joint.name}' is {joint.kind}; expected an arm with a fixed base")
-
-
-def _ancestors(link: str, carriers: dict[str, str], joints: dict[str, UrdfJoint]) -> Iterator[str]:
-    for _ in range(len(joints)):
-        if link not in carriers:
-            return
-        link = joints[carriers[link]].parent
-        yield link
 
 
 def _inertia(where: str, inertial: ET.Element) -> LinkInertia:
@@ -318,27 +341,20 @@ class UrdfFrames:
 
     def __init__(self, urdf: str) -> None:
         """urdf: XML text."""
-        self._joints = list(read_urdf(urdf).joints.values())
+        self._tree = read_urdf(urdf)
 
     def at(self, positions: Mapping[str, float]) -> list[LinkPose]:
         """Return the pose of each child link, in the order of the joints.
 
         positions [rad, m] by joint; 0 for joints without one, other names are ignored.
         """
-        from scipy.spatial.transform import Rotation  # loaded on use: SciPy takes a third of a node's start-up
+        from scipy.spatial.transform import Rotation  # loaded on use: no node needs it
 
-        poses = np.array([joint.pose(_position_of(joint, positions)) for joint in self._joints])
+        joints = list(self._tree.joints.values())
+        moved = [self._tree.position(joint, positions) if joint.kind in MOVING else 0.0 for joint in joints]
+        poses = np.array([joint.pose(position) for joint, position in zip(joints, moved, strict=True)])
         quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
         return [
             LinkPose(joint.parent, joint.child, translation, quaternion)
-            for joint, translation, quaternion in zip(self._joints, poses[:, :3, 3], quaternions, strict=True)
+            for joint, translation, quaternion in zip(joints, poses[:, :3, 3], quaternions, strict=True)
         ]
-
-
-def _position_of(joint: UrdfJoint, positions: Mapping[str, float]) -> float:
-    if joint.kind == "fixed":
-        return 0.0
-    if joint.mimics is None:
-        return positions.get(joint.name, 0.0)
-    leader, multiplier, offset = joint.mimics
-    return multiplier * positions.get(leader, 0.0) + offset

@@ -14,7 +14,6 @@ import numpy as np
 
 from ..model.closed_form_arms import STANDARD_GRAVITY
 from ..model.rigid_arm import Body, rotation_to
-from ..numerics.checks import Array
 from .tree import parse_xml, read_urdf
 
 SMALLEST_LOAD = 1e-9  # N m, smallest gravity torque that is modelled
@@ -111,16 +110,11 @@ def with_inertias(path_or_xml: str | os.PathLike[str], joints: Sequence[str], bo
     for name, body in zip(joints, bodies, strict=True):
         joint = tree.joints[name]
         turn = rotation_to(np.asarray(joint.axis))
-        _add_inertial(
-            links[joint.child], body.mass, turn @ np.asarray(body.com), turn @ np.asarray(body.inertia) @ turn.T
-        )
+        com, moments = turn @ np.asarray(body.com), turn @ np.asarray(body.inertia) @ turn.T
+        inertial = ElementTree.SubElement(links[joint.child], "inertial")
+        ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{each:.9g}" for each in com))
+        ElementTree.SubElement(inertial, "mass", value=f"{body.mass:.9g}")
+        entries = {f"i{'xyz'[i]}{'xyz'[k]}": f"{moments[i, k]:.9g}" for i in range(3) for k in range(i, 3)}
+        ElementTree.SubElement(inertial, "inertia", entries)
     ElementTree.indent(root)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _add_inertial(link: ElementTree.Element, mass: float, com: Array, inertia: Array) -> None:
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{each:.9g}" for each in com))
-    ElementTree.SubElement(inertial, "mass", value=f"{mass:.9g}")
-    entries = {f"i{'xyz'[i]}{'xyz'[k]}": f"{inertia[i, k]:.9g}" for i in range(3) for k in range(i, 3)}
-    ElementTree.SubElement(inertial, "inertia", entries)

@@ -112,7 +112,7 @@ class ExportedLoop:
         signals = {"position": x[: 2 * self.n], "velocity": ca.vertcat(*self.plant.robot.velocity_expressions(x))}
         return {
             "plant_measure": dense_function("measure", {"x": x}, signals, cse=True),
-            "plant_step": integrators.step_as_c(self.plant.integrator, self.plant.dynamics),
+            "plant_step": integrators.step(self.plant.integrator, self.plant.dynamics, as_c=True),
         }
 
     def step(self) -> ControlStep:
