@@ -90,14 +90,17 @@ class Parameter:
         """The choices as text."""
         return ", ".join(self.choices) + (", or module:Class of your own" if self.options else "")
 
+    @property
+    def range(self) -> str:
+        """The range of an entry as text."""
+        return _range(self.minimum, self.maximum)
+
     def _check_range(self, value: float) -> None:
         if not math.isfinite(value) and not (self.infinite and math.isinf(value)):
             raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
         if not self.minimum <= value <= self.maximum:
             unit = f" {self.unit}" if self.unit else ""
-            raise ParameterError(
-                f"parameter '{self.name}' holds {value}{unit}; expected {_range(self.minimum, self.maximum)}{unit}"
-            )
+            raise ParameterError(f"parameter '{self.name}' holds {value}{unit}; expected {self.range}{unit}")
 
 
 def parameter_field(default: Any, description: str, unit: str = "", *, name: str = "", **properties: Any) -> Any:
