@@ -16,7 +16,6 @@ from bench.campaign_peers import NAMES, Peer, mujoco_peer, scipy_peer
 from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 
 RUNS, DURATION, PERIOD, INNER_STEPS = 10_000, 5.0, 1e-3, 4
@@ -38,7 +37,7 @@ def loop() -> ClosedLoop:
     robot = single_link(stiffness=31.0)
     law = TrackingLaw(robot, PAPER_GAINS, compile=True)
     x0 = robot.state([0.5], [0.5], [0.0], [0.0])
-    return ClosedLoop(robot, AsSampledLaw(law), Sine(1.0, 1.0), x0, DURATION, PERIOD, INNER_STEPS)
+    return ClosedLoop(robot, law, Sine(1.0, 1.0), x0, DURATION, PERIOD, INNER_STEPS)
 
 
 def draws(runs: int) -> Draws:

@@ -14,7 +14,6 @@ from scipy.integrate import solve_ivp
 
 from bench.mujoco_arm import MujocoArm
 from fjr_core import TrackingLaw, single_link
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
@@ -95,8 +94,7 @@ def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, 
 
 def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float:
     """Run the loop; follow: (q_l, q_m, dq_l, dq_m) and held effort -> state one sample later."""
-    assert isinstance(loop.law, AsSampledLaw)
-    assert isinstance(loop.law.law, TrackingLaw)
+    assert isinstance(loop.law, TrackingLaw)
     samples = round(loop.duration / loop.sample_period)
     table = loop.reference.jets(loop.sample_period * np.arange(samples + 1))
     q = np.asarray(loop.x0)[:2]
@@ -105,6 +103,6 @@ def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float
     for k in range(samples + 1):
         error[k] = x[0] - table[k, 0, 0]
         if k < samples:
-            x = follow(x, loop.law.law.measured_command(x[:2], x[2:], table[k])[0][0])
+            x = follow(x, loop.law.measured_command(x[:2], x[2:], table[k])[0][0])
     after = error[round(loop.settle_after / loop.sample_period) :]
     return float(np.sqrt(np.mean(after**2)))
