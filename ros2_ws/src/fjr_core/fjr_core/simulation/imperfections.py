@@ -26,11 +26,11 @@ def _freeze_within_ranges(owner: object, n: int) -> None:
     for name, parameter in declared(type(owner)).items():
         if isinstance(parameter.default, bool):
             continue
-        size, array = SIZES.get(name, n), checks.floats(name, getattr(owner, name), ParameterError)
+        size, numbers = SIZES.get(name, n), checks.floats if parameter.infinite else checks.finite
+        array = numbers(name, getattr(owner, name), ParameterError)
         if array.shape not in ((), (size,)):
             raise ParameterError(f"{name} has shape {array.shape}; expected a scalar or ({size},)")
-        within = (array >= parameter.minimum) & (array <= parameter.maximum)
-        if not np.all(within & (np.isfinite(array) | parameter.infinite)):
+        if not np.all((array >= parameter.minimum) & (array <= parameter.maximum)):
             raise ParameterError(f"{name} is {array.tolist()}; expected {parameter.range}")
         checks.freeze(owner, name, np.broadcast_to(array, size).copy())
 
