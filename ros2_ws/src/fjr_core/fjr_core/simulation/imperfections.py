@@ -26,8 +26,9 @@ def _freeze_within_ranges(owner: object, n: int) -> None:
     for name, parameter in declared(type(owner)).items():
         if isinstance(parameter.default, bool):
             continue
-        size, numbers = SIZES.get(name, n), checks.floats if parameter.infinite else checks.finite
-        array = numbers(name, getattr(owner, name), ParameterError)
+        size, array = SIZES.get(name, n), checks.floats(name, getattr(owner, name), ParameterError)
+        if not parameter.infinite:
+            checks.finite(name, array, ParameterError)
         if array.shape not in ((), (size,)):
             raise ParameterError(f"{name} has shape {array.shape}; expected a scalar or ({size},)")
         if not np.all((array >= parameter.minimum) & (array <= parameter.maximum)):
