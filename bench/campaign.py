@@ -24,7 +24,6 @@ from bench.figures import Figure
 from bench.measure import one_core
 from bench.mujoco_arm import MujocoArm
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch import ClosedLoop, Draws
@@ -53,7 +52,7 @@ def loop() -> ClosedLoop:
     robot = single_link(stiffness=31.0)
     law = TrackingLaw(robot, PAPER_GAINS, compile=True)
     x0 = robot.state([0.5], [0.5], [0.0], [0.0])
-    return ClosedLoop(robot, AsSampledLaw(law), Sine(1.0, 1.0), x0, DURATION, PERIOD, INNER_STEPS)
+    return ClosedLoop(robot, law, Sine(1.0, 1.0), x0, DURATION, PERIOD, INNER_STEPS)
 
 
 def draws(runs: int) -> Draws:
@@ -177,8 +176,7 @@ def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, 
 
 def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float:
     """Run the loop; follow: (q_l, q_m, dq_l, dq_m) and held effort -> state one sample later."""
-    assert isinstance(loop.law, AsSampledLaw)
-    assert isinstance(loop.law.law, TrackingLaw)
+    assert isinstance(loop.law, TrackingLaw)
     samples = round(loop.duration / loop.sample_period)
     table = loop.reference.jets(loop.sample_period * np.arange(samples + 1))
     q = np.asarray(loop.x0)[:2]
@@ -187,6 +185,6 @@ def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float
     for k in range(samples + 1):
         error[k] = x[0] - table[k, 0, 0]
         if k < samples:
-            x = follow(x, loop.law.law.measured_command(x[:2], x[2:], table[k])[0][0])
+            x = follow(x, loop.law.measured_command(x[:2], x[2:], table[k])[0][0])
     after = error[round(loop.settle_after / loop.sample_period) :]
     return float(np.sqrt(np.mean(after**2)))

@@ -16,7 +16,6 @@ import numpy as np
 from tqdm import tqdm
 
 from bench.figures import Figure, table
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import motor_motion
@@ -96,7 +95,7 @@ def largest_errors(
     times [s]: sample period and delay. The robots are drawn within the errors.
     """
     (T, delay), x0 = times, on_reference(law.robot, reference)
-    loop = ClosedLoop(law.robot, AsSampledLaw(law), reference, x0, observed.duration, T, settle_after=observed.settled)
+    loop = ClosedLoop(law.robot, law, reference, x0, observed.duration, T, settle_after=observed.settled)
     draws = replace(drawn(errors, runs), delay=delay)
     parts = [draws.taken(slice(i, i + AT_ONCE)) for i in range(0, runs, AT_ONCE)]
     outcomes = [loop.run(part) for part in tqdm(parts, desc="runs", disable=not sys.stderr.isatty())]

@@ -18,7 +18,6 @@ from tqdm import tqdm
 import fjr_core as fjr
 from bench.figures import put
 from fjr_core.config.scenario import load_scenario
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_design.studies.imperfections import directions, motion_demand
 from fjr_design.studies.sweep import Sweep, figures, scenario_loop
@@ -56,10 +55,10 @@ def row(study: Sweep, gains: fjr.Gains) -> list[str]:
     """Return error and noise in the effort over drawn plants, noise margin and delay margin of gains as text."""
     scenario = study.scenario
     law = fjr.TrackingLaw(scenario.robot, gains)
-    loop = without_limits(study.loop).with_law(sampled := AsSampledLaw(law))
+    loop = without_limits(study.loop).with_law(law)
     draws = study.draws(0, DRAWN)
     drawn = figures(loop.run(draws), np.ones(DRAWN, dtype=bool))
-    longer = without_limits(scenario_loop(scenario, sampled, SECONDS, settle_after=SETTLED))
+    longer = without_limits(scenario_loop(scenario, law, SECONDS, settle_after=SETTLED))
     trial = Trial(longer, motion_demand(scenario.robot, scenario.reference), np.asarray(draws.effort_limit)[0])
     noise = trial.margins(directions(["noise"]))["noise up to"].level or 0.0
     check = fjr.check(law, scenario.sample_period, scenario.loop_delay, scenario.configurations())

@@ -53,7 +53,7 @@ def campaign_efforts(sequence: Sequence) -> Efforts:
     settings, measured, seen = safety(values, robot), measurement(values, robot), observer(values, robot)
     program = BatchProgram(s.plant.robot, law, s.plant, settings, seen, measured)
     ffi, lib, _ = program.library
-    model = Model(program.library, law, seen, measured, sequence.simulated, functions=program.model_functions)
+    model = Model(program.library, law, program.model_functions, seen, measured, sequence.simulated)
     reference, gains = ReferenceStruct(ffi, s.reference), np.ascontiguousarray(law.gain_values, dtype=float)
     written = settings_struct(program.library, settings, law)
     controller = ffi.new("struct fjr_controller *")

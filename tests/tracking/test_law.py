@@ -200,9 +200,3 @@ def test_an_effort_that_is_not_finite_is_replaced_by_the_stop_effort() -> None:
     assert [command is not None and bool(np.isfinite(command.u).all()) for command in sent] == [True] * 3
     assert tracker.counters["efforts not finite"] == 1
     assert tracker.state is not State.STOPPED
-
-
-@pytest.mark.parametrize("kind", [own_code.NotFinite, own_code.WrongShape])
-def test_a_law_that_fails_at_rest_at_0_is_refused(kind: type) -> None:
-    with pytest.raises(fjr.UserCodeError, match=f"u of {kind.__name__} "):
-        tracker_of(kind)

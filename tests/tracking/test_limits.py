@@ -16,36 +16,17 @@ from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event, State
 from fjr_core.runtime.safety_settings import Settings
-from tracking.tracked import LAW, MS, TWO, TWO_SINES, Passed, paper_law, sample, settings, two_link_law
+from tracking.tracked import LAW, LIMITED, MS, TWO, Passed, paper_law, sample, settings, two_link_law
 
 INF = float("inf")
 
-SIGNED = {"link_position": "link position", "motor_position": "motor position"}
-SIZES = {
-    "link_velocity": "link velocity",
-    "motor_velocity": "motor velocity",
-    "deflection": "deflection",
-    "tracking_error": "tracking error",
-}
-
-
-def state_with(name: str, joint: int, value: float) -> tuple[Any, np.ndarray]:
-    """Return a sample in which all quantities of a two-joint robot but one are zero, and desired link positions."""
-    q_l, q_m, dq_l, dq_m, q_ld = np.zeros((5, 2))
-    if name in SIGNED:
-        q_l[joint] = q_m[joint] = q_ld[joint] = value
-    elif name == "tracking_error":
-        q_ld[joint] = -value
-    else:
-        {"deflection": q_m, "link_velocity": dq_l, "motor_velocity": dq_m}[name][joint] = value
-    return sample(0, q_l, q_m, dq_l, dq_m), q_ld
-
 
 def stop_at(tracker: ControlStep, name: str, joint: int, value: float) -> Event | None:
-    """Start in such a state; return the event of the stop, if it is one."""
-    state, q_ld = state_with(name, joint, value)
-    tracker.start(Hold(q_ld))
-    assert tracker.command(state, 0) is not None
+    """Start where only the limited quantity of a joint, of size `value`, is not zero; return the event of a stop."""
+    parts = np.zeros((4, 2))
+    parts[:, joint] = LIMITED[name][1](value)
+    tracker.start()
+    assert tracker.command(sample(0, *parts), 0) is not None
     found = [event for event in tracker.events if event.kind == "stops"]
     tracker.events.clear()
     assert bool(found) == (tracker.state is State.STOPPED)
@@ -65,29 +46,32 @@ def send(tracker: ControlStep, u: Any, stamp: int) -> np.ndarray:
     return command.u
 
 
+SIZES = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
+
+
 @pytest.mark.parametrize("joint", [0, 1])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("name", [*SIGNED, *SIZES])
+@pytest.mark.parametrize(("name", "sign"), [*((name, 1.0) for name in LIMITED), *((name, -1.0) for name in SIZES)])
 def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str, sign: float, joint: int) -> None:
-    bound = [5.0, 5.0]
+    bound = np.full(2, 5.0)
     bound[joint] = 0.7
-    side = ("_upper" if sign > 0 else "_lower") if name in SIGNED else ""
-    given = [sign * b for b in bound] if side else bound
-    tracker = ControlStep(TWO, TWO_SINES, settings(2, **{name + side: given}))
+    tracker = ControlStep(TWO, Hold([0.0, 0.0]), settings(2, **{name: -bound if name.endswith("lower") else bound}))
     assert stop_at(tracker, name, joint, sign * 0.7) is None
     assert stop_at(tracker, name, joint, -sign * 0.69) is None
-    value = float(np.nextafter(sign * 0.7, sign * INF))
-    broken, kind = stop_at(tracker, name, joint, value), {**SIGNED, **SIZES}[name]
+    size = float(np.nextafter(0.7, INF))
+    broken, kind = stop_at(tracker, name, joint, sign * size), LIMITED[name][0]
     assert broken is not None
+    assert broken.level == "error"
     assert tracker.counters == {"stops": 1, f"stops: {kind}": 1}
-    assert broken.values == {"joint": f"joint{joint + 1}", "value": value, "limit": sign * 0.7}
+    values = broken.values
+    assert (values["joint"], abs(values["value"]), abs(values["limit"])) == (f"joint{joint + 1}", size, 0.7)  # type: ignore[arg-type]
+    assert values["value"] * values["limit"] > 0  # type: ignore[operator]
     assert f"{kind} of joint{joint + 1}" in broken.sentence
     assert "0.7" in broken.sentence
 
 
-@pytest.mark.parametrize("name", [*SIGNED, *SIZES])
+@pytest.mark.parametrize("name", LIMITED)
 def test_nothing_is_violated_without_limits(name: str) -> None:
-    assert stop_at(ControlStep(TWO, TWO_SINES, settings(2)), name, 0, 1e9) is None
+    assert stop_at(ControlStep(TWO, Hold([0.0, 0.0]), settings(2)), name, 0, 1e9) is None
 
 
 def test_efforts_within_the_limits_are_not_changed() -> None:

@@ -26,23 +26,14 @@ from tracking.tracked import (
 
 
 @pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
-@pytest.mark.parametrize("name", LIMITED)
-def test_each_limit_alone_stops_just_beyond_its_value_and_stays(name: str, policy: str) -> None:
-    kind, state = LIMITED[name]
-    limit = -0.3 if name.endswith("lower") else 0.3
-    tracker = ControlStep(LAW, Hold([0.0]), settings(**{name: limit}, on_stop=policy))
-    tracker.command(sample(0, 0.0, 0.0), 0)
-    tracker.command(sample(MS, *state(0.3)), MS)
+def test_a_stop_stays_under_its_policy_and_resumes_with_the_last_effort(policy: str) -> None:
+    tracker = ControlStep(LAW, Hold([0.0]), settings(link_velocity=0.3, on_stop=policy))
+    tracker.command(sample(MS, 0.0, 0.0, 0.3), MS)
     assert tracker.state is State.TRACKING
-    beyond = state(float(np.nextafter(0.3, 1)))
-    tracker.command(sample(2 * MS, *beyond), 2 * MS)
-    assert tracker.state is State.STOPPED
-    assert f"{kind} of joint1" in tracker.reason
-    tracker.command(sample(2 * MS, *beyond), 2 * MS)
-    assert tracker.counters == {"states repeated": 1, "stops": 1, f"stops: {kind}": 1}
-    event = tracker.events.pop()
-    assert (event.level, event.values["joint"]) == ("error", "joint1")
-    assert abs(float(event.values["limit"])) == 0.3
+    for _ in range(2):
+        tracker.command(sample(2 * MS, 0.0, 0.0, 0.4), 2 * MS)
+        assert tracker.state is State.STOPPED
+    assert tracker.counters == {"states repeated": 1, "stops": 1, "stops: link velocity": 1}
     for k in range(3, 6):
         command = tracker.command(sample(k * MS, 0.2, 0.2, 0.1, 0.1), k * MS)
         assert command is not None

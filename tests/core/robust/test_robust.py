@@ -14,7 +14,7 @@ from scipy import signal
 import fjr_core as fjr
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import GainsError, StateError
-from fjr_core.law.interfaces import AsSampledLaw, SampledLaw
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.integral_action import IntegralAction, gain_values
 from fjr_core.robust.law import LONGEST_DELAY, Robust, RobustLaw, sampled_law
@@ -293,11 +293,10 @@ def test_integration_over_a_gap_is_limited_to_two_holds(dt: float, counts: float
 
 
 def test_no_options_give_the_nominal_law() -> None:
-    assert isinstance(sampled_law(JOINT), AsSampledLaw)
-    assert isinstance(sampled_law(JOINT, Robust(hold=0.002)), AsSampledLaw)
+    assert sampled_law(JOINT) is sampled_law(JOINT, Robust(hold=0.002)) is JOINT
     x0 = JOINT.robot.state(0.5, 0.5, 0.0, 0.0)
     plant = fjr.Plant(JOINT.robot)
-    one, other = (fjr.simulate(plant, law, SINE, x0, 0.2, PERIOD) for law in (JOINT, sampled_law(JOINT)))
+    one, other = (fjr.simulate(plant, law, SINE, x0, 0.2, PERIOD) for law in (JOINT, RobustLaw(JOINT, Robust())))
     np.testing.assert_allclose(other.u, one.u, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(other.V, one.V, rtol=1e-9)
 

@@ -177,27 +177,6 @@ def test_non_finite_input_does_not_persist() -> None:
     assert moving.error < 1e-6
 
 
-def test_one_integration_call_per_update_and_more_only_over_gaps() -> None:
-    moving = Moving(ARMS[2]).begun()
-    advance, calls = moving.observer._advance, []
-    moving.observer._advance = lambda: calls.append(advance())
-    for dt, expected in ((MS, 1), (MS // 2, 1), (3 * MS // 2, 1), (10 * MS, 7), (99 * MS, 66)):
-        calls.clear()
-        moving.run(1, dt)
-        assert len(calls) == expected
-
-
-def test_an_update_returns_views_of_one_state() -> None:
-    moving = Moving(ARMS[2]).begun()
-    state = moving.observer.state
-    for _ in range(3):
-        moving.move()
-        dq_l, dq_m = moving.update()
-        assert np.shares_memory(dq_l, state)
-        assert [*dq_l, *dq_m] == [*state[4:]]
-    assert moving.observer.state is state
-
-
 def test_compiled_observer_gives_the_same_numbers() -> None:
     one, other = Moving(ARMS[-1]), Moving(ARMS[-1])
     other.observer = fjr.VelocityObserver(ARMS[-1].robot, BANDWIDTH, compile=True)

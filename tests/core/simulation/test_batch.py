@@ -15,7 +15,6 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, linear
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.numerics import jit as jit_cache
 from fjr_core.runtime.library import c_text
 from fjr_core.runtime.measurement_model import Measurement
@@ -34,7 +33,7 @@ def start(robot: fjr.Robot) -> Any:
 
 
 def loop_of(robot: fjr.Robot, gains: fjr.Gains, duration: float = 0.3, **changes: Any) -> ClosedLoop:
-    law = AsSampledLaw(fjr.TrackingLaw(changes.pop("believed", robot), gains))
+    law = fjr.TrackingLaw(changes.pop("believed", robot), gains)
     reference = fjr.Sine(amplitude=np.full(robot.n, 0.4), frequency=3.0)
     values = {"settle_after": 0.1, **changes}
     return ClosedLoop(robot, law, reference, start(robot), duration, PERIOD, **values)
@@ -45,10 +44,8 @@ def paper_loop(**changes: Any) -> ClosedLoop:
 
 
 def simulated(loop: ClosedLoop, delay: float = 0.0) -> fjr.Trajectory:
-    law = loop.law.law  # type: ignore[attr-defined]
-    return fjr.simulate(
-        fjr.Plant(loop.robot), law, loop.reference, loop.x0, loop.duration, PERIOD, PERIOD / loop.inner_steps, delay
-    )
+    plant, inner = fjr.Plant(loop.robot), PERIOD / loop.inner_steps
+    return fjr.simulate(plant, loop.law, loop.reference, loop.x0, loop.duration, PERIOD, inner, delay)
 
 
 def every_row(result: Outcomes) -> np.ndarray[Any, Any]:

@@ -15,7 +15,7 @@ import fjr_core as fjr
 from core.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS, law_kind
-from fjr_core.law.interfaces import AsSampledLaw, SampledLaw
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
@@ -167,7 +167,7 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
 def test_static_law_is_the_special_case_without_a_controller_state() -> None:
     for law in (Joint, fjr.TrackingLaw(fjr.planar_two_link(), fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5))):
         rest = equilibria_at(law.robot, np.full((1, law.robot.n), 0.4))
-        general = on_plant(controller(AsSampledLaw(law), rest, Sensing()), rest, rest, Sensing())
+        general = on_plant(controller(law, rest, Sensing()), rest, rest, Sensing())
         for delay in (0.0, 0.7e-3, 2e-3):
             assert general.radii(1e-3, delay) == pytest.approx(linearize(law, rest.q_l).radii(1e-3, delay), rel=1e-9)
 

@@ -14,9 +14,9 @@ from scipy.stats import qmc
 
 import fjr_core as fjr
 from core.oracles.chains import arm7
-from fjr_core.law.linearized import equilibria_at, feedback, plant_matrices
+from fjr_core.law.linearized import equilibria_at, plant_matrices
 from fjr_core.model.configuration_sampling import loop_configurations, sample_configurations
-from fjr_core.stability.linearization import in_error_coordinates, linearize
+from fjr_core.stability.linearization import closed_form, linearize
 from fjr_core.stability.sampled_loop import check, spectral_radius
 
 SAMPLES = 400  # of a simulated run: 0.98^400 = 3e-4, 1.02^400 = 3e3
@@ -156,10 +156,19 @@ def test_jacobian_of_the_law_is_its_closed_form_at_equilibrium() -> None:
     for law in laws():
         loop = linearize(law, sample_configurations(law.robot, 5))
         rest = equilibria_at(law.robot, loop.configurations)
-        closed = in_error_coordinates(rest, law.gains, *plant_matrices(rest), feedback(rest, law.gains))
+        closed = closed_form(rest, law.gains)
         for name in ("A", "B", "F"):
             expected = getattr(closed, name)
             np.testing.assert_allclose(getattr(loop, name), expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+
+
+def test_plant_matrices_are_the_jacobian_of_the_dynamics_at_equilibrium() -> None:
+    for law in laws():
+        rest = equilibria_at(law.robot, sample_configurations(law.robot, 3))
+        slope = fjr.Plant(law.robot).dynamics.jacobian()
+        for x, u, A, B in zip(rest.x, rest.u, *plant_matrices(rest), strict=True):
+            exact = np.hstack([block.full() for block in slope(x, u, 0)])
+            np.testing.assert_allclose(np.hstack([A, B]), exact, rtol=1e-9, atol=1e-12 * np.abs(A).max())
 
 
 def test_loop_in_error_coordinates_contracts_at_the_rate_before_sampling() -> None:

@@ -12,7 +12,6 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, random_point
 from core.oracles.plain_loop import OTHERS, PlainLoop, constant_jets, standard_law
 from fjr_core.extensions.law_registry import LAWS
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_design.baselines.backstepping import BacksteppingGains
 from fjr_design.baselines.feedback_linearisation import CompositeGains, LinearErrorGains
 from fjr_design.baselines.lqr import LqrGains
@@ -98,7 +97,7 @@ def test_all_evaluation_functions_agree(name: str) -> None:
     u, V = law.measured_command(position, velocity, jets)
     np.testing.assert_allclose(law.command(p.x, jets), u, rtol=1e-9)
     np.testing.assert_allclose(float(law.command_function(p.x, jets.T)[1]), V, rtol=1e-9)
-    step = AsSampledLaw(law).step_function(position, velocity, jets.T, law.gain_values, np.zeros(0), np.zeros(2), 1e-3)
+    step = law.step_function(position, velocity, jets.T, law.gain_values, np.zeros(0), np.zeros(2), 1e-3)
     np.testing.assert_allclose(step[0].full().ravel(), u, rtol=1e-12)
 
 

@@ -12,7 +12,6 @@ import pytest
 import fjr_core as fjr
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.sampled_loop import check
 from fjr_design.studies.compared_law import tuned_law
@@ -26,7 +25,7 @@ ALL = directions(list(IMPERFECTIONS))
 def trial(amplitude: float = 0.5, stiffness: float = 31.0, tracks: float = 0.1, duration: float = 3.0) -> Trial:
     robot = fjr.single_link(stiffness=stiffness)
     reference = fjr.Sine(amplitude=amplitude, frequency=2.0)
-    law = AsSampledLaw(fjr.TrackingLaw(robot, fjr.PAPER_GAINS))
+    law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
     loop = ClosedLoop(robot, law, reference, robot.state(0.0, 0.0, 0.0, 0.0), duration, T, settle_after=1.0)
     return Trial(loop, motion_demand(robot, reference), tracks=tracks)
 

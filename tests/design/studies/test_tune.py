@@ -18,7 +18,6 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import GainsError, ParameterError, StateError
 from fjr_core.extensions.law_registry import LAWS
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.studies.coordinates import RULE, SCENARIO, coordinates, starts
@@ -82,7 +81,7 @@ def study(goal: Goal | None = None, changes: dict[str, Any] | None = None, **num
 def paper_loop(gains: fjr.Gains) -> ClosedLoop:
     robot = fjr.single_link(stiffness=31.0)
     x0 = robot.state(q_l=0.3, q_m=0.3, dq_l=0.0, dq_m=0.0)
-    law = AsSampledLaw(fjr.TrackingLaw(robot, gains))
+    law = fjr.TrackingLaw(robot, gains)
     return ClosedLoop(robot, law, fjr.Sine(1.0, 1.0), x0, 0.2, 1e-3, settle_after=0.05)
 
 

@@ -17,10 +17,10 @@ from fjr_core.config.law import control_law
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
-from fjr_core.law.interfaces import AsSampledLaw, StaticLaw
+from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.simulation.batch import ClosedLoop
-from fjr_core.stability.linearization import rest_position, slope_at_rest
+from fjr_core.stability.linear_controller import rest_position, slope_at_rest
 from fjr_design.baselines import feedback_linearisation
 from fjr_design.studies.imperfections import motion_demand
 from fjr_design.studies.trial import Trial
@@ -214,7 +214,7 @@ def test_feedback_linearisation_with_two_time_scales_tracks_seven_joints() -> No
     t = tune("feedback_linearisation", y)
     assert t.same_bandwidth
     x0 = arm.robot.state(*np.split(rest_position(arm.robot, y.q_0), 2), np.zeros(7), np.zeros(7))
-    loop = ClosedLoop(arm.robot, AsSampledLaw(t.law), reference, x0, 2.0, 1e-3, settle_after=1.0)
+    loop = ClosedLoop(arm.robot, t.law, reference, x0, 2.0, 1e-3, settle_after=1.0)
     nominal = Trial(loop, motion_demand(arm.robot, reference), y.effort_limit).metrics([{}])[0]
     assert nominal.rms is not None
     assert nominal.rms < 5e-4  # rad

@@ -12,6 +12,7 @@ import pytest
 import fjr_core as fjr
 from core.oracles.chains import arm7
 from core.stability.test_sampled_loop import chain3, loop_converges
+from fjr_core.law.linearized import equilibria_at
 from fjr_core.motions.domain import Domain
 from fjr_core.stability.linearization import closed_form
 from fjr_core.stability.sampled_loop import check, spectral_radius
@@ -80,7 +81,7 @@ def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
     assert found.stable
     assert found.spectral_radius <= np.exp(-beta * period / 2)
     assert found.delay_margin >= delay / period + 0.5
-    loop = closed_form(law, elsewhere(law.robot), fjr.Plant(law.robot))
+    loop = closed_form(equilibria_at(law.robot, elsewhere(law.robot)), law.gains)
     for late in (0.0, 0.2, 0.4, 0.5):
         assert loop.radii(period, delay + late * period).max() <= np.exp(-beta * period / 2) + BETWEEN
     assert law.rate(elsewhere(law.robot)).beta >= 0.9 * beta
@@ -94,7 +95,7 @@ def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
     law = fjr.TrackingLaw(
         arm, workspace_gains() if name == "arm7" else synthesize(arm, 6.0, 1e-3, configurations=at_zero)
     )
-    found, loop = check(law, 1e-3), closed_form(law, elsewhere(arm), fjr.Plant(arm))
+    found, loop = check(law, 1e-3), closed_form(equilibria_at(arm, elsewhere(arm)), law.gains)
     assert found.configurations >= 1000
     assert found.lowest_stable_rate is not None
     assert loop.radii(1e-3).max() == pytest.approx(found.spectral_radius, abs=BETWEEN)

@@ -12,7 +12,7 @@ import fjr_core as fjr
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing, controller
-from fjr_core.stability.linearization import as_sampled, on_plant
+from fjr_core.stability.linearization import on_plant
 from fjr_design.tuning.gain_synthesis import gain_search
 from fjr_design.uncertainty.drawn_loops import (
     DrawnLoops,
@@ -49,7 +49,7 @@ def test_each_drawn_loop_has_the_radius_of_the_check_of_its_plant(name: str) -> 
     law = wrapped(fjr.TrackingLaw(ROBOT, gains))
     own, plants = equilibria_at(ROBOT, CONFIGURATIONS), drawn(6, 0.3, delay=2.5e-3)
     loops = DrawnLoops(law, own, T, 0.4e-3, sensing)
-    radii, at = loops.radii(plants), controller(as_sampled(law), own, sensing)
+    radii, at = loops.radii(plants), controller(law, own, sensing)
     for k in range(len(plants)):
         matrices = (np.diag(getattr(plants, part)[k]) for part in ("stiffness", "motor_inertia", "link_damping"))
         K, M_m, D_l = matrices

@@ -18,7 +18,6 @@ from bench.error_bound import Observed, largest_errors, on_reference
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
-from fjr_core.law.interfaces import AsSampledLaw
 from fjr_core.motions.reference import Reference
 from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_design.baselines.feedback_linearisation import CompositeGains
@@ -113,7 +112,7 @@ def test_runs_of_seven_joints_stay_within_the_proven_bound(errors: dict[str, flo
 def largest_storage(law: fjr.TrackingLaw, reference: Reference, payload: float) -> float:
     """Return the largest V [J] from 2.5 s on of runs with payloads up to one sign and the other, one sample late."""
     robot, factors = law.robot, 1 + payload * np.array([-1.0, 0.3, 1.0])
-    loop = ClosedLoop(robot, AsSampledLaw(law), reference, on_reference(robot, reference), 5.0, T)
+    loop = ClosedLoop(robot, law, reference, on_reference(robot, reference), 5.0, T)
     _, run = loop.recorded(Draws(len(factors), link_inertia=factors, gravity=factors, delay=T))
     settled = [(m, t) for states in run.measured for m, t in zip(states[2500::17], run.t[2500::17], strict=True)]
     return max(law.measured_command(*np.split(m, 2), reference.jets(t))[1] for m, t in settled)
@@ -142,7 +141,7 @@ def test_the_centre_of_a_tube_is_the_steady_motion_of_the_simulated_late_loop() 
     law, payload = joint(), 1.2
     factors = np.where(np.array(FACTORS) == "payload", payload, 1.0)
     centre = steady_motion(DeviationModel(law), cells_of(SWING, T, verified=True, most=100), factors, T)
-    loop = ClosedLoop(law.robot, AsSampledLaw(law), SWING, on_reference(law.robot, SWING), 4.0, T)
+    loop = ClosedLoop(law.robot, law, SWING, on_reference(law.robot, SWING), 4.0, T)
     _, run = loop.recorded(Draws(1, link_inertia=payload, gravity=payload, delay=T))
     settled = run.t > 2.0
     positions = centre.path.reference.jets(run.t[settled])[:, 0]

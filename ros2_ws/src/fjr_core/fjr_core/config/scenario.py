@@ -161,8 +161,7 @@ class Scenario:
         The plant is ideal: imperfections.* are not simulated, so there is no delay either.
         """
         inner = self.sample_period / int(parameter.number(self.plant_values, "inner_steps"))
-        law = self.sampled_law if isinstance(self.sampled_law, RobustLaw) else self.law
-        return simulate(self.plant, law, self.reference, self.x0, duration, self.sample_period, inner)
+        return simulate(self.plant, self.sampled_law, self.reference, self.x0, duration, self.sample_period, inner)
 
 
 def load_scenario(path: str | Path, user_code: bool = True) -> Scenario:

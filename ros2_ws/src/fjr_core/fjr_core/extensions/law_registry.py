@@ -71,16 +71,6 @@ _OWN = LawKind(
 )
 
 
-def _own_kind(name: str) -> LawKind:
-    """Return the description of a law of the user, module:Class, whose gains are its options."""
-    title, storage = load(name).__name__, "given by the law" if hasattr(load(name), "storage") else ""
-
-    def not_tuned(*_: Any) -> Any:
-        raise GainsError(f"{title} has no tuning rule; expected its options instead")
-
-    return LawKind(name, title, "law of the user", partial(own_law, name), not_tuned, storage=storage)
-
-
 class Laws(Mapping[str, LawKind]):
     """The laws by name: v-dPBC, and those that other packages register as entry points of the group GROUP.
 
@@ -115,8 +105,14 @@ LAWS = Laws()
 
 def law_kind(name: str) -> LawKind:
     """Return the law of this name, also of a class module:Class; raise ParameterError if unknown."""
-    if is_named(name):
-        return _own_kind(name)
-    if name not in LAWS:
-        raise ParameterError(f"law is {name!r}; expected one of {', '.join(LAWS)}")
-    return LAWS[name]
+    if not is_named(name):
+        if name not in LAWS:
+            raise ParameterError(f"law is {name!r}; expected one of {', '.join(LAWS)}")
+        return LAWS[name]
+    own = load(name)
+    storage = "given by the law" if hasattr(own, "storage") else ""
+
+    def not_tuned(*_: Any) -> Any:
+        raise GainsError(f"{own.__name__} has no tuning rule; expected its options instead")
+
+    return LawKind(name, own.__name__, "law of the user", partial(own_law, name), not_tuned, storage=storage)

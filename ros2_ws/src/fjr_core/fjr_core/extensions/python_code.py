@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 import casadi as ca
@@ -18,9 +19,10 @@ from ..files import importing
 from ..files.importing import described
 from ..law.interfaces import StaticLaw
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Coordinates, Robot
+from ..model.robot import Robot
 from ..motions.reference import JETS
 from ..numerics.checks import Array, floats
+from ..numerics.integrators import rk4_expression
 from ..numerics.symbolic import dense_function
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -182,15 +184,10 @@ class PythonPlant(Plant):
         return PythonFunction(self.title, self._rk4, inputs, {"x_next": (4 * n,)})
 
     def _rk4(self, x: Array, u: Array, dt: Array) -> tuple[Array]:
-        """Return the Runge-Kutta step of order 4 with u held, as integrators.rk4_expression."""
-        k1 = self._slope(x, u)
-        k2 = self._slope(x + dt / 2 * k1, u)
-        k3 = self._slope(x + dt / 2 * k2, u)
-        k4 = self._slope(x + dt * k3, u)
-        return (x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4),)
+        def slope(x: Array, u: Array) -> Array:
+            return checked(f"dx of {self.title}", self.own.derivative(x, u), x.shape)
 
-    def _slope(self, x: Array, u: Array) -> Array:
-        return checked(f"dx of {self.title}", self.own.derivative(x, u), x.shape)
+        return (rk4_expression(slope, x, (u, u, u), dt),)
 
 
 def own_plant(name: str, robot: Robot, options: Mapping[str, Any], integrator: str = INTEGRATOR) -> PythonPlant:
@@ -212,17 +209,6 @@ class OwnLaw(Protocol):
         """Return the effort u (n,) [N m]."""
 
 
-class _NoGains:
-    """The gains of a law in Python: its options are in the object itself."""
-
-    def arrays(self, _robot: Robot) -> dict[str, Array]:
-        """Return no arrays."""
-        return {}
-
-    def __repr__(self) -> str:
-        return "in Python"
-
-
 class PythonLaw(StaticLaw):
     """An OwnLaw as a StaticLaw; V is nan if it has no storage. It is not compiled.
 
@@ -233,7 +219,7 @@ class PythonLaw(StaticLaw):
     in_python = True
 
     def __init__(self, own: Any, robot: Robot) -> None:
-        super().__init__(robot, _NoGains())
+        super().__init__(robot, SimpleNamespace(arrays=lambda _robot: {}))  # its options are in the object itself
         self.own, self.title = own, type(own).__name__
         importing.check_method(own, "effort", ARGUMENTS)
         if hasattr(own, "storage"):
@@ -298,7 +284,7 @@ class PythonLaw(StaticLaw):
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V."""
         n = self.robot.n
         x, jets = ca.MX.sym("x", 4 * n), ca.MX.sym("jets", n, JETS)
-        velocity = Coordinates(self.robot).to_velocities(x)
+        velocity = self.robot.to_velocity(x)
         u, V = self.measured_expression(x[: 2 * n], velocity, jets, ca.MX.zeros(0, 1))
         return dense_function("command", {"x": x, "jets": jets}, {"u": u, "V": V})
 

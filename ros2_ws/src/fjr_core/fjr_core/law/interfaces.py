@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interfaces of laws: static laws u(x, x, t), and sampled laws with a controller state."""
+"""Interfaces of laws: sampled laws with a controller state, and static laws u(x, x, t), which have none."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, TypeVar
 
@@ -28,7 +27,7 @@ ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
 
 
 class StaticLaw(ABC):
-    """A static law u(x, x, t) of a robot as a pure function, with a storage V (nan if it has none).
+    """A static law u(x, x, t) of a robot as a pure function, with a storage V (nan if it has none); a SampledLaw.
 
     Subclasses define `measured_expressions` and `hold_damping`. Gains are arguments of the function, so that
     with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
@@ -38,6 +37,8 @@ class StaticLaw(ABC):
     """
 
     in_python = False
+    lead = 0.0
+    """Time [s] from the sample's stamp to the evaluation of the reference."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({joints(self.robot.n)}, {one_line(self.gains)})"
@@ -56,8 +57,8 @@ class StaticLaw(ABC):
         other = type(self)(self.robot, gains, self.compiles)
         other.symbols = self.symbols
         other.measured_function = self.measured_function
-        if "measured_expression" in vars(self):  # else the compiled function came from the cache
-            other.measured_expression = self.measured_expression
+        built = ("measured_expression", "step_function")  # unless the compiled function came from the cache
+        vars(other).update({name: vars(self)[name] for name in built if name in vars(self)})
         other.gain_values = self.symbols.values(other.arrays)
         return other
 
@@ -83,6 +84,11 @@ class StaticLaw(ABC):
     def gain_values(self) -> Array:
         """The argument `gains` (g,) of measured_function."""
         return self.symbols.values(self.arrays)
+
+    @property
+    def memory(self) -> Array:
+        """Empty controller state (0,)."""
+        return np.zeros(0)
 
     def at_measured(self, f: Flow, outputs: dict[str, ca.SX]) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """Return the arguments of measured_function, and outputs in the symbols of f as expressions of them."""
@@ -124,6 +130,13 @@ class StaticLaw(ABC):
         """measured_function, not compiled, so that it can be part of another function."""
         inputs, outputs = self.measured_expressions()
         return dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
+
+    @cached_property
+    def step_function(self) -> ca.Function:
+        """SampledLaw.step_function; it does not depend on memory, sent and dt."""
+        s = step_symbols(self)
+        u, V = self.measured_expression(s["position"], s["velocity"], s["jets"], s["gains"])
+        return dense_function("sampled_law", s, {"u": u, "V": V, "next": s["memory"]})
 
     def ready(self, function: ca.Function) -> ca.Function:
         """Return the function, compiled if this law is compiled."""
@@ -175,38 +188,6 @@ def step_symbols(law: SampledLaw) -> dict[str, ca.MX]:
     return {name: ca.MX.sym(name, *size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
 
 
-@dataclass(frozen=True, eq=False)
-class AsSampledLaw:
-    """Adapt a static law to the interface SampledLaw."""
-
-    law: StaticLaw
-    lead: float = 0.0
-
-    __repr__ = one_line
-
-    @property
-    def robot(self) -> Robot:
-        """The robot model of the law."""
-        return self.law.robot
-
-    @property
-    def gain_values(self) -> Array:
-        """The argument `gains` (g,) of step_function."""
-        return self.law.gain_values
-
-    @property
-    def memory(self) -> Array:
-        """Empty controller state (0,)."""
-        return np.zeros(0)
-
-    @cached_property
-    def step_function(self) -> ca.Function:
-        """SampledLaw.step_function; it does not depend on memory, sent and dt."""
-        s = step_symbols(self)
-        u, V = self.law.measured_expression(s["position"], s["velocity"], s["jets"], s["gains"])
-        return dense_function("sampled_law", s, {"u": u, "V": V, "next": s["memory"]})
-
-
 def check_law(law: object) -> None:
     """Raise StateError unless `law` is a StaticLaw or has the members of a SampledLaw; a function has not."""
     if isinstance(law, StaticLaw) or all(hasattr(law, name) for name in ("robot", "step_function", "gain_values")):
@@ -217,13 +198,24 @@ def check_law(law: object) -> None:
     )
 
 
-def raise_failure(law: StaticLaw | SampledLaw) -> None:
+def static_part(law: SampledLaw) -> SampledLaw:
+    """Return the law without the controller state that wraps it, e.g. without robust action."""
+    found: SampledLaw = law if isinstance(law, StaticLaw) else getattr(law, "law", law)
+    return found
+
+
+def ready_step(law: SampledLaw) -> ca.Function:
+    """Return the step of a law, compiled if the law is."""
+    return law.ready_step if hasattr(law, "ready_step") else law.step_function
+
+
+def raise_failure(law: SampledLaw) -> None:
     """Raise the error of an evaluation since the last call; only a law in Python fails (StaticLaw.raise_failure)."""
-    static = getattr(law, "law", law)
+    static = static_part(law)
     if isinstance(static, StaticLaw):
         static.raise_failure()
 
 
-def in_python(law: StaticLaw | SampledLaw) -> bool:
+def in_python(law: SampledLaw) -> bool:
     """Return whether the law is evaluated in Python, so that nothing that contains it can be compiled."""
-    return bool(getattr(getattr(law, "law", law), "in_python", False))
+    return bool(getattr(static_part(law), "in_python", False))

@@ -161,16 +161,6 @@ class TrackingLaw(StaticLaw):
         return rate
 
     @cached_property
-    def function(self) -> ca.Function:
-        """The CasADi function (x_v, x, jets (n, 5), omega) -> u; differentiable."""
-        return self._function("effort", {"u"})
-
-    @cached_property
-    def errors_function(self) -> ca.Function:
-        """The CasADi function (x_v, x, jets (n, 5), omega) -> q_tilde_l, sigma_l, q_tilde_m, sigma_m."""
-        return self._function("errors", {"q_tilde_l", "sigma_l", "q_tilde_m", "sigma_m"})
-
-    @cached_property
     def command_function(self) -> ca.Function:
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
         return self.ready(self._function("command", {"u", "V"}, diagonal=True))
@@ -209,7 +199,7 @@ class TrackingLaw(StaticLaw):
 
     @cached_property
     def _effort(self) -> NumericFunction:
-        return NumericFunction(self.ready(self.function))
+        return NumericFunction(self.ready(self._function("effort", {"u"})))
 
     @cached_property
     def _evaluate(self) -> NumericFunction:

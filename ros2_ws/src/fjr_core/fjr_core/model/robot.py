@@ -104,7 +104,7 @@ class Robot:
 
     def velocities(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at the state x (4n,)."""
-        (velocity,) = self._velocities(checks.vector("x", x, 4 * self.n, StateError))
+        (velocity,) = self._velocity(checks.vector("x", x, 4 * self.n, StateError))
         return velocity[: self.n], velocity[self.n :]
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
@@ -130,6 +130,22 @@ class Robot:
         """Return (p_l, p_m) = (M_l dq_l, M_m dq_m) as expressions; links as in hamiltonian_expression."""
         return (links or self.links).M_l(q_l) @ dq_l, self.M_m @ dq_m
 
+    @cached_property
+    def to_state(self) -> ca.Function:
+        """The CasADi function (position (q_l, q_m), velocity (dq_l, dq_m)), (2n,) each, -> state x (4n,)."""
+        n = self.n
+        s = symbols(position=2 * n, velocity=2 * n)
+        position, velocity = s.values()
+        momenta = self.momentum_expressions(position[:n], velocity[:n], velocity[n:])
+        return dense_function("to_momenta", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
+
+    @cached_property
+    def to_velocity(self) -> ca.Function:
+        """The CasADi function x (4n,) -> velocity (dq_l, dq_m) (2n,)."""
+        x = ca.SX.sym("x", 4 * self.n)
+        velocity = ca.vertcat(*self.velocity_expressions(x))
+        return dense_function("to_velocities", {"x": x}, {"velocity": velocity}, cse=True)
+
     def fingerprint(self) -> bytes:
         """Return a digest of the equations of motion; equal for robots with the same equations."""
         functions = ("M_l", "P_l", "grad_P_l", "C", "inertial_torque", "grad_T")
@@ -148,46 +164,12 @@ class Robot:
         return numeric("hamiltonian", {"x": x}, {"H": self.hamiltonian_expression(x)})
 
     @cached_property
-    def _velocities(self) -> NumericFunction:
-        return NumericFunction(Coordinates(self).to_velocities)
+    def _velocity(self) -> NumericFunction:
+        return NumericFunction(self.to_velocity)
 
     @cached_property
     def _state(self) -> NumericFunction:
-        return NumericFunction(Coordinates(self).to_momenta)
-
-
-@dataclass(frozen=True, eq=False)
-class Coordinates:
-    """CasADi functions between (position, velocity), (2n,) each, and the state x (4n,) with momenta.
-
-    position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s], x = (q_l, q_m, p_l, p_m).
-    Equations: p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
-    """
-
-    robot: Robot
-
-    @cached_property
-    def to_momenta(self) -> ca.Function:
-        """Map (position, velocity) to the state x."""
-        n = self.robot.n
-        s = symbols(position=2 * n, velocity=2 * n)
-        position, velocity = s.values()
-        momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:])
-        return dense_function("to_momenta", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
-
-    @cached_property
-    def to_velocities(self) -> ca.Function:
-        """Map the state x to the velocity."""
-        x = ca.SX.sym("x", 4 * self.robot.n)
-        velocity = ca.vertcat(*self.robot.velocity_expressions(x))
-        return dense_function("to_velocities", {"x": x}, {"velocity": velocity}, cse=True)
-
-    @cached_property
-    def to_measured(self) -> ca.Function:
-        """Map the state x to (position, velocity)."""
-        x = ca.SX.sym("x", 4 * self.robot.n)
-        outputs = {"position": x[: 2 * self.robot.n], "velocity": self.to_velocities(x)}
-        return dense_function("to_measured", {"x": x}, outputs, cse=True)
+        return NumericFunction(self.to_state)
 
 
 def law_view(plant: Robot, law: Robot) -> ca.Function | None:
@@ -200,7 +182,7 @@ def law_view(plant: Robot, law: Robot) -> ca.Function | None:
     if plant is law or (np.array_equal(plant.M_m, law.M_m) and M_l[0].serialize() == M_l[1].serialize()):
         return None
     x, positions = ca.SX.sym("x", 4 * plant.n), 2 * plant.n
-    seen = Coordinates(law).to_momenta(x[:positions], Coordinates(plant).to_velocities(x))
+    seen = law.to_state(x[:positions], plant.to_velocity(x))
     return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
 
 

@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 from ..errors import StateError
 from ..law.vdpbc import TrackingLaw
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Coordinates
 from ..motions.reference import JETS
 from ..numerics.checks import Array
 from ..numerics.integrators import rk4_expression
@@ -189,9 +188,8 @@ class Prediction:
         n = robot.n
         s, dynamics = symbols(ca.MX, position=2 * n, velocity=2 * n, u=n, dt=1), Plant(robot).dynamics
         position, velocity, u, dt = s.values()
-        coordinates = Coordinates(robot)
-        x = coordinates.to_momenta(position, velocity)
+        x = robot.to_state(position, velocity)
         for _ in range(STEPS):
             x = rk4_expression(dynamics, x, (u, u, u), dt / STEPS)
-        outputs = {"next_position": x[: 2 * n], "next_velocity": coordinates.to_velocities(x)}
+        outputs = {"next_position": x[: 2 * n], "next_velocity": robot.to_velocity(x)}
         return dense_function("prediction", s, outputs)

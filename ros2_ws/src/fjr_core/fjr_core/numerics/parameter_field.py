@@ -84,8 +84,7 @@ class Parameter:
                 raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
             if not self.minimum <= value <= self.maximum:
                 unit = f" {self.unit}" if self.unit else ""
-                expected = _range(self.minimum, self.maximum)
-                raise ParameterError(f"parameter '{self.name}' holds {value}{unit}; expected {expected}{unit}")
+                raise ParameterError(f"parameter '{self.name}' holds {value}{unit}; expected {self.range}{unit}")
         if self.choices and value not in self.choices and not (self.options and is_named(value)):
             raise ParameterError(f"parameter '{self.name}' is {value!r}; expected one of {self.listed_choices}")
         return value  # type: ignore[return-value]
@@ -94,6 +93,13 @@ class Parameter:
     def listed_choices(self) -> str:
         """The choices as text."""
         return ", ".join(self.choices) + (", or module:Class of your own" if self.options else "")
+
+    @property
+    def range(self) -> str:
+        """The range of an entry as text."""
+        if self.maximum == math.inf:
+            return f"at least {self.minimum}"
+        return f"at most {self.maximum}" if self.minimum == -math.inf else f"{self.minimum} to {self.maximum}"
 
 
 def parameter_field(default: Any, description: str, unit: str = "", *, name: str = "", **properties: Any) -> Any:
@@ -124,9 +130,3 @@ def declared(kind: type, prefix: str = "", defaults: object = None) -> dict[str,
 def _kind(value: object) -> str:
     kinds = {bool: "true or false", int: "an integer", float: "a floating-point number", str: "a string"}
     return kinds.get(type(value), f"a {type(value).__name__}")
-
-
-def _range(minimum: float, maximum: float) -> str:
-    if maximum == math.inf:
-        return f"at least {minimum}"
-    return f"at most {maximum}" if minimum == -math.inf else f"{minimum} to {maximum}"

@@ -20,7 +20,7 @@ from functools import cached_property
 import casadi as ca
 
 from ..model.port_hamiltonian import derivative_expression
-from ..model.robot import Coordinates, Robot
+from ..model.robot import Robot
 from ..numerics.symbolic import dense_function, symbols
 
 Terms = dict[str, ca.MX]
@@ -59,7 +59,7 @@ class DisturbanceObserver:
         """(position, velocity) -> momenta (2n,) and their rates (2n,) by eq. (36) with u = 0."""
         n = self.robot.n
         s = symbols(position=2 * n, velocity=2 * n)
-        x = Coordinates(self.robot).to_momenta(*s.values())
+        x = self.robot.to_state(*s.values())
         p, f = x[2 * n :], derivative_expression(self.robot, x, ca.SX.zeros(n))[2 * n :]
         return dense_function("momenta", s, {"p": p, "f": f}, cse=True)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import GainsError
-from ..law.interfaces import AsSampledLaw, SampledLaw, StaticLaw, step_symbols
+from ..law.interfaces import SampledLaw, StaticLaw, step_symbols
 from ..law.lie_derivative import Load, flow
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
@@ -128,9 +128,9 @@ def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:
 
 
 def sampled_law(law: StaticLaw, robust: Robust | None = None) -> SampledLaw:
-    """Return the sampled law with the robust action requested, if any. Raises GainsError."""
+    """Return the law with the robust action requested, the law itself if there is none. Raises GainsError."""
     robust = (robust or Robust()).checked(law.robot.n)
-    return AsSampledLaw(law) if robust.off else RobustLaw(law, robust)
+    return law if robust.off else RobustLaw(law, robust)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ..model.port_hamiltonian import derivative_expression
-from ..model.robot import Coordinates, Robot
+from ..model.robot import Robot
 from ..numerics.integrators import rk4_expression
 from ..numerics.symbolic import dense_function, symbols
 
@@ -66,7 +66,6 @@ class Predictor:
 
     def __init__(self, robot: Robot, hold: float, longest: float = 0.0) -> None:
         self.robot, self._steps = robot, max(1, int(np.ceil(hold / LONGEST_STEP - 1e-9)))
-        self._coordinates = Coordinates(robot)
         self._hold, self._holds = hold, max(1, int(np.ceil(longest / hold - HOLD_TOLERANCE)))
 
     def predict(
@@ -74,10 +73,10 @@ class Predictor:
     ) -> tuple[ca.MX, ca.MX]:
         """Return position and velocity (2n,) after parts (effort (n,), duration [s]); torque (2n,): disturbance."""
         n = self.robot.n
-        x = self._coordinates.to_momenta(position, velocity)
+        x = self.robot.to_state(position, velocity)
         for u, length in parts:
             x = self._held_step(x, ca.vertcat(u, torque), length)
-        return x[: 2 * n], self._coordinates.to_velocities(x)
+        return x[: 2 * n], self.robot.to_velocity(x)
 
     @cached_property
     def _held_step(self) -> ca.Function:

@@ -14,7 +14,6 @@ from ..errors import GainsError, StateError, UserCodeError
 from ..law.interfaces import StaticLaw, raise_failure
 from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
-from ..numerics.jit import compiled
 from ..numerics.symbolic import NumericFunction
 from ..robust.law import Robust, RobustLaw, sampled_law
 from .events import NEVER, STATES, Event, Journal, State
@@ -95,9 +94,8 @@ class ControlStep:
         self.library = step_library(n, len(self._sampled.memory))
         self.ffi, self.lib = ffi, lib = self.library.ffi, self.library.lib
         self.law_failure = ""
-        functions = model_functions(self._sampled, observer) if compile else {}
-        functions = {name: compiled(function) for name, function in functions.items()}
-        self._model = Model(self.library, self._sampled, observer, measurement, simulated, self._law_failed, functions)
+        functions = model_functions(self._sampled, observer, compile)
+        self._model = Model(self.library, self._sampled, functions, observer, measurement, simulated, self._law_failed)
         self.model = self._model.pointer
         self.controller, self.command_struct = ffi.new("struct fjr_controller *"), ffi.new("struct fjr_command *")
         self._sample = ffi.new("struct fjr_sample *")
@@ -189,7 +187,7 @@ class ControlStep:
 
         Raise GainsError if its effort is not finite; then the law remains.
         """
-        sampled = self._sampled.with_law(law) if isinstance(self._sampled, RobustLaw) else sampled_law(law)
+        sampled = self._sampled.with_law(law) if isinstance(self._sampled, RobustLaw) else law
         before, self._sampled = self._sampled, sampled
         try:
             gains = self._checked_gains(law, self.jets)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -51,6 +51,12 @@ ERRORS = (STARTS_REFUSED, STOPS, "efforts not finite")
 WARNINGS = ("reference restarts", "silences", "forward jumps", "observer restarts", "efforts saturated")
 """Kinds of events by level; all others inform."""
 
+
+def level_of(kind: str) -> str:
+    """Return the level of an event: info, warn or error."""
+    return "error" if kind in ERRORS else "warn" if kind in WARNINGS else "info"
+
+
 SENTENCES = {
     "effort sign": "the effort of {joints} acts with the wrong sign",
     "efforts exchanged": "the efforts of {joints} are exchanged",
@@ -87,17 +93,16 @@ class WiringFault:
         return SENTENCES[self.kind].format(joints=joints, side=self.side, first=named[0], last=named[-1])
 
 
-INFO, WARN, ERROR = "info", "warn", "error"
 SIMPLE = {
-    "reference restarts": (WARN, "the time of the states jumped back: the reference starts again"),
-    "forward jumps": (WARN, "the time of the states jumped forward"),
-    "observer restarts": (WARN, "the velocity observer was reset: a gap, or a state without an effort"),
-    "efforts not finite": (ERROR, "the effort is not finite for a state: the stop effort is sent instead"),
-    "gains changed": (INFO, "gains changed: the certificate starts again"),
-    "settings changed": (INFO, "limits and stop policy changed"),
-    "holds": (INFO, "hold: the motion comes to a standstill"),
+    "reference restarts": "the time of the states jumped back: the reference starts again",
+    "forward jumps": "the time of the states jumped forward",
+    "observer restarts": "the velocity observer was reset: a gap, or a state without an effort",
+    "efforts not finite": "the effort is not finite for a state: the stop effort is sent instead",
+    "gains changed": "gains changed: the certificate starts again",
+    "settings changed": "limits and stop policy changed",
+    "holds": "hold: the motion comes to a standstill",
 }
-"""Level and sentence of the events without values."""
+"""Sentence of the events without values."""
 AFTER_GAP = 5_000_000_000
 """A stop within this time [ns] after a gap of the states names the gap."""
 LIMITED = {
@@ -152,10 +157,11 @@ class Journal:
         size = len(journal.event)
         for k in range(max(self._read, journal.events - size), journal.events):
             found = journal.event[k % size]
-            event = replace(self._event(found), stamp=None if found.stamp == NEVER else found.stamp)
-            if event.kind in (STOPS, STARTS_REFUSED):
-                self.reason = event.sentence
-            self.events.append(event)
+            kind, stamp = KINDS[found.kind], None if found.stamp == NEVER else found.stamp
+            sentence, values = self._said(kind, found)
+            if kind in (STOPS, STARTS_REFUSED):
+                self.reason = sentence
+            self.events.append(Event(level_of(kind), kind, sentence, values, stamp))
         self._read = journal.events
 
     @property
@@ -166,39 +172,34 @@ class Journal:
         counts |= {f"efforts saturated: {joint}": k for joint, k in zip(joints, journal.saturated, strict=True)}
         return Counter({kind: k for kind, k in counts.items() if k})
 
-    def _event(self, found: Any) -> Event:
-        kind, settings = KINDS[found.kind], self._step.settings
+    def _said(self, kind: str, found: Any) -> tuple[str, dict[str, float | str]]:
+        """Return the sentence and the values of an event."""
+        settings = self._step.settings
         if kind in SIMPLE:
-            level, sentence = SIMPLE[kind]
-            return Event(level, kind, sentence)
-        if kind in (STOPS, STARTS_REFUSED):
-            return self._stop(kind, found, settings)
+            return SIMPLE[kind], {}
         if kind == "silences":
-            return Event(WARN, kind, f"no state for more than {found.value:g} s: the stop effort is sent")
+            return f"no state for more than {found.value:g} s: the stop effort is sent", {}
         if kind == "recoveries":
-            how = (
-                f"transition to the reference within {found.value:g} s" if found.value else "tracking continues at once"
-            )
-            return Event(INFO, kind, f"recovery: {how}")
+            within = f"transition to the reference within {found.value:g} s"
+            return f"recovery: {within if found.value else 'tracking continues at once'}", {}
         if kind == "references changed":
-            return Event(INFO, kind, f"another reference: {self.followed.popleft()}")
-        joints = [joint for i, joint in enumerate(settings.joints) if found.detail >> i % 31 & 1]
-        return Event(WARN, kind, f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]})
-
-    def _stop(self, kind: str, found: Any, settings: Settings) -> Event:
+            return f"another reference: {self.followed.popleft()}", {}
+        if kind == "efforts saturated":
+            joints = [joint for i, joint in enumerate(settings.joints) if found.detail >> i % 31 & 1]
+            return f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]}
         joint = settings.joints[found.joint] if found.joint >= 0 else ""
         values: dict[str, float | str] = {"joint": joint} if joint else {}
         if not math.isnan(found.value):
             values |= {"value": found.value, "limit": found.limit}
         if kind == STARTS_REFUSED:
-            return Event(ERROR, kind, _refusal(found, joint, settings), values)
+            return _refusal(found, joint, settings), values
         cause = KINDS[found.detail].removeprefix("stops: ")
         if cause == "wiring":
             fault = WiringFault.of(self._step.controller.journal.wiring)
             sentence = fault.sentence(settings.joints) if fault is not None else cause
         else:
             sentence = self._step.law_failure if cause == "law" else _violation(cause, found, joint, settings)
-        return Event(ERROR, kind, f"stopped: {sentence}{self._after_gap(found.stamp)}", values)
+        return f"stopped: {sentence}{self._after_gap(found.stamp)}", values
 
     def _after_gap(self, stamp: int) -> str:
         """Return that the stop follows a gap of the states, or nothing."""

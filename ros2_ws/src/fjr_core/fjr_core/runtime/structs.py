@@ -9,13 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..law.interfaces import SampledLaw, StaticLaw
+from ..law.interfaces import SampledLaw, StaticLaw, in_python, ready_step, static_part
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.jit import compiled, machine_code
 from ..numerics.symbolic import dense_function, symbols
-from ..robust.law import RobustLaw
 from .library import CFunction, StepLibrary, WorkSpace
 from .measurement_model import Measurement
 from .safety_settings import GRAVITY_HOLD, Settings
@@ -25,9 +24,9 @@ LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
 """Settings that are the largest magnitude of a quantity, in the order of struct fjr_settings."""
 
 
-def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw | SampledLaw) -> Any:
+def settings_struct(library: StepLibrary, settings: Settings, law: SampledLaw) -> Any:
     """Return struct fjr_settings: limits and durations of the settings, B_m and K_md of the law's robot."""
-    struct, static = library.ffi.new("struct fjr_settings *"), getattr(law, "law", law)
+    struct = library.ffi.new("struct fjr_settings *")
     magnitudes = [np.asarray(getattr(settings, name)) for name in LIMITED]
     upper = [settings.link_position_upper, settings.motor_position_upper, *magnitudes]
     lower = [settings.link_position_lower, settings.motor_position_lower, *(-size for size in magnitudes)]
@@ -39,7 +38,7 @@ def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw | S
         "start_error": settings.start_error,
         "acceleration": settings.acceleration,
         "B_inverse": np.linalg.inv(law.robot.B_m),
-        "hold_damping": getattr(static, "hold_damping", np.zeros_like(law.robot.B_m)),
+        "hold_damping": getattr(static_part(law), "hold_damping", np.zeros_like(law.robot.B_m)),
     }
     for name, array in arrays.items():
         setattr(struct, name, np.ravel(array).tolist())
@@ -54,23 +53,23 @@ def settings_struct(library: StepLibrary, settings: Settings, law: StaticLaw | S
 class Model:
     """struct fjr_model of a law with or without robust action; `pointer` is valid as long as this object lives.
 
-    law_failed: called after each evaluation of a law in Python; True if it failed. functions: model_functions, e.g.
-    compiled. sharing: further functions that use the same work space.
+    functions: model_functions. law_failed: called after each evaluation of a law in Python; True if it failed.
+    sharing: further functions that use the same work space.
     """
 
     def __init__(
         self,
         library: StepLibrary,
         law: SampledLaw,
+        functions: Mapping[str, ca.Function],
         observer: VelocityObserver | None = None,
         measurement: Measurement | None = None,
         simulated: bool = False,
         law_failed: Callable[[], bool] | None = None,
-        functions: Mapping[str, ca.Function] | None = None,
         sharing: Sequence[ca.Function] = (),
     ) -> None:
         self._ffi, self._law_failed, n = library.ffi, law_failed, law.robot.n
-        self._functions = dict(functions or _ready(model_functions(law, observer)))
+        self._functions = dict(functions)
         self._sharing = list(sharing)
         self.pointer = library.ffi.new("struct fjr_model *")
         self._point()
@@ -110,27 +109,26 @@ class Model:
             self.pointer.compliance = np.linalg.inv(measurement.K).ravel().tolist()
 
 
-def model_functions(law: SampledLaw, observer: VelocityObserver | None = None) -> dict[str, ca.Function]:
-    """Return the functions of struct fjr_model by their names; the wiring is checked where velocities are measured."""
-    rigid = rigid_arm_functions(law.robot)
-    if observer is None:
-        return {"law": law_function(law), **rigid}
-    return {"law": law_function(law), "gravity": rigid["gravity"], "observer": observer.function}
+def model_functions(
+    law: SampledLaw, observer: VelocityObserver | None = None, compile: bool = False
+) -> dict[str, ca.Function]:
+    """Return the functions of struct fjr_model by their names; the wiring is checked where velocities are measured.
 
-
-def _ready(functions: dict[str, ca.Function]) -> dict[str, ca.Function]:
-    """Return the functions with those of the rigid arm compiled if the law is."""
-    if machine_code(functions["law"]) is None:
-        return functions
-    return {name: compiled(f) if name in ("gravity", "dynamics") else f for name, f in functions.items()}
+    Those of the rigid arm are compiled if the law is. compile: compile all but a law in Python.
+    """
+    functions = {"law": law_function(law), **rigid_arm_functions(law.robot)}
+    names = [] if machine_code(functions["law"]) is None else ["gravity", "dynamics"]
+    if observer is not None:
+        functions["observer"] = observer.function
+        del functions["dynamics"]
+    if compile:
+        names = [name for name in functions if name != "law" or not in_python(law)]
+    return {name: compiled(f) if name in names and machine_code(f) is None else f for name, f in functions.items()}
 
 
 def law_function(law: SampledLaw) -> Any:
-    """Return the function of a law that C calls: its compiled step, or that of the static law alone."""
-    if isinstance(law, RobustLaw):
-        return law.ready_step
-    static = getattr(law, "law", None)
-    return static.measured_function if isinstance(static, StaticLaw) else law.step_function
+    """Return the function of a law that C calls: its step, compiled if the law is, or that of a static law alone."""
+    return law.measured_function if isinstance(law, StaticLaw) else ready_step(law)
 
 
 def rigid_arm_functions(robot: Robot) -> dict[str, ca.Function]:

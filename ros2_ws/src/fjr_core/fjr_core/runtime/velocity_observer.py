@@ -38,7 +38,7 @@ from ..errors import ParameterError, StateError
 from ..law.linearized import equilibria_at, plant_matrices
 from ..model.configuration_sampling import checked_configurations
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Coordinates, Robot
+from ..model.robot import Robot
 from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled
 from ..numerics.one_line import brief
@@ -115,40 +115,29 @@ class VelocityObserver:
         """
         if stamp == self._stamp:
             return self._dq_l, self._dq_m
-        self._y[: self._n], self._y[self._n :] = q_l, q_m
+        n = self._n
+        self._y[:n], self._y[n:] = q_l, q_m
         dt = math.inf if self._stamp is None else (stamp - self._stamp) * 1e-9
-        self._stamp = stamp
-        if 0 < dt <= LONGEST_GAP:
+        self._stamp, continues = stamp, 0 < dt <= LONGEST_GAP
+        if continues:
             self._u[:] = u
             self._continue(dt)
-        else:
-            self._restart()
+        if not (continues and self._x_hat.dot(self._x_hat) < math.inf):  # the first sample
+            self._x_hat[: 2 * n], self._x_hat[2 * n :] = self._y, 0.0
+            self._k = 0
         return self._dq_l, self._dq_m
 
-    def _restart(self) -> None:
-        n = self._n
-        self._x_hat[: 2 * n], self._x_hat[2 * n :] = self._y, 0.0
-        self._k = 0
-
     def _continue(self, dt: float) -> None:
-        calls = math.ceil(dt / LONGEST_CALL)
-        self._dt[0] = dt / calls
-        if calls > 1:
-            self._gain[:] = 0.0
-            for _ in range(calls - 1):
-                self._advance()
-                self._x_hat[:] = self._x_next
-        g, h = self._corrections(dt)
-        self._gain[0], self._gain[1] = g, h / dt
-        self._advance()
-        self._x_hat[:] = self._x_next
-        if not self._x_hat.dot(self._x_hat) < math.inf:
-            self._restart()
-
-    def _corrections(self, dt: float) -> tuple[float, float]:
+        """Predict over dt [s], in calls of at most LONGEST_CALL, and correct at the end."""
         self._k += 1
         last, first = corrections(self.bandwidth, dt), first_corrections(self._k)
-        return first if first[1] > last[1] else last
+        g, h = first if first[1] > last[1] else last
+        calls = math.ceil(dt / LONGEST_CALL)
+        self._dt[0] = dt / calls
+        for call in range(1, calls + 1):
+            self._gain[:] = (g, h / dt) if call == calls else 0.0
+            self._advance()
+            self._x_hat[:] = self._x_next
 
     @cached_property
     def _advance(self) -> Callable[[], None]:
@@ -159,11 +148,11 @@ def _observer_function(robot: Robot, steps: int) -> ca.Function:
     n = robot.n
     s = symbols(ca.MX, x_hat=4 * n, y=2 * n, u=n, dt=1, gain=2)
     x_hat, y, u, dt, gain = s.values()
-    coordinates, step = Coordinates(robot), Plant(robot).step_function
-    x = coordinates.to_momenta(x_hat[: 2 * n], x_hat[2 * n :])
+    step = Plant(robot).step_function
+    x = robot.to_state(x_hat[: 2 * n], x_hat[2 * n :])
     for _ in range(steps):
         x = step(x, u, dt / steps)
-    q, dq = coordinates.to_measured(x)
+    q, dq = x[: 2 * n], robot.to_velocity(x)
     e = y - q
     x_next = ca.vertcat(q + gain[0] * e, dq + gain[1] * e)
     return ca.Function("observer", list(s.values()), [x_next], list(s), ["x_next"])

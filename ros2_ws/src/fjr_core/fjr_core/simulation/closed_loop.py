@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -12,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import FjrError, StateError
-from ..law.interfaces import SampledLaw, StaticLaw, check_law, raise_failure
+from ..law.interfaces import SampledLaw, StaticLaw, check_law, raise_failure, ready_step
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Coordinates, Robot, Units, joined, law_view
+from ..model.robot import Robot, Units, joined, law_view
 from ..motions.reference import JETS, Reference, check_reference
 from ..numerics import checks
 from ..numerics.checks import Array
@@ -61,7 +62,7 @@ class Trajectory:
 
 def simulate(
     plant: Plant,
-    law: StaticLaw | SampledLaw,
+    law: SampledLaw,
     reference: Reference,
     x0: ArrayLike,
     duration: float,
@@ -76,7 +77,7 @@ def simulate(
     multiples of the sample period (of inner_step in continuous time) up to the duration.
     delay [s]: the effort for the state at t acts from t + delay on, with zero effort before the first; Trajectory.u is
     the effort computed at t. Only for a sampled loop.
-    law: a SampledLaw (e.g. robust.law.RobustLaw) requires a sample_period; it receives the reference at t + law.lead.
+    law: one with a controller state (robust.law.RobustLaw) requires a sample_period; its reference is at t + law.lead.
     The robots of plant and law may differ (model mismatch). The law then receives the positions and velocities of the
     plant with momenta by its own inertia, and V is its own; Trajectory.x is the state of the plant.
     Raises StateError for wrong shapes or numbers, a law that is none, and if the state is no longer finite;
@@ -117,7 +118,7 @@ def check_joints(plant: Robot, law: Robot, reference: Reference) -> None:
 
 def _sampled(
     plant: Plant,
-    law: StaticLaw | SampledLaw,
+    law: SampledLaw,
     reference: Reference,
     x0: Array,
     t: Array,
@@ -126,8 +127,7 @@ def _sampled(
     delay: float,
 ) -> Trajectory:
     """Simulate sample by sample. The effort changes within the sample unless the delay is a whole number of samples."""
-    n = plant.robot.n
-    run = _empty_trajectory(plant.robot, t, reference.jets(t))
+    n, run = plant.robot.n, _empty_trajectory(plant.robot, t, reference.jets(t))
     x, u, x_next, V = x0.copy(), np.zeros(n), np.zeros_like(x0), np.zeros(1)
     if isinstance(law, StaticLaw):
         evaluate_law = _static(plant, law, run.jets, x, u, V)
@@ -183,8 +183,8 @@ def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Ar
 def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> BoundLaw:
     """Bind a law with a controller state to the arrays of state x (4n,), effort u (n,) and V (1,)."""
     velocity, memory, gains = np.zeros(len(x) // 2), law.memory, law.gain_values
-    update_view = bind(Coordinates(plant.robot).to_velocities, [x], [velocity])
-    evaluate = NumericFunction(getattr(law, "ready_step", law.step_function))
+    update_view = bind(plant.robot.to_velocity, [x], [velocity])
+    evaluate = NumericFunction(ready_step(law))
 
     def evaluate_law(k: int) -> None:
         nonlocal memory
@@ -196,18 +196,15 @@ def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, 
 
 
 def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
-    step = _closed_loop_step(plant, law)
-    run = _empty_trajectory(plant.robot, t, reference.jets(t))
+    step, run = _closed_loop_step(plant, law), _empty_trajectory(plant.robot, t, reference.jets(t))
     run.x[0] = x0
     stages = np.stack([reference.jets(instant) for instant in (t[:-1], t[:-1] + dt / 2, t[1:])])
     most = 1 if plant.in_python or law.in_python else STEPS
-    several: dict[int, _Steps] = {}
+    several = cache(lambda count: _steps(step, count, dt))  # the last ones are fewer
     for k in range(0, len(t) - 1, most):
         now = stages[:, k : k + most]
         count = now.shape[1]
-        if count not in several:  # the last ones are fewer
-            several[count] = _Steps(step, count, dt)
-        found = run.x[k + 1 : k + 1 + count] = several[count](run.x[k], now)
+        found = run.x[k + 1 : k + 1 + count] = several(count)(run.x[k], now)
         if not np.isfinite(found).all():
             raise _diverged(t[k + 1 + int(np.argmin(np.isfinite(found).all(axis=1)))])
     x, u, V = np.zeros_like(x0), np.zeros(plant.robot.n), np.zeros(1)
@@ -219,24 +216,21 @@ def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t
     return run
 
 
-class _Steps:
-    """Several Runge-Kutta steps of dt [s] in one call."""
+def _steps(step: ca.Function, count: int, dt: float) -> Callable[[Array, Array], Array]:
+    """Bind `count` Runge-Kutta steps of dt [s]: x (4n,), jets (3, count, 5, n) at start, middle, end -> (count, 4n)."""
+    n, jets = step.size_in("start")
+    start, stages, found = np.zeros(4 * n), np.zeros((3, count, jets, n)), np.zeros((count, 4 * n))
+    evaluate = bind(step.mapaccum(count), [start, *stages, np.full(count, dt)], [found])
 
-    def __init__(self, step: ca.Function, count: int, dt: float) -> None:
-        n, jets = step.size_in("start")
-        self._step = step
-        self._x, self._stages, self._found = np.zeros(4 * n), np.zeros((3, count, jets, n)), np.zeros((count, 4 * n))
-        arguments = [self._x, *self._stages, np.full(count, dt)]
-        self._evaluate = bind(step.mapaccum(count), arguments, [self._found])
-
-    def __call__(self, x: Array, stages: Array) -> Array:
-        """Return the states (count, 4n) after x (4n,); stages (3, count, 5, n): jets at start, middle and end."""
-        self._x[...], self._stages[...] = x, stages
+    def states(x: Array, now: Array) -> Array:
+        start[...], stages[...] = x, now
         try:
-            self._evaluate()
+            evaluate()
         except RuntimeError:
-            raise not_converged(self._step) from None
-        return self._found
+            raise not_converged(step) from None
+        return found
+
+    return states
 
 
 def _closed_loop_step(plant: Plant, law: StaticLaw) -> ca.Function:

@@ -16,11 +16,24 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 from ..numerics import checks
 from ..numerics.checks import Array
-from ..numerics.parameter_field import POINT, VECTOR, parameter_field
+from ..numerics.parameter_field import POINT, VECTOR, declared, parameter_field
 
-POSITIVE = ("stribeck_l", "stribeck_m", "smoothing")
-SIGNED = ("ripple", "ripple_periods", "ripple_phase", "payload_position")
 SIZES = {"payload_mass": 1, "payload_position": 3}  # of the others: one entry per joint
+
+
+def _freeze_within_ranges(owner: object, n: int) -> None:
+    """Make the declared numbers of a frozen dataclass arrays (n,), or of their SIZES; raise ParameterError."""
+    for name, parameter in declared(type(owner)).items():
+        if isinstance(parameter.default, bool):
+            continue
+        size, array = SIZES.get(name, n), checks.floats(name, getattr(owner, name), ParameterError)
+        if not parameter.infinite:
+            checks.finite(name, array, ParameterError)
+        if array.shape not in ((), (size,)):
+            raise ParameterError(f"{name} has shape {array.shape}; expected a scalar or ({size},)")
+        if not np.all((array >= parameter.minimum) & (array <= parameter.maximum)):
+            raise ParameterError(f"{name} is {array.tolist()}; expected {parameter.range}")
+        checks.freeze(owner, name, np.broadcast_to(array, size).copy())
 
 
 def _per_joint(default: float, name: str, unit: str, description: str, minimum: float = 0.0, **properties: Any) -> Any:
@@ -90,8 +103,7 @@ class Imperfections:
     )
 
     def __post_init__(self) -> None:
-        for name in NAMES:
-            checks.freeze(self, name, self._checked(name))
+        _freeze_within_ranges(self, self.n)
 
     @property
     def off(self) -> bool:
@@ -103,29 +115,10 @@ class Imperfections:
         """Return all numbers in the order of NAMES, the parameters of nonideal_plant."""
         return np.concatenate([getattr(self, name) for name in NAMES])
 
-    def _checked(self, name: str) -> Array:
-        value = getattr(self, name)
-        if name == "effort_limit":
-            array = _limit(value, self.n)
-        else:
-            array = checks.vector(name, value, SIZES.get(name, self.n), ParameterError)
-        if name in POSITIVE and not np.all(array > 0):
-            raise ParameterError(f"{name} is {array.tolist()} rad/s; expected positive numbers")
-        if name not in SIGNED and not np.all(array >= 0):
-            raise ParameterError(f"{name} is {array.tolist()}; expected 0 or more")
-        return array
-
 
 NAMES = tuple(field.name for field in fields(Imperfections) if field.name != "n")
 SWITCHES = ("coulomb_l", "static_l", "coulomb_m", "static_m", "cubic", "ripple", "lag", "payload_mass")
 """If all of these are 0 and there is no effort_limit, the robot equals eq. (36)."""
-
-
-def _limit(value: ArrayLike, n: int) -> Array:
-    array = np.array(value, dtype=float)
-    if array.shape not in ((), (n,)) or np.any(np.isnan(array)):
-        raise ParameterError(f"effort_limit is {value!r}; expected a scalar or ({n},), inf for no limit")
-    return np.broadcast_to(array, n).copy()
 
 
 def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) -> float:
@@ -170,12 +163,7 @@ class SensorErrors:
     velocities: bool = parameter_field(True, "Publish velocities in the states", name="publish_velocity", dynamic=True)
 
     def __post_init__(self) -> None:
-        for field in fields(self)[1:-1]:
-            array = checks.vector(field.name, getattr(self, field.name), self.n, ParameterError)
-            largest = MOST_BITS if field.name.startswith("bits") else np.inf
-            if not np.all((array >= 0) & (array <= largest)):
-                raise ParameterError(f"{field.name} is {array.tolist()}; expected 0 to {largest}")
-            checks.freeze(self, field.name, array)
+        _freeze_within_ranges(self, self.n)
 
     @property
     def off(self) -> bool:

@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 from ..model.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
 from ..model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
-from ..model.robot import Coordinates
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
@@ -92,7 +91,7 @@ class NonidealPlant:
         """Return dx/dt (4n,) without friction, ripple and external torques, and the velocities dq_l, dq_m (n,)."""
         n = self.robot.n
         if self.plant.in_python:
-            return self.plant.dynamics(x, applied), *ca.vertsplit(Coordinates(self.robot).to_velocities(x), n)
+            return self.plant.dynamics(x, applied), *ca.vertsplit(self.robot.to_velocity(x), n)
         dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
         _, _, dq_l, dq_m = blocks(dH, n)
         return derivative_expression(self.robot, x, applied, dH), dq_l, dq_m
@@ -132,12 +131,11 @@ class NonidealPlant:
     @cached_property
     def output_function(self) -> ca.Function:
         """Return the function (state, u, parameters) -> outputs as Plant.output_function; machine code as the step."""
-        n, robot = self.robot.n, self.robot
-        s = symbols(state=5 * n, u=n, parameters=layout(n).size)
-        state, u, parameters = s.values()
-        x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
-        velocities, springs = self._measured(x, layout(n).named(parameters))
-        applied = sparse(robot.B_m) @ self._actuators(a, u, parameters, 0)
+        n = self.robot.n
+        s, p = self._symbols(state=5 * n, u=n)
+        x, a = ca.vertsplit(s["state"], [0, 4 * n, 5 * n])
+        velocities, springs = self._measured(x, p)
+        applied = sparse(self.robot.B_m) @ self._actuators(a, s["u"], s["parameters"], 0)
         outputs = {"q": x[: 2 * n], "dq": velocities, "torques": ca.vertcat(springs, applied)}
         function = dense_function("nonideal_outputs", s, outputs)
         return compiled(function) if self.plant.compiles else function
@@ -171,20 +169,21 @@ class NonidealPlant:
     def _applied(self) -> NumericFunction:
         return NumericFunction(self._actuators)
 
-    def _at(self) -> tuple[dict[str, ca.SX], SimpleNamespace]:
+    def _symbols(self, **rows: int) -> tuple[dict[str, ca.SX], SimpleNamespace]:
+        """Return symbols of these numbers of rows by name, the last of which are `parameters`, and these by name."""
         parts = layout(self.robot.n)
-        s = symbols(x=4 * self.robot.n, parameters=parts.size)
+        s = symbols(ca.SX, **rows, parameters=parts.size)
         return s, parts.named(s["parameters"])
 
     @cached_property
     def _measure(self) -> NumericFunction:
-        s, p = self._at()
+        s, p = self._symbols(x=4 * self.robot.n)
         velocities, springs = self._measured(s["x"], p)
         return numeric("measure", s, {"velocities": velocities, "springs": springs})
 
     @cached_property
     def _hamiltonian(self) -> NumericFunction:
-        s, p = self._at()
+        s, p = self._symbols(x=4 * self.robot.n)
         q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
         H = self.robot.hamiltonian_expression(s["x"], self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
         return numeric("nonideal_hamiltonian", s, {"H": H})
@@ -192,10 +191,9 @@ class NonidealPlant:
     @cached_property
     def _state(self) -> NumericFunction:
         n = self.robot.n
-        s = symbols(position=2 * n, velocity=2 * n, parameters=layout(n).size)
-        position, velocity, parameters = s.values()
-        links = self._links(layout(n).named(parameters))
-        momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], links)
+        s, p = self._symbols(position=2 * n, velocity=2 * n)
+        position, velocity = s["position"], s["velocity"]
+        momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], self._links(p))
         return numeric("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
 
 

@@ -4,30 +4,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
 from ..law.gains import CheckedGains
-from ..law.interfaces import AsSampledLaw, SampledLaw, StaticLaw, check_law
-from ..law.linearized import Equilibria, Indices, equilibria_at, error_matrices, feedback, metric_roots, plant_matrices
+from ..law.interfaces import SampledLaw, StaticLaw, check_law, static_part
+from ..law.linearized import Equilibria, Indices, equilibria_at, error_matrices, feedback, metric_roots
 from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import checked_configurations
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot
-from ..motions.reference import JETS
 from ..numerics.checks import Array
-from ..numerics.symbolic import directional, symbols
-from .linear_controller import At, Controller, Sensing, controller, plant_in_velocities, static
+from .linear_controller import (
+    At,
+    Controller,
+    Sensing,
+    controller,
+    momentum_matrix,
+    plant_in_velocities,
+    slope_at_rest,
+    static,
+)
 
 OTHER_LAWS = 64  # configurations at which a law without a closed form is checked
 
 
 def linearize(
-    law: StaticLaw | SampledLaw,
+    law: SampledLaw,
     configurations: ArrayLike | None = None,
     plant: Plant | None = None,
     sensing: Sensing | None = None,
@@ -35,22 +39,39 @@ def linearize(
     """Linearise the closed loop of a law and its own robot, or another plant, at configurations (k, n) [rad].
 
     The links of the plant and the reference are at rest at the configuration; the steady-state error of another plant
-    is neglected. z contains the momenta of the law, computed from the velocities of the plant; for another law than
-    v-dPBC z is the state itself. A law with a controller state or with sensing (observer, torque sensors) is linearised
-    at the equilibrium of its own robot, with z = (q_l, q_m, dq_l, dq_m); so is a law in Python, by differences. A plant
-    in Python is replaced by the model of its robot. Raises StateError for wrong shapes, UserCodeError.
+    is neglected. z contains the errors of v-dPBC; for another law z = (q_l, q_m, dq_l, dq_m). A law with a controller
+    state or with sensing (observer, torque sensors) is linearised at the equilibrium of its own robot. A plant in
+    Python is replaced by the model of its robot. Raises StateError for wrong shapes, UserCodeError.
     """
-    law, sensing = as_static(law), sensing or Sensing()
-    plant = Plant(law.robot if plant is None else plant.robot) if plant is None or plant.in_python else plant
-    if plant.robot.n != law.robot.n:
-        raise StateError(f"plant and law have {plant.robot.n} and {law.robot.n} joints; expected equal")
+    check_law(law)
+    robot, sensing = law.robot if plant is None else plant.robot, sensing or Sensing()
+    if robot.n != law.robot.n:
+        raise StateError(f"plant and law have {robot.n} and {law.robot.n} joints; expected equal")
     q_l = loop_configurations(law, configurations)
-    own, real = equilibria_at(law.robot, q_l), equilibria_at(plant.robot, q_l)
-    if not isinstance(law, StaticLaw) or law.in_python or not sensing.plain:
-        return on_plant(controller(as_sampled(law), own, sensing), own, real, sensing)
-    A, B, F = _jacobians(law, plant, real)
-    A, B = in_momenta_of(own, real, A, B)
-    return in_error_coordinates(own, law.gains, A, B, F) if isinstance(law, TrackingLaw) else SampledLoop(q_l, A, B, F)
+    own, real = equilibria_at(law.robot, q_l), equilibria_at(robot, q_l)
+    if not isinstance(law, StaticLaw) or not sensing.plain:
+        return on_plant(controller(law, own, sensing), own, real, sensing)
+    F = np.array([slope_at_rest(law, q, robot)[0] for q in q_l])
+    if isinstance(law, TrackingLaw):
+        return _in_error_coordinates(own, law.gains, real, F)
+    return SampledLoop(q_l, *plant_in_velocities(real), F)
+
+
+def closed_form(own: Equilibria, gains: CheckedGains, real: Equilibria | None = None) -> SampledLoop:
+    """Return the loop of v-dPBC at a fraction of the cost of `linearize` if the plant is the model of the law.
+
+    own, real: equilibria of the model and of the plant, None: the same. With another plant this is an approximation:
+    the Jacobian of the law is taken at the equilibrium of its own robot.
+    """
+    return _in_error_coordinates(own, gains, real or own, feedback(own, gains) @ momentum_matrix(own))
+
+
+def _in_error_coordinates(own: Equilibria, gains: CheckedGains, real: Equilibria, F: Array) -> SampledLoop:
+    """Return the loop of a plant and u = F (q_l, q_m, dq_l, dq_m) in the coordinates z = P^(1/2) e of the law."""
+    A, B = plant_in_velocities(real)
+    S = metric_roots(own, gains) @ error_matrices(own, gains) @ momentum_matrix(own)
+    S_inverse = np.linalg.inv(S)
+    return SampledLoop(own.q_l, S @ A @ S_inverse, S @ B, F @ S_inverse)
 
 
 def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
@@ -60,111 +81,10 @@ def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> Sam
     return SampledLoop(own.q_l, A, B, np.swapaxes(B, 1, 2), at if seen is None else lambda T: at(T).seeing(seen))
 
 
-def as_static(law: StaticLaw | SampledLaw) -> StaticLaw | SampledLaw:
-    """Return the static law inside a sampled law without state; any other law unchanged."""
-    check_law(law)
-    return law.law if isinstance(law, AsSampledLaw) and isinstance(law.law, StaticLaw) else law
-
-
-def as_sampled(law: StaticLaw | SampledLaw) -> SampledLaw:
-    """Return the law as a sampled law."""
-    return AsSampledLaw(law) if isinstance(law, StaticLaw) else law
-
-
-def without_state(law: StaticLaw | SampledLaw) -> StaticLaw | SampledLaw:
-    """Return the law without robust action."""
-    return getattr(law, "law", law)
-
-
-def loop_configurations(law: StaticLaw | SampledLaw, configurations: ArrayLike | None) -> Array:
+def loop_configurations(law: SampledLaw, configurations: ArrayLike | None) -> Array:
     """Return the given configurations, or sampled ones: fewer for a law without a closed form."""
-    few = None if isinstance(without_state(law), TrackingLaw) else OTHER_LAWS
+    few = None if isinstance(static_part(law), TrackingLaw) else OTHER_LAWS
     return checked_configurations(law.robot, configurations, few)
-
-
-def closed_form(law: TrackingLaw, configurations: Array, plant: Plant) -> SampledLoop:
-    """Return the result of `linearize` at a fraction of its cost if the plant equals the model of the law.
-
-    Otherwise an approximation: the Jacobian of the law is taken at the equilibrium of its own robot.
-    """
-    own = equilibria_at(law.robot, configurations)
-    real = own if plant.robot is law.robot else equilibria_at(plant.robot, configurations)
-    A, B = in_momenta_of(own, real, *plant_matrices(real))
-    return in_error_coordinates(own, law.gains, A, B, feedback(own, law.gains))
-
-
-def in_momenta_of(own: Equilibria, real: Equilibria, A: Array, B: Array) -> tuple[Array, Array]:
-    """Return A and B of a plant in the momenta that its velocities have with the inertia of another robot."""
-    one, inverses = np.eye(own.robot.n), (np.linalg.inv(real.M_l), np.linalg.inv(real.robot.M_m))
-    T = own.block_diagonal(one, one, own.M_l @ inverses[0], own.robot.M_m @ inverses[1])
-    return T @ A @ np.linalg.inv(T), T @ B
-
-
-def in_error_coordinates(equilibria: Equilibria, gains: CheckedGains, A: Array, B: Array, F: Array) -> SampledLoop:
-    """Return the loop dx/dt = A x + B u, u = F x at k equilibria in the coordinates z = P^(1/2) e."""
-    S = metric_roots(equilibria, gains) @ error_matrices(equilibria, gains)
-    S_inverse = np.linalg.inv(S)
-    return SampledLoop(equilibria.q_l, S @ A @ S_inverse, S @ B, F @ S_inverse)
-
-
-def _jacobians(law: StaticLaw, plant: Plant, equilibria: Equilibria) -> tuple[Array, Array, Array]:
-    """Return A, B and F in the state x at equilibria of the plant, with the reference at rest there."""
-    n = equilibria.robot.n
-    plant_slope, law_slope = _plant_slope(plant), _law_slope(law)
-    d_x, d_u = np.split(np.eye(5 * n), [4 * n])
-    slopes = [plant_slope(x, u, d_x, d_u).full() for x, u in zip(equilibria.x, equilibria.u, strict=True)]
-    F = [law_slope(x, q_l, np.eye(4 * n)).full() for x, q_l in zip(equilibria.x, equilibria.q_l, strict=True)]
-    A, B = np.split(np.array(slopes), [4 * n], axis=2)
-    return A, B, np.array(F)
-
-
-@lru_cache(maxsize=2)
-def _plant_slope(plant: Plant) -> ca.Function:
-    """Build (x, u, d_x, d_u) -> derivative of dx/dt of the plant in the direction (d_x, d_u)."""
-    n = plant.robot.n
-    x, u, d_x, d_u = (ca.SX.sym(name, size) for name, size in (("x", 4 * n), ("u", n), ("d_x", 4 * n), ("d_u", n)))
-    slope = directional(plant.dynamics(x, u), ca.vertcat(x, u), ca.vertcat(d_x, d_u))
-    return ca.Function("plant_slope", [x, u, d_x, d_u], [ca.densify(slope)])
-
-
-@lru_cache(maxsize=2)
-def _law_slope(law: StaticLaw) -> ca.Function:
-    """Build (x, q_ld, d_x) -> derivative of u(x, x, t) in the direction d_x, with the reference at rest at q_ld."""
-    n = law.robot.n
-    x, d_x, q_ld = ca.SX.sym("x", 4 * n), ca.SX.sym("d_x", 4 * n), ca.SX.sym("q_ld", n)
-    jets = ca.horzcat(q_ld, ca.SX.zeros(n, JETS - 1))
-    if isinstance(law, TrackingLaw):
-        u = law.function(x, x, jets, ca.SX.zeros(n))
-    else:
-        velocity = ca.vertcat(*law.robot.velocity_expressions(x))
-        u, _ = law.measured_expression(x[: 2 * n], velocity, jets, ca.DM(law.gain_values))
-    slope = directional(u, x, d_x)
-    return ca.Function("law_slope", [x, q_ld, d_x], [ca.densify(slope)], {"cse": True})
-
-
-def slope_at_rest(law: StaticLaw, q_l: Array) -> tuple[Array, Array]:
-    """Return F (n, 4n), G (n, n): du = F d(q_l, q_m, dq_l, dq_m) + G dq_ld, links and reference at rest at q_l (n,)."""
-    n, position = law.robot.n, rest_position(law.robot, q_l)
-    at_rest = np.concatenate([position, np.zeros(2 * n), q_l])
-    slope = _slope(law.measured_expression, ca.MX if law.in_python else ca.SX)
-    found = slope(at_rest, law.gain_values, np.eye(5 * n)).full()
-    law.raise_failure()
-    return found[:, : 4 * n], found[:, 4 * n :]
-
-
-def rest_position(robot: Robot, q_l: Array) -> Array:
-    """Return (q_l, q_m) (2n,) [rad] at the equilibrium with links at q_l (n,): the springs carry the weight."""
-    return np.concatenate([q_l, q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l))])
-
-
-@lru_cache(maxsize=8)
-def _slope(measured: ca.Function, kind: type) -> ca.Function:
-    """Build (z, gains, d) -> derivative of u along d (5n,) at z = (position, velocity, q_ld), the reference at rest."""
-    n = measured.size1_in("jets")
-    z, gains, d = symbols(kind, z=5 * n, gains=measured.size1_in("gains"), d=5 * n).values()
-    position, velocity, q_ld = ca.vertsplit(z, [0, 2 * n, 4 * n, 5 * n])
-    u, _ = measured(position, velocity, ca.horzcat(q_ld, ca.DM(n, JETS - 1)), gains)
-    return ca.Function("slope", [z, gains, d], [ca.densify(directional(u, z, d))], {"cse": True})
 
 
 SCREENED = (0.0, 1.0)  # additional samples of delay at which the worst configurations are selected

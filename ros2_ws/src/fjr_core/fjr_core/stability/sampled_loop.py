@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import GainsError, StateError
-from ..law.interfaces import SampledLaw, StaticLaw
-from ..law.linearized import Indices
+from ..law.interfaces import SampledLaw, StaticLaw, check_law, static_part
+from ..law.linearized import Indices, equilibria_at
 from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import sample_configurations
 from ..model.port_hamiltonian import Plant
@@ -27,7 +27,7 @@ from ..numerics.checks import Array, positive
 from ..numerics.one_line import one_line
 from ..robust.law import Robust, sampled_law
 from .linear_controller import Sensing
-from .linearization import SampledLoop, as_static, closed_form, linearize, loop_configurations, without_state
+from .linearization import SampledLoop, closed_form, linearize, loop_configurations
 
 FEW = 48  # up to so many configurations, margins are searched at all of them
 KEPT = 16  # configurations of the largest radius at each screened delay, at which margins are searched
@@ -74,7 +74,7 @@ class SampledCheck:
 
 
 def spectral_radius(
-    law: StaticLaw | SampledLaw,
+    law: SampledLaw,
     sample_period: float,
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
@@ -87,7 +87,7 @@ def spectral_radius(
 
 
 def check(
-    law: StaticLaw | SampledLaw,
+    law: SampledLaw,
     sample_period: float,
     delay: float = 0.0,
     configurations: ArrayLike | None = None,
@@ -107,8 +107,9 @@ def check(
     Raises StateError for a sample period that is not positive, a negative delay and wrong shapes.
     """
     checked_times(sample_period, delay)
-    law, sensing = as_static(law), sensing or Sensing()
-    q_l, plant, below = loop_configurations(law, configurations), plant or Plant(law.robot), without_state(law)
+    check_law(law)
+    q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
+    below = static_part(law)
     with_state = not isinstance(law, StaticLaw) or not sensing.plain
     most = WITH_STATE if with_state else FEW
     if len(q_l) <= most or plant.robot.n != law.robot.n:
@@ -118,7 +119,8 @@ def check(
         few = np.linspace(0, len(q_l) - 1, count).round().astype(np.intp)
         found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay, lowest_rate)
         return replace(found, configurations=len(few))
-    everywhere = closed_form(below, q_l, plant)
+    own = equilibria_at(law.robot, q_l)
+    everywhere = closed_form(own, below.gains, own if plant.robot is law.robot else equilibria_at(plant.robot, q_l))
     static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
     if not with_state:
         return static

@@ -19,7 +19,7 @@ from fjr_core.model.configuration_sampling import bounds_of, sample_configuratio
 from fjr_core.model.robot import Robot
 from fjr_core.motions.sine import Sine
 from fjr_core.numerics.checks import Array
-from fjr_core.stability.linearization import rest_position
+from fjr_core.stability.linear_controller import rest_position
 from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_design.stability.fast_modes import fastest_mode, least_steps
 from fjr_design.tuning.gain_synthesis import GainSearch, gain_search

@@ -40,7 +40,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.stability.linearization import rest_position, slope_at_rest
+from fjr_core.stability.linear_controller import rest_position, slope_at_rest
 
 from ..baselines.lqr import velocity_matrices
 

@@ -23,13 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 from fjr_core.errors import GainsError
 from fjr_core.files import importing
 from fjr_core.law.gains import Gains, relative_eigenvalues
-from fjr_core.law.linearized import Equilibria, Indices, equilibria_at, feedback, plant_matrices
+from fjr_core.law.linearized import Equilibria, Indices, equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, checked_configurations
 from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array, positive
-from fjr_core.stability.linearization import SampledLoop, in_error_coordinates
+from fjr_core.stability.linearization import SampledLoop, closed_form
 from fjr_core.stability.sampled_loop import FEW, checked_times
 
 from ..stability.fast_modes import late_spring
@@ -167,8 +167,7 @@ class GainSearch:
             )
 
     def _loop(self, equilibria: Equilibria, gains: Gains) -> SampledLoop:
-        checked = gains.checked(equilibria.robot.n)
-        return in_error_coordinates(equilibria, checked, *plant_matrices(equilibria), feedback(equilibria, checked))
+        return closed_form(equilibria, gains.checked(equilibria.robot.n))
 
     def _decays(self, loop: SampledLoop, samples: float) -> Array:
         """Return the decay rates (k,) [1/s] of the loop at the given delay plus `samples`."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.law.interfaces import SampledLaw, StaticLaw
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.law.linearized import Equilibria, Indices, equilibria_at
 from fjr_core.model.configuration_sampling import checked_configurations
 from fjr_core.model.port_hamiltonian import Plant
@@ -23,7 +23,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.batch.draws import PARAMETERS
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
-from fjr_core.stability.linearization import as_sampled, held_maps, map_of_held, on_plant, split
+from fjr_core.stability.linearization import held_maps, map_of_held, on_plant, split
 
 CONFIDENCE = 0.99
 SQUARINGS = 14
@@ -84,14 +84,14 @@ class DrawnLoops:
 
     def __init__(
         self,
-        law: StaticLaw | SampledLaw,
+        law: SampledLaw,
         equilibria: Equilibria,
         sample_period: float,
         delay: float,
         sensing: Sensing | None = None,
     ) -> None:
         sensing, self._own = sensing or Sensing(), equilibria
-        self._controller = controller(as_sampled(law), self._own, sensing)(sample_period)
+        self._controller = controller(law, self._own, sensing)(sample_period)
         self._period, self._delay, self._by_torque = sample_period, delay, sensing.by_torque
 
     def unstable(self, plants: DrawnPlants, progress: Callable[[float], None] = lambda _: None) -> NDArray[np.bool_]:
@@ -228,7 +228,7 @@ QUANTITIES: Mapping[str, Callable[[Equilibria, float], Equilibria]] = {
 
 
 def radii_with_model_errors(
-    law: StaticLaw | SampledLaw,
+    law: SampledLaw,
     sample_period: float,
     delay: float,
     configurations: ArrayLike,
@@ -241,7 +241,7 @@ def radii_with_model_errors(
     """
     sensing, q_l = sensing or Sensing(), checked_configurations(law.robot, configurations)
     own, real = equilibria_at(law.robot, q_l), equilibria_at((plant or Plant(law.robot)).robot, q_l)
-    at = controller(as_sampled(law), own, sensing)
+    at = controller(law, own, sensing)
     return {
         (quantity, factor): float(np.max(on_plant(at, own, change(real, factor), sensing).radii(sample_period, delay)))
         for quantity, change in QUANTITIES.items()

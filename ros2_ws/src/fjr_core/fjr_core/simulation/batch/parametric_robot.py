@@ -18,7 +18,7 @@ import numpy as np
 from ...errors import ParameterError
 from ...model.port_hamiltonian import Plant, derivative_expression, gradient_expression
 from ...model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
-from ...model.robot import Coordinates, Robot
+from ...model.robot import Robot
 from ...numerics import integrators, symbolic
 from ...numerics.checks import Array
 from ...numerics.symbolic import PackedVector, dense_function
@@ -117,7 +117,7 @@ class ParametricPlant:
         """Return dx/dt (4n,) without friction and external torques, and the velocities dq_l, dq_m (n,)."""
         n = self.robot.n
         if self._own:
-            return self._own.dynamics(x, u), *ca.vertsplit(Coordinates(self.robot).to_velocities(x), n)
+            return self._own.dynamics(x, u), *ca.vertsplit(self.robot.to_velocity(x), n)
         _, robot = self._drawn(parameters)
         dH = gradient_expression(robot, x)
         _, _, dq_l, dq_m = symbolic.blocks(dH, n)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import StateError
 from ...files.importing import source_digest
-from ...law.interfaces import SampledLaw, in_python, raise_failure
+from ...law.interfaces import SampledLaw, in_python, raise_failure, static_part
 from ...model.port_hamiltonian import Plant
 from ...model.robot import Robot
 from ...motions.reference import Reference
@@ -81,9 +81,7 @@ class BatchProgram:
     @cached_property
     def model_functions(self) -> Mapping[str, ca.Function]:
         """Return law, gravity and observer by their names in struct fjr_model, as machine code if possible."""
-        found = model_functions(self.law, self.observer)
-        python = "law" if in_python(self.law) else ""
-        return {name: f if name == python or jit.machine_code(f) else jit.compiled(f) for name, f in found.items()}
+        return model_functions(self.law, self.observer, compile=True)
 
     @cached_property
     def plant_functions(self) -> Mapping[str, ca.Function]:
@@ -98,7 +96,7 @@ class BatchProgram:
         """Return a hash that differs for programs whose results may differ."""
         functions = [self.law.step_function, *self._plant_expressions.values()]
         parts = [program_digest(), *(function.serialize() for function in functions)]
-        owners = (getattr(part, "own", None) for part in (getattr(self.law, "law", self.law), self.plant))
+        owners = (getattr(part, "own", None) for part in (static_part(self.law), self.plant))
         parts += [source_digest(type(own)) for own in owners if own is not None]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -125,10 +123,11 @@ class BatchProgram:
         Raise the error of an evaluation in Python.
         """
         ffi = self.library.ffi
-        functions, sharing = self.model_functions, list(self.plant_functions.values())
-        observing = self.observer, self.measurement
-        model = Model(self.library, self.law, *observing, True, functions=functions, sharing=sharing)
-        followed, plants = ReferenceStruct(ffi, reference), self._plants(ffi)
+        sharing = list(self.plant_functions.values())
+        given = self.library, self.law, self.model_functions, self.observer, self.measurement
+        model = Model(*given, simulated=True, sharing=sharing)
+        followed = ReferenceStruct(ffi, reference)
+        plants = {name: CFunction(ffi, function) for name, function in self.plant_functions.items()}
         settings = settings_struct(self.library, self.settings or plain_settings(self.robot.n), self.law)
         batch = ffi.new("struct fjr_batch *", {"settings": settings, "reference": followed.pointer})
         for name, function in plants.items():
@@ -161,9 +160,6 @@ class BatchProgram:
         finally:
             pool.shutdown(wait=False)
 
-    def _plants(self, ffi: Any) -> dict[str, CFunction]:
-        return {name: CFunction(ffi, function) for name, function in self.plant_functions.items()}
-
     @cached_property
     def _plant_expressions(self) -> dict[str, ca.Function]:
         """Return the functions of the plants, named as the members of struct fjr_plant, not compiled."""
@@ -180,7 +176,7 @@ class BatchProgram:
 def _form(law: SampledLaw) -> str:
     """Return what laws share that differ in the values of their gains only: classes, sizes, prediction."""
     sizes = f"{len(law.gain_values)} gains and a controller state of {len(law.memory)}"
-    return f"a {type(getattr(law, 'law', law)).__name__} with {sizes}, evaluated {law.lead:g} s ahead"
+    return f"a {type(static_part(law)).__name__} with {sizes}, evaluated {law.lead:g} s ahead"
 
 
 def plain_settings(n: int) -> Settings:

@@ -21,7 +21,7 @@ from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.config.robot import description
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import ParameterError
-from fjr_core.law.interfaces import AsSampledLaw
+from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
@@ -29,7 +29,7 @@ from fjr_core.monitoring.certificate import Certificate
 from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.numerics.checks import MOTOR
 from fjr_core.numerics.parameter_field import Parameter, declared
-from fjr_core.runtime.events import ERRORS, KINDS, SENTENCES, WARNINGS
+from fjr_core.runtime.events import KINDS, SENTENCES, level_of
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfections, SensorErrors
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
@@ -140,7 +140,7 @@ def _values(scenario: Scenario, loop: ExportedLoop, package: str) -> dict[str, s
         **_arm_values(loop),
         **_gain_values(loop.certified_law, loop.n),
         **_readme_rows(),
-        "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{_level(name)}}}" for name in KINDS),
+        "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{level_of(name)}}}" for name in KINDS),
         "wiring_sentences": ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values()),
         "not_exported": f"\nThe scenario also sets {missing}: not in this arm.\n" if missing else "",
     }
@@ -149,11 +149,6 @@ def _values(scenario: Scenario, loop: ExportedLoop, package: str) -> dict[str, s
 def _yaml(names: Sequence[str]) -> str:
     """Format names as a list of YAML on one line."""
     return str(yaml.safe_dump(list(names), default_flow_style=True, allow_unicode=True, width=math.inf)).strip()
-
-
-def _level(event: str) -> str:
-    """Return the C++ name of the level of a kind of event."""
-    return "error" if event in ERRORS else "warn" if event in WARNINGS else "info"
 
 
 def _certificate_values(scenario: Scenario, loop: ExportedLoop) -> dict[str, str]:
@@ -173,7 +168,7 @@ def _certificate_values(scenario: Scenario, loop: ExportedLoop) -> dict[str, str
         "certificate_declaration": declaration,
         "certificate_function": name,
         "certified": "true",
-        "bounded": "1" if isinstance(loop.sampled_law, AsSampledLaw) else "0",
+        "bounded": "1" if isinstance(loop.sampled_law, StaticLaw) else "0",
         "beta": number(law.rate(where).beta),
     }
 
