@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures of the tests with pages and clusters: one real browser for the tests of a file, a real Dask cluster."""
+"""Fixtures of the tests with pages and clusters: one real browser for all tests of a process, a real Dask cluster."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from isolation import without_proofs
 from system.browser import Browser
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     made = Browser()
     yield made
