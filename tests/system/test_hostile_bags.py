@@ -207,13 +207,6 @@ def test_an_index_beyond_the_file_costs_its_chunk_at_most(whole: Path, folder: P
         assert bag.notes or messages(bag) == ALL
 
 
-def test_bytes_of_another_format_are_refused(folder: Path) -> None:
-    for suffix in (".mcap", ".db3"):
-        for data in (b"not a bag, but long enough to be one", bytes(1000), b"SQLite format 3\0", b"\x89MCAP0\r\n"):
-            path = written(folder, data, f"other{suffix}")
-            answer(lambda path=path: read_bag(path).topic(TOPIC))
-
-
 @pytest.fixture(scope="module")
 def tables(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the bag in SQLite format."""

@@ -29,7 +29,6 @@ from fjr_core.monitoring.thresholds import (
     AT_LIMIT,
     BLOCK,
     GAP,
-    PREDICTED,
     SAME_EFFORT,
     SIGNIFICANT,
     UNSURE,
@@ -171,19 +170,6 @@ def highest(risen: Array) -> Array:
     V, lowest = risen[:, np.lexsort((-risen[0], risen[1]))]
     kept = np.append(True, V[1:] > np.maximum.accumulate(V)[:-1]) if len(V) else np.zeros(0, dtype=bool)
     return np.stack([V[kept], lowest[kept]])
-
-
-def floor(added: Array, decay: float, tolerated: float) -> float:
-    """Return the storage [J] that hold, noise and the tolerated tracking error explain.
-
-    added (b,) [J]: contribution of hold and noise in each block. decay: guaranteed factor of V in a block. tolerated
-    [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals the lower
-    quartile of the contributions. The quartile keeps a diverging loop from raising its own floor.
-    """
-    if not len(added):
-        return tolerated
-    explained = PREDICTED * float(np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25))
-    return tolerated + explained / max(1 - decay, np.finfo(float).eps)
 
 
 def growth(risen: Array, floor: float) -> float:

@@ -27,7 +27,6 @@ from .causes import (
     StorageBudget,
     closed_loop,
     detail,
-    floor,
     foreign,
     growth,
     highest,
@@ -316,8 +315,16 @@ class Judged:
             self._errors[i] = np.maximum(self._errors[i], made.peaks[rows].max(axis=0, initial=0.0))
 
     def floor(self, tolerated: float) -> float:
-        """Return the storage [J] that hold, noise and the tolerated error explain."""
-        return floor(np.concatenate([np.zeros(0), *self._added]), self._decay, tolerated)
+        """Return the storage [J] that hold, noise and the tolerated tracking error explain.
+
+        tolerated [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals
+        the lower quartile of what hold and noise add. The quartile keeps a diverging loop from raising its own floor.
+        """
+        if not self._blocks:
+            return tolerated
+        added = np.concatenate(self._added)
+        explained = np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25)
+        return tolerated + thresholds.PREDICTED * float(explained) / max(1 - self._decay, np.finfo(float).eps)
 
     def conclude(self, grown: float, figures: dict[str, float]) -> Diagnosis:
         """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""

@@ -25,7 +25,7 @@ from fjr_core.runtime.structs import rigid_arm_functions, write_robot
 
 from .delay_estimation import acting, effort_delay
 from .hypotheses import Finding, Hypothesis, hypotheses
-from .record import Ends, Record, consecutive, innovations, needed
+from .record import Record, consecutive, innovations, needed
 from .residuals import FEWEST_BLOCKS, Residuals, block_means, deviation, residuals
 
 UNKNOWN = "unknown"
@@ -51,16 +51,11 @@ STARTING = 400
 """Number of states at the start of a record in which the wiring is checked."""
 
 
-def isolate(record: Record, law: TrackingLaw, joints: Sequence[str] = ()) -> tuple[Finding, ...]:
+def isolate(record: Record, law: TrackingLaw, names: Sequence[str]) -> tuple[Finding, ...]:
     """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
-    joints: names (n,); default joint1 .. jointn. Of a record longer than LONGEST states the middle is ignored.
+    record: at most LONGEST states, the first and the last of a longer one. names (n,): of the joints.
     """
-    names = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)]
-    if len(record.t) > LONGEST:
-        ends = Ends(LONGEST // 2)
-        ends.add(record)
-        record = ends.record()
     with np.errstate(all="ignore"):
         wiring = wiring_fault(record, law.robot)
         if wiring is not None:

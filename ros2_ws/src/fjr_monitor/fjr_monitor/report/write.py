@@ -10,7 +10,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -188,16 +188,6 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
-@dataclass(frozen=True)
-class Source:
-    """A bag with its name and scenario, and the folder of its report."""
-
-    bag: Path
-    name: str
-    scenario: Path
-    folder: Path
-
-
 def report(bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str) -> Result:
     """Report each bag, and compare them if there are several; the result has failed if any bag failed.
 
@@ -206,12 +196,20 @@ def report(bags: Sequence[Path], scenario: str | None, output: Path | None, name
     summaries: list[RunSummary] = []
     failures: list[str] = []
     namespace = f"/{namespace}" if (namespace := namespace.strip("/")) else ""
-    for path in bags:
+    for given in bags:  # a link, such as that to the newest run: the report names a folder that does not change
+        path = given.parent / given.readlink() if given.is_symlink() else given
         try:
-            source = source_of(path, scenario, output, [each.folder for each in summaries])
-            summaries.append(_report(source, namespace))
+            name, file, folder = source_of(path, scenario, output, [each.folder for each in summaries])
+            size = sum(each.stat().st_size for each in files_of(bag_folder(path)) if each.is_file())
+            if size > LARGE:
+                print(f"fjr: reading {path}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
+            known = dict(known_of(file.with_name(METRICS)))
+            known["provenance"] = Provenance.read(known.get("provenance"))
+            known.pop("scenario", None)
+            bag, robot = read_bag(path, namespace), load_scenario(file, user_code=False)
+            summaries.append(report_bag(name, bag, robot, folder, known.pop("planned_s", None), **known))
         except (FjrError, OSError) as error:
-            failures.append(str(error) if str(path) in str(error) else f"{path}: {error}")
+            failures.append(str(error) if str(path) in str(error) else f"{given}: {error}")
     if not summaries:
         print("".join(f"fjr: {failure}\n" for failure in failures[:-1]), end="", file=sys.stderr)
         raise RecordError(failures[-1])
@@ -228,21 +226,8 @@ def report(bags: Sequence[Path], scenario: str | None, output: Path | None, name
     return Result("\n".join(lines), values, Exit.FAILED if failures else Exit.DONE)
 
 
-def _report(source: Source, namespace: str) -> RunSummary:
-    size = sum(file.stat().st_size for file in files_of(bag_folder(source.bag)) if file.is_file())
-    if size > LARGE:
-        print(f"fjr: reading {source.bag}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
-    known = dict(known_of(source.scenario.with_name(METRICS)))
-    known["provenance"] = Provenance.read(known.get("provenance"))
-    known.pop("scenario", None)
-    bag, scenario = read_bag(source.bag, namespace), load_scenario(source.scenario, user_code=False)
-    return report_bag(source.name, bag, scenario, source.folder, known.pop("planned_s", None), **known)
-
-
-def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequence[Path]) -> Source:
-    """Return bag, name, scenario file and report folder, none of those taken; raise ScenarioError without one."""
-    if path.is_symlink():  # such as that to the newest run: the report names a folder that does not change
-        path = path.parent / path.readlink()
+def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequence[Path]) -> tuple[str, Path, Path]:
+    """Return name, scenario file and report folder of a bag, none of those taken; raise ScenarioError without one."""
     above = [path, *path.resolve().parents[:2]]
     run = next((folder for folder in above if (folder / SCENARIO).is_file()), None)  # the run that the bag belongs to
     if scenario is not None:
@@ -262,7 +247,7 @@ def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequ
     number = 2
     while folder in taken:
         folder, number = first.with_name(f"{first.name}-{number}"), number + 1
-    return Source(path, name, file, folder)
+    return name, file, folder
 
 
 def known_of(path: Path) -> Mapping[str, Any]:
