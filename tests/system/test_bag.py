@@ -141,9 +141,6 @@ def test_joints_are_columns_by_name(recorded: tuple[Path, list[bytes]]) -> None:
     assert np.isnan(table.position[:, 2]).all()
     assert np.isnan(table.velocity).all()
     np.testing.assert_array_equal(table.stamp, k * 1_000_000 + 5)
-
-
-def test_stamps_are_read_from_serialised_messages() -> None:
     assert header_stamp(joint_state(2500)) == 2_500_000_005
 
 
@@ -156,6 +153,10 @@ def test_metadata_agrees_with_the_file_and_with_rosbags(recorded: tuple[Path, li
     assert summary is not None
     assert summary.statistics is not None
     assert header.profile == "ros2"
+    assert summary.chunk_indexes
+    assert all(index.message_index_offsets and index.compression == "" for index in summary.chunk_indexes)
+    assert {channel.message_encoding for channel in summary.channels.values()} == {"cdr"}
+    assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
     assert (metadata["version"], metadata["storage_identifier"]) == (9, "mcap")
     assert metadata["message_count"] == summary.statistics.message_count == metadata["files"][0]["message_count"]
     start = metadata["starting_time"]["nanoseconds_since_epoch"]
@@ -181,16 +182,6 @@ def test_topics_keep_type_hash_and_quality_of_service(recorded: tuple[Path, list
     assert (offered["reliability"], offered["durability"]) == ("reliable", "volatile")
     assert offered["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
     assert topics["/rosout"]["offered_qos_profiles"][0]["durability"] == "transient_local"
-
-
-def test_chunks_have_message_indexes(recorded: tuple[Path, list[bytes]]) -> None:
-    with open(next(recorded[0].glob("*.mcap")), "rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    assert summary.chunk_indexes
-    assert all(index.message_index_offsets and index.compression == "" for index in summary.chunk_indexes)
-    assert {channel.message_encoding for channel in summary.channels.values()} == {"cdr"}
-    assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
 
 
 def test_rosbags_decodes_the_recorded_definitions(recorded: tuple[Path, list[bytes]]) -> None:

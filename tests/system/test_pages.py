@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages of `fjr report` for bags of every scenario open from disk in a real browser and draw all plots."""
+"""Pages of `fjr report` for bags of every scenario open from disk in a real browser: plots, and the arm in 3D."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+import numpy as np
+import pinocchio
 import pytest
 
+from fjr_core.config.robot import description
+from fjr_core.config.scenario import load_scenario
+from fjr_monitor.scene import scene
 from system.browser import Browser
-from system.executables import fjr_here
+from system.executables import fjr_here, scenario
 from system.shared_runs import DURATION, shared_run
 
 pytestmark = pytest.mark.system
@@ -17,6 +22,22 @@ SCENARIOS = ("paper_k31", "paper_k3p1", "two_link", "arm7")
 FIGURES = ["tracking", "error", "effort", "storage", "rate", "power", "period", "latency", "timeline"]
 COMPARED = ["error", "effort", "storage", "latency", "period"]
 DRAWN = 150  # coloured pixels; a line across a plot has more
+LARGEST = 3e6  # bytes of a page
+# Number of all pixels of the picture, and of opaque ones: those of the arm, not of ground and ghosts.
+PIXELS = """(() => {
+  const canvas = document.querySelector(".stage canvas");
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  const count = { all: 0, opaque: 0 };
+  for (let i = 3; i < data.length; i += 4) {
+    count.all++;
+    count.opaque += data[i] === 255;
+  }
+  return count;
+})()"""
+PICTURE = "document.querySelector('.stage canvas').toDataURL()"
+TIME = "Number(document.getElementById('arm').dataset.time)"
 
 
 @pytest.fixture(scope="module")
@@ -32,19 +53,29 @@ def names(browser: Browser) -> list[str]:
     return list(browser.value("[...document.querySelectorAll('figure')].map((figure) => figure.id)"))
 
 
-def is_sound(browser: Browser) -> None:
-    """Check that the page has no errors, fetches nothing and draws every plot."""
+def is_quiet(browser: Browser) -> None:
     assert browser.said == []
     assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
+
+
+def is_sound(browser: Browser) -> None:
+    """Check that the page has no errors, fetches nothing and draws every plot."""
+    is_quiet(browser)
     assert len(browser.coloured()) == len(names(browser))
     assert browser.overflows() == []
     assert min(browser.coloured()) > DRAWN, dict(zip(names(browser), browser.coloured(), strict=True))
 
 
 @pytest.mark.parametrize(("name", "dark"), [*zip(SCENARIOS, (False, True, True, False), strict=True)])
-def test_the_page_of_every_scenario_draws_all_its_plots(pages: Path, browser: Browser, name: str, dark: bool) -> None:
-    browser.open(pages / name / "report.html", dark=dark)
+def test_the_small_page_of_every_scenario_draws_all_its_plots_and_the_arm(
+    pages: Path, browser: Browser, name: str, dark: bool
+) -> None:
+    page = pages / name / "report.html"
+    assert page.stat().st_size < LARGEST
+    browser.open(page, dark=dark)
     is_sound(browser)
+    count = browser.value(PIXELS)
+    assert 0.01 < count["opaque"] / count["all"] < 0.5
     assert names(browser) == FIGURES
     assert name in browser.value("document.querySelector('h1').textContent")
     ground = browser.value("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
@@ -112,13 +143,131 @@ def test_button_switches_the_units(pages: Path, browser: Browser) -> None:
 
 
 @pytest.mark.parametrize("page", ["arm7/report.html", "comparison.html"])
-def test_narrow_window_needs_no_horizontal_scrolling(pages: Path, browser: Browser, page: str) -> None:
-    browser.open(pages / page)
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_narrow_window_needs_no_horizontal_scrolling(pages: Path, browser: Browser, page: str, dark: bool) -> None:
+    browser.open(pages / page, dark=dark)
     browser.size(390, 800)
     browser.settle()
     assert browser.value("document.documentElement.scrollWidth") <= 390
+    inside = "(each) => each.getBoundingClientRect().right <= document.getElementById('arm').clientWidth"
+    assert browser.value(f"[...document.querySelectorAll('#arm .controls *')].every({inside})")
     is_sound(browser)
 
 
 def pictures(browser: Browser) -> list[str]:
     return list(browser.value("[...document.querySelectorAll('.uplot canvas')].map((canvas) => canvas.toDataURL())"))
+
+
+def change(browser: Browser, part: str, value: object, attribute: str = "value") -> str:
+    """Set an input of the arm as a user does; return the picture after it."""
+    element = f"document.querySelector('#arm .{part}')"
+    browser.value(f"{element}.{attribute} = {json.dumps(value)}; {element}.dispatchEvent(new Event('input'))")
+    return picture(browser)
+
+
+def picture(browser: Browser) -> str:
+    browser.settle()
+    return str(browser.value(PICTURE))
+
+
+# Turned origins and axes, and every kind of joint; the last follows the first.
+ALL_KINDS = """<robot name="all">
+  <link name="a"/><link name="b"/><link name="c"/><link name="d"/><link name="e"/><link name="f"/>
+  <joint name="turn" type="continuous"><parent link="a"/><child link="b"/><axis xyz="1 2 -1"/>
+    <origin xyz="0.1 0.2 0.3" rpy="0.4 -0.5 2.6"/></joint>
+  <joint name="slide" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="0 3 1"/>
+    <origin xyz="0 0.2 0.3" rpy="-1.2 0.3 0.2"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="stiff" type="fixed"><parent link="c"/><child link="d"/><origin xyz="0.3 0 0" rpy="0.7 0.8 0.9"/></joint>
+  <joint name="locked" type="revolute"><parent link="d"/><child link="e"/><axis xyz="0 0 1"/>
+    <origin xyz="0.1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="follower" type="revolute"><parent link="e"/><child link="f"/><axis xyz="1 0 0"/>
+    <origin xyz="0 0 0.2"/><limit lower="-3" upper="3" effort="1" velocity="1"/>
+    <mimic joint="turn" multiplier="-2" offset="0.1"/></joint>
+</robot>"""
+REVOLUTE = ('type="continuous">', 'type="revolute"><limit lower="-1" upper="1" effort="1" velocity="1"/>')
+SEVEN = [0.3, -0.7, 1.1, 0.4, -1.3, 0.9, 0.2]
+ARM7 = description(load_scenario(scenario("arm7")).controller_values)
+KINEMATICS = {  # URDF, positions of the joints that move, of those that do not, of all in the order of the chain
+    "arm7": (ARM7, {f"joint{i + 1}": q for i, q in enumerate(SEVEN)}, {}, SEVEN),
+    "every kind of joint": (ALL_KINDS, {"turn": 0.6, "slide": -0.4}, {"locked": 0.5}, [0.6, -0.4, 0.5, -1.1]),
+}
+
+
+@pytest.mark.parametrize("name", KINEMATICS)
+def test_the_links_are_posed_as_by_forward_kinematics(pages: Path, browser: Browser, name: str) -> None:
+    urdf, moving, locked, q = KINEMATICS[name]
+    browser.open(pages / "arm7" / "report.html")
+    found = browser.value(f"""(() => {{
+      const chain = new Arm.Chain({json.dumps(scene(urdf, locked))}, [], () => new THREE.Material());
+      chain.pose({json.dumps(moving)});
+      chain.group.updateMatrixWorld(true);
+      return Object.fromEntries(chain.joints.map(({{ name }}) => [name, chain.frames[name].matrixWorld.elements]));
+    }})()""")
+    model = pinocchio.buildModelFromXML(urdf.replace(*REVOLUTE))
+    at = model.createData()
+    pinocchio.forwardKinematics(model, at, np.array(q))
+    for joint in model.names[1:]:
+        expected = at.oMi[model.getJointId(joint)].homogeneous
+        np.testing.assert_allclose(np.reshape(found[joint], (4, 4)).T, expected, atol=1e-12, err_msg=joint)
+
+
+def test_slider_moves_arm_and_cursors(pages: Path, browser: Browser) -> None:
+    browser.open(pages / "two_link" / "report.html")
+    first = picture(browser)
+    assert change(browser, "time", 1.5) != first
+    assert float(browser.value("document.querySelector('#storage .u-legend .u-value').textContent")) == 1.5
+    assert change(browser, "time", 0) == first
+    is_quiet(browser)
+
+
+def test_pointer_over_a_plot_moves_the_arm(pages: Path, browser: Browser) -> None:
+    browser.open(pages / "two_link" / "report.html")
+    first = picture(browser)
+    browser.value("document.querySelector('#error').scrollIntoView()")
+    over = "document.querySelector('#error .u-over').getBoundingClientRect()"
+    x, y, width = (browser.value(f"{over}.{what}") for what in ("left", "top", "width"))
+    browser.mouse("mouseMoved", x + 0.5 * width, y + 50)
+    assert picture(browser) != first
+    assert browser.value(TIME) == pytest.approx(0.5 * DURATION["two_link"], rel=0.02)
+    is_quiet(browser)
+
+
+def test_play_runs_to_the_end_and_stops(pages: Path, browser: Browser) -> None:
+    browser.open(pages / "two_link" / "report.html")
+    first = picture(browser)
+    change(browser, "speed", "2")
+    stopped = "new Promise((done) => new MutationObserver(() => button.ariaLabel === 'play' && done()).observe("
+    started = "const button = document.querySelector('#arm .play'); button.click();"
+    browser.value(f"(() => {{ {started} return {stopped} button, {{ attributes: true }})); }})()")
+    assert browser.value(TIME) == pytest.approx(DURATION["two_link"], abs=2e-3)
+    assert picture(browser) != first
+    is_quiet(browser)
+
+
+def test_ghosts_show_reference_and_magnified_deflection(pages: Path, browser: Browser) -> None:
+    browser.open(pages / "two_link" / "report.html")
+    both = picture(browser)  # the run begins with an error
+    without_reference = change(browser, "reference", False, "checked")
+    assert without_reference != both
+    change(browser, "time", 1.0)
+    less, more = change(browser, "stretch", 0.1), change(browser, "stretch", 0.9)
+    assert less != more
+    assert change(browser, "motor", False, "checked") not in (less, more)
+    assert change(browser, "stretch", 0.5) == change(browser, "stretch", 0.6)  # nothing to magnify is shown
+    is_quiet(browser)
+
+
+def test_without_webgl_a_sentence_replaces_the_arm(pages: Path, browser: Browser) -> None:
+    script = """const get = HTMLCanvasElement.prototype.getContext;
+      HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+        return kind.startsWith("webgl") ? null : get.call(this, kind, ...rest);
+      };"""
+    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
+    try:
+        browser.open(pages / "two_link" / "report.html")
+    finally:
+        browser.call("Page.removeScriptToEvaluateOnNewDocument", **added)
+    assert "no WebGL" in browser.value("document.querySelector('.stage').textContent")
+    assert browser.value("document.querySelectorAll('#arm .controls').length") == 0
+    assert min(browser.coloured()) > 0
+    is_quiet(browser)

@@ -13,7 +13,8 @@ from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.signals import ControllerStop
 from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.metrics import Report
-from fjr_monitor.report.write import RunSummary, compare, report_bag
+from fjr_monitor.report.shown import RunSummary
+from fjr_monitor.report.write import compare, report_bag
 from system.browser import Browser
 from system.shared_runs import shared_run
 

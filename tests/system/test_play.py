@@ -21,7 +21,6 @@ from std_msgs.msg import String
 
 from fjr_monitor.recording import bag as reader
 from fjr_monitor.recording.bag import in_order, read_bag
-from fjr_monitor.recording.topic import BagError
 from fjr_monitor.recording.topics import due
 from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
@@ -172,11 +171,6 @@ def open_files(folder: Path) -> list[Path]:
     """Return the files below a folder that this process has open."""
     links = (Path(os.path.realpath(each)) for each in Path("/proc/self/fd").iterdir())
     return [file for file in links if folder in file.parents]
-
-
-def test_an_error_of_the_reader_is_raised(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="is not a bag"):
-        list(in_order(tmp_path, {MODEL}))
 
 
 def texts(folder: Path, storage: StoragePlugin, times: Iterable[int], text: str = "robot") -> None:

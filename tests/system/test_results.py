@@ -19,7 +19,8 @@ from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.signals import ControllerStop
 from fjr_monitor.report import html
 from fjr_monitor.report.run_page import write_run_page
-from fjr_monitor.report.write import RunSummary, compare, report_bag, table
+from fjr_monitor.report.shown import RunSummary
+from fjr_monitor.report.write import compare, report_bag, table
 from fjr_monitor.report.write import report as report_bags
 from fjr_msgs_py.console import output as progress
 from fjr_msgs_py.console.ending import Exit

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exchanged joints and wrong signs are found within 20 samples on every robot; healthy starts are never stopped."""
+"""Exchanged joints and wrong signs are found within 20 samples on every robot; healthy starts are never stopped.
+
+The check in C agrees with its equations in NumPy (core/oracles/wiring.py) on the same noisy streams.
+"""
 
 from __future__ import annotations
 
@@ -10,32 +13,63 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fjr_core as fjr
+from core.oracles.wiring import NumericCheck
+from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import WiringFault
+from fjr_monitor.diagnosis.fault_isolation import WiringCheck
+from fjr_monitor.diagnosis.record import Record
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from diagnosis_benchmark.fault_runs import JOINTS, PAIRS, ROBOTS, WIRING
+from diagnosis_benchmark.fault_runs import JOINTS, PAIRS, ROBOTS, WIRING, FaultCase
 from diagnosis_benchmark.faulty_loop import Fault
 from diagnosis_benchmark.wiring_runs import HEALTHY_LASTING, Stop, healthy, wrong
 
 pytestmark = pytest.mark.system
 FIRST = 20
+LASTING, STATES = 0.03, 30  # s; at 1 kHz
 TRAVEL = {"paper_k31": 0.75, "two_link": 0.25, "arm7": 0.05}  # rad, of any side, until the stop
 CASES = [(robot, kind) for robot in ROBOTS for kind in WIRING if robot != "paper_k31" or kind not in PAIRS]
+SAME = {"rtol": 1e-6, "atol": 1e-9}
+
+
+def compared(case: FaultCase, run: Record) -> str:
+    """Give a stream to both; return the sentence of the fault that both find with the same state, if any."""
+    robot = case.case.loaded().robot  # as the controller knows it
+    names = [f"joint{j + 1}" for j in range(robot.n)]
+    here, oracle = WiringCheck(robot), NumericCheck(robot)
+    for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
+        found, expected = here.see(t, q, dq), oracle.see(t, q, dq)
+        assert found == expected
+        np.testing.assert_array_equal(np.array(list(here.state.right), dtype=bool), oracle.right)
+        np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[: 2 * robot.n], **SAME)
+        assert here.done == oracle.right.all()
+        if found is not None or here.done or not np.isfinite(u).all():
+            return found.sentence(names) if found is not None else ""
+        here.sent(u)
+        oracle.sent(u)
+    return ""
 
 
 @pytest.mark.parametrize(("robot", "kind"), CASES, ids=lambda value: value.replace(" ", "_"))
 def test_each_fault_of_each_joint_is_found_within_twenty_samples_and_stops_the_next(robot: str, kind: str) -> None:
-    for case in wrong(robot, kind):
-        stop = Stop.of(case, 0.03)
+    for number, case in enumerate(wrong(robot, kind)):
+        stop = Stop.of(case, LASTING)
         assert 0 < stop.samples <= FIRST, case.name
         assert all(name in stop.reason for name in case.joints.split(" and ")), (case.name, stop.reason)
         assert stop.travel < TRAVEL[robot], case.name
+        assert number % 3 or compared(case, stop.run), case.name
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_healthy_starts_are_never_stopped(robot: str) -> None:
     """With wrong stiffness and inertia, payload, friction, noise, delay, weak motors; at rest and at speed."""
     for seed in range(1000, 1008):
-        assert Stop.of(healthy(robot, seed), HEALTHY_LASTING).samples == 0, seed
+        case = healthy(robot, seed)
+        stop = Stop.of(case, HEALTHY_LASTING)
+        assert stop.samples == 0, seed
+        assert seed >= 1004 or not compared(case, stop.run), seed
 
 
 @pytest.mark.parametrize("robot", ["two_link", "arm7"])
@@ -44,3 +78,49 @@ def test_late_velocities_are_not_taken_for_those_of_other_joints(robot: str, del
     late = Fault(delay=delay, delayed=np.ones(2 * JOINTS[robot], dtype=bool))
     for seed in range(2):
         assert Stop.of(replace(healthy(robot, seed), fault=late), HEALTHY_LASTING).samples == 0, seed
+
+
+@pytest.mark.parametrize(
+    "change",
+    [Fault(effort=np.negative), Fault(position=lambda q: np.roll(q, 1), velocity=lambda dq: np.roll(dq, 1))],
+    ids=["all_efforts_reversed", "all_encoders_moved"],
+)
+@pytest.mark.parametrize("robot", ["two_link", "arm7"])
+def test_both_agree_where_all_joints_are_suspected(robot: str, change: Fault) -> None:
+    case = replace(next(wrong(robot, "effort sign")), fault=change)
+    found = compared(case, Stop.of(case, LASTING).run)
+    if robot == "two_link" and change.effort is np.negative:
+        assert found == WiringFault("effort sign", (0, 1), "motor").sentence(["joint1", "joint2"])
+
+
+def test_check_continues_without_motion() -> None:
+    check = WiringCheck(fjr.planar_two_link())
+    for k in range(200):
+        assert check.see(1e-3 * k, np.zeros(4), np.zeros(4)) is None
+        check.sent(np.zeros(2))
+    assert not check.done
+
+
+@pytest.mark.parametrize("wrong_motor", [None, 0, 1])
+def test_both_agree_on_a_robot_with_full_matrices(wrong_motor: int | None) -> None:
+    def full(a: float, b: float) -> Array:
+        return np.array([[a, 0.2 * b], [0.2 * b, b]])
+
+    links = fjr.planar_two_link().links
+    robot = fjr.Robot(links, full(0.02, 0.01), full(40, 25), full(0.2, 0.1), full(0.01, 0.02), full(1, 0.8))
+    plant, rng, x = fjr.Plant(robot), np.random.default_rng(5), robot.state(*np.zeros((4, 2)))
+    here, oracle = WiringCheck(robot), NumericCheck(robot)
+    for k in range(STATES):
+        q, dq = x[:4] + 1e-6 * rng.standard_normal(4), np.hstack(robot.velocities(x)) + 5e-4 * rng.standard_normal(4)
+        if wrong_motor is not None:
+            q[2 + wrong_motor], dq[2 + wrong_motor] = -q[2 + wrong_motor], -dq[2 + wrong_motor]
+        found = here.see(1e-3 * k, q, dq)
+        assert found == oracle.see(1e-3 * k, q, dq)
+        np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[:4], **SAME)
+        if found is not None:
+            break
+        u = np.array([3.0, 2.0]) * np.sin(200e-3 * k)
+        here.sent(u)
+        oracle.sent(u)
+        x = plant.step(x, u, 1e-3)
+    assert found == (None if wrong_motor is None else WiringFault("encoder sign", (wrong_motor,), "motor"))

@@ -14,6 +14,7 @@ import numpy as np
 
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.record import Record
 
 from .fault_runs import HEALTHY, NOISE, PAIRS, ROBOTS, TORQUE, WIRING, FaultCase, _Draw, _noise
 from .faulty_loop import Fault, FaultyLoop
@@ -28,7 +29,7 @@ HEAVIEST = {"paper_k31": 0.15, "two_link": 0.3, "arm7": 3.0}  # kg
 
 @dataclass(frozen=True)
 class Stop:
-    """Samples until the fault was found (0: never), reason of the stop, travel [rad], peak effort [N m].
+    """Samples until the fault was found (0: never), reason of the stop, travel [rad], peak effort [N m], the whole run.
 
     The state after these samples reveals the fault and is still answered; the next one gets no effort.
     """
@@ -37,6 +38,7 @@ class Stop:
     reason: str
     travel: float
     effort: float
+    run: Record
 
     @classmethod
     def of(cls, case: FaultCase, duration: float) -> Stop:
@@ -47,7 +49,7 @@ class Stop:
         run = record(log, scenario)
         ended = found + 2 if found else len(run.u)
         travel = np.abs(run.position[:ended] - run.position[0]).max()
-        return cls(found, loop.tracker.reason, float(travel), float(np.nanmax(np.abs(run.u[:ended]))))
+        return cls(found, loop.tracker.reason, float(travel), float(np.nanmax(np.abs(run.u[:ended]))), run)
 
 
 def wrong(scenario: str, kind: str, seed: int = SEED) -> Iterator[FaultCase]:

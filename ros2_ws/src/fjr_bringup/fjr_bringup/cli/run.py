@@ -17,7 +17,8 @@ from fjr_core.numerics.jit import c_compiler
 from fjr_design.cli.preflight import refuse_coarse_steps, refuse_unstable
 from fjr_monitor.recording.topic import BagError
 from fjr_monitor.report.comparison_page import Claim, paper_claim
-from fjr_monitor.report.write import RunSummary, compare, output_paths, play_hint, report_run, stops, table
+from fjr_monitor.report.shown import RunSummary
+from fjr_monitor.report.write import compare, output_paths, play_hint, report_run, stops, table
 from fjr_msgs_py.console.ending import Exit, stoppable
 from fjr_msgs_py.console.output import Result, percent, phase
 from fjr_msgs_py.console.ros2 import discover_quickly
@@ -31,8 +32,8 @@ def demo(duration: float, output: Path) -> Result:
     """Run the demonstration scenarios in real time and write a page that compares them and states the paper's claim."""
     summaries = [_demonstrate(name, duration, output) for name in DEMO]
     stiff, soft = summaries[:2]
-    stiffness = (float(stiff.scenario.robot.K[0, 0]), float(soft.scenario.robot.K[0, 0]))
-    claim = paper_claim(stiff.report, soft.report, stiffness)
+    stiffness, softness = (float(each.data.run.scenario.robot.K[0, 0]) for each in (stiff, soft))
+    claim = paper_claim(stiff.report, soft.report, (stiffness, softness))
     with phase("comparing the runs"):
         page = compare(summaries, output, claim)
     return _result(summaries, page, claim)

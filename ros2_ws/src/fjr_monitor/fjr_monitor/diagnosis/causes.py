@@ -29,8 +29,6 @@ from fjr_core.monitoring.thresholds import (
     AT_LIMIT,
     BLOCK,
     GAP,
-    PREDICTED,
-    RELATIVE,
     SAME_EFFORT,
     SIGNIFICANT,
     UNSURE,
@@ -174,19 +172,6 @@ def highest(risen: Array) -> Array:
     return np.stack([V[kept], lowest[kept]])
 
 
-def floor(added: Array, decay: float, tolerated: float) -> float:
-    """Return the storage [J] that hold, noise and the tolerated tracking error explain.
-
-    added (b,) [J]: contribution of hold and noise in each block. decay: guaranteed factor of V in a block. tolerated
-    [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals the lower
-    quartile of the contributions. The quartile keeps a diverging loop from raising its own floor.
-    """
-    if not len(added):
-        return tolerated
-    explained = PREDICTED * float(np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25))
-    return tolerated + explained / max(1 - decay, np.finfo(float).eps)
-
-
 def growth(risen: Array, floor: float) -> float:
     """Return the largest ratio of V to the lowest V before it plus the floor [J]; risen (2, k) as from `rises`."""
     V, lowest = risen
@@ -261,56 +246,6 @@ def _outdated(found: Innovations, period: float) -> Array:
     samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
     share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
     return np.asarray((found.law - law) * share[:, None])
-
-
-@dataclass(frozen=True)
-class Grade:
-    """Largest tracking error (n,) [rad, m] by cause; within: true if all are within the tolerance."""
-
-    errors: dict[str, Array]
-    within: bool
-
-
-class Grading:
-    """Largest error (n,) due to each cause in the judged blocks outside a transient, for blocks that come in parts.
-
-    The loop's own error is bounded by an envelope that decays from block to block with the square root of the
-    guaranteed factor of V. A block belongs to a transient if that envelope exceeds both the tolerance (n,) and the
-    errors due to the causes; if all judged blocks do, all count. Within the tolerance: the errors due to the causes are
-    at most the tolerance plus RELATIVE times the envelope.
-    """
-
-    def __init__(self, decay: float, tolerance: Array) -> None:
-        """decay: guaranteed factor of V in a block."""
-        self._decay, self._tolerance = np.sqrt(decay), tolerance
-        self._envelope = np.zeros(len(tolerance))
-        self._all, self._settled = (Grade({}, True) for _ in range(2))
-
-    def add(self, made: CauseErrors, judged: NDArray[np.bool_]) -> None:
-        """Add blocks; judged (b,): those that count."""
-        total, own = made.peaks.sum(axis=1), made.own.copy()
-        for value in own:  # the running maximum, multiplied by the decay from block to block
-            np.maximum(value, self._decay * self._envelope, out=value)
-            self._envelope = value
-        settled = judged & ~((own > self._tolerance) & (own > total)).any(axis=1)
-        within = (total <= self._tolerance + RELATIVE * own).all(axis=1)
-        self._all, self._settled = (
-            _larger(grade, made.peaks[rows], bool(within[rows].all()))
-            for grade, rows in ((self._all, judged), (self._settled, settled))
-        )
-
-    def grade(self) -> Grade:
-        """Return the grade of the blocks so far."""
-        return self._settled if self._settled.errors else self._all
-
-
-def _larger(grade: Grade, peaks: Array, within: bool) -> Grade:
-    """Return the grade with more blocks (b, 4, n); unchanged without any."""
-    if not len(peaks):
-        return grade
-    errors = dict(zip(CAUSES, peaks.max(axis=0), strict=True))
-    larger = {cause: np.maximum(error, grade.errors.get(cause, error)) for cause, error in errors.items()}
-    return Grade(larger, grade.within and within)
 
 
 def detail(causes: Sequence[str], errors: dict[str, Array], axes: Axes) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring import thresholds
@@ -23,12 +24,9 @@ from .causes import (
     CAUSES,
     CauseErrors,
     CausePropagation,
-    Grade,
-    Grading,
     StorageBudget,
     closed_loop,
     detail,
-    floor,
     foreign,
     growth,
     highest,
@@ -149,7 +147,11 @@ class PartwiseDiagnosis:
             return
         with np.errstate(all="ignore"):
             if self._judging is None:
-                self._judging = self._judged_by(beta)
+                visited, age = np.concatenate(self._visited), self._delay.delay()
+                acted = next(each for each in self._ages if each.age[::2] == age[::2])
+                acted.age = age
+                beta = self._law.rate(visited).beta if beta is None else beta
+                self._judging = _Judging(self._law, self._axes, beta, self._step, visited, acted, self._learned)
             self._judging.add(part, series)
 
     def result(self, velocities_measured: bool = True) -> Diagnosis:
@@ -167,14 +169,6 @@ class PartwiseDiagnosis:
         findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
         sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
         return replace(diagnosis, sentence=sentence, findings=findings)
-
-    def _judged_by(self, beta: float | None) -> _Judging:
-        """Return the second pass, by what the first one learned."""
-        visited, age = np.concatenate(self._visited), self._delay.delay()
-        acted = next(each for each in self._ages if each.age[::2] == age[::2])
-        acted.age = age
-        beta = self._law.rate(visited).beta if beta is None else beta
-        return _Judging(self._law, self._axes, beta, self._step, visited, acted, self._learned)
 
 
 class _Parts:
@@ -277,7 +271,11 @@ class Judged:
 
     def __init__(self, decay: float, axes: Axes) -> None:
         """decay: guaranteed factor of V in a block."""
-        self._decay, self._axes, self._grading = decay, axes, Grading(decay, axes.tolerance)
+        self._decay, self._axes = decay, axes
+        self._envelope = np.zeros(len(axes.tolerance))
+        self._graded = np.zeros(2, dtype=bool)  # whether any block is judged; of these, any outside a transient
+        self._within = np.ones(2, dtype=bool)
+        self._errors = np.zeros((2, len(CAUSES), len(axes.tolerance)))
         self._blocks = self._counted = self._above = 0
         self._strongest = np.zeros(len(CAUSES), dtype=int)
         self._hold = self._slack = 0.0
@@ -295,11 +293,38 @@ class Judged:
         self._hold += float(blocks.hold.sum())
         self._slack += float(blocks.slack.sum())
         self._added.append(blocks.hold + blocks.noise)
-        self._grading.add(made, blocks.judged)
+        self._grade(made, blocks.judged)
+
+    def _grade(self, made: CauseErrors, judged: NDArray[np.bool_]) -> None:
+        """Keep the largest error (n,) due to each cause in the judged blocks, and in those outside a transient.
+
+        The loop's own error is bounded by an envelope that decays from block to block with the square root of the
+        guaranteed factor of V. A block belongs to a transient if that envelope exceeds both the tolerance (n,) and the
+        errors due to the causes; if all judged blocks do, all count. Within the tolerance: the errors due to the causes
+        are at most the tolerance plus RELATIVE times the envelope.
+        """
+        total, own, tolerance = made.peaks.sum(axis=1), made.own.copy(), self._axes.tolerance
+        for value in own:  # the running maximum, multiplied by the decay from block to block
+            np.maximum(value, np.sqrt(self._decay) * self._envelope, out=value)
+            self._envelope = value
+        settled = judged & ~((own > tolerance) & (own > total)).any(axis=1)
+        within = (total <= tolerance + thresholds.RELATIVE * own).all(axis=1)
+        for i, rows in enumerate((judged, settled)):
+            self._graded[i] |= rows.any()
+            self._within[i] &= within[rows].all()
+            self._errors[i] = np.maximum(self._errors[i], made.peaks[rows].max(axis=0, initial=0.0))
 
     def floor(self, tolerated: float) -> float:
-        """Return the storage [J] that hold, noise and the tolerated error explain."""
-        return floor(np.concatenate([np.zeros(0), *self._added]), self._decay, tolerated)
+        """Return the storage [J] that hold, noise and the tolerated tracking error explain.
+
+        tolerated [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals
+        the lower quartile of what hold and noise add. The quartile keeps a diverging loop from raising its own floor.
+        """
+        if not self._blocks:
+            return tolerated
+        added = np.concatenate(self._added)
+        explained = np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25)
+        return tolerated + thresholds.PREDICTED * float(explained) / max(1 - self._decay, np.finfo(float).eps)
 
     def conclude(self, grown: float, figures: dict[str, float]) -> Diagnosis:
         """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""
@@ -317,30 +342,26 @@ class Judged:
             return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
         if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
             return unknown("most efforts sent are not those of the law", figures)
-        found = self._grading.grade()
+        which = int(self._graded[1])
+        errors = dict(zip(CAUSES, self._errors[which], strict=True)) if self._graded[which] else {}
         often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and self._above >= thresholds.FEWEST)
         if grown > thresholds.EXCEEDED or often:
-            return graded(causes, found, self._axes, figures)
+            size, why = detail(causes, errors, self._axes), _why(causes)
+            if causes and self._within[which] and SATURATION not in causes:
+                sentence = f"{size}, within the tolerance: {why}"
+                return Diagnosis("degraded", causes, sentence, figures, errors, size)
+            sentence = f"{NO_DECAY}: {why}" + (f"; {size}" if size else "")
+            return Diagnosis("violated", causes, sentence, figures, errors, size)
         if share > thresholds.SHARE_OF_FEW:
             few = f"V exceeds its floor in {self._above} of {self._counted} blocks; expected more blocks"
             return unknown(few, figures)
         sentence = "V decays as guaranteed, down to the floor that hold and noise predict"
-        return Diagnosis("holding", (), sentence, figures, found.errors)
+        return Diagnosis("holding", (), sentence, figures, errors)
 
 
 def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
     """Return "unknown" with the reason."""
     return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
-
-
-def graded(causes: tuple[str, ...], found: Grade, axes: Axes, figures: dict[str, float]) -> Diagnosis:
-    """Return "degraded" for known causes whose errors are within the tolerance, otherwise "violated"."""
-    size, why = detail(causes, found.errors, axes), _why(causes)
-    if causes and found.within and SATURATION not in causes:
-        sentence = f"{size}, within the tolerance: {why}"
-        return Diagnosis("degraded", causes, sentence, figures, found.errors, size)
-    sentence = f"{NO_DECAY}: {why}" + (f"; {size}" if size else "")
-    return Diagnosis("violated", causes, sentence, figures, found.errors, size)
 
 
 def violated(what: str, causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:

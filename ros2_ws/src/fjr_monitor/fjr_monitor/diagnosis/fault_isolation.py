@@ -9,7 +9,6 @@ masks the later ones.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from fjr_core.runtime.structs import rigid_arm_functions, write_robot
 
 from .delay_estimation import acting, effort_delay
 from .hypotheses import Finding, Hypothesis, hypotheses
-from .record import Ends, Record, consecutive, innovations, needed
+from .record import Record, consecutive, innovations, needed
 from .residuals import FEWEST_BLOCKS, Residuals, block_means, deviation, residuals
 
 UNKNOWN = "unknown"
@@ -52,16 +51,11 @@ STARTING = 400
 """Number of states at the start of a record in which the wiring is checked."""
 
 
-def isolate(record: Record, law: TrackingLaw, joints: Sequence[str] = ()) -> tuple[Finding, ...]:
+def isolate(record: Record, law: TrackingLaw, names: Sequence[str]) -> tuple[Finding, ...]:
     """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
-    joints: names (n,); default joint1 .. jointn. Of a record longer than LONGEST states the middle is ignored.
+    record: at most LONGEST states, the first and the last of a longer one. names (n,): of the joints.
     """
-    names = list(joints) or [f"joint{j + 1}" for j in range(law.robot.n)]
-    if len(record.t) > LONGEST:
-        ends = Ends(LONGEST // 2)
-        ends.add(record)
-        record = ends.record()
     with np.errstate(all="ignore"):
         wiring = wiring_fault(record, law.robot)
         if wiring is not None:
@@ -197,17 +191,8 @@ def _contradicted(channel: int, e: Array, noise: float, D: Array, dD: Array, nam
     return Finding(kind, joint, side, size, unit, share, f"{side} of {joint}: the measured velocity {what}")
 
 
-@dataclass(frozen=True, eq=False)
-class FittedHypothesis:
-    """Hypothesis with its fitted size and the weighted residual sum of squares `left`."""
-
-    fault: Hypothesis
-    size: float
-    left: float
-
-
-def fits(seen: Residuals) -> list[FittedHypothesis]:
-    """Return all hypotheses fitted to the residuals, best first."""
+def fits(seen: Residuals) -> list[tuple[float, float, Hypothesis]]:
+    """Return the weighted residual sum of squares, the fitted size and the fault of all hypotheses, best first."""
     y = (seen.r / seen.sigma).ravel()
     found = []
     for fault in hypotheses(seen):
@@ -220,8 +205,8 @@ def fits(seen: Residuals) -> list[FittedHypothesis]:
             theta = fault.nonlinear(X.T @ X, X.T @ y)
         size = fault.size(theta)
         if size is not None:
-            found.append(FittedHypothesis(fault, size, float(((y - X @ theta) ** 2).sum())))
-    return sorted(found, key=lambda fit: fit.left)
+            found.append((float(((y - X @ theta) ** 2).sum()), size, fault))
+    return sorted(found, key=lambda fit: fit[0])
 
 
 def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
@@ -233,16 +218,15 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     if not np.isfinite(power).all() or power.max() < SIGNIFICANT**2:
         return ()
     total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
-    found = fits(seen)
-    best = found[0]
-    other = next(fit for fit in found if (fit.fault.kind, fit.fault.joint) != (best.fault.kind, best.fault.joint))
-    share = float(np.clip(1 - max(best.left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
-    if share < EXPLAINED or max(best.left - noise, 0.0) > ADVANTAGE * max(other.left - noise, 0.0):
-        return (unexplained(best.fault, share, names),)
-    fault = best.fault
-    what = f"{fault.kind} of {best.size:.3g} {fault.unit} explains {100 * share:.0f} % of the residual torque"
-    sentence = f"{fault.place(names)}: {what}"
-    return (Finding(fault.kind, names[fault.joint], fault.side, best.size, fault.unit, share, sentence),)
+    (left, size, fault), *others = fits(seen)
+    next_best = next(each for each, _, other in others if (other.kind, other.joint) != (fault.kind, fault.joint))
+    share = float(np.clip(1 - max(left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
+    if share < EXPLAINED or max(left - noise, 0.0) > ADVANTAGE * max(next_best - noise, 0.0):
+        return (unexplained(fault, share, names),)
+    what = f"{fault.kind} of {size:.3g} {fault.unit} explains {100 * share:.0f} % of the residual torque"
+    return (
+        Finding(fault.kind, names[fault.joint], fault.side, size, fault.unit, share, f"{fault.place(names)}: {what}"),
+    )
 
 
 def unexplained(nearest: Hypothesis, share: float, names: Sequence[str]) -> Finding:

@@ -14,7 +14,7 @@ import sqlite3
 import struct
 import tempfile
 import zlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from io import BytesIO
 from pathlib import Path
@@ -37,7 +37,7 @@ MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # decompressed over compressed size
 BLOCK = 2**20  # bytes of a checksum that are read at a time
 UNREADABLE = (McapError, struct.error, ValueError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError)
 MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id"
-MOST_GAPS = 100  # of a SQLite file
+FARTHEST = 2**15  # numbers of messages of a SQLite file that one damaged page may hold
 COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
 
 
@@ -284,9 +284,8 @@ class _SqliteFile:
         try:
             with closing(sqlite3.connect(f"{self._path.absolute().as_uri()}?mode=ro", uri=True)) as self._database:
                 self._read_topics()
-                following: int | None = -(2**63)
-                while following is not None:
-                    following = yield from self._read_from(following)
+                for row in self._rows():
+                    yield from self._valid(*row)
         except (sqlite3.Error, OverflowError, ValueError) as error:
             if "malformed" in str(error):
                 return False
@@ -307,42 +306,25 @@ class _SqliteFile:
         for number, topic, type_name in self._database.execute("SELECT id, name, type FROM topics"):
             self._topics[number] = self._contents.topic(str(topic), str(type_name), "")
 
-    def _read_from(self, first: int) -> Generator[tuple[Topic, Message], None, int | None]:
-        """Yield messages from number `first` on; return the number after a damaged page, None at the end."""
-        last = first - 1
-        try:
-            for row in self._database.execute(MESSAGES, (first,)):
-                last = row[0]
-                yield from self._valid(*row)
-        except sqlite3.DatabaseError as error:
-            if "malformed" not in str(error):
-                raise
-            while (row := self._one(last + 1)) is not None:  # the cursor reads ahead of the rows it yields
-                last = row[0]
-                yield from self._valid(*row)
-            self._gaps += 1
-            return self._next_after(max(last, 0)) if self._gaps < MOST_GAPS else None
-        return None
+    def _rows(self) -> Iterator[tuple[int, object, object, object]]:
+        """Yield the readable rows by increasing number. Damage is left by trying one number after the other.
 
-    def _next_after(self, last: int) -> int | None:
-        """Find the least readable number after `last` by doubling, then bisection; None if there is none."""
-        step = 1
-        while self._one(last + step) is None:
-            step *= 2
-            if step > 2**32:
-                return None
-        low, high = step // 2, step
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if self._one(last + middle) else (middle, high)
-        return last + high
-
-    def _one(self, number: int) -> tuple[int, object, object, object] | None:
-        """Return the first message from a number on; None if it is unreadable."""
-        try:
-            return self._database.execute(f"{MESSAGES} LIMIT 1", (number,)).fetchone()
-        except sqlite3.DatabaseError:
-            return None
+        The cursor reads ahead of the rows it yields, so that the last one before damage is asked for alone.
+        """
+        following, tried = -(2**63), 0  # tried: numbers since damage was met; 0: all rows come from one cursor
+        while tried < FARTHEST:
+            alone, found = tried > 0, False
+            try:
+                for row in self._database.execute(f"{MESSAGES} LIMIT {1 if alone else -1}", (following,)):
+                    following, tried, found = row[0] + 1, 0, True
+                    yield row
+                if not (alone and found):
+                    return
+            except sqlite3.DatabaseError as error:
+                if "malformed" not in str(error):
+                    raise
+                self._gaps += tried == 1
+                following, tried = max(following + alone, 0), tried + 1
 
     def _valid(self, _number: int, topic: object, time: object, data: object) -> Iterator[tuple[Topic, Message]]:
         """Yield a message if it has a known topic, a time and bytes."""

@@ -67,10 +67,10 @@ class BagWriter:
         self._first_time = 2**63 - 1
         self._last_time = 0
         self._schemas: dict[str, int] = {}
-        self._stream = open(self.path, "wb")  # noqa: SIM115 (closed in close)
-        self._mcap = Writer(self._stream, compression=CompressionType.NONE)
+        self.stream = open(self.path, "wb")  # noqa: SIM115 (closed in close)
+        self._mcap = Writer(self.stream, compression=CompressionType.NONE)
         self._mcap.start(profile="ros2", library="fjr_bringup")
-        self._stream.flush()
+        self.stream.flush()
 
     def add_topic(self, topic: str, type_name: str, offered: Sequence[QoSProfile], type_hash: str) -> RecordedTopic:
         """Register a topic with the QoS that its publishers offer; write its schema once per type."""
@@ -102,20 +102,28 @@ class BagWriter:
         text = yaml.dump(metadata, Dumper=DUMPER, sort_keys=False)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
         self._mcap.finish()
-        self._stream.close()
+        self.stream.close()
         text = yaml.dump({"rosbag2_bagfile_information": metadata}, Dumper=DUMPER, sort_keys=False)
         write_text(self.folder / "metadata.yaml", text)
-
-    def abandon(self) -> None:
-        """Close the file without summary and metadata."""
-        with suppress(OSError):
-            self._stream.close()
 
     def _metadata(self) -> dict[str, Any]:
         count = sum(channel.count for channel in self.channels)
         start = {"nanoseconds_since_epoch": self._first_time if count else 0}
         duration = {"nanoseconds": self._last_time - self._first_time if count else 0}
         name = self.path.name
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": channel.topic,
+                    "type": channel.type_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": channel.offered_qos,
+                    "type_description_hash": channel.type_hash,
+                },
+                "message_count": channel.count,
+            }
+            for channel in self.channels
+        ]
         one_file = {"path": name, "starting_time": dict(start), "duration": dict(duration), "message_count": count}
         return {
             "version": METADATA_VERSION,
@@ -123,7 +131,7 @@ class BagWriter:
             "duration": duration,
             "starting_time": start,
             "message_count": count,
-            "topics_with_message_count": [_topic_entry(channel) for channel in self.channels],
+            "topics_with_message_count": topics,
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [name],
@@ -135,33 +143,22 @@ class BagWriter:
 
 def qos_as_dict(profile: QoSProfile) -> dict[str, Any]:
     """Return a QoS profile in the format of rosbag2's metadata version 9."""
+
+    def seconds(duration: Duration) -> dict[str, int]:
+        sec, nsec = divmod(duration.nanoseconds, 10**9)
+        return {"sec": sec, "nsec": nsec}
+
     return {
         "history": profile.history.name.lower(),
         "depth": profile.depth,
         "reliability": profile.reliability.name.lower(),
         "durability": profile.durability.name.lower(),
-        "deadline": _seconds(profile.deadline),
-        "lifespan": _seconds(profile.lifespan),
+        "deadline": seconds(profile.deadline),
+        "lifespan": seconds(profile.lifespan),
         "liveliness": profile.liveliness.name.lower(),
-        "liveliness_lease_duration": _seconds(profile.liveliness_lease_duration),
+        "liveliness_lease_duration": seconds(profile.liveliness_lease_duration),
         "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
     }
-
-
-def _seconds(duration: Duration) -> dict[str, int]:
-    sec, nsec = divmod(duration.nanoseconds, 10**9)
-    return {"sec": sec, "nsec": nsec}
-
-
-def _topic_entry(channel: RecordedTopic) -> dict[str, Any]:
-    topic = {
-        "name": channel.topic,
-        "type": channel.type_name,
-        "serialization_format": "cdr",
-        "offered_qos_profiles": channel.offered_qos,
-        "type_description_hash": channel.type_hash,
-    }
-    return {"topic_metadata": topic, "message_count": channel.count}
 
 
 @dataclass
@@ -209,7 +206,8 @@ class Recorder:
             self._thread.join()
             self._write(self.writer.close)
             if self.loss:
-                self.writer.abandon()
+                with suppress(OSError):
+                    self.writer.stream.close()
             leave(self.node)
             self.context.try_shutdown()
 
@@ -232,24 +230,21 @@ class Recorder:
         return self._tracks[topic].subscription.get_publisher_count() if topic in self._tracks else 0
 
     def _run(self) -> None:
-        try:
-            self._record()
-        except Exception as error:  # the caller reads it and stops the run
-            self.failure = error
-
-    def _record(self) -> None:
         look = flush = 0.0
         left = False  # messages in a queue
-        while not self._stop.wait(0.0 if left else DRAIN_PERIOD):
-            now = time.monotonic()
-            if now >= look:
-                self._discover()
-                look = now + DISCOVERY_PERIOD
-            left = self._drain_all(BATCH)
-            if now >= flush:
-                self._write(self.writer.flush)
-                flush = now + FLUSH_PERIOD
-        self._drain_all(QUEUE_DEPTH)
+        try:
+            while not self._stop.wait(0.0 if left else DRAIN_PERIOD):
+                now = time.monotonic()
+                if now >= look:
+                    self._discover()
+                    look = now + DISCOVERY_PERIOD
+                left = self._drain_all(BATCH)
+                if now >= flush:
+                    self._write(self.writer.flush)
+                    flush = now + FLUSH_PERIOD
+            self._drain_all(QUEUE_DEPTH)
+        except Exception as error:  # the caller reads it and stops the run
+            self.failure = error
 
     def _write(self, write: Callable[..., object], *arguments: object) -> None:
         """Write unless an earlier write failed; a full or missing disk ends the recording, which `loss` says."""

@@ -39,20 +39,16 @@ class RunFolder:
         try:
             link.parent.mkdir(parents=True, exist_ok=True)
             if link.is_dir() and not link.is_symlink():
-                self._number_the_old()
+                if any(link.iterdir()):  # an earlier run without a number
+                    numbered = _new_folder(link)
+                    link.rename(numbered)  # replaces the empty folder
+                    _point(link, numbered.name)
+                else:
+                    link.rmdir()
             self.path = _new_folder(link)
         except OSError as error:
             raise FolderError(f"cannot write to {link}: {error.strerror}") from None
         return self
-
-    def _number_the_old(self) -> None:
-        """Number an earlier run without a number; remove the folder if it is empty."""
-        if not any(self.link.iterdir()):
-            self.link.rmdir()
-            return
-        numbered = _new_folder(self.link)
-        self.link.rename(numbered)  # replaces the empty folder
-        _point(self.link, numbered.name)
 
     def keep(self) -> None:
         """Keep this run and point the link to it."""

@@ -69,18 +69,15 @@ def _register(type_name: str) -> None:
     store = typestore()
     if type_name in store.fielddefs:
         return
-    types = get_types_from_msg(_installed_definition(type_name), type_name)
+    package, _, name = type_name.partition("/msg/")
+    try:
+        text = Path(get_package_share_directory(package), "msg", f"{name}.msg").read_text(encoding="utf-8")
+    except (PackageNotFoundError, OSError) as error:
+        raise SchemaError(f"no definition of message type {type_name} is installed here ({error})") from error
+    types = get_types_from_msg(text, type_name)
     store.register(types)
     for nested in _nested_types(types):
         _register(nested)
-
-
-def _installed_definition(type_name: str) -> str:
-    package, _, name = type_name.partition("/msg/")
-    try:
-        return Path(get_package_share_directory(package), "msg", f"{name}.msg").read_text(encoding="utf-8")
-    except (PackageNotFoundError, OSError) as error:
-        raise SchemaError(f"no definition of message type {type_name} is installed here ({error})") from error
 
 
 def _nested_types(node: Any) -> set[str]:

@@ -22,7 +22,7 @@ from fjr_monitor.recording.timing import CountedTimes
 from fjr_monitor.report import html
 from fjr_monitor.report.html import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_monitor.report.metrics import Report
-from fjr_monitor.report.shown import Shown
+from fjr_monitor.report.shown import PAGE, RunSummary
 from fjr_msgs_py.console.output import number
 
 SAME = 0.2  # largest relative difference of two settling times that count as equal
@@ -88,29 +88,18 @@ def _reasons(stiff: Report, soft: Report) -> Iterator[str]:
         yield f"the transients differ: {number(times[0], 's')} and {number(times[1], 's')}"
 
 
-@dataclass(frozen=True)
-class Compared:
-    """One of several runs: unique label, data and report, path of its own page, notes on how it was made."""
-
-    label: str
-    data: Shown
-    report: Report
-    page: Path
-    notes: tuple[str, ...] = ()
-
-
-def write_comparison(path: Path, runs: Sequence[Compared], claim: Claim | None = None) -> None:
+def write_comparison(path: Path, runs: Sequence[RunSummary], claim: Claim | None = None) -> None:
     """Write the page of two runs or more; claim: what the first two show together. Raises AssetError."""
     labels = " · ".join(run.label for run in runs)
     plots = [*(transients(runs[:2]) if claim else []), *side_by_side_plots(runs)]
-    links = [Path(os.path.relpath(run.page, path.parent)).as_posix() for run in runs]
+    links = [Path(os.path.relpath(run.folder / PAGE, path.parent)).as_posix() for run in runs]
     notes = [f"{run.label}: {note}" for run in runs for note in (*run.notes, *run.report.missing)]
     title = claim.title if claim and claim.title else labels
     given: dict[str, Any] = {"labels": labels, "claim": claim, "runs": runs, "links": links, "colours": COLOURED}
     html.write_page(path, "runs.html", title, plots, notes=notes, **given)
 
 
-def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
+def side_by_side_plots(runs: Sequence[RunSummary]) -> list[Plot]:
     """Return the plots that are not empty, in the order of the page."""
     errors = [run.data.states["largest_error"] for run in runs]
     efforts = [run.data.states["largest_effort"] for run in runs]
@@ -128,7 +117,7 @@ def side_by_side_plots(runs: Sequence[Compared]) -> list[Plot]:
     return [plot for plot in drawn if not plot.is_empty]
 
 
-def transients(runs: Sequence[Compared]) -> list[Plot]:
+def transients(runs: Sequence[RunSummary]) -> list[Plot]:
     """Return the plots of link position and effort of one joint over the first TRANSIENT seconds, on linear axes."""
     shown = [(run, run.data.states["t"] <= TRANSIENT) for run in runs]
     times = np.unique(np.concatenate([run.data.states["t"][early] for run, early in shown]))
@@ -150,11 +139,11 @@ def transients(runs: Sequence[Compared]) -> list[Plot]:
     ]
 
 
-def _units(runs: Sequence[Compared], what: str) -> str:
+def _units(runs: Sequence[RunSummary], what: str) -> str:
     return joined(getattr(each, what) for run in runs for each in run.data.run.units)
 
 
-def storages(runs: Sequence[Compared]) -> Plot:
+def storages(runs: Sequence[RunSummary]) -> Plot:
     """Plot V / V(0), with the bounds dashed."""
     relative = [drawable(run.data.relative_storage, log=True) for run in runs]
     floor = min(float(np.nanmin(values, initial=1e-3)) for values in relative) / 30.0
@@ -169,7 +158,7 @@ def storages(runs: Sequence[Compared]) -> Plot:
 
 
 def _over_time(
-    name: str, title: str, caption: str, runs: Sequence[Compared], values: Sequence[Array], label: str
+    name: str, title: str, caption: str, runs: Sequence[RunSummary], values: Sequence[Array], label: str
 ) -> Plot:
     """Plot values over the union of the runs' times."""
     rows = [decimated([column], DRAWN // len(runs)) for column in values]
@@ -181,7 +170,7 @@ def _over_time(
     return Plot(name, title, caption, times, lines, y_label=label, y_log=True)
 
 
-def _distribution(name: str, title: str, what: str, runs: Sequence[Compared], values: Sequence[CountedTimes]) -> Plot:
+def _distribution(name: str, title: str, what: str, runs: Sequence[RunSummary], values: Sequence[CountedTimes]) -> Plot:
     """Plot the share of the states whose value [ms] is larger than a time."""
     low = max(min([1.0, *(each.least * 1e-6 for each in values)]), SHORTEST)
     high = max(SHORTEST, *(each.largest * 1e-6 for each in values))

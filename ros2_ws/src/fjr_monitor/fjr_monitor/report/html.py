@@ -125,11 +125,6 @@ class ArmReplay:
     reference: Array
     magnification: int
 
-    @property
-    def notes(self) -> list[str]:
-        """Return a sentence for each visual that is not shown."""
-        return list(self.scene["notes"])
-
     def packed(self, pool: Pool) -> dict[str, Any]:
         """Return the replay as values for arm_replay.js; its arrays are added to the pool."""
         motion = {"link": self.link, "motor": self.motor, "reference": self.reference}

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from textwrap import fill
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from fjr_core.numerics.checks import Array
 from fjr_monitor.report.html import Line, Plot, drawable
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers
@@ -21,8 +19,6 @@ SHADES = {**{f"c{i}": shade for i, shade in enumerate(COLOURS, 1)}, "grey": "#A6
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 SMALL = 8  # font size of captions and legends
 FEW = 6  # ticks of a logarithmic axis; with more, powers of ten only
-LABEL_GAP = 0.062  # of the height of the axes, between names
-LONGEST = 16  # characters of a name
 LEGEND: dict[str, Any] = {"fontsize": SMALL, "framealpha": 0.8, "edgecolor": "none", "markerscale": 3.0}
 STYLE = {
     "font.size": 9,
@@ -85,46 +81,3 @@ def _label_log_axis(ax: Axes, low: float, high: float) -> None:
     shown = [tick for tick in ticks if low <= tick <= high]
     shown = shown if len(shown) <= FEW else [tick for tick in ticks[::3] if low <= tick <= high]
     ax.set_xticks(shown or [low], [f"{tick:g}" for tick in shown or [low]])
-
-
-def name_lines(ax: Axes, plot: Plot) -> None:
-    """Write the names of coloured lines at their ends, without overlap; a single line gets none."""
-    named = [line for line in plot.lines if line.label and line.colour.startswith("c") and not line.dash]
-    if len(named) < 2:
-        return
-    ax.get_ylim()  # updates transData
-    ends = {}
-    for i, line in enumerate(named):
-        known = drawable(line.values, plot.y_log)
-        known = known[np.isfinite(known)]
-        if known.size:
-            point = ax.transData.transform((plot.x[-1], known[-1]))
-            ends[i] = float(ax.transAxes.inverted().transform(point)[1])
-    names = labels([line.label for line in named])
-    for i, height in zip(ends, apart(np.array(list(ends.values()))), strict=True):
-        at, offset, systems = (plot.x[-1], height), (4, 0), ("data", "axes fraction")
-        style = {"color": SHADES[named[i].colour], "va": "center"}
-        ax.annotate(names[i], at, offset, xycoords=systems, textcoords="offset points", **style)
-
-
-def labels(names: Sequence[str]) -> list[str]:
-    """Return names of at most LONGEST characters, the last ones, without the ending _joint if all have it."""
-    end = "_joint" if all(name.endswith("_joint") for name in names) else ""
-    short = [name.removesuffix(end) for name in names]
-    return [name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}" for name in short]
-
-
-def apart(heights: Array) -> list[float]:
-    """Move heights at least LABEL_GAP apart with the least displacement; all within 0 and 1.
-
-    Close neighbours are centred on their mean.
-    """
-    order = np.argsort(heights)
-    groups: list[list[float]] = []
-    for place, height in enumerate(heights[order]):
-        groups.append([height - LABEL_GAP * place])
-        while len(groups) > 1 and np.mean(groups[-2]) > np.mean(groups[-1]):
-            groups[-2:] = [groups[-2] + groups[-1]]
-    highest = 1.0 - LABEL_GAP * (len(heights) - 1)
-    placed = [min(max(float(np.mean(group)), 0.0), highest) for group in groups for _ in group]
-    return [placed[rank] + LABEL_GAP * float(rank) for rank in np.argsort(order)]

@@ -34,8 +34,9 @@ def draw_overview(name: str, data: Shown, report: Report, folder: Path) -> Path:
     """Write overview.png, six plots of the page, into the folder and return its path."""
     import matplotlib as mpl  # half a second of imports
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
-    from fjr_monitor.report.picture import STYLE, draw_plot, labels, name_lines
+    from fjr_monitor.report.picture import SHADES, STYLE, draw_plot
 
     plots = RunPlots(data, report)
     storage = plots.storage()
@@ -46,13 +47,13 @@ def draw_overview(name: str, data: Shown, report: Report, folder: Path) -> Path:
     shown = (plots.tracking(), plots.error(), storage, plots.effort(), plots.period(), plots.latency())
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(14.0, 8.0))
-        longest = max(map(len, labels(data.run.joints))) if len(data.run.joints) > 1 else 0
-        space = 0.26 + 0.03 * max(0, longest - 7)  # between the columns, for the names
-        margins = {"left": 0.05, "right": 0.99, "bottom": 0.07, "top": 0.86, "wspace": space, "hspace": 0.48}
+        margins = {"left": 0.05, "right": 0.99, "bottom": 0.1, "top": 0.86, "wspace": 0.2, "hspace": 0.48}
         axes = figure.subplots(2, 3, gridspec_kw=margins)  # an automatic layout takes as long as the drawing
         for ax, plot in zip(axes.flat, shown, strict=True):
             draw_plot(ax, plot, WIDTH)
-            name_lines(ax, plot)
+        joints = data.run.joints if len(data.run.joints) > 1 else []
+        shown_by = [Line2D([], [], color=SHADES[colour(j)], label=joint) for j, joint in enumerate(joints)]
+        figure.legend(handles=shown_by, loc="lower center", ncols=8, frameon=False)
         clock = "in lock-step" if report.lockstep else "in real time"
         title = f"{name}: plant and controller as two ROS 2 nodes, {1.0 / report.sample_period_s:g} Hz {clock}"
         figure.suptitle(title, fontsize=13, x=0.01, y=0.98, ha="left")
@@ -76,13 +77,11 @@ class RunPlots:
     def tracking(self) -> Plot:
         """Plot q_l over q_ld."""
         states, size = self._data.states, self._data.states["largest_error"]
-        one, well = len(self._joints) == 1, size[-1] <= max(size[0], 1e-3)
-        subject = "The link" + ("" if one else "s")
-        verb = ("follows" if one else "follow") if well else ("does not follow" if one else "do not follow")
+        well = size[-1] <= max(size[0], 1e-3)
         reference = [Line("" if j else "reference", column, "grey", 4.0) for j, column in enumerate(states["q_ld"].T)]
         return Plot(
             "tracking",
-            f"{subject} {verb} the reference",
+            "The motion follows the reference" if well else "The motion does not follow the reference",
             "Link positions over the reference (grey).",
             self._t,
             [*reference, *self._per_joint(states["q_l"])],

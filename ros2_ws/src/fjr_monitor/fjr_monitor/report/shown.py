@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,11 +14,12 @@ from fjr_core.config.robot import description, locked_positions
 from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.run import RunData
 from fjr_monitor.report.html import ArmReplay, extremes
-from fjr_monitor.report.metrics import Metrics
+from fjr_monitor.report.metrics import Metrics, Report
 from fjr_monitor.report.performance import Power
 from fjr_monitor.scene import scene
 from fjr_msgs_py.console.output import number
 
+PAGE, METRICS = "report.html", "report.json"
 EVERY = 40_000  # states of a run of which all are kept
 BUCKETS = 1_000  # parts of a longer run; of each the least and the largest value of every signal are kept
 VISIBLE = 0.3  # rad or m, of the largest deflection as magnified at first
@@ -112,6 +117,32 @@ class Shown:
         return self.states["V"] / (self.metrics.decay.initial or 1.0)
 
 
+@dataclass(frozen=True)
+class RunSummary:
+    """A reported run: folder of its report, report and what its page shows. label: unique among several runs.
+
+    has_page: whether report.html was written. notes: how the run was made, for the page that compares it.
+    """
+
+    folder: Path
+    report: Report
+    data: Shown
+    label: str = ""
+    has_page: bool = True
+    notes: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> list[Path]:
+        """Return the paths of page and metrics."""
+        return [self.folder / name for name in ((PAGE, METRICS) if self.has_page else (METRICS,))]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Return the run as JSON values: its files and the content of report.json."""
+        page = self.folder / PAGE if self.has_page else None
+        return {"name": self.label, "folder": self.folder, "page": page, **self.report.as_json()}
+
+
 def arm_replay(data: Shown) -> ArmReplay | None:
     """Return the replay of a run; None without positions of the links. Raises ParameterError, RobotError."""
     values, frames, joints = data.run.scenario.controller_values, data.frames, data.run.joints
@@ -122,8 +153,7 @@ def arm_replay(data: Shown) -> ArmReplay | None:
     if np.isfinite(sizes).any():
         joint = int(np.nanargmax(sizes))
         largest = number(float(sizes[joint]), data.run.units[joint].position)
-        springs, at = ("springs deflect", f", at {joints[joint]}") if len(joints) > 1 else ("spring deflects", "")
-        title = f"The {springs} by at most {largest}{at}"
+        title = f"Largest deflection of a spring: {largest} ({joints[joint]})"
     factor = magnification(motor - link)
     arm = scene(description(values), locked_positions(values))
     return ArmReplay(title, arm, joints, frames["t"], link, motor, frames["q_ld"], factor)

@@ -10,7 +10,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +22,17 @@ from fjr_core.files.text_file import read_json
 from fjr_monitor.recording.bag import Bag, bag_folder, read_bag
 from fjr_monitor.recording.files import files_of
 from fjr_monitor.recording.run import Recording
-from fjr_monitor.report.comparison_page import Claim, Compared, write_comparison
+from fjr_monitor.report.comparison_page import Claim, write_comparison
 from fjr_monitor.report.metrics import Metrics, Report
 from fjr_monitor.report.run_page import draw_overview, write_run_page
-from fjr_monitor.report.shown import Shown, arm_replay
+from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.provenance import Provenance, provenance
 from fjr_msgs_py.console.ros2 import play_command
 from fjr_msgs_py.scenarios import library
 
-SCENARIO, PAGE, METRICS, COMPARISON = "scenario.yaml", "report.html", "report.json", "comparison.html"
+SCENARIO, COMPARISON = "scenario.yaml", "comparison.html"
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
 LARGE = 50e6  # bytes: reading a larger bag is announced
 KNOWN: dict[str, Any] = {
@@ -43,33 +43,6 @@ KNOWN: dict[str, Any] = {
     "provenance": dict,
 }
 """Entries of an earlier report that the bag lacks, with their types."""
-
-
-@dataclass(frozen=True)
-class RunSummary:
-    """A reported run: folder of its report, report, what its page shows and scenario. label: unique among several runs.
-
-    has_page: whether report.html was written. notes: how the run was made, for the page that compares it.
-    """
-
-    folder: Path
-    report: Report
-    data: Shown
-    scenario: Scenario
-    label: str = ""
-    has_page: bool = True
-    notes: tuple[str, ...] = ()
-
-    @property
-    def files(self) -> list[Path]:
-        """Return the paths of page and metrics."""
-        return [self.folder / name for name in ((PAGE, METRICS) if self.has_page else (METRICS,))]
-
-    @property
-    def values(self) -> dict[str, Any]:
-        """Return the run as JSON values: its files and the content of report.json."""
-        page = self.folder / PAGE if self.has_page else None
-        return {"name": self.label, "folder": self.folder, "page": page, **self.report.as_json()}
 
 
 def report_run(
@@ -86,7 +59,8 @@ def report_run(
     failure: why the run ended early. pages: false for report.json only.
     """
     scenario, bag = load_scenario(folder / SCENARIO, user_code=False), read_bag(folder / "bag")
-    summary = report_bag(name, bag, scenario, folder, duration, skipped, failure, pages, provenance())
+    known = {"not_recorded": dict(skipped or {}), "failure": failure, "provenance": provenance()}
+    summary = report_bag(name, bag, scenario, folder, duration, pages, **known)
     if pages and summary.data.metrics.energy_known and summary.data.metrics.efforts_known:
         with without_warnings():
             write_with_fallback(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
@@ -99,14 +73,12 @@ def report_bag(
     scenario: Scenario,
     folder: Path,
     duration: float | None = None,
-    skipped: Mapping[str, str] | None = None,
-    failure: str = "",
     pages: bool = True,
-    recorded: Provenance | None = None,
+    **known: Any,
 ) -> RunSummary:
-    """Write report.json and report.html of any bag into a folder; for the arguments see report_run.
+    """Write report.json and report.html of any bag into a folder; duration, pages: as of report_run.
 
-    recorded: provenance of the command that recorded the bag, if known.
+    known: entries of the report that the bag lacks: not_recorded, failure, provenance of the command that recorded it.
     """
     with without_warnings():
         run = Recording(bag, scenario, duration or np.inf)
@@ -114,8 +86,7 @@ def report_bag(
         data = Shown(metrics)
         metrics.read(*([data.add] if pages else []))
         length = duration or metrics.seconds + run.sample_period
-        unrecorded = {"not_recorded": dict(skipped or {}), "failure": failure, "planned_s": duration}
-        report = metrics.report(name, length, provenance=recorded, **unrecorded)
+        report = metrics.report(name, length, planned_s=duration, **known)
 
         def write(place: Path) -> None:
             report.write(place / METRICS)
@@ -123,14 +94,14 @@ def report_bag(
                 write_run_page(place / PAGE, data, report, arm_replay(data))
 
         folder = write_with_fallback(folder, write)
-    return RunSummary(folder, report, data, scenario, name, pages)
+    return RunSummary(folder, report, data, name, pages)
 
 
 def compare(summaries: Sequence[RunSummary], folder: Path, claim: Claim | None = None) -> Path:
     """Write comparison.html of several runs into a folder; claim: what they show together."""
     with without_warnings():
-        runs = [Compared(each.label, each.data, each.report, each.folder / PAGE, each.notes) for each in summaries]
-        return write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, runs, claim)) / COMPARISON
+        written = write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, summaries, claim))
+    return written / COMPARISON
 
 
 def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
@@ -217,16 +188,6 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
-@dataclass(frozen=True)
-class Source:
-    """A bag with its name and scenario, and the folder of its report."""
-
-    bag: Path
-    name: str
-    scenario: Path
-    folder: Path
-
-
 def report(bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str) -> Result:
     """Report each bag, and compare them if there are several; the result has failed if any bag failed.
 
@@ -235,12 +196,20 @@ def report(bags: Sequence[Path], scenario: str | None, output: Path | None, name
     summaries: list[RunSummary] = []
     failures: list[str] = []
     namespace = f"/{namespace}" if (namespace := namespace.strip("/")) else ""
-    for path in bags:
+    for given in bags:  # a link, such as that to the newest run: the report names a folder that does not change
+        path = given.parent / given.readlink() if given.is_symlink() else given
         try:
-            source = source_of(path, scenario, output, [each.folder for each in summaries])
-            summaries.append(_report(source, namespace))
+            name, file, folder = source_of(path, scenario, output, [each.folder for each in summaries])
+            size = sum(each.stat().st_size for each in files_of(bag_folder(path)) if each.is_file())
+            if size > LARGE:
+                print(f"fjr: reading {path}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
+            known = dict(known_of(file.with_name(METRICS)))
+            known["provenance"] = Provenance.read(known.get("provenance"))
+            known.pop("scenario", None)
+            bag, robot = read_bag(path, namespace), load_scenario(file, user_code=False)
+            summaries.append(report_bag(name, bag, robot, folder, known.pop("planned_s", None), **known))
         except (FjrError, OSError) as error:
-            failures.append(str(error) if str(path) in str(error) else f"{path}: {error}")
+            failures.append(str(error) if str(path) in str(error) else f"{given}: {error}")
     if not summaries:
         print("".join(f"fjr: {failure}\n" for failure in failures[:-1]), end="", file=sys.stderr)
         raise RecordError(failures[-1])
@@ -257,27 +226,8 @@ def report(bags: Sequence[Path], scenario: str | None, output: Path | None, name
     return Result("\n".join(lines), values, Exit.FAILED if failures else Exit.DONE)
 
 
-def _report(source: Source, namespace: str) -> RunSummary:
-    size = sum(file.stat().st_size for file in files_of(bag_folder(source.bag)) if file.is_file())
-    if size > LARGE:
-        print(f"fjr: reading {source.bag}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
-    known = known_of(source.scenario.with_name(METRICS))
-    return report_bag(
-        source.name,
-        read_bag(source.bag, namespace),
-        load_scenario(source.scenario, user_code=False),
-        source.folder,
-        duration=known.get("planned_s"),
-        skipped=known.get("not_recorded"),
-        failure=known.get("failure", ""),
-        recorded=Provenance.read(known.get("provenance")),
-    )
-
-
-def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequence[Path]) -> Source:
-    """Return bag, name, scenario file and report folder, none of those taken; raise ScenarioError without one."""
-    if path.is_symlink():  # such as that to the newest run: the report names a folder that does not change
-        path = path.parent / path.readlink()
+def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequence[Path]) -> tuple[str, Path, Path]:
+    """Return name, scenario file and report folder of a bag, none of those taken; raise ScenarioError without one."""
     above = [path, *path.resolve().parents[:2]]
     run = next((folder for folder in above if (folder / SCENARIO).is_file()), None)  # the run that the bag belongs to
     if scenario is not None:
@@ -297,7 +247,7 @@ def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequ
     number = 2
     while folder in taken:
         folder, number = first.with_name(f"{first.name}-{number}"), number + 1
-    return Source(path, name, file, folder)
+    return name, file, folder
 
 
 def known_of(path: Path) -> Mapping[str, Any]:

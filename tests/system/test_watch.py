@@ -1,0 +1,403 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr watch` with running nodes: a pseudo-terminal, the page of a real browser, a client with Foxglove's protocol."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from fcntl import ioctl
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+from xml.etree import ElementTree
+
+import pyte
+import pytest
+from ament_index_python.packages import get_package_prefix
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from websockets.sync.client import ClientConnection, connect
+
+from fjr_core.config.robot import description
+from fjr_core.config.scenario import load_scenario
+from fjr_core.urdf.tree import UrdfFrames
+from fjr_monitor.watch.browser import BrowserPage
+from fjr_monitor.watch.foxglove import FoxgloveError, FoxgloveServer, frame_transforms
+from system.browser import Browser
+from system.executables import TIME_LIMIT, Executable, fjr, fjr_here, lockstep_loop, scenario, wait_for
+from time_limits import HANG, Limit
+
+pytestmark = pytest.mark.system
+COLUMNS, ROWS = 132, 40
+FJR = str(Path(get_package_prefix("fjr_bringup")) / "lib" / "fjr_bringup" / "fjr")
+
+
+class Terminal:
+    """`fjr` in a pseudo-terminal, with the content of its screen."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._master, slave = pty.openpty()
+        ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
+        command = [FJR, *arguments]
+        kept = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+        self.process = subprocess.Popen(
+            command,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            env={**kept, "TERM": "xterm-256color"},
+        )
+        os.close(slave)
+        self._screen = pyte.Screen(COLUMNS, ROWS)
+        self._stream = pyte.ByteStream(self._screen)
+        self.raw = b""
+
+    def until(self, seen: Callable[[str], bool]) -> str:
+        """Read until the screen satisfies `wanted`; return the screen."""
+        limit = Limit(TIME_LIMIT)
+        while not seen(self.text):
+            assert not limit.passed(), self.text
+            self._read(0.2)
+        return self.text
+
+    @property
+    def text(self) -> str:
+        return "\n".join(line.rstrip() for line in self._screen.display)
+
+    def interrupt(self) -> int:
+        """Send Ctrl-C; return the exit code."""
+        self.process.send_signal(signal.SIGINT)
+        limit = Limit(TIME_LIMIT)
+        while self.process.poll() is None and not limit.passed():
+            self._read(0.1)
+        self._read(0.1)
+        return self.process.wait(TIME_LIMIT)
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        os.close(self._master)
+
+    def _read(self, wait: float) -> None:
+        if select.select([self._master], [], [], wait)[0]:
+            try:
+                data = os.read(self._master, 65536)
+            except OSError:  # the other end was closed
+                return
+            self.raw += data
+            self._stream.feed(data)
+
+
+@pytest.fixture(scope="module")
+def loop() -> Iterator[None]:
+    """A plant and a controller in the namespace left."""
+    with lockstep_loop("two_link", "left"):
+        yield
+
+
+@pytest.fixture
+def terminal() -> Iterator[Callable[..., Terminal]]:
+    opened: list[Terminal] = []
+
+    def open_one(*arguments: str) -> Terminal:
+        opened.append(Terminal(*arguments))
+        return opened[-1]
+
+    yield open_one
+    for one in opened:
+        one.close()
+
+
+@pytest.fixture
+def own_loop() -> Iterator[dict[str, Executable]]:
+    with lockstep_loop("two_link", "right") as nodes:
+        yield nodes
+
+
+def rows(screen: str) -> dict[str, list[float]]:
+    """Return position, velocity, deflection and error of the joints that have all of them."""
+    found = {}
+    for words in (line.split() for line in screen.splitlines()):
+        with suppress(ValueError, IndexError):
+            found[words[1]] = [float(words[i]) for i in range(2, 6)]
+    return found
+
+
+@pytest.fixture
+def page() -> Iterator[BrowserPage]:
+    with BrowserPage(0, "fjr watch <left>") as made:
+        yield made
+
+
+def poses(more: int) -> str:
+    """An expression that waits until the arm was posed so many times more, and gives the picture."""
+    return f"""(() => {{
+      const arm = document.getElementById("arm"), until = Number(arm.dataset.poses ?? 0) + {more};
+      return new Promise((done) => new MutationObserver((_, all) => {{
+        if (Number(arm.dataset.poses) < until) return;
+        all.disconnect();
+        done(document.querySelector(".stage canvas").toDataURL());
+      }}).observe(arm, {{ attributes: true }}));
+    }})()"""
+
+
+def joint(**values: object) -> dict[str, object]:
+    return {"name": "joint1", "position": 0.3, "deflection": 0.1, "error": 0.2, "effort": 1.0, "limit": 4.0} | values
+
+
+def view(*joints: dict[str, object]) -> dict[str, object]:
+    return {"joints": list(joints), "silence": 0.0, "timing": None, "health": []}
+
+
+MESSAGE = struct.Struct("<BIQ")  # opcode 1, subscription, time [ns]; then the payload
+STATES, DESCRIPTION, TRANSFORMS = "/left/joint_states", "/left/robot_description", "/tf"
+STATE, ARRAY, STATUS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "diagnostic_msgs/msg/Diagnostic"
+TYPES = {
+    STATES: STATE,
+    "/left/joint_commands": STATE,
+    "/left/effort_controller/commands": ARRAY,
+    "/left/fjr_controller/reference": STATE,
+    "/left/fjr_controller/tracking_error": STATE,
+    "/left/fjr_controller/certificate": ARRAY,
+    DESCRIPTION: "std_msgs/msg/String",
+    "/diagnostics": f"{STATUS}Array",
+    "/left/fjr_controller/events": f"{STATUS}Status",
+    TRANSFORMS: "foxglove.FrameTransforms",
+}
+SPORADIC = "/left/fjr_controller/events"
+
+
+class Client:
+    """A client that subscribes to everything; `heard`: payloads by topic and time [ns]."""
+
+    def __init__(self, address: str) -> None:
+        self._socket: ClientConnection = connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self.channels: dict[int, dict[str, Any]] = {}
+        self.heard: dict[str, dict[int, bytes]] = {}
+
+    def until_heard(self, *topics: str) -> None:
+        limit = Limit(TIME_LIMIT)
+        while not set(topics) <= set(self.heard):
+            assert not limit.passed(), set(topics) - set(self.heard)
+            self._receive()
+
+    def _receive(self) -> None:
+        message = self._socket.recv(timeout=TIME_LIMIT)
+        if isinstance(message, bytes):
+            _, channel, time = MESSAGE.unpack_from(message)
+            self.heard.setdefault(self.channels[channel]["topic"], {})[time] = message[MESSAGE.size :]
+            return
+        for channel in json.loads(message).get("channels", []):
+            self.channels[channel["id"]] = channel
+            wish = {"id": channel["id"], "channelId": channel["id"]}
+            self._socket.send(json.dumps({"op": "subscribe", "subscriptions": [wish]}))
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture(scope="module")
+def watch(loop: None) -> Iterator[Executable]:
+    """`fjr watch --foxglove` next to the two nodes."""
+    shown = Executable("fjr_bringup", "fjr", "watch", "--namespace", "left", "--foxglove", "--port", "0")
+    yield shown
+    shown.kill()
+
+
+def address(watch: Executable) -> str:
+    wait_for(lambda: "ws://" in watch.said_so_far(), "the address")
+    return next(word for word in watch.said_so_far().split() if word.startswith("ws://"))
+
+
+def test_missing_nodes_are_reported_until_ctrl_c(terminal: Callable[..., Terminal]) -> None:
+    watch = terminal("watch", "--remap", "joint_states:=/robot/states")
+    screen = watch.until(lambda text: "waiting for joint states" in text and "no publisher of" in text)
+    assert "/robot/states" in screen
+    assert watch.interrupt() == 0
+
+
+def test_invalid_remap_is_refused() -> None:
+    assert "expected FROM:=TO" in fjr_here("watch", "--remap", "joint_states", code=2)
+
+
+def test_link_reference_and_motor_are_posed_by_the_view(page: BrowserPage, browser: Browser) -> None:
+    urdf = description(load_scenario(scenario("paper_k31")).controller_values)
+    browser.open(page.url)
+    pictures = []
+    for given in (joint(), joint(error=0.1), joint(deflection=0.0), joint(error=None, deflection=None), joint()):
+        page.show(view(given), urdf)
+        pictures.append(browser.value(poses(1)))
+    assert len(set(pictures[:4])) == 4
+    assert pictures[4] == pictures[0]
+    cells = browser.value("[...document.querySelectorAll('#joints td')].map((cell) => cell.textContent)")
+    assert cells == ["0.3000 rad", "0.1000 rad", "2.0e-1 rad", "1.00 N m", "25 %"]
+    assert browser.said == []
+
+
+def test_a_description_that_is_no_urdf_is_one_sentence(page: BrowserPage, browser: Browser) -> None:
+    page.show(view(joint()), "<robot><link name='</script>'/><oops></robot>")
+    browser.open(page.url)
+    sentence = "document.querySelector('.stage').textContent"
+    assert browser.value(
+        f"new Promise((done) => setInterval(() => {sentence}.startsWith('no arm') && done({sentence}), 20))"
+    )
+    assert browser.said == []
+
+
+@pytest.mark.parametrize(("host", "code"), [("127.0.0.1", 200), ("localhost:99", 200), ("elsewhere.example", 403)])
+def test_only_this_computer_is_answered(page: BrowserPage, host: str, code: int) -> None:
+    connection = HTTPConnection(urlsplit(page.url).netloc, timeout=HANG)
+    connection.request("GET", "/", headers={"Host": host})
+    answer = connection.getresponse()
+    assert answer.status == code
+    assert b"<left>" not in answer.read()
+    connection.request("GET", "/other")
+    assert connection.getresponse().status == 404
+
+
+def test_browsers_that_disconnect_early_print_nothing(page: BrowserPage, capfd: pytest.CaptureFixture[str]) -> None:
+    at = (urlsplit(page.url).hostname, urlsplit(page.url).port)
+    for request in (
+        b"",
+        b"GET",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    ):
+        for _ in range(8):
+            with socket.create_connection(at) as early:
+                early.sendall(request)
+                early.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # reset, as by a crash
+    limit = Limit(HANG)
+    while any("process_request_thread" in thread.name for thread in threading.enumerate()):
+        page.show(view(joint()), "")
+        assert not limit.passed(), "a thread still serves a browser that has gone"
+    assert capfd.readouterr().err == ""
+
+
+def test_a_used_port_is_refused_in_one_sentence(page: BrowserPage) -> None:
+    said = fjr_here("watch", "--browser", "--port", str(urlsplit(page.url).port), code=1)
+    assert "cannot be used" in said
+
+
+def test_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(FoxgloveError, match=r"is not installed; expected it from: pip install foxglove-sdk$"):
+        FoxgloveServer(None, "fjr_controller", {}, 0)
+
+
+def test_port_in_use_is_one_sentence() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(FoxgloveError, match=rf"port {taken.getsockname()[1]} cannot be used .*expected a free one"):
+            FoxgloveServer(None, "fjr_controller", {}, taken.getsockname()[1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--foxglove", "--once"], "--foxglove shows the loop until Ctrl-C; expected it without --once"),
+        (["--foxglove", "--json"], "--foxglove shows the loop until Ctrl-C; expected it without --json"),
+        (["--browser", "--once"], "--browser shows the loop until Ctrl-C; expected it without --once"),
+        (["--foxglove", "--browser"], "--browser shows the loop until Ctrl-C; expected it without --foxglove"),
+        (["--port", "9000"], "--port is given without --browser or --foxglove"),
+        (["--foxglove", "--port", "70000"], "expected 0 to 65535"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(arguments: list[str], words: str) -> None:
+    assert words in fjr_here("watch", *arguments, code=2)
+
+
+def test_a_running_loop_is_on_the_screen_until_the_plant_ends(
+    own_loop: dict[str, Executable], terminal: Callable[..., Terminal]
+) -> None:
+    watch = terminal("watch", "two_link", "--namespace", "right")
+    words = ("state to command", "ok    right/fjr_controller", "right/fjr_plant")
+    screen = watch.until(lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"})
+    q_l, dq_l, deflection, error = rows(screen)["elbow"]
+    assert abs(q_l) < 2
+    assert abs(dq_l) < 20
+    assert abs(deflection) < 1
+    assert 0 <= error < 2
+    assert "fjr watch right" in screen
+    before = screen
+    watch.until(lambda text: text != before and "elbow" in text)
+    own_loop["plant"].kill()
+    watch.until(lambda text: "no state for" in text)
+    assert watch.interrupt() == 0
+    assert b"\x1b[?1049l" in watch.raw, "the terminal must be restored"
+    assert b"Traceback" not in watch.raw
+
+
+@pytest.mark.usefixtures("loop")
+def test_single_view_is_plain_text() -> None:
+    fjr("echo", "left/joint_states", "--once", "--timeout", "600")
+    said = fjr("watch", "--namespace", "/left", "--once")
+    assert "shoulder" in said
+    assert "\x1b" not in said
+
+
+@pytest.mark.usefixtures("loop")
+def test_the_arm_of_a_running_loop_moves_in_the_browser(browser: Browser) -> None:
+    watch = subprocess.Popen([FJR, "watch", "--browser", "--namespace", "left"], stdout=subprocess.PIPE, text=True)
+    try:
+        assert watch.stdout is not None
+        address = next(word for word in watch.stdout.readline().split() if word.startswith("http://127.0.0.1:"))
+        browser.open(address)
+        first = browser.value(poses(1))
+        limit = Limit(HANG)
+        while browser.value(poses(20)) == first:  # the controller may still load
+            assert not limit.passed(), "the arm does not move"
+        rows = browser.value("[...document.querySelectorAll('#joints th')].map((cell) => cell.textContent)")
+        assert rows == ["shoulder", "elbow"]
+        assert set(browser.asked) == {address, f"{address}events"}
+        assert browser.said == []
+        watch.send_signal(signal.SIGINT)
+        assert watch.wait(HANG) == 0
+        ended = "document.getElementById('timing').textContent === 'fjr watch has ended'"
+        assert browser.value(f"new Promise((done) => setInterval(() => {ended} && done(true), 20))")
+    finally:
+        watch.kill()
+        watch.communicate()
+
+
+def test_client_receives_states_transforms_and_description_of_the_running_loop(watch: Executable) -> None:
+    client = Client(address(watch))
+    client.until_heard(*(set(TYPES) - {SPORADIC}))
+    assert {each["topic"]: each["schemaName"] for each in client.channels.values()} == TYPES
+    states = next(each for each in client.channels.values() if each["topic"] == STATES)
+    assert (states["encoding"], states["schemaEncoding"]) == ("cdr", "ros2msg")
+    assert "float64[] position" in states["schema"]
+    urdf = deserialize_message(next(iter(client.heard[DESCRIPTION].values())), String).data
+    assert {link.get("name") for link in ElementTree.fromstring(urdf).iter("link")} > {"base_link"}
+    time, transforms = next(iter(client.heard[TRANSFORMS].items()))
+    state = deserialize_message(client.heard[STATES][time], JointState)
+    assert state.name == ["shoulder", "elbow", "shoulder_motor", "elbow_motor"]
+    positions = dict(zip(state.name, state.position, strict=True))
+    assert transforms == frame_transforms(UrdfFrames(urdf).at(positions), time).encode()
+    client.close()
+
+
+def test_late_client_receives_the_description_and_ctrl_c_ends(watch: Executable) -> None:
+    client = Client(address(watch))
+    client.until_heard(DESCRIPTION)
+    client.close()
+    watch.signal(signal.SIGINT)
+    code, said = watch.end()
+    assert code == 0
+    assert len(said.splitlines()) == 1, said
