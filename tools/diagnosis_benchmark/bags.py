@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.recording.bag import JointTable, read_bag
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.signals import first_of_each_stamp, match_stamps
 from fjr_monitor.recording.topic import type_hash
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter
 
 from .loop import Log
 
@@ -36,32 +40,38 @@ class _Topics:
             topic: bag.add_topic(topic, kind, [names.LATEST], type_hash(kind)) for topic, kind in TYPES.items()
         }
 
-    def write(self, topic: str, time: int, data: bytes) -> None:
+    def write(self, topic: str, time: int, message: Any) -> None:
         """Write a message that was sent at `time` [ns]."""
         channel = self._channels[topic]
-        self._bag.write(channel, time, time, channel.count + 1, data)
+        self._bag.write(channel, time, time, channel.count + 1, serialize_message(message))
 
 
 def write_bag(log: Log, scenario: Scenario, folder: Path) -> None:
     """Write the log as a bag in `folder`, with the times of lock-step."""
-    joints = scenario.joints
-    writers = {topic: JointStateWriter(joints) for topic in (COMMANDS, REFERENCE, ERROR)}
-    states, efforts = JointStateWriter(names.state_names(joints)), EffortWriter(joints)
+    joints, n = list(scenario.joints), len(scenario.joints)
+    label = MultiArrayLayout(dim=[MultiArrayDimension(label=",".join(joints), size=n, stride=n)])
     commands = {stamp: (u, jets) for stamp, u, jets in log.commands}
     bag = BagWriter(folder)
     topics = _Topics(bag)
-    for time, sample in log.states:
-        stamp, position, velocity, _ = sample
-        topics.write(STATES, time, states.fill(*sample))
+    for time, (stamp, position, velocity, effort) in log.states:
+        states = names.state_names(scenario.joints)
+        topics.write(STATES, time, _joint_state(states, stamp, position=position, velocity=velocity, effort=effort))
         if stamp not in commands:
             continue
         u, jets = commands.pop(stamp)
-        error, n = position[: len(joints)] - jets[0], len(joints)
-        topics.write(COMMANDS, time + LATENCY, writers[COMMANDS].fill(stamp, effort=u))
-        topics.write(EFFORTS, time + LATENCY, efforts.fill(u))
-        topics.write(REFERENCE, time + LATENCY, writers[REFERENCE].fill(stamp, jets[0], jets[1]))
-        topics.write(ERROR, time + LATENCY, writers[ERROR].fill(stamp, error, velocity[:n] - jets[1]))
+        error = {"position": position[:n] - jets[0], "velocity": velocity[:n] - jets[1]}
+        topics.write(COMMANDS, time + LATENCY, _joint_state(joints, stamp, effort=u))
+        topics.write(EFFORTS, time + LATENCY, Float64MultiArray(layout=label, data=u))
+        reference = _joint_state(joints, stamp, position=jets[0], velocity=jets[1])
+        topics.write(REFERENCE, time + LATENCY, reference)
+        topics.write(ERROR, time + LATENCY, _joint_state(joints, stamp, **error))
     bag.close()
+
+
+def _joint_state(joints: list[str], stamp: int, **fields: Array) -> JointState:
+    message = JointState(name=joints, **fields)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+    return message
 
 
 def read_record(folder: Path, scenario: Scenario) -> Record:
