@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
@@ -20,6 +17,7 @@ from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.signals import first_of_each_stamp, match_stamps
 from fjr_monitor.recording.topic import type_hash
 from fjr_msgs_py import names
+from fjr_msgs_py.messages.cdr import FIELDS, HEADER, Form, float_array, joint_state
 
 from .loop import Log
 
@@ -40,16 +38,15 @@ class _Topics:
             topic: bag.add_topic(topic, kind, [names.LATEST], type_hash(kind)) for topic, kind in TYPES.items()
         }
 
-    def write(self, topic: str, time: int, message: Any) -> None:
+    def write(self, topic: str, time: int, data: bytes) -> None:
         """Write a message that was sent at `time` [ns]."""
         channel = self._channels[topic]
-        self._bag.write(channel, time, time, channel.count + 1, serialize_message(message))
+        self._bag.write(channel, time, time, channel.count + 1, data)
 
 
 def write_bag(log: Log, scenario: Scenario, folder: Path) -> None:
     """Write the log as a bag in `folder`, with the times of lock-step."""
     joints, n = list(scenario.joints), len(scenario.joints)
-    label = MultiArrayLayout(dim=[MultiArrayDimension(label=",".join(joints), size=n, stride=n)])
     commands = {stamp: (u, jets) for stamp, u, jets in log.commands}
     bag = BagWriter(folder)
     topics = _Topics(bag)
@@ -61,17 +58,26 @@ def write_bag(log: Log, scenario: Scenario, folder: Path) -> None:
         u, jets = commands.pop(stamp)
         error = {"position": position[:n] - jets[0], "velocity": velocity[:n] - jets[1]}
         topics.write(COMMANDS, time + LATENCY, _joint_state(joints, stamp, effort=u))
-        topics.write(EFFORTS, time + LATENCY, Float64MultiArray(layout=label, data=u))
+        topics.write(EFFORTS, time + LATENCY, _filled(float_array(",".join(joints), n), [u]))
         reference = _joint_state(joints, stamp, position=jets[0], velocity=jets[1])
         topics.write(REFERENCE, time + LATENCY, reference)
         topics.write(ERROR, time + LATENCY, _joint_state(joints, stamp, **error))
     bag.close()
 
 
-def _joint_state(joints: list[str], stamp: int, **fields: Array) -> JointState:
-    message = JointState(name=joints, **fields)
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-    return message
+def _joint_state(joints: list[str], stamp: int, **fields: Array) -> bytes:
+    values = [fields.get(name, np.zeros(0)) for name in FIELDS]
+    return _filled(joint_state(joints, map(len, values)), values, stamp)
+
+
+def _filled(form: Form, values: list[Array], stamp: int | None = None) -> bytes:
+    """Return a message without trailing bytes, which rosbags refuses; rclpy may append some."""
+    data = bytearray(HEADER) + form.empty
+    if stamp is not None:
+        struct.pack_into("<iI", data, 2 * HEADER, *divmod(stamp, 1_000_000_000))
+    for start, numbers in zip(form.starts, values, strict=True):
+        data[8 * start : 8 * (start + len(numbers))] = np.asarray(numbers, dtype="<f8").tobytes()
+    return bytes(data[HEADER:])
 
 
 def read_record(folder: Path, scenario: Scenario) -> Record:
