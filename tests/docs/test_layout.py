@@ -45,7 +45,7 @@ LAYERS = {
         "simulated_robot",
         "host",
         "time_base",
-        "lock_step real_time",
+        "lock_step",
         "plant_node",
         "executable",
     ),

@@ -32,30 +32,6 @@ def tampered(seconds: float, how: Callable[[], Tamper]) -> Act:
     return act
 
 
-def silence(seconds: float) -> Act:
-    return tampered(seconds, lambda: message_faults.dropped)
-
-
-def not_a_number(seconds: float) -> Act:
-    return tampered(seconds, lambda: message_faults.not_a_number)
-
-
-def renamed(seconds: float) -> Act:
-    return tampered(seconds, lambda: message_faults.renamed)
-
-
-def twice(seconds: float) -> Act:
-    return tampered(seconds, lambda: message_faults.twice)
-
-
-def frozen(seconds: float) -> Act:
-    return tampered(seconds, message_faults.frozen)
-
-
-def aged(seconds: float, samples: int) -> Act:
-    return tampered(seconds, lambda: message_faults.aged(samples))
-
-
 def clock_jumped(seconds: float, jump: int) -> Act:
     """Shift the stamps by whole seconds for a while; the reference restarts when they jump back."""
 

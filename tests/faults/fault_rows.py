@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from faults import fault_injection
-from faults.fault_injection import Act
+from faults import fault_injection, message_faults
+from faults.fault_injection import Act, tampered
 from faults.rig import DIRECT, RELAYED, STEPPED, Setting
 
 STATE_TIMEOUT, JOIN_TIME = 0.1, 0.5  # s
@@ -69,8 +69,8 @@ ROWS = [
         counted=LATER,
         mode=DIRECT,
     ),
-    Row("no states for 200 ms", FALLS, fault_injection.silence(0.2), 1.0, counted=LATER),
-    Row("no states for 2 s", FALLS, fault_injection.silence(2.0), 2.0, counted=LATER),
+    Row("no states for 200 ms", FALLS, tampered(0.2, message_faults.dropped), 1.0, counted=LATER),
+    Row("no states for 2 s", FALLS, tampered(2.0, message_faults.dropped), 2.0, counted=LATER),
     Row("1 % of states and of commands lost, 2 s", "tracks", lossy(0.01), 1e-3, 0.0, mode=STEPPED),
     Row("10 % of states and of commands lost, 2 s", "tracks", lossy(0.1), 1e-3, 0.0, mode=STEPPED),
     Row("states 1 ms late, 2 s", "tracks", late(0.001), 1e-3, 0.0, mode=STEPPED),
@@ -88,29 +88,31 @@ ROWS = [
     Row(
         "NaN and infinity in every state, 200 ms",
         FALLS,
-        fault_injection.not_a_number(0.2),
+        tampered(0.2, message_faults.not_a_number),
         1.0,
         counted=("state refused: not finite", *LATER),
     ),
     Row(
         "joint names of another arm, 200 ms",
         FALLS,
-        fault_injection.renamed(0.2),
+        tampered(0.2, message_faults.renamed),
         1.0,
         counted=("state refused: missing joints", *LATER),
     ),
-    Row("every state sent twice, 1 s", "tracks", fault_injection.twice(1.0), 0.1, counted=("states repeated",)),
+    Row(
+        "every state sent twice, 1 s", "tracks", tampered(1.0, message_faults.twice), 0.1, counted=("states repeated",)
+    ),
     Row(
         "one state repeated, 200 ms",
         "holds the effort of that state; a transition leads back to the reference",
-        fault_injection.frozen(0.2),
+        tampered(0.2, message_faults.frozen),
         1.0,
         counted=("states repeated", "forward jumps", "recoveries"),
     ),
     Row(
         "each state preceded by one 50 ms older, 1 s",
         "tracks",
-        fault_injection.aged(1.0, 50),
+        tampered(1.0, lambda: message_faults.aged(50)),
         0.1,
         counted=("states older than the last",),
     ),
@@ -146,7 +148,7 @@ ROWS = [
     Row(
         "arm7: no states for 200 ms",
         "holds its weight; a 1 s transition leads back to the reference",
-        fault_injection.silence(0.2),
+        tampered(0.2, message_faults.dropped),
         1.0,
         counted=LATER,
         setting=ARM,
@@ -154,7 +156,7 @@ ROWS = [
     Row(
         "arm7: no states for 2 s",
         "falls (it has no brakes); outside its range the controller stops and holds the weight",
-        fault_injection.silence(2.0),
+        tampered(2.0, message_faults.dropped),
         10.0,
         None,
         counted=("silences", "stops"),

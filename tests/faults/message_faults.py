@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modifications of states in the relay."""
+"""Modifications of states in the relay; each function returns a new one, which may remember messages."""
 
 from __future__ import annotations
 
@@ -12,25 +12,32 @@ from sensor_msgs.msg import JointState
 from faults.relay import Tamper
 
 
-def dropped(message: JointState) -> Iterable[JointState]:
-    return ()
+def dropped() -> Tamper:
+    return lambda message: ()
 
 
-def not_a_number(message: JointState) -> Iterable[JointState]:
+def twice() -> Tamper:
+    return lambda message: (message, message)
+
+
+def not_a_number() -> Tamper:
     """Make a position and a velocity alternately NaN and infinite."""
-    bad = math.nan if message.header.stamp.nanosec // 1_000_000 % 2 else math.inf
-    message.position[0] = bad
-    message.velocity[-1] = -bad
-    yield message
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        bad = math.nan if message.header.stamp.nanosec // 1_000_000 % 2 else math.inf
+        message.position[0] = bad
+        message.velocity[-1] = -bad
+        yield message
+
+    return tamper
 
 
-def renamed(message: JointState) -> Iterable[JointState]:
-    message.name = [f"{name}_of_another_arm" for name in message.name]
-    yield message
+def renamed() -> Tamper:
+    def tamper(message: JointState) -> Iterable[JointState]:
+        message.name = [f"{name}_of_another_arm" for name in message.name]
+        yield message
 
-
-def twice(message: JointState) -> Iterable[JointState]:
-    return (message, message)
+    return tamper
 
 
 def frozen() -> Tamper:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
@@ -19,7 +20,6 @@ from faults.watcher import COMMANDS, STATES
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.simulation.batch import Draws
 from fjr_design.studies.sweep import scenario_loop
-from fjr_msgs_py.messages.joint_states import JointStateWriter
 from fjr_msgs_py.names import state_names
 from hosts.inputs import Input, Kind, Sequence, with_ticks
 from hosts.step_hosts import Efforts
@@ -47,12 +47,12 @@ def of_study(name: str, document: str, samples: int) -> tuple[Sequence, Efforts]
     s = parse_scenario(name, document)
     duration = (samples - 0.5) * s.sample_period
     _, run = scenario_loop(s, s.sampled_law, duration, settle_after=0.0).recorded(Draws(1, **NOISE))
-    writer, n = JointStateWriter(state_names(s.joints)), len(s.joints)
     inputs = []
     for k, measured in enumerate(run.measured[0]):
-        stamp = START + round(k * s.sample_period * SECOND)
-        raw = bytes(writer.fill(stamp, measured[: 2 * n], measured[2 * n :]))
-        inputs.append(Input(Kind.STATE, stamp, raw))
+        stamp, (position, velocity) = START + round(k * s.sample_period * SECOND), np.split(measured, 2)
+        message = JointState(name=state_names(s.joints), position=position, velocity=velocity)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, SECOND)
+        inputs.append(Input(Kind.STATE, stamp, serialize_message(message)))
     return Sequence(name, document, True, tuple(inputs), published=True), run.u[0]
 
 

@@ -22,12 +22,12 @@ from hosts.step_hosts import reference_replay
 
 pytestmark = pytest.mark.system
 FAULTS: dict[range, Tamper] = {
-    range(100, 130): message_faults.not_a_number,
-    range(150, 160): message_faults.renamed,
-    range(180, 200): message_faults.twice,
+    range(100, 130): message_faults.not_a_number(),
+    range(150, 160): message_faults.renamed(),
+    range(180, 200): message_faults.twice(),
     range(220, 240): message_faults.aged(15),
     range(260, 280): message_faults.frozen(),
-    range(300, 450): message_faults.dropped,
+    range(300, 450): message_faults.dropped(),
     range(550, 600): message_faults.jumped(10),
 }
 """Faults of the states by the samples at which they act."""

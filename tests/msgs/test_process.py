@@ -123,8 +123,9 @@ sys.exit(process.run(Cyclic))
 executors = pytest.mark.parametrize("executor", ["events", "single"])
 
 
-@executors
-@pytest.mark.parametrize("where", ["timer", "subscription", "service"])
+@pytest.mark.parametrize(
+    ("executor", "where"), [("events", "timer"), ("events", "subscription"), ("events", "service"), ("single", "timer")]
+)
 def test_an_fjr_error_ends_the_process_with_one_sentence(executor: str, where: str) -> None:
     done = run(FALLING, executor, where)
     assert done.stderr == "ended: it fell\n"

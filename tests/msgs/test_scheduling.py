@@ -10,6 +10,7 @@ import resource
 import subprocess
 import sys
 import threading
+from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -31,7 +32,11 @@ import ctypes, json, os, resource, sys, threading
 from pathlib import Path
 from fjr_core.config.process import ProcessSettings
 from fjr_msgs_py.node.scheduling import apply_process_settings, slice_of, step_back, yield_to_loops
-care, user, memlock, back = json.loads(sys.argv[1])
+care, user, memlock, back, refuse = json.loads(sys.argv[1])
+def refused(*_):
+    raise PermissionError(1, "Operation not permitted")
+for name in refuse:
+    setattr(os, name, refused)
 def wait():
     if back:
         step_back()
@@ -64,13 +69,15 @@ print(json.dumps({
 # Run a node by process.run that interrupts itself at the fifth call of its timer.
 INTERRUPTED = """
 import os, signal, sys
-from rclpy.node import Node
+from rclpy.parameter import Parameter
 from fjr_core.config.process import process_parameters
 from fjr_msgs_py.node import process
-class Counting(Node):
+from fjr_msgs_py.node.parameters import ParameterNode
+class Counting(ParameterNode):
     def __init__(self):
-        super().__init__("counting")
-        self.values = {p.name: p.default for p in process_parameters()} | eval(sys.argv[1])
+        given = [Parameter(name, value=value) for name, value in eval(sys.argv[1]).items()]
+        super().__init__("counting", lambda n: process_parameters(), parameter_overrides=given)
+    def build(self):
         self.count = 0
         self.create_timer(0.001, self.tick)
     def tick(self):
@@ -87,19 +94,39 @@ root = pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only r
 
 
 @linux
-def test_without_a_priority_every_thread_has_short_slices_and_python_yields() -> None:
-    found = _take_care({})
+def test_without_a_priority_every_thread_has_short_slices_on_its_core_and_python_yields() -> None:
+    core = max(os.sched_getaffinity(0))
+    found = _take_care({"cores": [core]})
     assert found["refusals"] == []
     assert found["policies"] == [[os.SCHED_BATCH, 0], [os.SCHED_OTHER, 0]]
+    assert found["cores"] == [[core]] * 2
     _is_said(found)
 
 
 @linux
-def test_memory_has_small_pages_and_threads_that_stepped_back_keep_their_scheduling() -> None:
+def test_the_last_core_is_named_only_where_the_system_grants_it() -> None:
+    found = _take_care({"priority": 7}, refuse=("sched_setscheduler", "sched_setaffinity"))
+    assert found["cores"] == [sorted(os.sched_getaffinity(0))] * 2
+    assert "realtime_priority 7 is refused" in found["refusals"][0]
+    assert found["granted"].startswith("ordinary scheduling")
+    assert "on core" not in found["granted"]
+
+
+@linux
+def test_priority_and_locked_memory_are_in_effect_or_their_refusals_are_reported() -> None:
     """Kernels of PREEMPT_NONE let no thread of a core run for 5 ms while they clear or assemble a huge page."""
-    found = _take_care({"priority": 1}, back=True)
+    found = _take_care({"priority": 7, "lock_memory": True})
+    refused = {sentence.partition(" ")[0] for sentence in found["refusals"]}
+    granted = [[os.SCHED_OTHER, 0], [os.SCHED_FIFO, 7]]  # Python, and a thread of the loop
+    assert (found["policies"] == granted) == ("realtime_priority" not in refused)
+    assert ("real-time priority 7 is granted" in found["granted"]) == ("realtime_priority" not in refused)
+    assert (found["locked"] > 1000) == ("lock_memory" not in refused)
     assert found["small pages"] == 1
-    assert found["policies"][1] == [os.SCHED_BATCH, 0]
+
+
+@linux
+def test_threads_that_stepped_back_keep_their_scheduling() -> None:
+    assert _take_care({"priority": 1}, back=True)["policies"][1] == [os.SCHED_BATCH, 0]
 
 
 def _is_said(found: dict[str, Any], where: str = "") -> None:
@@ -140,43 +167,16 @@ def test_a_refusal_is_one_sentence_with_a_remedy(monkeypatch: pytest.MonkeyPatch
 
 
 @linux
-def test_priority_applies_to_running_threads_or_its_refusal_is_reported() -> None:
-    found = _take_care({"priority": 7})
-    granted = [[os.SCHED_OTHER, 0], [os.SCHED_FIFO, 7]]  # Python, and a thread of the loop
-    assert (found["policies"] == granted) == (found["refusals"] == [])
-    assert ("real-time priority 7 is granted" in found["granted"]) == (found["refusals"] == [])
-
-
-@linux
-def test_memory_is_locked_or_its_refusal_is_reported() -> None:
-    found = _take_care({"lock_memory": True})
-    assert (found["locked"] > 1000) == (found["refusals"] == [])
-
-
-@linux
-def test_all_threads_stay_on_the_core() -> None:
-    core = max(os.sched_getaffinity(0))
-    found = _take_care({"cores": [core]})
-    assert found["refusals"] == []
-    assert found["cores"] == [[core]] * 2
-
-
-@linux
-def test_a_missing_core_is_refused_in_one_sentence() -> None:
+@pytest.mark.parametrize("there", [True, False])
+def test_a_missing_core_is_refused_in_one_sentence(there: bool) -> None:
     allowed = sorted(os.sched_getaffinity(0))
-    found = _take_care({"cores": [4000]})
-    assert found["cores"] == [allowed] * 2
-    assert len(found["refusals"]) == 1
-    assert "cpu_affinity '4000' is refused" in found["refusals"][0]
-    assert "\n" not in found["refusals"][0]
-
-
-@linux
-def test_a_partly_missing_set_of_cores_is_reported() -> None:
-    core = min(os.sched_getaffinity(0))
-    found = _take_care({"cores": [core, 4000]})
-    assert found["cores"] == [[core]] * 2
-    assert f"the node may use '{core}'" in found["refusals"][0]
+    used = allowed[:1] if there else allowed
+    found = _take_care({"cores": [*allowed[:1], 4000] if there else [4000]})
+    assert found["cores"] == [used] * 2
+    (sentence,) = found["refusals"]
+    assert f"cpu_affinity '{f'{allowed[0]},' if there else ''}4000' is refused" in sentence
+    assert f"the node may use '{','.join(map(str, used))}'" in sentence
+    assert "\n" not in sentence
 
 
 @linux
@@ -226,15 +226,11 @@ def test_a_recorder_has_priority_or_steps_back_during_the_run(monkeypatch: pytes
 
 
 @pytest.mark.parametrize("executor", ["events", "single"])
-def test_a_signal_ends_either_executor_after_the_last_command(executor: str) -> None:
-    done = run(INTERRUPTED, repr({"executor": executor}))
-    assert (done.returncode, done.stdout, done.stderr) == (0, "last words True\n", "")
-
-
-def test_a_refused_setting_is_logged_and_the_node_runs() -> None:
-    done = run(INTERRUPTED, repr({"cpu_affinity": "4000"}))
+def test_a_signal_ends_either_executor_after_the_last_command_and_a_refusal_is_logged(executor: str) -> None:
+    done = run(INTERRUPTED, repr({"executor": executor, "cpu_affinity": "4000"}))
     assert (done.returncode, done.stdout) == (0, "last words True\n")
-    assert done.stderr.count("cpu_affinity '4000' is refused") == 1
+    (said,) = done.stderr.splitlines()
+    assert "cpu_affinity '4000' is refused" in said
 
 
 def test_an_invalid_core_list_ends_the_node_with_one_sentence() -> None:
@@ -270,10 +266,17 @@ def test_lock_step_has_no_priority_and_defaults_change_nothing() -> None:
 
 
 def _take_care(
-    care: dict[str, Any], user: int | None = None, memlock: int | None = None, back: bool = False
+    care: dict[str, Any],
+    user: int | None = None,
+    memlock: int | None = None,
+    back: bool = False,
+    refuse: Collection[str] = (),
 ) -> dict[str, Any]:
-    """Return what the child process has after it applied `care`; back: its second thread stepped back."""
-    done = run(TAKE_CARE, json.dumps([care, user, memlock, back]))
+    """Return what the child process has after it applied `care`; back: its second thread stepped back.
+
+    refuse: functions of `os` that the system refuses.
+    """
+    done = run(TAKE_CARE, json.dumps([care, user, memlock, back, refuse]))
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found

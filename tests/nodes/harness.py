@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Collection
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ class Ros:
     def _known(self, kind: type[Node], **parameters: Any) -> Any:
         """Create a node; fail if it does not know a parameter, which it only logs."""
         node = self.start(kind, **parameters)
-        unknown = set(node._given) - set(getattr(node, "_parameters_by_name", node._given))
+        unknown = set(node._given) - set(node._parameters_by_name or node._given)
         assert not unknown, f"{node.get_name()} does not know {', '.join(sorted(unknown))}"
         return node
 
@@ -91,6 +92,11 @@ class Ros:
         """Spin until no event is pending: `rounds` consecutive waits, each of which may handle one event."""
         for _ in range(rounds):
             self.executor.spin_once(timeout_sec=0.002)
+
+    def restart(self) -> None:
+        """Destroy all nodes, so that others may take their places."""
+        self.close()
+        self.__init__()  # type: ignore[misc]
 
     def close(self) -> None:
         for close in self._closing:
@@ -171,6 +177,18 @@ class Peer(Listener):
         self.effort_publisher = self.create_publisher(Float64MultiArray, prefix + "effort_controller/commands", LATEST)
         self.command_publisher = self.create_publisher(JointState, prefix + "joint_commands", LATEST)
 
+    def controller(self, **parameters: Any) -> ControllerNode:
+        """Start a controller; return it once it is connected with this peer."""
+        node = self._ros.controller(**parameters)
+        self.meet_controller()
+        return node
+
+    def plant(self, **parameters: Any) -> PlantNode:
+        """Start a plant; return it once it is connected with this peer and its states are heard."""
+        node = self._ros.plant(**parameters)
+        self.meet_plant(parameters.get("lockstep", False))
+        return node
+
     def meet_controller(self) -> None:
         """Wait until controller and peer are connected in both directions."""
         heard = ("effort_controller/commands", "joint_commands", "fjr_controller/reference", "diagnostics")
@@ -185,6 +203,12 @@ class Peer(Listener):
         self._ros.until(
             lambda: publisher.get_subscription_count() >= 2 and self.states and self.heard("diagnostics"), "the plant"
         )
+
+    def started(self, q: Any = 0.5, **parameters: Any) -> ControllerNode:
+        """Start a controller; return it once it has answered the first state, at rest at q."""
+        node = self.controller(**parameters)
+        self.ask(stamped(0.0, q))
+        return node
 
     def ask(self, state: JointState, answered: bool = True) -> JointState | None:
         """Publish a state; return the command for it, or None once it is certain that none follows."""
@@ -203,6 +227,35 @@ class Peer(Listener):
         heard = (self.commands, self.references, self.errors)
         self._ros.until(lambda: all(each and each[-1].header == state.header for each in heard), "the answer")
         return self.commands[-1]
+
+
+class Stranger:
+    """A publisher in a context of its own, which the middleware treats as another process; its node is `other`."""
+
+    def __init__(self, topic: str, message: Any) -> None:
+        self._ros, self._message = Ros(), message
+        node = self._ros.add(Node("other", context=self._ros.context))
+        self.publisher = node.create_publisher(type(message), topic, LATEST)
+
+    @contextmanager
+    def talking(self) -> Iterator[None]:
+        """Publish the message again and again inside the block."""
+        quiet = threading.Event()
+
+        def talk() -> None:
+            while not quiet.wait(0.01):
+                self.publisher.publish(self._message)
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        try:
+            yield
+        finally:
+            quiet.set()
+            thread.join()
+
+    def close(self) -> None:
+        self._ros.close()
 
 
 def stamped(t: float, q: Any = 0.5, dq: Any = 0.0, names: list[str] | None = None) -> JointState:

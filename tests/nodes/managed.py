@@ -34,9 +34,9 @@ class Manager(Peer):
         self.trajectories = self.create_publisher(JointTrajectory, f"{CONTROLLER}/joint_trajectory", 10)
         self._clients_by_name: dict[str, Any] = {}
 
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Call a service and return its response."""
-        client = self._clients_by_name.get(name) or self.create_client(kind, f"{CONTROLLER}/{name}")
+    def call(self, kind: Any, name: str, request: Any, node: str = CONTROLLER) -> Any:
+        """Call a service of a node and return its response."""
+        client = self._clients_by_name.get(name) or self.create_client(kind, f"{node}/{name}")
         self._clients_by_name[name] = client
         self._ros.until(client.service_is_ready, f"the service {name}")
         future = client.call_async(request)

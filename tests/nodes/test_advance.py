@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""~/advance: the exact number of samples, with the states of a continuous run; on both executors."""
+"""~/advance: the exact number of samples, with the states of a continuous run."""
 
 from __future__ import annotations
 
@@ -16,20 +16,12 @@ from fjr_plant.lock_step import START, LockStepError
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop, answer, ask, call, command, integrate, numbers, state_of
 
-try:
-    from rclpy.experimental.events_executor import EventsExecutor
-except ImportError:
-    EventsExecutor = None
 
-
-@pytest.fixture(params=["single-threaded", "events"])
-def ros(request, ros: Ros) -> Ros:
-    """The nodes of a test on each executor."""
-    if request.param == "single-threaded":
-        ros.executor.shutdown()
-        ros.executor = SingleThreadedExecutor(context=ros.context)
-    elif EventsExecutor is None:
-        pytest.skip("this rclpy has no events executor")
+@pytest.fixture
+def single(ros: Ros) -> Ros:
+    """The nodes of a test on rclpy's other executor, which serves requests otherwise."""
+    ros.executor.shutdown()
+    ros.executor = SingleThreadedExecutor(context=ros.context)
     return ros
 
 
@@ -45,7 +37,9 @@ def advance(ros: Ros, peer: Peer) -> Any:
     return call(ros, peer, Trigger, "fjr_plant/advance")
 
 
-def test_lockstep_advances_by_the_exact_number_of_samples(ros: Ros, peer: Peer) -> None:
+@pytest.mark.parametrize("executor", ["events", "single"])
+def test_lockstep_advances_by_the_exact_number_of_samples(request, ros: Ros, executor: str) -> None:
+    peer = Peer(request.getfixturevalue("single") if executor == "single" else ros)
     ros.plant(lockstep=True, start_paused=True, advance_samples=7)
     CommandLoop(peer).listen()
     response = advance(ros, peer)
@@ -75,8 +69,7 @@ def test_lockstep_in_steps_is_bit_identical_to_a_run(ros: Ros, peer: Peer) -> No
 
 
 def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(command_timeout=100.0, advance_samples=25)
-    peer.meet_plant()
+    node = peer.plant(command_timeout=100.0, advance_samples=25)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: peer.states[-1].effort[1] == 0.3)
     call(ros, peer, SetBool, "fjr_plant/pause", data=True)
@@ -157,8 +150,7 @@ def test_advance_fails_with_a_sentence_when_the_node_ends(ros: Ros, peer: Peer) 
 
 
 def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(advance_samples=100, command_timeout=100.0)
-    peer.meet_plant()
+    node = peer.plant(advance_samples=100, command_timeout=100.0)
     call(ros, peer, SetBool, "fjr_plant/pause", data=True)
     node._robot.u = np.array([1e308])
     response = advance(ros, peer)

@@ -3,20 +3,17 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_plant import lock_step as clock_owner
 from fjr_plant.lock_step import ClockError
 from fjr_plant.plant_node import PlantNode
-from nodes.harness import Peer, Ros
+from nodes.harness import Peer, Ros, Stranger
 from nodes.plants import CommandLoop
 
 SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* -r /clock:=/NAMESPACE/clock"
@@ -25,25 +22,16 @@ SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* 
 @contextmanager
 def other_clock(ros: Ros, peer: Peer, seconds: int = 0) -> Iterator[None]:
     """Publish the time `seconds` like another process; yield once the publisher is discovered."""
-    other, quiet, message = Ros(), threading.Event(), Clock()
+    message = Clock()
     message.clock.sec = seconds
-    publisher = other.add(Node("other", context=other.context)).create_publisher(Clock, "/clock", LATEST)
-
-    def named() -> bool:
-        return "other" in (info.node_name for info in peer.get_publishers_info_by_topic("/clock"))
-
-    def talk() -> None:
-        while not quiet.wait(0.01):
-            publisher.publish(message)
-
-    thread = threading.Thread(target=talk)
-    thread.start()
+    other = Stranger("/clock", message)
     try:
-        ros.until(named, "the other clock")
-        yield
+        with other.talking():
+            ros.until(
+                lambda: "other" in (i.node_name for i in peer.get_publishers_info_by_topic("/clock")), "the clock"
+            )
+            yield
     finally:
-        quiet.set()
-        thread.join()
         other.close()
 
 
@@ -58,8 +46,7 @@ def test_plant_refuses_to_start_with_another_clock(ros: Ros, peer: Peer) -> None
 
 def test_plant_ends_if_another_clock_appears_with_the_first_command(ros: Ros, peer: Peer, monkeypatch) -> None:
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 1000.0)
-    node = ros.plant(lockstep=True)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True)
     with other_clock(ros, peer):
         CommandLoop(peer).listen()
         ros.until(lambda: node.ended, "the end")
@@ -70,8 +57,7 @@ def test_plant_ends_if_another_clock_appears_with_the_first_command(ros: Ros, pe
 def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monkeypatch) -> None:
     monkeypatch.setattr(clock_owner, "SETTLING", -1.0)
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
-    node = ros.plant(lockstep=True)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True)
     CommandLoop(peer).listen()
     ros.until(lambda: node._time_base._robot.time > 0, "motion")
     with other_clock(ros, peer):
@@ -87,8 +73,7 @@ def test_new_owner_with_commands_ends_only_if_the_other_time_is_ahead(
 ) -> None:
     monkeypatch.setattr(clock_owner, "SETTLING", 1e6)
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
-    node = ros.plant(lockstep=True)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True)
     CommandLoop(peer).listen()
     ros.until(lambda: node._time_base._robot.time > 0, "motion")
     checks: list[bool] = []

@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import pytest
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.command_topics import TOPICS, CommandConflictError
 from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
-from nodes.harness import Ros, stamped
+from nodes.harness import Ros, Stranger, stamped
 from nodes.managed import Manager
 
 MESSAGES = {
@@ -26,46 +23,12 @@ EFFORTS = "/effort_controller/commands"
 MANAGER_AND_CONTROLLER = 2  # subscriptions to a command topic, before the first command
 
 
-class OtherController:
-    """A publisher with a separate context, which the middleware treats as another process."""
-
-    def __init__(self, topic: str) -> None:
-        self._ros = Ros()
-        self._message = MESSAGES[topic]
-        node = self._ros.add(Node("other", context=self._ros.context))
-        self._publisher = node.create_publisher(type(self._message), topic, LATEST)
-
-    def is_heard_by(self, count: int) -> bool:
-        """Return True if that many subscriptions are connected to it."""
-        return int(self._publisher.get_subscription_count()) >= count
-
-    @contextmanager
-    def talking(self) -> Iterator[None]:
-        """Publish efforts inside the block."""
-        quiet = threading.Event()
-
-        def talk() -> None:
-            while not quiet.wait(0.01):
-                self._publisher.publish(self._message)
-
-        thread = threading.Thread(target=talk)
-        thread.start()
-        try:
-            yield
-        finally:
-            quiet.set()
-            thread.join()
-
-    def close(self) -> None:
-        self._ros.close()
-
-
 @pytest.fixture
 def manager(ros: Ros) -> Manager:
     return Manager(ros)
 
 
-Appear = Callable[[str], OtherController]
+Appear = Callable[[str], Stranger]
 
 
 @pytest.fixture
@@ -76,9 +39,9 @@ def appear(ros: Ros, manager: Manager) -> Iterator[Appear]:
     def there(topic: str) -> int:
         return sum(info.node_name == "other" for info in manager.get_publishers_info_by_topic(topic))
 
-    def make(topic: str) -> OtherController:
+    def make(topic: str) -> Stranger:
         count = there(topic)
-        made.append(OtherController(topic))
+        made.append(Stranger(topic, MESSAGES[topic]))
         ros.until(lambda: there(topic) == count + 1, "the other controller")
         return made[-1]
 
@@ -106,10 +69,11 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
 
 @topics
 def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear, topic: str) -> None:
-    node = ros.controller()
-    manager.meet_controller()
+    node = manager.controller()
     other = appear(topic)
-    ros.until(lambda: other.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
+    ros.until(
+        lambda: other.publisher.get_subscription_count() >= MANAGER_AND_CONTROLLER, "its connection with the controller"
+    )
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.ended, "the end")
@@ -129,7 +93,9 @@ def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
     assert manager.change("activate")
     manager.meet_controller()
     other = appear(EFFORTS)
-    ros.until(lambda: other.is_heard_by(MANAGER_AND_CONTROLLER), "its connection with the controller")
+    ros.until(
+        lambda: other.publisher.get_subscription_count() >= MANAGER_AND_CONTROLLER, "its connection with the controller"
+    )
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.trouble, "the refusal")
@@ -143,16 +109,12 @@ def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
 @topics
 def test_a_silent_publisher_is_no_conflict(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
     appear(topic)
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    manager.started()
 
 
 @topics
 def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
-    node = ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    node = manager.started()
     appear(topic)
     ros.until(lambda: "other controllers" in manager.kinds(), "the report")
     event = next(event for event in manager.events if event.name == "other controllers")

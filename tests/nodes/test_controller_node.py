@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
-import pytest
 from rosgraph_msgs.msg import Clock
 
 import fjr_core as fjr
@@ -22,8 +23,7 @@ def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: floa
 
 
 def test_publishes_the_effort_of_the_law_for_every_state_on_both_topics(ros: Ros, peer: Peer) -> None:
-    ros.controller()
-    peer.meet_controller()
+    peer.controller()
     for k in range(20):
         t, q_l, q_m, dq_l, dq_m = 0.001 * k, 0.5 - 0.01 * k, 0.5 + 0.02 * k, 0.1 * k, -0.1 * k
         state = stamped(t, [q_l, q_m], [dq_l, dq_m])
@@ -38,9 +38,7 @@ def test_publishes_the_effort_of_the_law_for_every_state_on_both_topics(ros: Ros
 
 
 def test_publishes_reference_and_tracking_error_with_the_stamp_of_the_state(ros: Ros, peer: Peer) -> None:
-    ros.controller()
-    peer.meet_controller()
-    peer.ask(stamped(0.0))
+    peer.started()
     peer.ask(stamped(0.25, [0.4, 0.5], [0.3, 0.2]))
     reference, error = peer.references[-1], peer.errors[-1]
     assert nanoseconds(reference) == nanoseconds(error) == 100_250_000_000
@@ -49,8 +47,7 @@ def test_publishes_reference_and_tracking_error_with_the_stamp_of_the_state(ros:
 
 
 def test_shuffled_and_additional_joints_are_mapped_by_name(ros: Ros, peer: Peer) -> None:
-    ros.controller()
-    peer.meet_controller()
+    peer.controller()
     plain = peer.ask(stamped(0.0, [0.4, 0.6], [0.1, 0.2]))
     names = ["gripper", "joint1_motor", "other", "joint1"]
     shuffled = peer.ask(stamped(0.0, [NAN, 0.6, INF, 0.4], [9.0, 0.2, NAN, 0.1], names))
@@ -59,61 +56,52 @@ def test_shuffled_and_additional_joints_are_mapped_by_name(ros: Ros, peer: Peer)
     assert list(again.effort) == list(plain.effort)
 
 
-def without(field: str):
+def with_fields(**fields: list[float]):
     message = stamped(0.1)
-    setattr(message, field, [])
+    for name, values in fields.items():
+        setattr(message, name, values)
     return message
 
 
-def unstamped():
-    message = stamped(0.1)
-    message.header.stamp.sec = message.header.stamp.nanosec = 0
-    return message
+BAD_STATES = [
+    (stamped(0.1, names=["joint1"]), "missing joints"),
+    (stamped(0.1, names=["a", "b"]), "missing joints"),
+    (stamped(0.1, names=["joint1", "joint1_motor", "joint1"]), "duplicate joints"),
+    (stamped(0.1, [0.5, NAN]), "not finite"),
+    (stamped(0.1, [-INF, 0.5]), "not finite"),
+    (stamped(0.1, 0.5, [NAN, 0.0]), "not finite"),
+    (with_fields(position=[]), "wrong lengths"),
+    (with_fields(position=[0.5] * 3), "wrong lengths"),
+    (with_fields(velocity=[]), "wrong lengths"),
+    (with_fields(velocity=[0.0]), "wrong lengths"),
+    (stamped(-100.0), "no stamp"),
+]
 
 
-BAD_STATES = {
-    "missing motor": (stamped(0.1, names=["joint1"]), "missing joints"),
-    "no names": (stamped(0.1, names=["a", "b"]), "missing joints"),
-    "joint twice": (stamped(0.1, names=["joint1", "joint1_motor", "joint1"]), "duplicate joints"),
-    "position nan": (stamped(0.1, [0.5, NAN]), "not finite"),
-    "position infinite": (stamped(0.1, [-INF, 0.5]), "not finite"),
-    "velocity nan": (stamped(0.1, 0.5, [NAN, 0.0]), "not finite"),
-    "no positions": (without("position"), "wrong lengths"),
-    "no velocities": (without("velocity"), "wrong lengths"),
-    "no stamp": (unstamped(), "no stamp"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_STATES)
-def test_refuses_a_malformed_state_logs_it_once_and_continues(ros: Ros, peer: Peer, case: str, capfd) -> None:
-    message, kind = BAD_STATES[case]
-    node = ros.controller()
-    peer.meet_controller()
-    peer.ask(stamped(0.0))
-    for _ in range(3):
-        peer.ask(message, answered=False)
+def test_malformed_states_are_refused_counted_and_logged_once_and_the_node_continues(
+    ros: Ros, peer: Peer, capfd
+) -> None:
+    node, times = peer.started(), 2
+    refused = node._control.reports.count
+    for message, kind in BAD_STATES:
+        before = refused[f"state refused: {kind}"]
+        for k in range(1, times + 1):  # one by one, as the queue keeps the newest only
+            peer.state_publisher.publish(message)
+            ros.until(lambda k=k, kind=kind, before=before: refused[f"state refused: {kind}"] == before + k, kind)
     np.testing.assert_allclose(peer.ask(stamped(0.2)).effort, paper_effort(0.2, 0.5, 0.5), rtol=1e-9)
     assert len(peer.commands) == 2
     node.stop()
-    ros.until(lambda: peer.count(f"state refused: {kind}", "fjr_controller") == 3, "the counter")
-    assert capfd.readouterr().err.count("state refused") == 1
-
-
-def test_wrong_lengths_of_the_fields_are_refused(ros: Ros, peer: Peer) -> None:
-    ros.controller()
-    peer.meet_controller()
-    message = stamped(0.1)
-    message.position = [0.5, 0.5, 0.5]
-    peer.ask(message, answered=False)
-    message = stamped(0.1)
-    message.velocity = [0.0]
-    peer.ask(message, answered=False)
+    wanted = Counter(kind for _, kind in BAD_STATES)
+    for kind, number in wanted.items():
+        key, count = f"state refused: {kind}", times * number
+        ros.until(lambda key=key, count=count: peer.count(key, "fjr_controller") == count, "the counter")
+    said = capfd.readouterr().err
+    assert said.count("state refused") == len(wanted)
+    assert "state refused: names are ['joint1']; expected ['joint1_motor'] among them (logged once" in said
 
 
 def test_ignores_an_older_state_and_repeats_the_command_of_a_repeated_one(ros: Ros, peer: Peer) -> None:
-    node = ros.controller()
-    peer.meet_controller()
-    peer.ask(stamped(0.0))
+    node = peer.started()
     newest = peer.ask(stamped(0.3, 0.4))
     peer.ask(stamped(0.2), answered=False)
     assert list(peer.ask(stamped(0.3, 0.4)).effort) == list(newest.effort)
@@ -122,8 +110,7 @@ def test_ignores_an_older_state_and_repeats_the_command_of_a_repeated_one(ros: R
 
 
 def test_a_jump_back_beyond_state_timeout_restarts_the_reference(ros: Ros, peer: Peer) -> None:
-    node = ros.controller(state_timeout=5.0)
-    peer.meet_controller()
+    node = peer.controller(state_timeout=5.0)
     first = peer.ask(stamped(0.0))
     peer.ask(stamped(4.0))
     later = peer.ask(stamped(8.0))
@@ -135,8 +122,7 @@ def test_a_jump_back_beyond_state_timeout_restarts_the_reference(ros: Ros, peer:
 
 
 def test_only_older_states_for_longer_than_state_timeout_restart_the_reference(ros: Ros, peer: Peer) -> None:
-    ros.controller(state_timeout=0.2)
-    peer.meet_controller()
+    peer.controller(state_timeout=0.2)
     first = peer.ask(stamped(0.1))
     peer.ask(stamped(0.15))
 
@@ -150,9 +136,7 @@ def test_only_older_states_for_longer_than_state_timeout_restart_the_reference(r
 
 
 def test_a_non_finite_effort_is_never_sent(ros: Ros, peer: Peer) -> None:
-    node = ros.controller()
-    peer.meet_controller()
-    peer.ask(stamped(0.0))
+    node = peer.started()
     for q in (1e308, -1e308):
         assert list(peer.ask(stamped(0.001, [q, -q], [1e308, -1e308])).effort) == [0.0]  # the stop policy's
     np.testing.assert_allclose(peer.ask(stamped(0.002)).effort, paper_effort(0.002, 0.5, 0.5), rtol=1e-9)
@@ -163,8 +147,7 @@ def test_a_non_finite_effort_is_never_sent(ros: Ros, peer: Peer) -> None:
 
 
 def test_the_last_command_is_zero_effort(ros: Ros, peer: Peer) -> None:
-    node = ros.controller()
-    peer.meet_controller()
+    node = peer.controller()
     assert abs(peer.ask(stamped(0.0)).effort[0]) > 1.0
     node.stop()
     ros.until(lambda: len(peer.efforts) == 2 and len(peer.commands) == 2, "the last command")

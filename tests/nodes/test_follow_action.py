@@ -69,9 +69,7 @@ def manager(ros: Ros, monkeypatch) -> Manager:
 
 
 def started(ros: Ros, manager: Manager, **parameters: Any) -> Client:
-    ros.controller(**parameters)
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0, **parameters)
     return Client(ros, manager)
 
 

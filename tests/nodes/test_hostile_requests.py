@@ -55,20 +55,12 @@ def manager(ros: Ros, request: Any) -> Manager:
 @pytest.fixture
 def tracking(ros: Ros, manager: Manager) -> Any:
     """Give a controller that answers states."""
-    node = ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
-    return node
+    return manager.started()
 
 
-def ask(ros: Ros, manager: Manager, node: str, kind: Any, name: str, **fields: Any) -> Any:
+def ask(manager: Manager, node: str, kind: Any, name: str, **fields: Any) -> Any:
     """Return the response of a service of a node."""
-    client = manager.create_client(kind, f"{node}/{name}")
-    ros.until(client.service_is_ready, f"the service {name}")
-    future = client.call_async(kind.Request(**fields))
-    ros.until(future.done, f"an answer of {name}")
-    manager.destroy_client(client)
-    return future.result()
+    return manager.call(kind, name, kind.Request(**fields), node)
 
 
 @pytest.mark.parametrize("label", ["", "activate", "no_such_transition"])
@@ -77,7 +69,7 @@ def test_a_transition_that_is_not_possible_now_is_refused(
 ) -> None:
     for number in (1, 3, 99, 0, 255):
         answer = ask(
-            ros, manager, "fjr_controller", ChangeState, "change_state", transition=Transition(id=number, label=label)
+            manager, "fjr_controller", ChangeState, "change_state", transition=Transition(id=number, label=label)
         )
         assert not answer.success
         what = repr(label) if label else number
@@ -99,24 +91,22 @@ def test_malformed_requests_for_parameters_are_answered(ros: Ros, manager: Manag
             (DescribeParameters, "describe_parameters", "descriptors"),
             (GetParameterTypes, "get_parameter_types", "types"),
         ):
-            found = getattr(ask(ros, manager, name, kind, service, names=names), field)
+            found = getattr(ask(manager, name, kind, service, names=names), field)
             assert len(found) == len(names)
     for prefixes, depth in (([], 2**64 - 1), ([""], 1), (["x" * 10_000], 0)):
-        ask(ros, manager, name, ListParameters, "list_parameters", prefixes=prefixes, depth=depth)
+        ask(manager, name, ListParameters, "list_parameters", prefixes=prefixes, depth=depth)
     for key in SET:
         for value in VALUES:
             many = [Parameter(name=key, value=value)] * 2
-            results = ask(ros, manager, name, SetParameters, "set_parameters", parameters=many).results
+            results = ask(manager, name, SetParameters, "set_parameters", parameters=many).results
             assert len(results) == 2
-            together = ask(
-                ros, manager, name, SetParametersAtomically, "set_parameters_atomically", parameters=many
-            ).result
+            together = ask(manager, name, SetParametersAtomically, "set_parameters_atomically", parameters=many).result
             for result in (*results, together):
                 assert result.successful != bool(result.reason), "a refusal says why"
-    assert ask(ros, manager, name, SetParameters, "set_parameters").results == []
+    assert ask(manager, name, SetParameters, "set_parameters").results == []
     for kind in ("", "nonsense", "sensor_msgs/msg/JointState"):
         fields = {"type_name": kind, "type_hash": "RIHS01_" + "0" * 64}
-        assert not ask(ros, manager, name, GetTypeDescription, "get_type_description", **fields).successful
+        assert not ask(manager, name, GetTypeDescription, "get_type_description", **fields).successful
     assert {key: node.get_parameter(key).value for key in node.get_parameters_by_prefix("")} == before
 
 
@@ -124,7 +114,7 @@ def test_an_unknown_type_refuses_its_parameter_and_those_after_it(ros: Ros, mana
     name = "limits.tracking_error"
     good, bad = ParameterValue(type=8, double_array_value=[30.0]), ParameterValue(type=99)
     asked = [Parameter(name=name, value=value) for value in (good, bad, good)]
-    results = ask(ros, manager, "fjr_controller", SetParameters, "set_parameters", parameters=asked).results
+    results = ask(manager, "fjr_controller", SetParameters, "set_parameters", parameters=asked).results
     assert [result.successful for result in results] == [True, False, False]
     assert "99 is not a valid Parameter.Type" in results[1].reason
     assert tracking.get_parameter(name).value.tolist() == [30.0]

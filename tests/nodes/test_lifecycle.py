@@ -32,13 +32,6 @@ def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS) -> float:
     return float(fjr.TrackingLaw(robot, gains).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))[0])
 
 
-def test_node_is_active_by_default(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    assert manager.state() == "active"
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
-
-
 def test_lifecycle_transitions_are_those_of_a_managed_node(ros: Ros, manager: Manager) -> None:
     ros.controller(autostart=False)
     for transition, state in (
@@ -91,9 +84,7 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager) -
 @pytest.mark.parametrize("transition", ["deactivate", "shutdown", "stop"])
 @pytest.mark.parametrize(("on_stop", "last"), [("zero", 0.0), ("gravity_hold", GRAVITY)])
 def test_last_command_is_the_stop_effort(ros: Ros, manager: Manager, transition: str, on_stop: str, last) -> None:
-    node = ros.controller(on_stop=on_stop)
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    node = manager.started(on_stop=on_stop)
     end = {"deactivate": lambda: manager.change("deactivate"), "shutdown": node.trigger_shutdown, "stop": node.stop}
     end[transition]()
     ros.until(lambda: len(manager.efforts) == len(manager.commands) == 2, "the last command")
@@ -106,16 +97,14 @@ def test_last_command_is_the_stop_effort(ros: Ros, manager: Manager, transition:
 
 
 def test_no_last_command_without_an_earlier_command(ros: Ros, manager: Manager) -> None:
-    node = ros.controller()
-    manager.meet_controller()
+    node = manager.controller()
     node.stop()
     ros.settle()
     assert not manager.efforts
 
 
 def test_activation_restarts_the_reference(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
+    manager.controller()
     first = manager.ask(stamped(0.0))
     manager.ask(stamped(0.3))
     assert manager.change("deactivate")
@@ -128,8 +117,7 @@ def test_activation_restarts_the_reference(ros: Ros, manager: Manager) -> None:
 
 
 def test_activation_discards_pending_requests(ros: Ros, manager: Manager) -> None:
-    ros.controller(limits__tracking_error=[0.6], limits__start_error=[0.6])
-    manager.meet_controller()
+    manager.controller(limits__tracking_error=[0.6], limits__start_error=[0.6])
     first = manager.ask(stamped(0.0))
     assert manager.send(trajectory((0.5, 0.3))).name == "references changed"
     manager.ask(stamped(0.1))
@@ -144,9 +132,7 @@ def test_activation_discards_pending_requests(ros: Ros, manager: Manager) -> Non
 
 
 def test_a_reference_set_while_inactive_is_tracked_when_active(ros: Ros, manager: Manager) -> None:
-    ros.controller(limits__link_velocity=[2.0])
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    manager.started(limits__link_velocity=[2.0])
     assert manager.change("deactivate")
     assert manager.set(reference__amplitude=[0.4], reference__offset=[0.1])[0]
     assert manager.change("activate")
@@ -227,8 +213,7 @@ def test_robot_can_change_only_while_unconfigured(ros: Ros, manager: Manager) ->
 
 
 def test_gains_change_between_two_states(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
+    manager.controller()
     np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
     assert manager.set(gains__K_ld=[0.9], gains__Pi_l=[30.0]) == (True, "")
     other = fjr.Gains(10.0, 30.0, 0.9, 15.0, 60.0, 0.3)
@@ -244,9 +229,7 @@ def test_gains_change_between_two_states(ros: Ros, manager: Manager) -> None:
 
 
 def test_invalid_gains_change_nothing(ros: Ros, manager: Manager) -> None:
-    node = ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    node = manager.started()
     for values in (
         {"gains__Pi_l": [-20.0]},
         {"gains__Pi_l": [float("nan")]},
@@ -269,9 +252,7 @@ def test_invalid_gains_change_nothing(ros: Ros, manager: Manager) -> None:
 
 
 def test_limits_change_between_two_states(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    manager.started()
     assert manager.set(limits__effort=[2.0])[0]
     assert list(manager.ask(stamped(0.001)).effort) == [np.sign(effort(0.001)) * 2.0]
     assert manager.set(limits__effort=[float("inf")])[0]
@@ -289,9 +270,7 @@ def test_gains_changed_while_inactive_apply_when_active(ros: Ros, manager: Manag
 
 
 def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
-    ros.controller(state_timeout=0.05, on_stop="gravity_hold")
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    manager.started(state_timeout=0.05, on_stop="gravity_hold")
     ros.until(lambda: "silences" in manager.kinds(), "the silence")
     ros.settle()
     assert len(manager.efforts) == 2

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -15,10 +14,9 @@ from nodes.harness import PATIENCE, Listener, Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, CommandLoop, answer, call, integrate, numbers, state_of
 
 
-@pytest.mark.parametrize("ignored", [(2,), (3, 4, 5), (2, 4, 7, 11)])
-def test_unanswered_state_is_sent_again_and_never_skipped(ros: Ros, peer: Peer, ignored) -> None:
-    node = ros.plant(lockstep=True)
-    peer.meet_plant(lockstep=True)
+def test_unanswered_state_is_sent_again_and_never_skipped(ros: Ros, peer: Peer) -> None:
+    ignored = (2, 4, 5, 6, 11)
+    node = peer.plant(lockstep=True)
     first = len(peer.states)
     CommandLoop(peer, tuple(first + k for k in ignored)).until(ros, 12)
     stamps = [nanoseconds(state) for state in peer.states]
@@ -34,9 +32,20 @@ def test_unanswered_state_is_sent_again_and_never_skipped(ros: Ros, peer: Peer, 
     assert count["states unanswered"] == 0
 
 
+def test_it_advances_one_sample_per_answer(ros: Ros, peer: Peer) -> None:
+    peer.plant(lockstep=True)
+    x = state_of(peer.states[-1])
+    assert nanoseconds(peer.states[-1]) == START
+    for k in range(1, 10):
+        effort = 0.1 * k
+        peer.command_publisher.publish(answer(peer.states[-1], effort))
+        ros.until(lambda k=k: nanoseconds(peer.states[-1]) == START + k * PERIOD, "the next state")
+        x = integrate(x, effort, 4)
+        np.testing.assert_allclose(state_of(peer.states[-1]), x, rtol=1e-12, atol=1e-15)
+
+
 def test_only_the_command_for_the_state_advances(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(lockstep=True)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True)
     first = peer.states[-1]
     later = answer(first, 5.0)
     later.header.stamp.nanosec += PERIOD
@@ -46,8 +55,10 @@ def test_only_the_command_for_the_state_advances(ros: Ros, peer: Peer) -> None:
         peer.command_publisher.publish(wrong)
         ros.settle()
     assert {nanoseconds(state) for state in peer.states} == {START}
-    assert node._health.count["answers to other states"] == 1
-    assert node._health.count["commands received"] == 0
+    count, refused = node._health.count, ("not finite", "duplicate joints", "missing joints")
+    assert (count["answers to other states"], count["commands received"]) == (1, 0)
+    assert [count[f"command refused: {kind}"] for kind in refused] == [1, 1, 2]
+    assert peer.effort_publisher.get_subscription_count() == 1, "only this peer subscribes to the unstamped topic"
     named = answer(first, 0.25, ("elsewhere", "joint1"))
     named.effort = [9.0, 0.25]
     peer.command_publisher.publish(named)
@@ -56,8 +67,7 @@ def test_only_the_command_for_the_state_advances(ros: Ros, peer: Peer) -> None:
 
 
 def test_runs_are_bit_identical_despite_lost_commands(ros: Ros, peer: Peer) -> None:
-    ros.plant(lockstep=True)
-    peer.meet_plant(lockstep=True)
+    peer.plant(lockstep=True)
     plain = CommandLoop(peer)
     plain.until(ros, 200)
     one = numbers(peer.states)
@@ -85,8 +95,7 @@ def clocks(peer: Peer) -> list[int]:
 
 def test_clock_is_published_with_every_state_and_never_decreases(ros: Ros, peer: Peer) -> None:
     shown = clocks(peer)
-    ros.plant(lockstep=True)
-    peer.meet_plant(lockstep=True)
+    peer.plant(lockstep=True)
     ros.until(lambda: shown, "the clock")
     before = len(peer.states) - len(shown)
     CommandLoop(peer).until(ros, 30)
@@ -147,8 +156,7 @@ def test_two_runs_with_silences_in_simulated_time_are_bit_identical() -> None:
 
 
 def test_silent_controller_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, capfd) -> None:
-    node = ros.plant(lockstep=True, lockstep_timeout=0.3)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True, lockstep_timeout=0.3)
     resent = len(peer.states)
     ros.until(lambda: len(peer.states) > resent + 5, "more than the timeout without a first answer")
     node._time_base.plant.timeout = round(PATIENCE * 1e9)  # commands may be late
@@ -170,8 +178,7 @@ def test_silent_controller_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, 
 
 
 def test_silence_is_not_counted_while_paused(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(lockstep=True, lockstep_timeout=PATIENCE)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True, lockstep_timeout=PATIENCE)
     CommandLoop(peer).until(ros, 3)
     node._time_base.pause(True)
     node._time_base.plant.first_sent_at -= round(2e9 * PATIENCE)
@@ -181,8 +188,7 @@ def test_silence_is_not_counted_while_paused(ros: Ros, peer: Peer) -> None:
 
 
 def test_reset_waits_for_a_first_command_again(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(lockstep=True, lockstep_timeout=PATIENCE)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True, lockstep_timeout=PATIENCE)
     CommandLoop(peer).until(ros, 3)
     node._time_base.reset()
     count = len(peer.states)
@@ -192,7 +198,6 @@ def test_reset_waits_for_a_first_command_again(ros: Ros, peer: Peer) -> None:
 
 
 def test_with_use_sim_time_the_plant_follows_its_own_clock(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(lockstep=True, use_sim_time=True)
-    peer.meet_plant(lockstep=True)
+    node = peer.plant(lockstep=True, use_sim_time=True)
     CommandLoop(peer).until(ros, 30)
     ros.until(lambda: node.get_clock().now().nanoseconds == START + 30 * PERIOD, "its own clock")

@@ -62,8 +62,7 @@ def test_both_hosts_send_the_same_bits_in_lock_step(parameters: dict[str, Any]) 
 
 
 def test_the_native_plant_keeps_its_time_while_the_executor_is_blocked(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(executor="native", compile=True, command_timeout=100.0)
-    peer.meet_plant()
+    node = peer.plant(executor="native", compile=True, command_timeout=100.0)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: node._robot.time > 0, "motion")
     before, published = node._robot.time, node._health.count["states published"]

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rcl_interfaces.msg import Parameter, ParameterDescriptor
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rcl_interfaces.msg import Parameter
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
@@ -16,9 +17,7 @@ from rclpy.parameter import Parameter as RosParameter
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
 from fjr_core.config import ros_yaml
-from fjr_core.config.controller import controller_parameters
-from fjr_core.config.nodes import OWN_PARAMETERS, all_parameters, self_contained
-from fjr_core.config.plant import plant_parameters
+from fjr_core.config.nodes import OWN_PARAMETERS, self_contained
 from fjr_msgs_py.node.command_line import parameter_rules
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Peer, Ros
@@ -28,13 +27,6 @@ from system.executables import scenario
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 NAN = float("nan")
-URDF = {
-    "joints": JOINTS,
-    "robot__model": "urdf",
-    "robot__urdf": two_link_urdf(),
-    "robot__joint_stiffness": STIFFNESS,
-    "robot__motor_inertia": MOTOR_INERTIA,
-}
 BAD: list[tuple[str, dict[str, Any], str]] = [
     ("plant", {"robot__joint_stiffness": [31]}, "write 31.0"),
     ("plant", {"robot__joint_stiffness": [-31.0]}, "expected a positive definite matrix"),
@@ -70,13 +62,6 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("controller", {"compile": 1}, "expected true or false"),
     ("plant", {"robot__file": "/there/is/no.yaml"}, "robot.file.*cannot read robot file /there/is/no.yaml"),
     ("plant", {"robot__file": "package://nobody/arm.yaml"}, "robot.file.*'nobody'.*AMENT_PREFIX_PATH"),
-    ("plant", {"robot__model": "urdf"}, "'joints' is not given"),
-    ("plant", {"robot__model": "urdf", "joints": ["a"]}, "'robot.urdf' is not given"),
-    ("controller", {"robot__model": "urdf", "joints": ["a"], "robot__urdf": "<a/>"}, "joint_stiffness' is not given"),
-    ("controller", {**URDF, "robot__joint_stiffness": [1.0]}, "robot.joint_stiffness' has 1 entries; expected 2"),
-    ("controller", {**URDF, "robot__gravity": [0.0, -9.81]}, "robot.gravity' has 2 entries; expected 3"),
-    ("controller", {**URDF, "joints": ["shoulder", "elbw"]}, "no joint 'elbw'.*did you mean 'elbow'"),
-    ("plant", {**URDF, "robot__locked_joints": ["knee"]}, "robot.urdf.*'knee'"),
 ]
 
 
@@ -93,7 +78,7 @@ def test_an_unknown_parameter_is_refused_with_a_suggestion(ros: Ros) -> None:
 
 
 @pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
-@pytest.mark.parametrize("section", ["/**", "OWN", "/OWN", "/**/OWN"])
+@pytest.mark.parametrize("section", ["/**", "OWN"])
 def test_a_misspelled_limit_in_a_file_is_refused(ros: Ros, tmp_path: Path, section: str, kind: type) -> None:
     named = section.replace("OWN", "fjr_plant" if kind is PlantNode else "fjr_controller")
     with pytest.raises(fjr.ParameterError, match=r"'limits.efort'; did you mean 'limits.effort'\?"):
@@ -111,6 +96,8 @@ def test_parameters_of_other_nodes_in_a_shared_file_are_left_to_them(
     )
     node = ros.start(kind, in_file(tmp_path, text))
     assert node.values["joints"] == ("joint1",)
+    assert node.has_parameter("publish_rate") == (kind is PlantNode)
+    assert node.has_parameter("limits.effort") == (kind is ControllerNode)
     said = capfd.readouterr().err
     assert "parameter 'camera.gain' is ignored" in said
     assert "parameter 'robot_description' is ignored" in said
@@ -122,9 +109,7 @@ def test_a_controller_without_autostart_waits_for_known_parameters_only(ros: Ros
     node = ros.start(ControllerNode, arguments)
     assert "waiting for valid parameters: unknown parameter 'limits.efort'" in capfd.readouterr().err
     assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
-    from rclpy.parameter import Parameter
-
-    (result,) = node.set_parameters([Parameter("limits.efort")])
+    (result,) = node.set_parameters([RosParameter("limits.efort")])
     assert result.successful, result.reason
     assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
 
@@ -133,16 +118,6 @@ def in_file(folder: Path, text: str) -> list[str]:
     path = folder / "given.yaml"
     path.write_text(text, encoding="utf-8")
     return ["--ros-args", "--params-file", str(path)]
-
-
-def test_running_node_refuses_another_robot(ros: Ros) -> None:
-    from rclpy.parameter import Parameter
-
-    node = ros.controller()
-    (result,) = node.set_parameters([Parameter("robot.link_damping", value=[0.7])])
-    assert not result.successful
-    assert result.reason == "parameter 'robot.link_damping' can be set only while the node is unconfigured"
-    assert list(node.get_parameter("robot.link_damping").value) == [0.2]
 
 
 HOLD = ("-p", "reference.type:=hold")
@@ -154,53 +129,48 @@ def controller(ros: Ros, *arguments: str) -> ControllerNode:
     return ros.start(ControllerNode, ["--ros-args", "-p", "autostart:=false", *arguments])
 
 
-@pytest.mark.parametrize("name", ["paper_k31", "arm7"])
-def test_bare_parameter_after_a_scenario_file_overrides_it(ros: Ros, name: str) -> None:
-    node = controller(ros, "--params-file", scenario(name), *HOLD)
-    assert node.get_parameter("reference.type").value == "hold"
+FILE = ("--params-file", scenario("paper_k31"))
+OWN = "fjr_controller:reference.type:=hold"
+HOLDS = {
+    "after a scenario": (*FILE, *HOLD),
+    "after an arm's": ("--params-file", scenario("arm7"), *HOLD),
+    "in a namespace": ("-r", "__ns:=/left", *FILE, *HOLD),
+    "with the name of the node": ("--params-file", "OWN", "-p", OWN),
+    "the last of two": ("-p", "reference.type:=sine", *HOLD, "-p", "fjr_plant:reference.type:=sine"),
+}
 
 
-def test_bare_parameter_overrides_in_a_namespace(ros: Ros) -> None:
-    node = controller(ros, "-r", "__ns:=/left", "--params-file", scenario("paper_k31"), *HOLD)
+@pytest.fixture
+def own_section(tmp_path: Path) -> Callable[[str], str]:
+    """Return a function that writes a file with one section."""
+
+    def write(section: str) -> str:
+        path = tmp_path / "own.yaml"
+        path.write_text(f"{section}:\n  {SINE}\n")
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("case", HOLDS)
+def test_a_parameter_of_the_command_line_overrides_files(ros: Ros, own_section, case: str) -> None:
+    file = own_section(SECTIONS[0])
+    node = controller(ros, *(file if word == "OWN" else word for word in HOLDS[case]))
     assert node.get_parameter("reference.type").value == "hold"
 
 
 def test_a_parameter_before_the_file_that_sets_it_is_refused(ros: Ros) -> None:
     with pytest.raises(fjr.ParameterError, match=r"'-p reference.type:=hold' has no effect: .* sets .* to 'sine'"):
-        controller(ros, *HOLD, "--params-file", scenario("paper_k31"))
+        controller(ros, *HOLD, *FILE)
 
 
 @pytest.mark.parametrize("section", SECTIONS)
-@pytest.mark.parametrize("after", [True, False])
-def test_node_section_applies_and_a_conflicting_bare_parameter_is_refused(
-    ros: Ros, tmp_path: Path, section: str, after: bool
-) -> None:
-    path = tmp_path / "own.yaml"
-    path.write_text(f"{section}:\n  {SINE}\n")
-    file = ("--params-file", str(path))
+def test_node_section_applies_and_a_conflicting_bare_parameter_is_refused(ros: Ros, own_section, section: str) -> None:
+    file = ("--params-file", own_section(section))
     assert controller(ros, *file).get_parameter("reference.type").value == "sine"
-    with pytest.raises(fjr.ParameterError, match="reference.type:=hold' has no effect.*section /\\*\\*"):
-        controller(ros, *((*file, *HOLD) if after else (*HOLD, *file)))
-
-
-def test_parameter_with_node_name_overrides_the_node_section(ros: Ros, tmp_path: Path) -> None:
-    path = tmp_path / "own.yaml"
-    path.write_text(f"/**/fjr_controller:\n  {SINE}\n")
-    node = controller(ros, "--params-file", str(path), "-p", "fjr_controller:reference.type:=hold")
-    assert node.get_parameter("reference.type").value == "hold"
-
-
-def test_last_of_two_parameters_applies_and_those_of_other_nodes_are_ignored(ros: Ros) -> None:
-    node = controller(ros, "-p", "reference.type:=sine", *HOLD, "-p", "fjr_plant:reference.type:=sine")
-    assert node.get_parameter("reference.type").value == "hold"
-
-
-@pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
-def test_node_reads_only_its_own_parameters_of_a_shared_file(ros: Ros, kind: type, capfd) -> None:
-    node = ros.start(kind, ["--ros-args", "--params-file", scenario("paper_k31"), "-p", "compile:=false"])
-    assert node.has_parameter("publish_rate") == (kind is PlantNode)
-    assert node.has_parameter("gains.K_ld") == (kind is ControllerNode)
-    assert "unknown parameter" not in capfd.readouterr().err
+    for words in ((*file, *HOLD), (*HOLD, *file)):
+        with pytest.raises(fjr.ParameterError, match="reference.type:=hold' has no effect.*section /\\*\\*"):
+            controller(ros, *words)
 
 
 def test_rules_are_read_only_between_ros_args_and_its_end() -> None:
@@ -335,23 +305,3 @@ def test_controller_loads_its_own_dump_without_any_change(ros: Ros, state: str) 
     assert not {"gains changed", "settings changed"} & set(manager.kinds())
     refused = load(ros, manager, "fjr_controller", other("state_timeout", 1.5))
     assert bool(refused) == (state != "unconfigured")
-
-
-@pytest.mark.parametrize("node", ["fjr_plant", "fjr_controller"])
-def test_parameter_descriptions_state_when_a_value_can_change(ros: Ros, peer: Peer, node: str) -> None:
-    managed = node == "fjr_controller"
-    (ros.controller if managed else ros.plant)()
-    own = controller_parameters if managed else plant_parameters
-    table = {parameter.name: parameter for parameter in all_parameters(own, {})}
-    answer = call(ros, peer, DescribeParameters, f"{node}/describe_parameters", names=list(table))
-    for descriptor in answer.descriptors:
-        described: ParameterDescriptor = descriptor
-        dynamic = table[described.name].dynamic
-        assert described.read_only == (not dynamic and not managed)
-        says = {
-            (True, True): "may change while the node is active",
-            (True, False): "may change only while the node is unconfigured",
-            (False, True): "may change while the node runs",
-            (False, False): "fixed while the node runs",
-        }[managed, dynamic]
-        assert described.additional_constraints.endswith(says), described.name

@@ -117,7 +117,7 @@ def test_changed_robot_continues_like_one_built_with_the_new_values() -> None:
     robot, other = simulated(), simulated(BAD)
     run(robot, 10)
     robot.change(BAD)
-    other.x, other.time, other.u = robot.x.copy(), robot.time, robot.u
+    other.x, other.pointer.time, other.u = robot.x, robot.time, robot.u
     other._output = robot.u
     assert np.array_equal(run(robot, 10), run(other, 10))
     robot.change(Imperfections(1))

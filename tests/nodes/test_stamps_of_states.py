@@ -8,6 +8,7 @@ import time
 import numpy as np
 from std_srvs.srv import SetBool, Trigger
 
+from fjr_plant.native import NO_TIME
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, call, command
 from nodes.test_sim_time import SECOND, Player
@@ -20,8 +21,7 @@ def stamped_after(ros: Ros, peer: Peer, instant: int) -> None:
 
 
 def test_stamps_equal_the_clock_when_time_starts_or_resumes(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(restart_silence=0.1, command_timeout=100.0)
-    peer.meet_plant()
+    node = peer.plant(restart_silence=0.1, command_timeout=100.0)
     stamped_after(ros, peer, time.time_ns())
     end = time.monotonic() + 0.2
     ros.until(lambda: time.monotonic() > end)  # the first command is late
@@ -40,7 +40,7 @@ def test_stamps_equal_the_clock_when_time_starts_or_resumes(ros: Ros, peer: Peer
         ros.until(lambda count=count: len(peer.states) > count + 5, "states again")
         assert nanoseconds(peer.states[-1]) >= instant
         stamped_after(ros, peer, instant)
-    assert node._time_base.origin is None, "after a reset the plant must wait for a command"
+    assert node._time_base.plant.origin == NO_TIME, "after a reset the plant must wait for a command"
     stamps = [nanoseconds(state) for state in peer.states]
     assert stamps == sorted(stamps)
 
@@ -48,8 +48,7 @@ def test_stamps_equal_the_clock_when_time_starts_or_resumes(ros: Ros, peer: Peer
 def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
     """The controller detects a silence and joins the reference without a jump or a large effort."""
     player = Player(ros, peer)
-    controller = ros.controller(use_sim_time=True, state_timeout=0.5)
-    peer.meet_controller()
+    controller = peer.controller(use_sim_time=True, state_timeout=0.5)
     player.run(50 * SECOND, 50)
     ros.until(lambda: peer.states[-1].position[0] != 0.5, "motion")
     assert call(ros, peer, Trigger, "fjr_plant/reset").success

@@ -134,9 +134,7 @@ def move(**fields: Any) -> JointTrajectory:
     ids=["positions", "velocities", "accelerations"],
 )
 def test_trajectory_passes_its_points_and_holds_the_last(ros: Ros, manager: Manager, fields: dict[str, Any]) -> None:
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0)
     assert manager.send(move(**fields)).name == "references changed"
     q, dq = reference_at(manager, 0.5)
     np.testing.assert_allclose(q, [0.3], atol=1e-9)
@@ -148,8 +146,7 @@ def test_trajectory_passes_its_points_and_holds_the_last(ros: Ros, manager: Mana
 
 
 def test_replacement_causes_no_step_of_u(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
+    manager.controller()
     k = 20
     efforts = [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k)]
     assert manager.send(move()).name == "references changed"
@@ -159,9 +156,7 @@ def test_replacement_causes_no_step_of_u(ros: Ros, manager: Manager) -> None:
 
 
 def test_a_replacement_while_moving_begins_with_the_jets_of_the_active_reference(ros: Ros, manager: Manager) -> None:
-    node = ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    node = manager.started(0.0)
     manager.send(move())
     manager.ask(stamped(0.3, 0.0))
     tracker = node._control.step
@@ -173,9 +168,7 @@ def test_a_replacement_while_moving_begins_with_the_jets_of_the_active_reference
 
 
 def test_a_trajectory_waits_for_its_start(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0)
     manager.send(trajectory((0.5, 0.1), start=ZERO + SECOND // 2))
     for t in (0.2, 0.4, 0.5):
         np.testing.assert_allclose(reference_at(manager, t), [[np.sin(t)], [np.cos(t)]], atol=1e-9)
@@ -183,9 +176,7 @@ def test_a_trajectory_waits_for_its_start(ros: Ros, manager: Manager) -> None:
 
 
 def test_past_start_is_joined_and_a_past_trajectory_refused(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0)
     manager.ask(stamped(1.0, 0.0))
     event = manager.send(trajectory((0.5, 0.1), start=ZERO))
     assert event.name == "trajectory refused: in the past"
@@ -195,9 +186,7 @@ def test_past_start_is_joined_and_a_past_trajectory_refused(ros: Ros, manager: M
 
 
 def test_empty_trajectory_stops_the_motion(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0)
     assert manager.send(JointTrajectory()).name == "holds"
     np.testing.assert_allclose(reference_at(manager, 0.1)[1], [np.cos(0.1)], atol=0.2)
     q, dq = reference_at(manager, 3.0)
@@ -206,9 +195,7 @@ def test_empty_trajectory_stops_the_motion(ros: Ros, manager: Manager) -> None:
 
 
 def test_a_refused_trajectory_changes_nothing(ros: Ros, manager: Manager) -> None:
-    node = ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    node = manager.started(0.0)
     for message, kind, _ in BAD.values():
         event = manager.send(message)
         assert event.name == f"trajectory refused: {kind}"
@@ -227,9 +214,7 @@ def test_a_refused_trajectory_changes_nothing(ros: Ros, manager: Manager) -> Non
     ],
 )
 def test_limits_are_checked_and_named(ros: Ros, manager: Manager, limits: dict[str, Any], sentence: str) -> None:
-    ros.controller(reference__amplitude=[0.0], recovery__join_time=0.0)
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0, reference__amplitude=[0.0], recovery__join_time=0.0)
     assert manager.set(**limits)[0]
     manager.ask(stamped(0.001, 0.0))
     event = manager.send(move())
@@ -244,8 +229,7 @@ def test_the_limits_of_the_robot_apply_to_trajectories(ros: Ros, manager: Manage
     upper = fjr.robot_from_urdf(two_link_urdf(), JOINTS, STIFFNESS, MOTOR_INERTIA).limits.upper
     if not np.isfinite(upper).all():
         pytest.skip("the arm has no limits")
-    ros.controller(joints=JOINTS, robot__motor_inertia=MOTOR_INERTIA, reference__amplitude=[0.0, 0.0], **robot)
-    manager.meet_controller()
+    manager.controller(joints=JOINTS, robot__motor_inertia=MOTOR_INERTIA, reference__amplitude=[0.0, 0.0], **robot)
     manager.ask(stamped(0.0, 0.0, names=[*JOINTS, *(f"{joint}_motor" for joint in JOINTS)]))
     event = manager.send(trajectory((5.0, [0.0, float(upper[1]) + 0.1]), joints=tuple(JOINTS)))
     assert event.name == "trajectory refused: cannot be followed"
@@ -273,8 +257,7 @@ def test_omitted_joints_hold_with_allow_partial_joints(ros: Ros, manager: Manage
 
 
 def test_before_a_state_while_inactive_and_while_stopped_trajectories_are_refused(ros: Ros, manager: Manager) -> None:
-    ros.controller(limits__tracking_error=[0.1])
-    manager.meet_controller()
+    manager.controller(limits__tracking_error=[0.1])
     assert manager.send(move()).name == "trajectory refused: no state"
     manager.ask(stamped(0.0, 0.0))
     manager.ask(stamped(0.001, 0.5))
@@ -312,9 +295,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 
 def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, **parameters: Any) -> Any:
     """Return a controller with a first command, whose planning of the first message waits at the gate."""
-    node = ros.controller(**parameters)
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    node = manager.started(0.0, **parameters)
     ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
     for message in messages:
         manager.trajectories.publish(message)
@@ -447,9 +428,7 @@ def test_unexpected_planning_error_refuses_the_trajectory_and_is_logged(
     def failing(problem: PlanningProblem) -> None:
         raise ZeroDivisionError("injected failure")
 
-    ros.controller(use_sim_time=simulated)
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0, use_sim_time=simulated)
     monkeypatch.setattr(PlanningProblem, "solve", failing)
     event = manager.send(move())
     assert event.name == "trajectory refused: failed"
@@ -463,9 +442,7 @@ def test_unexpected_planning_error_refuses_the_trajectory_and_is_logged(
 def test_an_unexpected_error_of_a_callback_does_not_end_the_node(
     ros: Ros, manager: Manager, monkeypatch, capfd
 ) -> None:
-    node = ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    node = manager.started(0.0)
 
     def failing(reason: str) -> None:
         raise ZeroDivisionError("injected failure")
@@ -491,9 +468,7 @@ def test_in_simulated_time_a_trajectory_is_planned_at_once(ros: Ros, manager: Ma
 
 
 def test_hold_comes_to_a_standstill_and_play_continues(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0)
     assert manager.trigger("hold")[0]
     manager.ask(stamped(0.001, 0.0))
     assert reference_at(manager, 2.5)[1] == pytest.approx(0.0, abs=1e-9)
@@ -509,9 +484,7 @@ def test_hold_comes_to_a_standstill_and_play_continues(ros: Ros, manager: Manage
 
 
 def test_play_refuses_a_reference_that_violates_the_limits(ros: Ros, manager: Manager) -> None:
-    ros.controller(limits__link_velocity=[0.5], reference__amplitude=[0.1])
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0, limits__link_velocity=[0.5], reference__amplitude=[0.1])
     assert manager.set(reference__frequency=[9.0])[0]
     done, sentence = manager.trigger("play")
     assert not done
@@ -519,9 +492,7 @@ def test_play_refuses_a_reference_that_violates_the_limits(ros: Ros, manager: Ma
 
 
 def test_play_refuses_a_transition_that_violates_the_limits(ros: Ros, manager: Manager) -> None:
-    ros.controller(reference__amplitude=[0.1], limits__link_velocity=[1.0], recovery__join_time=0.5)
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0, reference__amplitude=[0.1], limits__link_velocity=[1.0], recovery__join_time=0.5)
     assert manager.set(reference__offset=[1.0])[0]
     done, sentence = manager.trigger("play")
     assert not done
@@ -536,9 +507,7 @@ def test_play_refuses_a_transition_that_violates_the_limits(ros: Ros, manager: M
 
 
 def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
-    ros.controller(limits__tracking_error=[0.1])
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0, limits__tracking_error=[0.1])
     assert manager.trigger("resume") == (False, "the controller is not stopped; expected a stopped one")
     assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
     assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
@@ -548,9 +517,7 @@ def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
 
 
 def test_resume_is_refused_outside_the_limits(ros: Ros, manager: Manager) -> None:
-    ros.controller(limits__link_velocity=[2.0])
-    manager.meet_controller()
-    manager.ask(stamped(0.0, 0.0))
+    manager.started(0.0, limits__link_velocity=[2.0])
     assert list(manager.ask(stamped(0.001, 0.0, 3.0)).effort) == [0.0]
     done, sentence = manager.trigger("resume")
     assert (done, sentence.partition(":")[0]) == (False, "the controller stays stopped")

@@ -14,8 +14,12 @@ from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
 from fjr_core.config.controller import controller_parameters
-from fjr_core.config.nodes import all_parameters
+from fjr_core.config.law import gains as build_gains
+from fjr_core.config.nodes import OwnParameters, all_parameters
+from fjr_core.config.parameter import complete
 from fjr_core.config.plant import plant_parameters
+from fjr_core.config.reference import reference as build_reference
+from fjr_core.config.robot import robot as build_robot
 from fjr_plant.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -30,49 +34,24 @@ def from_urdf(**arguments: Any) -> fjr.Robot:
 MODELS = {"single_link": fjr.single_link, "planar_two_link": fjr.planar_two_link, "urdf": from_urdf}
 T, Q_L, Q_M, DQ_L, DQ_M = 0.3, 0.4, 0.45, 0.2, -0.1  # an instant at which every parameter matters
 
-ROBOT_CASES = [  # model, parameter, argument of the model's function, value
-    ("single_link", "link_inertia", "link_inertia", [0.05]),
-    ("single_link", "gravity_torque", "gravity_torque", [1.3]),
-    ("single_link", "joint_stiffness", "stiffness", [20.0]),
-    ("single_link", "motor_inertia", "motor_inertia", [0.006]),
-    ("single_link", "link_damping", "link_damping", [0.3]),
-    ("single_link", "motor_damping", "motor_damping", [0.02]),
-    ("single_link", "input_gain", "input_gain", [2.0]),
-    ("planar_two_link", "link_inertia", "link_inertia", [0.02, 0.006]),
-    ("planar_two_link", "link_mass", "link_mass", [1.0, 0.9]),
-    ("planar_two_link", "link_length", "link_length", [0.35, 0.25]),
-    ("planar_two_link", "link_com", "link_com", [0.1, 0.15]),
-    ("planar_two_link", "gravity", "gravity", 1.62),
-    ("planar_two_link", "joint_stiffness", "stiffness", [40.0, 3.0, 3.0, 25.0]),
-    ("planar_two_link", "motor_inertia", "motor_inertia", [0.03, 0.01]),
-    ("planar_two_link", "link_damping", "link_damping", [0.3, 0.1]),
-    ("planar_two_link", "motor_damping", "motor_damping", [0.03, 0.01]),
-    ("planar_two_link", "input_gain", "input_gain", [1.0, 0.5]),
-    ("urdf", "gravity", "gravity", [0.0, 3.0, -9.0]),
-    ("urdf", "joint_stiffness", "stiffness", [40.0, 3.0, 3.0, 25.0]),
-    ("urdf", "motor_inertia", "motor_inertia", [0.03, 0.01]),
-    ("urdf", "gear_ratio", "gear_ratio", [2.0, 1.5]),
-    ("urdf", "link_damping", "link_damping", [0.3, 0.1]),
-    ("urdf", "motor_damping", "motor_damping", [0.03, 0.01]),
-    ("urdf", "input_gain", "input_gain", [1.0, 0.5]),
-]
-GAIN_CASES = {
-    "Lambda_l": 12.0,
-    "Pi_l": 25.0,
-    "K_ld": 0.7,
-    "Lambda_m": 17.0,
-    "Pi_m": 70.0,
-    "K_md": 0.4,
-    "Gamma_l": 2.0,
-    "Gamma_m": 3.0,
+COMMON = {
+    "joint_stiffness": [40.0, 3.0, 3.0, 25.0],
+    "motor_inertia": [0.03, 0.01],
+    "link_damping": [0.3, 0.1],
+    "motor_damping": [0.03, 0.01],
+    "input_gain": [1.0, 0.5],
 }
+PLANAR = {"link_inertia": [0.02, 0.006], "link_mass": [1.0, 0.9], "link_length": [0.35, 0.25], "link_com": [0.1, 0.15]}
+ONE = {"joint_stiffness": [20.0], "motor_inertia": [0.006], "link_damping": [0.3], "motor_damping": [0.02]}
+ROBOTS: dict[str, dict[str, Any]] = {  # other values of all parameters of each model
+    "single_link": {"link_inertia": [0.05], "gravity_torque": [1.3], "input_gain": [2.0], **ONE},
+    "planar_two_link": {**PLANAR, "gravity": 1.62, **COMMON},
+    "urdf": {"gravity": [0.0, 3.0, -9.0], "gear_ratio": [2.0, 1.5], **COMMON},
+}
+GAIN_CASES = {"Lambda_l": 12.0, "Pi_l": 25.0, "K_ld": 0.7, "Lambda_m": 17.0}
+GAIN_CASES |= {"Pi_m": 70.0, "K_md": 0.4, "Gamma_l": 2.0, "Gamma_m": 3.0}
 REFERENCE_CASES = {"amplitude": 0.8, "frequency": 1.3, "offset": 0.1, "phase": 0.2}
-INITIAL_CASES = {
-    "initial_link_position": 0,
-    "initial_motor_position": 1,
-    "initial_link_velocity": 2,
-    "initial_motor_velocity": 3,
-}
+INITIAL = ("initial_link_position", "initial_motor_position", "initial_link_velocity", "initial_motor_velocity")
 
 
 def joints(model: str) -> list[str]:
@@ -90,15 +69,17 @@ def given(model: str) -> dict[str, Any]:
     return {name.replace("__", "."): value for name, value in model_parameters(model).items()}
 
 
-def matrix(value: Any, n: int) -> Any:
-    return np.reshape(value, (n, n)) if np.size(value) == n * n > n else value
+def made(model: str, **parameters: Any) -> fjr.Robot:
+    """Return the robot of a model with these parameters, by the function of fjr_core."""
+    n = len(joints(model))
+    values = {name: np.reshape(v, (n, n)) if np.size(v) == n * n > n else v for name, v in parameters.items()}
+    return MODELS[model](**{name.replace("joint_stiffness", "stiffness"): value for name, value in values.items()})
 
 
 def controller_effort(ros: Ros, model: str = "single_link", **parameters: Any) -> np.ndarray:
     """Return the effort of a controller node with these parameters at time T after a start at 0."""
     peer = Peer(ros)
-    ros.controller(**{"start__join_time": 0.0, **model_parameters(model), **parameters})
-    peer.meet_controller()
+    peer.controller(**{"start__join_time": 0.0, **model_parameters(model), **parameters})
     names = [*joints(model), *(f"{joint}_motor" for joint in joints(model))]
     n = len(joints(model))
     peer.ask(stamped(0.0, names=names))
@@ -109,13 +90,6 @@ def law_effort(robot: fjr.Robot, gains: fjr.Gains, reference: fjr.Sine) -> np.nd
     ones = np.ones(robot.n)
     x = robot.state(Q_L * ones, Q_M * ones, DQ_L * ones, DQ_M * ones)
     return fjr.TrackingLaw(robot, gains).effort(x, x, reference.jets(T))
-
-
-def test_controller_locked_joints(ros: Ros) -> None:
-    bent = {"robot__locked_joints": ["wrist"], "robot__locked_positions": [0.9]}
-    changed = controller_effort(ros, "urdf", **bent)
-    expected = law_effort(from_urdf(locked={"wrist": 0.9}), fjr.PAPER_GAINS, unit_sine(2))
-    assert_changed(changed, expected, law_effort(from_urdf(), fjr.PAPER_GAINS, unit_sine(2)))
 
 
 ROBOT_FILE = f"""/**:
@@ -130,23 +104,13 @@ def test_controller_robot_file_and_its_overrides(ros: Ros, tmp_path: Path) -> No
     (tmp_path / "arm.urdf").write_text(URDF)
     peer = Peer(ros)
     own = {"robot__joint_stiffness": STIFFNESS, "start__join_time": 0.0}
-    node = ros.controller(robot__file=str(tmp_path / "arm.yaml"), **own)
-    peer.meet_controller()
+    node = peer.controller(robot__file=str(tmp_path / "arm.yaml"), **own)
     names = [*JOINTS, *(f"{joint}_motor" for joint in JOINTS)]
     peer.ask(stamped(0.0, names=names))
     effort = peer.ask(stamped(T, [Q_L] * 2 + [Q_M] * 2, [DQ_L] * 2 + [DQ_M] * 2, names)).effort
     np.testing.assert_allclose(effort, law_effort(from_urdf(), fjr.PAPER_GAINS, unit_sine(2)), rtol=1e-9)
     assert node.get_parameter("joints").value == JOINTS
     assert node.get_parameter("robot.urdf").value == str(tmp_path / "arm.urdf")
-
-
-def test_compiled_controller_sends_the_same_effort(ros: Ros) -> None:
-    effort = controller_effort(ros, compile=True)
-    np.testing.assert_allclose(effort, law_effort(fjr.single_link(), fjr.PAPER_GAINS, unit_sine(1)), rtol=1e-9)
-
-
-def test_compiled_plant_moves_identically(ros: Ros) -> None:
-    np.testing.assert_allclose(measured(lockstep_state(ros, compile=True)), simulated(fjr.single_link()), rtol=1e-9)
 
 
 def unit_sine(n: int, **changes: float) -> fjr.Sine:
@@ -158,32 +122,54 @@ def assert_changed(changed: np.ndarray, expected: np.ndarray, default: np.ndarra
     assert np.max(np.abs(changed - default)) > 1e-6 * np.max(np.abs(default))
 
 
-@pytest.mark.parametrize(("model", "parameter", "argument", "value"), ROBOT_CASES)
-def test_controller_robot(ros: Ros, model: str, parameter: str, argument: str, value: Any) -> None:
-    changed = controller_effort(ros, model, **{f"robot__{parameter}": value})
-    make, n = MODELS[model], len(joints(model))
-    expected = law_effort(make(**{argument: matrix(value, n)}), fjr.PAPER_GAINS, unit_sine(n))
-    assert_changed(changed, expected, law_effort(make(), fjr.PAPER_GAINS, unit_sine(n)))
+def values_of(own: OwnParameters, model: str = "single_link", **parameters: Any) -> dict[str, Any]:
+    """Return the checked values of a node with these parameters."""
+    named = {name.replace("__", "."): value for name, value in {**model_parameters(model), **parameters}.items()}
+    return dict(complete(all_parameters(own, named), named))
+
+
+@pytest.mark.parametrize(("model", "name"), [(model, name) for model, values in ROBOTS.items() for name in values])
+def test_each_parameter_of_the_robot_has_its_effect(model: str, name: str) -> None:
+    value, law = ROBOTS[model][name], (fjr.PAPER_GAINS, unit_sine(len(joints(model))))
+    robot = build_robot(values_of(controller_parameters, model, **{f"robot__{name}": value}))
+    expected, default = made(model, **{name: value}), made(model)
+    assert_changed(*(law_effort(each, *law) for each in (robot, expected, default)))
+    assert_changed(*(simulated(each) for each in (robot, expected, default)))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_both_nodes_have_the_robot_of_the_parameters(ros: Ros, model: str) -> None:
+    parameters, robot = {f"robot__{name}": v for name, v in ROBOTS[model].items()}, made(model, **ROBOTS[model])
+    effort = controller_effort(ros, model, **parameters)
+    np.testing.assert_allclose(effort, law_effort(robot, fjr.PAPER_GAINS, unit_sine(robot.n)), rtol=1e-9)
+    ros.restart()
+    np.testing.assert_allclose(measured(lockstep_state(ros, model, **parameters)), simulated(robot), rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", GAIN_CASES)
-def test_controller_gains(ros: Ros, name: str) -> None:
-    changed = controller_effort(ros, **{f"gains__{name}": [GAIN_CASES[name]]})
-    expected = law_effort(fjr.single_link(), replace(fjr.PAPER_GAINS, **{name: GAIN_CASES[name]}), unit_sine(1))
-    assert_changed(changed, expected, law_effort(fjr.single_link(), fjr.PAPER_GAINS, unit_sine(1)))
+def test_each_gain_has_its_effect(name: str) -> None:
+    gains = build_gains(values_of(controller_parameters, **{f"gains__{name}": [GAIN_CASES[name]]}), 1)
+    robot, sine = fjr.single_link(), unit_sine(1)
+    expected = law_effort(robot, replace(fjr.PAPER_GAINS, **{name: GAIN_CASES[name]}), sine)
+    assert_changed(law_effort(robot, gains, sine), expected, law_effort(robot, fjr.PAPER_GAINS, sine))
 
 
 @pytest.mark.parametrize("name", REFERENCE_CASES)
-def test_controller_reference(ros: Ros, name: str) -> None:
-    changed = controller_effort(ros, **{f"reference__{name}": [REFERENCE_CASES[name]]})
-    expected = law_effort(fjr.single_link(), fjr.PAPER_GAINS, unit_sine(1, **{name: REFERENCE_CASES[name]}))
-    assert_changed(changed, expected, law_effort(fjr.single_link(), fjr.PAPER_GAINS, unit_sine(1)))
+def test_each_parameter_of_the_sine_has_its_effect(name: str) -> None:
+    found = build_reference(values_of(controller_parameters, **{f"reference__{name}": [REFERENCE_CASES[name]]}), 1)
+    assert_changed(found.jets(T), unit_sine(1, **{name: REFERENCE_CASES[name]}).jets(T), unit_sine(1).jets(T))
+
+
+def test_the_controller_has_gains_and_reference_of_the_parameters(ros: Ros) -> None:
+    gains = {f"gains__{name}": [value] for name, value in GAIN_CASES.items()}
+    sine = {f"reference__{name}": [value] for name, value in REFERENCE_CASES.items()}
+    expected = law_effort(fjr.single_link(), replace(fjr.PAPER_GAINS, **GAIN_CASES), unit_sine(1, **REFERENCE_CASES))
+    np.testing.assert_allclose(controller_effort(ros, **gains, **sine), expected, rtol=1e-9)
 
 
 def test_controller_joints(ros: Ros) -> None:
     peer = Peer(ros)
-    ros.controller(joints=["elbow"])
-    peer.meet_controller()
+    peer.controller(joints=["elbow"])
     assert list(peer.ask(stamped(0.0, names=["elbow", "elbow_motor"])).name) == ["elbow"]
 
 
@@ -215,18 +201,10 @@ def measured(state: JointState) -> np.ndarray:
     return np.array([*state.position, *state.velocity])
 
 
-@pytest.mark.parametrize(("model", "parameter", "argument", "value"), ROBOT_CASES)
-def test_plant_robot(ros: Ros, model: str, parameter: str, argument: str, value: Any) -> None:
-    changed = measured(lockstep_state(ros, model, **{f"robot__{parameter}": value}))
-    make, n = MODELS[model], len(joints(model))
-    assert_changed(changed, simulated(make(**{argument: matrix(value, n)})), simulated(make()))
-
-
-@pytest.mark.parametrize("name", INITIAL_CASES)
-def test_plant_initial_state(ros: Ros, name: str) -> None:
-    first = lockstep_state(ros, samples=0, **{name: [0.7]})
-    assert measured(first)[INITIAL_CASES[name]] == pytest.approx(0.7)
-    assert np.count_nonzero(measured(first) == 0.7) <= 1
+def test_the_plant_begins_at_the_initial_state_of_the_parameters(ros: Ros) -> None:
+    values = [0.1, 0.2, 0.3, 0.4]
+    first = lockstep_state(ros, samples=0, **{name: [value] for name, value in zip(INITIAL, values, strict=True)})
+    assert measured(first) == pytest.approx(values)
 
 
 def test_plant_integrator_and_inner_steps(ros: Ros) -> None:
@@ -234,12 +212,7 @@ def test_plant_integrator_and_inner_steps(ros: Ros) -> None:
     expected = simulated(fjr.single_link(), integrator="implicit_midpoint", steps=2)
     np.testing.assert_allclose(midpoint, expected, rtol=1e-9)
     assert np.max(np.abs(midpoint - simulated(fjr.single_link(), steps=2))) > 1e-9
-
-
-def test_plant_inner_steps(ros: Ros) -> None:
-    coarse = measured(lockstep_state(ros, inner_steps=1))
-    np.testing.assert_allclose(coarse, simulated(fjr.single_link(), steps=1), rtol=1e-12)
-    assert np.max(np.abs(coarse - simulated(fjr.single_link(), steps=4))) > 1e-12
+    assert np.max(np.abs(midpoint - simulated(fjr.single_link(), integrator="implicit_midpoint"))) > 1e-12
 
 
 def test_plant_publish_rate(ros: Ros) -> None:
@@ -257,37 +230,16 @@ def test_plant_joints(ros: Ros, peer: Peer) -> None:
     assert list(peer.states[-1].name) == ["elbow", "elbow_motor"]
 
 
-WIRED_ELSEWHERE = {
-    "robot.model",  # every planar_two_link and urdf case
-    "robot.urdf",  # every urdf case
-    "robot.file",  # test_controller_robot_file_and_its_overrides
-    "robot.locked_joints",  # test_controller_locked_joints
-    "robot.locked_positions",
-    "compile",  # test_compiled_...
-    "autostart",  # test_lifecycle
-    "certificate",  # test_certificate
-    "certificate_tolerance",  # test_certificate
-    "auxiliary_rate",  # test_native_loop
-    "executor",  # test_native_loop, tests/msgs/test_scheduling.py
-    "lock_memory",
-    "cpu_affinity",
-    "lockstep",  # every lockstep_state
-    "lockstep_timeout",  # test_lock_step
-    "restart_silence",  # test_stamps_of_states
-    "publish_description",  # test_plant_node
-    "advance_samples",  # test_advance
-    "state_timeout",  # test_controller_node
-    "command_timeout",  # test_plant_node
-    "start_paused",  # test_plant_node
-    "realtime_priority",  # tests/system/test_executables.py
-    "joints",
-    "publish_rate",
-    "inner_steps",
-    "integrator",
-    "wait_for_command",
+HERE = "joints publish_rate inner_steps integrator wait_for_command robot.model robot.urdf robot.file lockstep"
+ELSEWHERE = {
+    "test_lifecycle, test_controller_node, test_native_loop": "autostart state_timeout auxiliary_rate executor compile",
+    "test_certificate": "certificate certificate_tolerance",
+    "test_plant_node": "publish_description command_timeout start_paused",
+    "test_lock_step, test_stamps_of_states, test_advance": "lockstep_timeout restart_silence advance_samples",
+    "tests/msgs/test_scheduling.py, tests/system/test_executables.py": "lock_memory cpu_affinity realtime_priority",
+    "tests/core/config/test_robot_file.py": "robot.locked_joints robot.locked_positions",
 }
-
-
+"""Parameters by the files that test their effect."""
 WIRED_BY_GROUP = (
     "reference.",  # tests/core/config/test_reference.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
@@ -308,12 +260,20 @@ WIRED_BY_GROUP = (
 
 @pytest.mark.parametrize("model", MODELS)
 def test_no_parameter_is_left_out(model: str) -> None:
-    tested = WIRED_ELSEWHERE | set(INITIAL_CASES)
-    tested |= {f"robot.{parameter}" for case_model, parameter, _, _ in ROBOT_CASES if case_model == model}
+    tested = {*INITIAL, *(name for names in (HERE, *ELSEWHERE.values()) for name in names.split())}
+    tested |= {f"robot.{name}" for name in ROBOTS[model]}
     tested |= {f"gains.{name}" for name in GAIN_CASES} | {f"reference.{name}" for name in REFERENCE_CASES}
     for own in (plant_parameters, controller_parameters):
         names = {parameter.name for parameter in all_parameters(own, given(model))} - tested
         assert {name for name in names if not name.startswith(WIRED_BY_GROUP)} == set()
+
+
+WHEN = {
+    ("plant", True): "may change while the node runs",
+    ("plant", False): "fixed while the node runs",
+    ("controller", True): "may change while the node is active",
+    ("controller", False): "may change only while the node is unconfigured",
+}
 
 
 @pytest.mark.parametrize("kind", ["plant", "controller"])
@@ -323,6 +283,7 @@ def test_every_parameter_is_declared_with_description_unit_and_type(ros: Ros, ki
     for parameter in all_parameters(own, {}):
         descriptor = node.describe_parameter(parameter.name)
         assert descriptor.read_only == (kind == "plant" and not parameter.dynamic)
+        assert descriptor.additional_constraints.endswith(WHEN[kind, parameter.dynamic])
         assert parameter.description in descriptor.description
         assert parameter.unit in descriptor.description
         assert descriptor.type != ParameterType.PARAMETER_NOT_SET

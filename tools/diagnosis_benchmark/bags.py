@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
 
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.recording.bag import JointTable, read_bag
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.signals import first_of_each_stamp, match_stamps
 from fjr_monitor.recording.topic import type_hash
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import EffortWriter, JointStateWriter
+from fjr_msgs_py.messages.cdr import FIELDS, HEADER, Form, float_array, joint_state
 
 from .loop import Log
 
@@ -44,24 +46,38 @@ class _Topics:
 
 def write_bag(log: Log, scenario: Scenario, folder: Path) -> None:
     """Write the log as a bag in `folder`, with the times of lock-step."""
-    joints = scenario.joints
-    writers = {topic: JointStateWriter(joints) for topic in (COMMANDS, REFERENCE, ERROR)}
-    states, efforts = JointStateWriter(names.state_names(joints)), EffortWriter(joints)
+    joints, n = list(scenario.joints), len(scenario.joints)
     commands = {stamp: (u, jets) for stamp, u, jets in log.commands}
     bag = BagWriter(folder)
     topics = _Topics(bag)
-    for time, sample in log.states:
-        stamp, position, velocity, _ = sample
-        topics.write(STATES, time, states.fill(*sample))
+    for time, (stamp, position, velocity, effort) in log.states:
+        states = names.state_names(scenario.joints)
+        topics.write(STATES, time, _joint_state(states, stamp, position=position, velocity=velocity, effort=effort))
         if stamp not in commands:
             continue
         u, jets = commands.pop(stamp)
-        error, n = position[: len(joints)] - jets[0], len(joints)
-        topics.write(COMMANDS, time + LATENCY, writers[COMMANDS].fill(stamp, effort=u))
-        topics.write(EFFORTS, time + LATENCY, efforts.fill(u))
-        topics.write(REFERENCE, time + LATENCY, writers[REFERENCE].fill(stamp, jets[0], jets[1]))
-        topics.write(ERROR, time + LATENCY, writers[ERROR].fill(stamp, error, velocity[:n] - jets[1]))
+        error = {"position": position[:n] - jets[0], "velocity": velocity[:n] - jets[1]}
+        topics.write(COMMANDS, time + LATENCY, _joint_state(joints, stamp, effort=u))
+        topics.write(EFFORTS, time + LATENCY, _filled(float_array(",".join(joints), n), [u]))
+        reference = _joint_state(joints, stamp, position=jets[0], velocity=jets[1])
+        topics.write(REFERENCE, time + LATENCY, reference)
+        topics.write(ERROR, time + LATENCY, _joint_state(joints, stamp, **error))
     bag.close()
+
+
+def _joint_state(joints: list[str], stamp: int, **fields: Array) -> bytes:
+    values = [fields.get(name, np.zeros(0)) for name in FIELDS]
+    return _filled(joint_state(joints, map(len, values)), values, stamp)
+
+
+def _filled(form: Form, values: list[Array], stamp: int | None = None) -> bytes:
+    """Return a message without trailing bytes, which rosbags refuses; rclpy may append some."""
+    data = bytearray(HEADER) + form.empty
+    if stamp is not None:
+        struct.pack_into("<iI", data, 2 * HEADER, *divmod(stamp, 1_000_000_000))
+    for start, numbers in zip(form.starts, values, strict=True):
+        data[8 * start : 8 * (start + len(numbers))] = np.asarray(numbers, dtype="<f8").tobytes()
+    return bytes(data[HEADER:])
 
 
 def read_record(folder: Path, scenario: Scenario) -> Record:

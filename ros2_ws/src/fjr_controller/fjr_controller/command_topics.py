@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -26,7 +25,7 @@ class CommandConflictError(FjrError):
     """Another process publishes on a command topic."""
 
 
-class CommandTopics:
+class CommandTopics(ConflictingPublishers):
     """The publishers of both command topics (efforts, commands), and the search for conflicting ones.
 
     The search takes place at the start, before the first command and every LOOK_PERIOD after it. A conflict before the
@@ -35,54 +34,34 @@ class CommandTopics:
 
     def __init__(self, node: Node, reports: Reports) -> None:
         """Create the publishers; raise CommandConflictError if another process publishes on a command topic."""
-        self._node, self._reports = node, reports
-        self._conflicts = ConflictingPublishers(node, TOPICS, names.sample_qos(node))
-        self._alone = False
-        try:
-            self._refuse_conflicts()
-        except CommandConflictError:
-            self._conflicts.close()
-            raise
+        super().__init__(node, TOPICS, names.sample_qos(node))
+        self._reports, self._alone = reports, False
         self._timer = node.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    @property
-    def publishers(self) -> tuple[Publisher, Publisher]:
-        """Return the publishers of efforts and of named commands."""
-        efforts, commands = self._conflicts.publishers
-        return efforts, commands
-
-    @property
-    def known(self) -> tuple[bytes, int]:
-        """Return who may publish: the leading bytes of our GIDs and the GIDs of silent others, and their number."""
-        return self._conflicts.known
-
-    def has_others(self) -> bool:
-        """Return whether publishers exist that did not at the last search, without listening to them."""
-        return self._conflicts.others_appeared()
+        try:
+            self.check_alone()
+        except CommandConflictError:
+            self.close()
+            raise
 
     def check_alone(self) -> None:
-        """Raise CommandConflictError if another process publishes, before the first command; listen to new ones."""
-        self._refuse_conflicts()
+        """Raise CommandConflictError if a publisher that has appeared is not silent, as that of a killed node is."""
+        heard = self.heard() if self.appeared() else None
+        if heard:
+            raise CommandConflictError(f"{self.named(heard[0])} publishes on {heard[0]}; {ALONE}")
 
     def end_search(self) -> None:
         """Destroy the subscriptions of the search, which the node does not know; from now on conflicts are reported."""
         self._alone = True
-        self._conflicts.trust()
+        self.trust()
 
     def close(self) -> None:
         """Destroy publishers, subscriptions and timer."""
         self._node.destroy_timer(self._timer)
-        self._conflicts.close()
-
-    def _refuse_conflicts(self) -> None:
-        """Raise CommandConflictError if a publisher that has appeared is not silent, as that of a killed node is."""
-        heard = self._conflicts.heard() if self._conflicts.appeared() else None
-        if heard:
-            raise CommandConflictError(f"{self._conflicts.named(heard[0])} publishes on {heard[0]}; {ALONE}")
+        super().close()
 
     def _look(self) -> None:
-        topics = self._conflicts.appeared() if self._alone else ()
+        topics = self.appeared() if self._alone else ()
         if topics:
-            named = self._conflicts.named(*topics)
+            named = self.named(*topics)
             sentence = f"{named} has begun to publish on {' and '.join(topics)}; {ALONE}"
             self._reports.event(Event("error", CONFLICTS, sentence, {"nodes": named}))

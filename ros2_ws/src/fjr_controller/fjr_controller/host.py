@@ -138,7 +138,7 @@ class RclpyHost:
         self.runs, self.failure = False, ""  # type: bool, BaseException | str
         self._callbacks = (
             ffi.callback("int(void*, int32_t, const struct fjr_message*)", self._publish, error=2),
-            ffi.callback("int(void*)", lambda _: self._topics.has_others(), error=1),
+            ffi.callback("int(void*)", lambda _: self._topics.others_appeared(), error=1),
             ffi.callback("int(void*)", self._pause, error=2),
         )
         loop.publish, loop.has_others, loop.pause = self._callbacks

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a record of motion from a bag message by message: memory grows with the numbers that are used only."""
+"""Read a record of motion from a bag in blocks of messages: memory grows with the numbers that are used only."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from fjr_monitor.recording.bag import FLOATS, JOINT_STATE, in_order, read_bag
 from fjr_monitor.recording.signals import first_of_each_stamp, match_stamps
 from fjr_monitor.recording.topic import BagError, Times, typestore
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr import StateLayout
+from fjr_msgs_py.messages.cdr import joint_state_arrays
 
 from .estimation.motion_record import LARGEST, MotionRecord, TimeWindow, record_of_samples
 from .record_map import COMMANDS, STATES, BagMap
 
-BLOCK = 4096  # messages between two looks at the window
+BLOCK = 4096  # messages that are read together, and between two looks at the window
 
 
 def record_of_bag(
@@ -46,11 +46,15 @@ def record_of_bag(
     for count, (name, message) in enumerate(in_order(path, list(columns))):
         columns[name].add(message)
         if count % BLOCK == 0:
+            of_states.read()
             if len(of_states.numbers) > LARGEST:
                 raise RecordError(f"{states} holds more than {LARGEST:,} numbers; expected fewer: choose a --duration")
             since = (of_states.stamps[-1] - of_states.stamps[0]) * 1e-9 if of_states.stamps else 0.0
             if since > window.start + window.duration + 1.0:  # 1 s for commands that answer late
                 break
+    for each in columns.values():
+        if isinstance(each, _States):
+            each.read()
     return _record(path, of_states, columns.get(commands or ""), mapping, joints, window)
 
 
@@ -60,12 +64,6 @@ class _Columns:
     def __init__(self, name: str) -> None:
         self.name = name
         self.stamps, self.sent, self.numbers = array("q"), array("q"), array("d")
-
-    def append(self, stamp: int, sent: int, row: Array) -> None:
-        """Append the stamp and the send time [ns] of a message and its row."""
-        self.stamps.append(stamp)
-        self.sent.append(sent)
-        self.numbers.frombytes(row.tobytes())
 
     def arrays(self) -> tuple[Times, Times, Array]:
         """Return stamps, send times (k,) [ns] and rows (k, width)."""
@@ -79,36 +77,44 @@ class _States(_Columns):
     def __init__(self, name: str, joints: Sequence[str], fields: Sequence[str]) -> None:
         super().__init__(name)
         self._joints, self._fields = list(joints), fields
-        self._layout: StateLayout | None = None
-        self._places: list[tuple[str, Array, Array]] = []  # field, columns of a row, places in the message
+        self._waiting: list[Message] = []
 
     def add(self, message: Message) -> None:
-        """Take the numbers of a message; raise BagError."""
-        data = bytes(message.data)
-        if self._layout is None or not self._layout.taken(data):
-            self._learn(data)
-        layout = self._layout
-        assert layout is not None
-        row = np.full(len(self._fields) * len(self._joints), np.nan)
-        for what, columns, places in self._places:
-            row[columns] = layout.values[what][places]
-        self.append(layout.stamp, message.publish_time, row)
+        """Take a message, whose numbers are read together with those of others; raise BagError."""
+        self._waiting.append(message)
+        if len(self._waiting) == BLOCK:
+            self.read()
 
-    def _learn(self, data: bytes) -> None:
-        """Learn where the joints' numbers are in messages like this one."""
+    def read(self) -> None:
+        """Read the numbers of the messages that wait; raise BagError."""
+        waiting, self._waiting = self._waiting, []
+        if waiting and not self._read(waiting):
+            for message in waiting:  # names or lengths differ
+                if not self._read([message]):
+                    raise BagError(
+                        f"{self.name} holds a {JOINT_STATE} with an unusual layout; expected little-endian CDR"
+                    )
+
+    def _read(self, messages: Sequence[Message]) -> bool:
+        """Read messages with the names and lengths of the first; return whether they have them."""
+        data = [bytes(message.data) for message in messages]
         try:
-            message: Any = typestore().deserialize_cdr(data, JOINT_STATE)
-            self._layout = StateLayout(data, message)
+            first: Any = typestore().deserialize_cdr(data[0], JOINT_STATE)
+            arrays = joint_state_arrays(data, first)
         except Exception as error:  # any error of the decoder
             raise BagError(f"{self.name} holds bytes that are not a {JOINT_STATE} ({error})") from error
-        if not self._layout.trusted:
-            raise BagError(f"{self.name} holds a {JOINT_STATE} with an unusual layout; expected little-endian CDR")
-        self._places = []
+        if arrays is None:
+            return False
+        stamps, values = arrays
+        rows, listed = np.full((len(data), len(self._fields), len(self._joints)), np.nan), list(first.name)
         for i, what in enumerate(self._fields):
-            k, listed = len(getattr(message, what)), list(message.name)
-            held = [(j, listed.index(joint)) for j, joint in enumerate(self._joints) if joint in listed]
-            pairs = np.array([(i * len(self._joints) + j, at) for j, at in held if at < k], dtype=int).reshape(-1, 2)
-            self._places.append((what, pairs[:, 0], pairs[:, 1]))
+            for j, joint in enumerate(self._joints):
+                if joint in listed and listed.index(joint) < values[what].shape[1]:
+                    rows[:, i, j] = values[what][:, listed.index(joint)]
+        self.stamps.extend(stamps.tolist())
+        self.sent.extend(message.publish_time for message in messages)
+        self.numbers.frombytes(rows.tobytes())
+        return True
 
 
 class _Efforts(_Columns):
@@ -126,7 +132,9 @@ class _Efforts(_Columns):
             raise BagError(f"{self.name} holds bytes that are not a {FLOATS} ({error})") from error
         if len(data) != self._n:
             raise BagError(f"{self.name} holds {len(data)} efforts; expected {self._n}")
-        self.append(message.publish_time, message.publish_time, data)
+        self.stamps.append(message.publish_time)
+        self.sent.append(message.publish_time)
+        self.numbers.frombytes(data.tobytes())
 
 
 def _topic(path: Path, held: Sequence[str], namespace: str, name: str) -> str:

@@ -121,6 +121,9 @@ class PlantHost(Protocol):
     def run(self, action: Callable[[], Any]) -> Any:
         """Run an action between two messages and return its result; its exceptions are raised here."""
 
+    def now(self) -> int:
+        """Return the time of the clock of its ticks [ns]."""
+
     def close(self) -> None:
         """Stop serving."""
 
@@ -164,6 +167,10 @@ class NativePlantHost:
         if self._error is not None:
             raise self._error
         return self._result
+
+    def now(self) -> int:
+        """Return the time of the steady clock [ns]."""
+        return time.monotonic_ns()
 
     def close(self) -> None:
         """End the thread; a second call does nothing."""

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, deserialised, time_of
+from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, deserialised, nanoseconds, picked
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_msgs_py.node.parameters import ParameterNode
@@ -22,7 +22,7 @@ from fjr_msgs_py.node.reports import Health
 from .channel import Transport
 from .native import NO_TIME
 from .simulated_robot import SimulatedRobot
-from .time_base import WATCH_PERIOD, TimeBase, seconds, steady
+from .time_base import WATCH_PERIOD, TimeBase, seconds
 
 OTHERS = "other clocks"
 LOOK_PERIOD = 0.5  # s between checks of the graph
@@ -33,7 +33,7 @@ class ClockError(FjrError):
     """Another process publishes the time."""
 
 
-class ClockOwner:
+class ClockOwner(ConflictingPublishers):
     """Publisher of the time, unless another process publishes it.
 
     The topic is checked when the node starts, before the first command is accepted, and twice per second. An owner
@@ -44,20 +44,16 @@ class ClockOwner:
 
     def __init__(self, node: Node, health: Health, shown: Callable[[], int]) -> None:
         """shown: returns the time that was published last [ns]."""
+        super().__init__(node, {names.CLOCK: ClockMessage}, names.HISTORY)
         self._health, self._shown = health, shown
-        self._conflicts = ConflictingPublishers(node, {names.CLOCK: ClockMessage}, names.HISTORY)
-        self._topic = node.resolve_topic_name(names.CLOCK)
-        self._space = node.get_namespace().rstrip("/")
-        (self.publisher,) = self._conflicts.publishers
-        self._settled = time.monotonic() + SETTLING
-        self._next_look = 0.0
+        self._settled, self._next_look = time.monotonic() + SETTLING, 0.0
         self.refuse_others()
 
     def refuse_others(self, ahead_of: int = 0) -> None:
         """Raise ClockError if another process publishes a time of at least `ahead_of` [ns] now."""
-        self._conflicts.appeared()
-        heard = self._conflicts.heard() if self._conflicts.others else None
-        if heard and time_of(heard[1]) >= ahead_of:
+        self.appeared()
+        heard = self.heard() if self.others else None
+        if heard and nanoseconds(heard[1].clock) >= ahead_of:
             raise ClockError(self._sentence("publishes"))
 
     def look(self, established: bool) -> None:
@@ -68,18 +64,14 @@ class ClockOwner:
         self._next_look = now + LOOK_PERIOD
         if not established or now <= self._settled:
             self.refuse_others(ahead_of=self._shown() + 1 if established else 0)
-        elif self._conflicts.appeared():
+        elif self.appeared():
             self._health.error(OTHERS, self._sentence("has begun to publish"))
 
-    def close(self) -> None:
-        """Destroy the subscription, which the node does not know."""
-        self._conflicts.trust()
-
     def _sentence(self, acts: str) -> str:
-        own = f"{self._space or '/NAMESPACE'}/clock"
+        topic, space = self._node.resolve_topic_name(names.CLOCK), self._node.get_namespace().rstrip("/")
         return (
-            f"{self._conflicts.named(self._topic)} {acts} on {self._topic}; expected one owner of the time: start this "
-            f"plant and its controller with -r {names.CLOCK}:={own}"
+            f"{self.named(topic)} {acts} on {topic}; expected one owner of the time: start this plant and its "
+            f"controller with -r {names.CLOCK}:={space or '/NAMESPACE'}/clock"
         )
 
 
@@ -98,58 +90,44 @@ class LockStep(TimeBase):
     lockstep_timeout; before, the robot waits. Raises ClockError if another process publishes on /clock (ClockOwner).
     """
 
-    lock_step = True
-    moving = "moving: the first answer has arrived"
+    functions, kind, topic, first = "lock_step", JointState, names.JOINT_COMMANDS, "answer"
 
     def __init__(self, node: ParameterNode, robot: SimulatedRobot, transport: Transport, health: Health) -> None:
         super().__init__(node, robot, transport, health)
-        plant, lib = self.plant, self._lib
+        plant = self.plant
         plant.offset = START
         plant.timeout = round(node.values["lockstep_timeout"] * 1e9)
         self._clock = ClockOwner(node, health, lambda: int(plant.shown))
-        self._publishers.append(self._clock.publisher)
+        self._publishers += self._clock.publishers
         self._clock_message = NativeMessage(self._program, CLOCK_LAYOUT, ())
         self._answer = NativeReader(self._program, node.values["joints"], _EFFORT)
         plant.clock, plant.answer = self._clock_message.pointer, self._answer.pointer
-        self._topic = node.resolve_topic_name(names.JOINT_COMMANDS)
-        self._serve(JointState, names.JOINT_COMMANDS, lib.fjr_lock_step_command, lib.fjr_lock_step_tick)
+        self._serve()
         node.create_timer(WATCH_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._check(self._restart())
+        self._call("restart")
         self.host.start()
 
     def close(self) -> None:
         """Stop serving commands and watching /clock."""
         super().close()
-        self._clock.close()
+        self._clock.trust()
 
     def _look(self) -> None:
         """Check for another owner of the time, between two messages, as it listens on /clock; raises ClockError."""
         self.host.run(lambda: self._clock.look(established=bool(self.plant.heard)))
 
-    def _restart(self) -> int:
-        return int(self._lib.fjr_lock_step_restart(self.plant, steady()))
-
-    def _resume(self) -> int:
-        return int(self._lib.fjr_lock_step_resume(self.plant, steady()))
-
-    _begin_advance = _resume
-
     def _on_first_answer(self) -> None:
         self._clock.refuse_others()
 
     def _read(self, data: bytes) -> None:
-        self._reader.read_named(deserialised(data, JointState))
+        picked(deserialised(data, JointState), "effort", self._node.values["joints"])
 
     def _error_of(self, fault: int, reason: str) -> FjrError:
-        if fault == self._lib.FJR_UNANSWERED:
-            return LockStepError(self._silence())
-        return super()._error_of(fault, reason)
-
-    def _silence(self) -> str:
-        plant = self.plant
+        if fault != self._lib.FJR_UNANSWERED:
+            return super()._error_of(fault, reason)
+        plant, topic = self.plant, self._node.resolve_topic_name(self.topic)
         other = f"the last other one has {seconds(plant.other)} s" if plant.other < NO_TIME else "none has arrived"
-        return (
+        return LockStepError(
             f"the state of {seconds(plant.awaited)} s was not answered for {plant.timeout * 1e-9:g} s "
-            f"(lockstep_timeout); expected a message on {self._topic} with that stamp and an effort for every joint, "
-            f"{other}"
+            f"(lockstep_timeout); expected a message on {topic} with that stamp and an effort for every joint, {other}"
         )

@@ -12,21 +12,12 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError
-from fjr_core.config.plant import (
-    channel_errors,
-    initial_state,
-    period_jitter,
-    plant_parameters,
-    sensor_errors,
-)
-from fjr_core.config.plant import (
-    imperfections as build_imperfections,
-)
+from fjr_core.config.plant import initial_state, plant_parameters
 from fjr_core.config.plant import plant as build_plant
 from fjr_core.config.robot import description, robot_name
 from fjr_core.config.robot import robot as build_robot
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import MessageError, TorqueReader
+from fjr_msgs_py.messages.joint_states import MessageError, read_torques
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
 from fjr_msgs_py.node.parameters import ParameterNode
@@ -34,9 +25,8 @@ from fjr_msgs_py.node.reports import Health, publish_description
 
 from .host import EXPECTED
 from .lock_step import LockStep
-from .real_time import RealTime
-from .simulated_robot import simulated
-from .time_base import DeferredReply, DeferredTrigger, TimeBase
+from .simulated_robot import errors_of, simulated
+from .time_base import DeferredReply, DeferredTrigger, RealTime, TimeBase
 
 TORQUES = "external torques received"
 SETTLING = 2.0  # s in which another robot may be discovered late, on busy cores
@@ -67,7 +57,6 @@ class PlantNode(ParameterNode):
 
         Raise PlantConflictError if another process publishes states of one of the joints.
         """
-        joints = self.values["joints"]
         self._model = build_robot(self.values)
         time.sleep(max(0.0, self._since - time.monotonic()))
         self._refuse_another()
@@ -76,7 +65,6 @@ class PlantNode(ParameterNode):
         x0 = initial_state(self.values, self._model)
         self._robot, self._transport = simulated(self.values, plant, x0)
         self._robot.warm_up()
-        self._torques = TorqueReader(joints)
         if self.values["publish_description"]:
             publish_description(self, description(self.values))
         kind = LockStep if self.values["lockstep"] else RealTime
@@ -108,13 +96,11 @@ class PlantNode(ParameterNode):
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Apply new imperfections from now on; an FjrError refuses them."""
         if any(name.startswith("imperfections.") for name in names):
-            motion = build_imperfections(values, self._model)
-            sensors = sensor_errors(values, self._model.n)
-            messages, jitter = channel_errors(values), period_jitter(values)
+            motion, sensors, messages = errors_of(values, self._model)
 
             def change() -> None:
                 self._robot.change(motion, sensors)
-                self._transport.change(*messages, jitter)
+                self._transport.change(*messages)
 
             self._time_base.change(change)
 
@@ -148,7 +134,7 @@ class PlantNode(ParameterNode):
 
     def _on_torque(self, message: JointState) -> None:
         try:
-            torque = self._torques.read(message)
+            torque = read_torques(message, self.values["joints"])
         except MessageError as error:
             self._health.refuse("external torque", error)
             return

@@ -4,19 +4,19 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from fjr_core import FjrError, ParameterError, Plant, StateError
+from fjr_core import FjrError, ParameterError, Plant, Robot, StateError
 from fjr_core.config.plant import channel_errors, period_jitter, random_seed, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.numerics.symbolic import not_converged
 from fjr_core.runtime.library import CFunction, WorkSpace
-from fjr_core.simulation.imperfections import Imperfections, SensorErrors, friction_rate
+from fjr_core.simulation.imperfections import ChannelErrors, Imperfections, SensorErrors, friction_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_msgs_py.native.program import Program
 
@@ -66,6 +66,18 @@ class Sensors:
         return bool(self.pointer.velocities)
 
 
+def _held(name: str, part: Callable[[int], slice], doc: str) -> Any:
+    """Return a property that copies part of an array of struct fjr_robot, whose place depends on n."""
+
+    def values(robot: SimulatedRobot) -> Array:
+        return robot._arrays[name][part(robot._n)]
+
+    def put(robot: SimulatedRobot, given: Array) -> None:
+        values(robot)[:] = given
+
+    return property(lambda robot: values(robot).copy(), put, doc=doc)
+
+
 STIFFEST_FRICTION = 2.0
 """Largest product of friction rate and inner step; Runge-Kutta of order 4 is stable up to 2.78."""
 
@@ -77,6 +89,11 @@ class SimulatedRobot:
     state, with the momenta of a payload in p_l. Without imperfections the motion equals that of plant.step to the last
     bit. pointer: the same as struct fjr_robot*.
     """
+
+    x = _held("state", lambda n: slice(4 * n), "State (4n,).")
+    _output = _held("state", lambda n: slice(4 * n, 5 * n), "Outputs of the actuators behind their lag (n,) [N m].")
+    u = _held("u", slice, "Command (n,) [N m].")
+    external = _held("external", slice, "Torques on the links (n,) [N m].")
 
     def __init__(
         self,
@@ -129,7 +146,7 @@ class SimulatedRobot:
 
     def reset(self) -> None:
         """Return to the initial positions and velocities at time 0, without effort, and restart the sensor noise."""
-        self.time = 0
+        self.pointer.time = 0
         for name in ("u", "external", "state"):
             self._arrays[name][:] = 0.0
         self.x = self._x0
@@ -193,54 +210,14 @@ class SimulatedRobot:
         return StateError(f"the state of the robot is not finite after {self.time * 1e-9:.3f} s: the motion diverged")
 
     @property
-    def in_machine_code(self) -> bool:
-        """True if no function needs Python."""
-        return all(machine_code(each.function) is not None for each in self._functions.values())
-
-    @property
     def time(self) -> int:
         """Robot time [ns]."""
         return int(self.pointer.time)
 
-    @time.setter
-    def time(self, time: int) -> None:
-        self.pointer.time = time
-
     @property
-    def x(self) -> Array:
-        """State (4n,)."""
-        return self._arrays["state"][: 4 * self._n].copy()
-
-    @x.setter
-    def x(self, x: Array) -> None:
-        self._arrays["state"][: 4 * self._n] = x
-
-    @property
-    def u(self) -> Array:
-        """Command (n,) [N m]."""
-        return self._arrays["u"].copy()
-
-    @u.setter
-    def u(self, effort: Array) -> None:
-        self._arrays["u"][:] = effort
-
-    @property
-    def external(self) -> Array:
-        """Torques on the links (n,) [N m]."""
-        return self._arrays["external"].copy()
-
-    @external.setter
-    def external(self, torque: Array) -> None:
-        self._arrays["external"][:] = torque
-
-    @property
-    def _output(self) -> Array:
-        """Outputs of the actuators behind their lag (n,) [N m]."""
-        return self._arrays["state"][4 * self._n :].copy()
-
-    @_output.setter
-    def _output(self, output: Array) -> None:
-        self._arrays["state"][4 * self._n :] = output
+    def in_machine_code(self) -> bool:
+        """True if no function needs Python."""
+        return all(machine_code(each.function) is not None for each in self._functions.values())
 
     def _use(self, imperfections: Imperfections) -> None:
         self._imperfect.check(imperfections)
@@ -278,11 +255,18 @@ def _same_load(one: Imperfections, other: Imperfections) -> bool:
     return all(same)
 
 
+def errors_of(
+    values: Mapping[str, Any], robot: Robot
+) -> tuple[Imperfections, SensorErrors, tuple[ChannelErrors, ChannelErrors, float]]:
+    """Return the errors of motion, sensors, and messages (of states, commands, sample times); raises ParameterError."""
+    messages = (*channel_errors(values), period_jitter(values))
+    return build_imperfections(values, robot), sensor_errors(values, robot.n), messages
+
+
 def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[SimulatedRobot, Transport]:
     """Return robot and message channels for the checked values of the plant's parameters; raises ParameterError."""
     inner_step = round(1e9 / values["publish_rate"] / values["inner_steps"])  # ns
-    seed, robot = random_seed(values), plant.robot
-    motion, sensors = build_imperfections(values, robot), sensor_errors(values, robot.n)
-    transport = Transport(robot.n, inner_step * values["inner_steps"], inner_step, seed)
-    transport.change(*channel_errors(values), period_jitter(values))
+    seed, (motion, sensors, messages) = random_seed(values), errors_of(values, plant.robot)
+    transport = Transport(plant.robot.n, inner_step * values["inner_steps"], inner_step, seed)
+    transport.change(*messages)
     return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed), transport

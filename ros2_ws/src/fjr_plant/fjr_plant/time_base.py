@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common time base of real time and lock-step: run, pause and advance the robot time."""
+"""Time base of the robot: run, pause and advance its time; in real time here, in lock-step in lock_step.py."""
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from threading import Lock
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fjr_core import FjrError
 from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
-from fjr_msgs_py.messages.joint_states import EffortReader
+from fjr_msgs_py.messages.joint_states import deserialised, read_efforts
 from fjr_msgs_py.native.loop import NativeMessage
 from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health
@@ -27,11 +27,6 @@ from .channel import Transport
 from .host import Events, Hosted, NativePlantHost, PlantHost, RclpyPlantHost
 from .native import NO_TIME, plant_program
 from .simulated_robot import SimulatedRobot
-
-
-def steady() -> int:
-    """Return the time of the steady clock [ns]."""
-    return time.monotonic_ns()
 
 
 def seconds(stamp: int) -> str:
@@ -105,22 +100,26 @@ class TimeBase(ABC):
     calls the C; what is rare runs here, between two messages of the host.
     """
 
-    lock_step = False
-    moving = ""
-    """Sentence about the first command."""
+    functions: ClassVar[str]
+    """Name of the functions in C (plant.h), as in fjr_real_time_resume."""
+    kind: ClassVar[type]
+    topic: ClassVar[str]
+    """Of the commands."""
+    first: ClassVar[str]
+    """What the first command is called."""
 
     def __init__(self, node: ParameterNode, robot: SimulatedRobot, transport: Transport, health: Health) -> None:
         self._node, self._robot, self._transport, self._health = node, robot, transport, health
-        self._reader = EffortReader(node.values["joints"])
         self._program: Any = plant_program()
         self._lib = self._program.lib
         self._samples = 0
         self._reply: DeferredReply | None = None
         self._raised = False  # the error of the fault was raised
-        qos = names.sample_qos(node, self.lock_step)
+        self._lock_step = self.functions == "lock_step"
+        qos = names.sample_qos(node, self._lock_step)
         self._publishers = [node.create_publisher(JointState, names.JOINT_STATES, qos)]
         others: dict[int, Callable[[int], None]] = {
-            self._lib.FJR_MOVING: lambda _: self._log_once(self.moving),
+            self._lib.FJR_MOVING: lambda _: self._on_moving(),
             self._lib.FJR_ADVANCED: lambda _: self._end_advance(True, ""),
             self._lib.FJR_SECOND: self._health.at,
             self._lib.FJR_FIRST_ANSWER: lambda _: self._on_first_answer(),
@@ -151,16 +150,18 @@ class TimeBase(ABC):
         plant.origin = plant.late_at = plant.between = plant.awaited = plant.other = NO_TIME
         return plant
 
-    def _serve(self, kind: type, topic: str, command: Any, tick: Any, simulated: bool = False) -> None:
-        """Start the host for commands of a type on a topic, handled by these functions in C."""
-        node = self._node
+    def _serve(self, simulated: bool = False) -> None:
+        """Let a host serve commands and ticks; simulated: the time comes from another publisher of /clock."""
+        node, of = self._node, f"fjr_{self.functions}"
+        command, tick = getattr(self._lib, f"{of}_command"), getattr(self._lib, f"{of}_tick")
         hosted = Hosted(
-            node, self._program, self.plant, self.lock_step, kind, topic, self._publishers, command, tick, self._fail
+            *(node, self._program, self.plant, self._lock_step, self.kind, self.topic),
+            *(self._publishers, command, tick, self._fail),
         )
         why = self._without_loop(simulated)
         self.host: PlantHost
         if why:
-            period = WATCH_PERIOD if self.lock_step else self._transport.period * 1e-9
+            period = WATCH_PERIOD if self._lock_step else self._transport.period * 1e-9
             self.host = RclpyPlantHost(hosted, simulated, period)
             if node.values["executor"] == NATIVE:
                 node.get_logger().info(f"the plant runs in rclpy's executor instead of a native thread: {why}")
@@ -206,7 +207,7 @@ class TimeBase(ABC):
         self._robot.reset()
         self.plant.last_command = 0
         self._transport.reset()
-        self._check(self._restart())
+        self._call("restart")
 
     def pause(self, wanted: bool) -> None:
         """Pause or resume robot time."""
@@ -215,11 +216,11 @@ class TimeBase(ABC):
     def _pause(self, wanted: bool) -> None:
         self._end_advance(False, "paused" if wanted else "resumed")
         if wanted and not self.paused:
-            self._check(self._catch_up())
+            self._call("catch_up")
         if wanted != self.paused:
             self.plant.paused = wanted
             if not wanted:
-                self._check(self._resume())
+                self._call("resume")
 
     def advance(self, samples: int, reply: DeferredReply) -> None:
         """Advance a paused robot by `samples`; reply when that is done or refused."""
@@ -232,13 +233,13 @@ class TimeBase(ABC):
             return
         self._samples = self.plant.left = samples
         self._reply = reply
-        self._check(self._begin_advance())
+        self._call("advance")
 
     def change(self, action: Callable[[], None]) -> None:
         """Integrate up to the present and then call an action that changes the robot; its FjrError is raised."""
 
         def caught_up() -> None:
-            self._check(self._catch_up())
+            self._call("catch_up")
             action()
 
         self.host.run(caught_up)
@@ -250,24 +251,6 @@ class TimeBase(ABC):
     def close(self) -> None:
         """Stop serving commands."""
         self.host.close()
-
-    # Functions in C, which return a fault.
-
-    @abstractmethod
-    def _restart(self) -> int:
-        """Restart with the robot at its initial state."""
-
-    @abstractmethod
-    def _resume(self) -> int:
-        """Resume after a pause."""
-
-    @abstractmethod
-    def _begin_advance(self) -> int:
-        """Start an advance."""
-
-    def _catch_up(self) -> int:
-        """Integrate up to the present, before a change takes effect."""
-        return 0
 
     def _refusal(self) -> str:
         if not self.paused:
@@ -284,9 +267,9 @@ class TimeBase(ABC):
         how = f"advanced by {done} samples" if success else f"{why} after {done} of {self._samples} samples"
         reply.give(success, f"{how}: the time is {seconds(self.stamp)} s")
 
-    # Faults of the C.
-
-    def _check(self, fault: int) -> None:
+    def _call(self, what: str) -> None:
+        """Call a function in C at the present time; raise the error of its fault."""
+        fault = getattr(self._lib, f"fjr_{self.functions}_{what}")(self.plant, self.host.now())
         if fault:
             self._raised = True
             raise self._error_of(fault, "")
@@ -312,6 +295,36 @@ class TimeBase(ABC):
     def _read(self, data: bytes) -> None:
         """Read a serialised command as Python does; raises MessageError with the reason."""
 
-    def _log_once(self, sentence: str) -> None:
+    def _on_moving(self) -> None:
+        sentence = f"moving: the first {self.first} has arrived"
         if self._health.is_new(sentence):
             self._node.get_logger().info(sentence)
+
+
+class RealTime(TimeBase):
+    """Time base that applies /effort_controller/commands at once and publishes a state at every tick of the clock.
+
+    The clock is the steady one or, with use_sim_time, an external /clock (real_time.c). Robot time stands still until
+    the first command (wait_for_command), while paused, and while the clock stands still or is 0. After a reset or a
+    pause no state is published for restart_silence.
+    """
+
+    functions, kind, topic, first = "real_time", Float64MultiArray, names.EFFORT_COMMANDS, "command"
+
+    def __init__(self, node: ParameterNode, robot: SimulatedRobot, transport: Transport, health: Health) -> None:
+        super().__init__(node, robot, transport, health)
+        plant = self.plant
+        plant.simulated = bool(node.get_parameter("use_sim_time").value)
+        plant.wait_for_command = node.values["wait_for_command"]
+        plant.silence = round(node.values["restart_silence"] * 1e9)
+        self._serve(bool(plant.simulated))
+        self._call("catch_up")  # start the clock
+        self.host.start()
+
+    def _refusal(self) -> str:
+        return super()._refusal() or (
+            "" if self.plant.started else "no time has been received on /clock; expected one first"
+        )
+
+    def _read(self, data: bytes) -> None:
+        read_efforts(deserialised(data, Float64MultiArray), self._node.values["joints"])

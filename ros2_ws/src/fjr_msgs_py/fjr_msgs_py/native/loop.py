@@ -34,7 +34,7 @@ class NativeSubscription:
     """
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile) -> None:
-        self._node, group = node, node.default_callback_group
+        self._node, self._kind, group = node, kind, node.default_callback_group
         check_is_valid_msg_type(kind)  # loads the code of the type
         with node.handle:
             self.handle = rclpy_implementation.Subscription(node.handle, kind, topic, qos.get_c_qos_profile())
@@ -48,6 +48,11 @@ class NativeSubscription:
     def publishers(self) -> int:
         """Number of connected publishers."""
         return int(self._subscription.get_publisher_count())
+
+    def take(self) -> tuple[Any, dict[str, Any]] | None:
+        """Return the oldest waiting message and its info, None if there is none; where no native loop takes them."""
+        with self.handle:
+            return self.handle.take_message(self._kind, False)
 
     def close(self) -> None:
         """Destroy the subscription; a second call does nothing."""
@@ -69,7 +74,7 @@ class NativeMessage:
     def __init__(self, program: Program, form: Form, lengths: Sequence[int]) -> None:
         """Lay out a message; lengths: of its sequences of numbers."""
         ffi = program.ffi
-        self._buffer = bytearray(HEADER) + form.empty()
+        self._buffer = bytearray(HEADER) + form.empty
         self._view = ffi.from_buffer(self._buffer)
         offsets = [8 * start - HEADER for start in form.starts]
         self.pointer = ffi.new(

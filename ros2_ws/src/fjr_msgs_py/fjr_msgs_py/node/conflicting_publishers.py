@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 from uuid import uuid4
@@ -45,10 +45,9 @@ class ConflictingPublishers:
         self._family = _own_participant(node, next(iter(self._kinds.values())))
         self._others: dict[bytes, Other] = {}
         self.publishers = [node.create_publisher(kind, topic, qos) for topic, kind in self._kinds.items()]
-        self._listening = [
-            (topic, kind, NativeSubscription(node, kind, topic, _ANY))  # read here only, on any thread
-            for topic, kind in self._kinds.items()
-        ]
+        self._listening = {  # read here only, on any thread
+            topic: NativeSubscription(node, kind, topic, _ANY) for topic, kind in self._kinds.items()
+        }
 
     def appeared(self) -> list[str]:
         """Return the topics with a publisher that did not exist at the last call."""
@@ -78,29 +77,21 @@ class ConflictingPublishers:
     def heard(self) -> tuple[str, Any] | None:
         """Return topic and content of the first message within LISTENING seconds, None for none; the call blocks.
 
-        The time starts when all publishers are connected, at most MATCHING seconds after the call. It is counted in
-        polls of _POLL, so that it extends on busy cores, where another publisher is late as well. If two processes
-        listen to each other, the one with the higher GID listens twice as long and detects the other. Messages from
-        before the call are discarded, because their sender may have ended. The subscriptions exist since construction,
-        so that senders are already matched.
+        If two processes listen to each other, the one with the higher GID listens twice as long and detects the other.
+        Messages from before the call are discarded, because their sender may have ended. The subscriptions exist since
+        construction, so that senders are already matched.
         """
         yields = max(self._family, default=b"") > min(self._others, default=b"\xff")
-        latest = time.monotonic() + MATCHING
-        looks = round(LISTENING * (2 if yields else 1) / _POLL)
-        self._taken()
-        while looks:
-            if time.monotonic() > latest or self._connected():
-                looks, latest = looks - 1, -math.inf
-            if taken := self._taken():
-                return taken
-            time.sleep(_POLL)
-        return None
+        for subscription in self._listening.values():
+            while subscription.take():
+                pass
+        return _first_heard(self._node, self._listening, 2 * LISTENING if yields else LISTENING)
 
     def trust(self) -> None:
         """Destroy the subscriptions; `appeared` still detects publishers by discovery."""
-        for *_, subscription in self._listening:
+        for subscription in self._listening.values():
             subscription.close()
-        self._listening = []
+        self._listening = {}
 
     def close(self) -> None:
         """Destroy publishers and subscriptions."""
@@ -110,26 +101,8 @@ class ConflictingPublishers:
 
     def _found(self) -> dict[bytes, Other]:
         """Return the publishers of other processes by GID."""
-        publishers = {gid: other for topic in self._kinds for gid, other in self._on(topic).items()}
-        return {gid: other for gid, other in publishers.items() if gid[:_PARTICIPANT] not in self._family}
-
-    def _on(self, topic: str) -> dict[bytes, Other]:
-        """Return all publishers on a topic by GID."""
-        infos = self._node.get_publishers_info_by_topic(topic)
-        return {bytes(info.endpoint_gid): Other(topic, _name(info.node_namespace, info.node_name)) for info in infos}
-
-    def _connected(self) -> bool:
-        counts = ((heard.handle.get_publisher_count(), topic) for topic, _, heard in self._listening)
-        return all(count >= self._node.count_publishers(topic) for count, topic in counts)
-
-    def _taken(self) -> tuple[str, Any] | None:
-        """Empty all queues (depth 1); return topic and content of a message, None if there was none."""
-        found = None
-        for topic, kind, subscription in self._listening:
-            with subscription.handle:
-                if taken := subscription.handle.take_message(kind, False):
-                    found = topic, taken[0]
-        return found
+        infos = [(topic, info) for topic in self._kinds for info in _others_on(self._node, topic, self._family)]
+        return {bytes(info.endpoint_gid): Other(topic, _name(info)) for topic, info in infos}
 
 
 class Namesake:
@@ -146,8 +119,7 @@ class Namesake:
 
     def listed(self) -> bool:
         """Return whether the graph lists a second publisher of this node's name; listen from then on."""
-        infos = self._node.get_publishers_info_by_topic(self._topic)
-        found = [_name(info.node_namespace, info.node_name) for info in infos]
+        found = [_name(info) for info in self._node.get_publishers_info_by_topic(self._topic)]
         listed = found.count(self._node.get_fully_qualified_name()) > 1
         if listed and not self._subscription:
             self._subscription = NativeSubscription(self._node, self._kind, self._topic, _QUEUE)
@@ -156,11 +128,9 @@ class Namesake:
     def heard(self) -> bool:
         """Return whether messages of two publishers have arrived since the last call."""
         two = False
-        if self._subscription:
-            with self._subscription.handle:
-                while taken := self._subscription.handle.take_message(self._kind, True):
-                    number = taken[1]["publication_sequence_number"] or 0  # 0: not supported
-                    two, self._latest = two or number <= self._latest, number
+        while self._subscription and (taken := self._subscription.take()):
+            number = taken[1]["publication_sequence_number"] or 0  # 0: not supported
+            two, self._latest = two or number <= self._latest, number
         return two
 
     def close(self) -> None:
@@ -180,28 +150,43 @@ def publisher_elsewhere(node: Node, name: str, kind: type, concerns: Callable[[A
     if not node.count_publishers(topic):
         return ""
     family = _own_participant(node, kind)
-
-    def others() -> list[TopicEndpointInfo]:
-        infos = node.get_publishers_info_by_topic(topic)
-        return [info for info in infos if bytes(info.endpoint_gid)[:_PARTICIPANT] not in family]
-
-    if not others():
+    if not _others_on(node, topic, family):
         return ""
     subscription = NativeSubscription(node, kind, topic, _QUEUE)
-    looks, latest = round(LISTENING / _POLL), time.monotonic() + MATCHING
-    try:
-        while looks:
-            if subscription.handle.get_publisher_count() >= node.count_publishers(topic) or time.monotonic() > latest:
-                looks -= 1
-            with subscription.handle:
-                while taken := subscription.handle.take_message(kind, False):
-                    if concerns(taken[0]):
-                        nodes = {_name(info.node_namespace, info.node_name) for info in others()} - {""}
-                        return ", ".join(sorted(nodes)) or "an unknown node"
-            time.sleep(_POLL)
-    finally:
-        subscription.close()
-    return ""
+    heard = _first_heard(node, {topic: subscription}, LISTENING, concerns)
+    subscription.close()
+    nodes = {_name(info) for info in _others_on(node, topic, family)} - {""}
+    return (", ".join(sorted(nodes)) or "an unknown node") if heard else ""
+
+
+def _first_heard(
+    node: Node,
+    subscriptions: Mapping[str, NativeSubscription],
+    seconds: float,
+    concerns: Callable[[Any], object] = lambda _: True,
+) -> tuple[str, Any] | None:
+    """Return topic and content of the first message that `concerns` this process within `seconds`, None for none.
+
+    The time starts when all publishers are connected, at most MATCHING seconds after the call. It is counted in polls,
+    so that it extends on busy cores, where another publisher is late as well.
+    """
+    latest, looks = time.monotonic() + MATCHING, round(seconds / _POLL)
+    while looks:
+        connected = all(each.publishers >= node.count_publishers(topic) for topic, each in subscriptions.items())
+        if connected or time.monotonic() > latest:
+            looks, latest = looks - 1, -math.inf
+        for topic, subscription in subscriptions.items():
+            while taken := subscription.take():
+                if concerns(taken[0]):
+                    return topic, taken[0]
+        time.sleep(_POLL)
+    return None
+
+
+def _others_on(node: Node, topic: str, family: Collection[bytes]) -> list[TopicEndpointInfo]:
+    """Return the publishers on a topic that are not of a participant of this family."""
+    infos = node.get_publishers_info_by_topic(topic)
+    return [info for info in infos if bytes(info.endpoint_gid)[:_PARTICIPANT] not in family]
 
 
 def _own_participant(node: Node, kind: type) -> set[bytes]:
@@ -215,5 +200,6 @@ def _own_participant(node: Node, kind: type) -> set[bytes]:
     return {bytes(info.endpoint_gid)[:_PARTICIPANT] for info in found}
 
 
-def _name(namespace: str, node: str) -> str:
-    return "" if "UNKNOWN" in node else f"{namespace.rstrip('/')}/{node}"
+def _name(info: TopicEndpointInfo) -> str:
+    """Return the node of a publisher with its namespace, "" if it is unknown."""
+    return "" if "UNKNOWN" in info.node_name else f"{info.node_namespace.rstrip('/')}/{info.node_name}"

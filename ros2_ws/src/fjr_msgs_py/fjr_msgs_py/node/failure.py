@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import wraps
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -13,17 +13,10 @@ from rclpy.node import Node
 
 from fjr_core import FjrError
 
+if TYPE_CHECKING:
+    from .process import NodeProcess
+
 LONGEST = 500  # characters of a sentence about a request
-
-
-class NodeProcess(Protocol):
-    """The process of a node."""
-
-    def end(self, error: FjrError) -> None:
-        """Let the process exit with the message of the error; the node has ended."""
-
-    def apply_process_settings(self, values: Mapping[str, Any]) -> None:
-        """Apply the process settings of the values after large objects were built; raises ParameterError."""
 
 
 class EndingNode(Node):
@@ -38,7 +31,7 @@ class EndingNode(Node):
     starting: ClassVar[bool] = False
     """Whether a process builds the node; it then looks at `ended` itself."""
     host: NodeProcess | None = None
-    """The process, if the node has its own (fjr_msgs_py/node/process.py)."""
+    """The process, if the node has its own."""
     ended: FjrError | None = None
     """The error that ended the node."""
     unexpected: Exception | None = None
@@ -51,6 +44,9 @@ class EndingNode(Node):
             self.host.end(error)
         elif not self.starting:
             self.get_logger().error(f"ended: {error}")
+
+    def stop(self) -> None:
+        """Send the last messages before the process ends."""
 
     def built(self) -> None:
         """Report to the process that the objects of the callbacks are built; raises ParameterError."""

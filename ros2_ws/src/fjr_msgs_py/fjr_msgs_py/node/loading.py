@@ -11,13 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-
-def name_process(name: str) -> None:
-    """Set the name of this process that ps, top and killall show (Linux), in place of the interpreter's."""
-    with suppress(OSError), open("/proc/self/comm", "w", encoding="ascii") as comm:
-        comm.write(name)
-
-
 OPEN_FILES, ADDRESS_SPACE = 64, 1_200_000_000
 """What a program with a ROS 2 node needs at least: descriptors, and bytes of address space, of which few are used."""
 
@@ -97,7 +90,8 @@ def prepare(program: str) -> None:
     """Set up the process of a node's executable: signal handlers, limits, name, garbage, threads, packages."""
     end_on_signals()
     require_resources(program)
-    name_process(program)
+    with suppress(OSError), open("/proc/self/comm", "w", encoding="ascii") as comm:
+        comm.write(program)  # which ps, top and killall show in place of the interpreter (Linux)
     pause_garbage_collection()
     without_blas_threads()
     ament_index_of_wheels()
@@ -135,7 +129,11 @@ def ensure_log_folder() -> None:
     The usual folder is $ROS_LOG_DIR, $ROS_HOME/log or ~/.ros/log. Child processes share the new folder.
     """
     try:
-        folder = _usual()
+        places = (("ROS_LOG_DIR", ""), ("ROS_HOME", "log"), ("HOME", ".ros/log"))
+        found = [Path(os.environ[name], below) for name, below in places if os.environ.get(name)]
+        if not found:
+            raise OSError("HOME is not set")
+        folder = found[0]
         folder.mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK):
             return
@@ -146,10 +144,3 @@ def ensure_log_folder() -> None:
 
     os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="fjr-ros-log-")
     print(f"{reason}; the log files of ROS 2 are in {os.environ['ROS_LOG_DIR']}", file=sys.stderr, flush=True)
-
-
-def _usual() -> Path:
-    for variable, below in (("ROS_LOG_DIR", ""), ("ROS_HOME", "log"), ("HOME", ".ros/log")):
-        if os.environ.get(variable):
-            return Path(os.environ[variable], below)
-    raise OSError("HOME is not set")

@@ -85,6 +85,7 @@ class ParameterNode(EndingNode):
     """
 
     values: dict[str, Any]
+    _parameters_by_name: Mapping[str, Parameter] = {}
     fault: ParameterError | None = None
     """The error in the parameters of a node that waits for valid ones."""
     process_arguments: ClassVar[Sequence[str]] = ()
@@ -113,7 +114,9 @@ class ParameterNode(EndingNode):
         arguments = node_kwargs.get("cli_args") or self.process_arguments
         self._for_any_node = for_any_node(arguments)
         try:
-            self._refuse_overruled(arguments)
+            values = {**self._given, _SIM_TIME: self.get_parameter(_SIM_TIME).value}
+            if sentence := overruled(arguments, self.get_name(), values):
+                raise ParameterError(sentence)
             self._read()
             self.add_on_set_parameters_callback(self._on_set)
             self.build()
@@ -150,12 +153,12 @@ class ParameterNode(EndingNode):
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters together, as rclpy's Node does; the present value of a parameter is always accepted."""
-        new = [parameter for parameter in parameter_list if not self._has(parameter)]
+        new = [
+            p
+            for p in parameter_list
+            if not self.has_parameter(p.name) or not same_value(self.get_parameter(p.name).value, p.value)
+        ]
         return super().set_parameters_atomically(new) if new else SetParametersResult(successful=True)
-
-    def _has(self, parameter: RosParameter) -> bool:
-        name = parameter.name
-        return bool(self.has_parameter(name)) and same_value(self.get_parameter(name).value, parameter.value)
 
     def _taken_over(self) -> dict[str, Any]:
         """Return the given parameters; undeclare those that only other nodes have."""
@@ -169,13 +172,6 @@ class ParameterNode(EndingNode):
             del given[name]
         return given
 
-    def _refuse_overruled(self, arguments: Sequence[str]) -> None:
-        """Raise ParameterError for a `-p` that a parameter file overrides."""
-        values = {**self._given, _SIM_TIME: self.get_parameter(_SIM_TIME).value}
-        sentence = overruled(arguments, self.get_name(), values)
-        if sentence:
-            raise ParameterError(sentence)
-
     def recheck(self) -> None:
         """Read all parameters again, including values set since; raises ParameterError and keeps the old values."""
         self.values = self._checked_values()
@@ -188,7 +184,10 @@ class ParameterNode(EndingNode):
             if not self.may_wait():
                 raise
             self.fault = error
-            self._declare_bare()
+            for name, value in self._given.items():  # with dynamic typing, so that a value of another type replaces it
+                self.undeclare_parameter(name)
+                described = ParameterDescriptor(dynamic_typing=True)
+                self.declare_parameter(name, value, described, ignore_override=True)
 
     def _checked_values(self) -> dict[str, Any]:
         merged = robot_file.merged(self._given, self.get_name(), Path.cwd())
@@ -230,12 +229,6 @@ class ParameterNode(EndingNode):
         described = descriptor(parameter, self._managed)
         self.declare_parameter(parameter.name, listed, described, ignore_override=True)
 
-    def _declare_bare(self) -> None:
-        """Declare the given values with dynamic typing, so that a value of another type can replace them."""
-        for name, value in self._given.items():
-            self.undeclare_parameter(name)
-            self.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True), ignore_override=True)
-
     @property
     def _managed(self) -> bool:
         """True for a lifecycle node, which can be unconfigured again."""
@@ -250,9 +243,12 @@ class ParameterNode(EndingNode):
             return SetParametersResult(successful=True)
         new = {p.name: p.value for p in parameters if not p.name.startswith(_FOREIGN)}
         try:
-            self._check_clock(parameters)
-            if new and self.is_open():
-                self._refuse_unknown({name: value for name, value in new.items() if not self._may_be_option(name)})
+            clock = self.get_parameter(_SIM_TIME).value  # for which the node is built
+            if not self.is_open() and any(p.name == _SIM_TIME and p.value != clock for p in parameters):
+                raise ParameterError(f"parameter '{_SIM_TIME}' can be set only {self._when_open}")
+            if new and self.is_open():  # an option may be of a class that is named before the next `recheck`
+                known = self._parameters_by_name.values()
+                self._refuse_unknown({name: value for name, value in new.items() if not is_option(known, name)})
             elif new:
                 values = {**self.values, **self._checked_change(new)}
                 self.changed(values, set(new))
@@ -262,12 +258,6 @@ class ParameterNode(EndingNode):
         self._given = {name: value for name, value in (self._given | new).items() if value is not None}  # None: deleted
         return SetParametersResult(successful=True)
 
-    def _check_clock(self, parameters: list[RosParameter]) -> None:
-        """Raise ParameterError for a change of use_sim_time after the node is built."""
-        built_for = self.get_parameter(_SIM_TIME).value
-        if not self.is_open() and any(p.name == _SIM_TIME and p.value != built_for for p in parameters):
-            raise ParameterError(f"parameter '{_SIM_TIME}' can be set only {self._when_open}")
-
     def _checked_change(self, new: Mapping[str, object]) -> dict[str, Value]:
         """Return the set values, checked one by one; raises ParameterError for a parameter that may not change now."""
         self._refuse_unknown(new)
@@ -276,14 +266,9 @@ class ParameterNode(EndingNode):
                 raise ParameterError(f"parameter '{name}' can be set only {self._when_open}")
         return {name: self._parameters_by_name[name].check(value) for name, value in new.items()}
 
-    def _may_be_option(self, name: str) -> bool:
-        """Return True for the name of an option of a class of the user that may be named before the next `recheck`."""
-        return is_option(getattr(self, "_parameters_by_name", {}).values(), name)
-
     def _refuse_unknown(self, new: Mapping[str, object]) -> None:
-        known = getattr(self, "_parameters_by_name", None)
-        if known:
-            refuse_unknown(known, new, names_of_others(self._own))
+        if self._parameters_by_name:
+            refuse_unknown(self._parameters_by_name, new, names_of_others(self._own))
 
 
 class ManagedParameterNode(ParameterNode, LifecycleNode):

@@ -7,7 +7,7 @@ import gc
 import signal
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import rclpy
 import rclpy.exceptions
@@ -22,7 +22,6 @@ from fjr_core import FjrError
 from fjr_core.config.process import NATIVE, process_settings
 
 from . import participant
-from .failure import EndingNode
 from .loading import index_modules, resume_garbage_collection
 from .parameters import ParameterNode
 from .scheduling import apply_process_settings, freeze_garbage, yield_to_loops
@@ -37,26 +36,7 @@ ROUND = 60.0  # s; longest time in the events executor, each of which leaks a fe
 COLLECTION = 1.0  # s; between two garbage collections
 
 
-class StoppableNode(Protocol):
-    """A node with checked parameter values that sends last messages before it ends."""
-
-    values: dict[str, Any]
-    handle: Any
-
-    def get_logger(self) -> Any:
-        """Return the logger, as rclpy's Node does."""
-
-    def create_timer(self, seconds: float, callback: Callable[[], Any], /, *, clock: Clock) -> Any:
-        """Create a timer, as rclpy's Node does."""
-
-    def stop(self) -> None:
-        """Send the last messages before the process ends."""
-
-    def destroy_node(self) -> None:
-        """Destroy the node, as rclpy's Node does."""
-
-
-def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -> int:
+def run(make_node: Callable[[], ParameterNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM; return the exit code.
 
     Exit code 0: ended by a signal. 1: could not start, or ended by an FjrError; one sentence on standard error gives
@@ -71,9 +51,9 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         participant.initialise(args)
         index_modules()
         ParameterNode.process_arguments = sys.argv if args is None else args
-        EndingNode.starting = True
+        ParameterNode.starting = True
         node = make_node()
-        host = _Host(node)
+        host = NodeProcess(node)
     except (FjrError, *_ROS_ERRORS) as error:
         why = "" if isinstance(error, FjrError) else "ROS 2 refused the arguments or the parameter file: "
         print(f"cannot start: {why}{' '.join(str(error).split())}", file=sys.stderr, flush=True)
@@ -81,7 +61,7 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
         return 1
     finally:
         ParameterNode.process_arguments = ()
-        EndingNode.starting = False
+        ParameterNode.starting = False
         participant.hand_over()
         resume_garbage_collection()
     try:
@@ -96,25 +76,24 @@ def run(make_node: Callable[[], StoppableNode], args: list[str] | None = None) -
     return 0 if host.ended is None else 1
 
 
-class _Host:
-    """The process of a node (failure.NodeProcess), and the loop that serves the callbacks of the node."""
+class NodeProcess:
+    """The process of a node: its settings, and the loop that serves the callbacks of the node."""
 
     ended: FjrError | None = None
     _granted = ""
 
-    def __init__(self, node: StoppableNode) -> None:
+    def __init__(self, node: ParameterNode) -> None:
         """Apply the process settings of the node; raises ParameterError."""
         self._node = node
         self._kind = process_settings(node.values).executor
         self._round: Future = Future()
         self._apply(node.values)
-        if isinstance(node, ParameterNode):
-            node.host = self
-        if isinstance(node, EndingNode) and node.ended is not None:  # its thread met an error meanwhile
+        node.host = self
+        if node.ended is not None:  # its thread met an error meanwhile
             self.end(node.ended)
 
     def apply_process_settings(self, values: Mapping[str, Any]) -> None:
-        """Apply the process settings of the values and freeze the garbage collector; raises ParameterError."""
+        """Apply the process settings of the values after large objects were built; raises ParameterError."""
         self._apply(values)
         freeze_garbage()
 
@@ -171,7 +150,7 @@ class _Host:
         return events, lambda: events.spin_until_future_complete(self._round, ROUND)
 
 
-def _end(node: StoppableNode | None) -> None:
+def _end(node: ParameterNode | None) -> None:
     participant.stop_discovery(node and node.handle)
     if node is not None:
         node.destroy_node()

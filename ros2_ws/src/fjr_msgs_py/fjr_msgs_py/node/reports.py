@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -19,7 +18,7 @@ from std_msgs.msg import Float64MultiArray, String
 from ..messages.joint_states import MessageError
 from ..names import DIAGNOSTICS, EVENTS, LATCHED, ROBOT_DESCRIPTION, full_name
 
-SECOND = 1_000_000_000
+SECOND = 1_000_000_000  # ns; the period of the reports
 
 
 class CertificateValues(NamedTuple):
@@ -64,17 +63,12 @@ class EventWriter:
     """Publisher of events: DiagnosticStatus with level, kind as name, one sentence as message, and values."""
 
     def __init__(self, node: Node) -> None:
-        self._node = node
         self._publisher = node.create_publisher(DiagnosticStatus, EVENTS, QoSProfile(depth=100))
 
     def publish(self, level: str, kind: str, sentence: str, values: Mapping[str, float | str] | None = None) -> None:
         """Publish an event of level info, warn or error."""
         pairs = [KeyValue(key=key, value=str(value)) for key, value in (values or {}).items()]
         self._publisher.publish(DiagnosticStatus(level=LEVELS[level], name=kind, message=sentence, values=pairs))
-
-    def close(self) -> None:
-        """Destroy the publisher."""
-        self._node.destroy_publisher(self._publisher)
 
 
 VERDICT_LEVELS = {
@@ -107,10 +101,6 @@ def publish_description(node: Node, urdf: str) -> Publisher:
     return publisher
 
 
-PERIOD = 1.0  # s
-_PERIOD_NS = round(PERIOD * 1e9)
-
-
 class Health:
     """Counters of a node, published once a second and whenever `publish` is called.
 
@@ -133,7 +123,7 @@ class Health:
         self._by_stamps = bool(node.get_parameter("use_sim_time").value)
         self._stamp = self._reported = 0
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = None if self._by_stamps else node.create_timer(PERIOD, self.publish, clock=steady)
+        self._timer = None if self._by_stamps else node.create_timer(1.0, self.publish, clock=steady)
 
     @property
     def count(self) -> Counter[str]:
@@ -190,7 +180,7 @@ class Health:
 
     def due(self, stamp: int) -> bool:
         """Return True if `at` publishes a report at this stamp [ns]."""
-        return self._by_stamps and not 0 <= stamp - self._reported < _PERIOD_NS
+        return self._by_stamps and not 0 <= stamp - self._reported < SECOND
 
     def at(self, stamp: int) -> None:
         """Set the current stamp [ns]; with use_sim_time publish a report once per second of stamps."""
@@ -210,8 +200,9 @@ class Health:
         """Publish the counters."""
         count = self.count
         unwanted = [key for key, value in count.items() if value and key not in self._expected]
+        level = DiagnosticStatus.WARN if unwanted else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=self._level(unwanted),
+            level=DiagnosticStatus.ERROR if self._errors & set(unwanted) else level,
             name=full_name(self._node),
             message=", ".join(unwanted) or "ok",
             values=[KeyValue(key=key, value=str(value)) for key, value in count.items()]
@@ -220,16 +211,7 @@ class Health:
         message = DiagnosticArray(status=[status, *(other() for other in self._others)])
         for each in message.status:
             each.hardware_id = self._hardware
-        message.header.stamp = self._now()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        if self._by_stamps:
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._stamp, SECOND)
         self._publisher.publish(message)
-
-    def _now(self) -> Time:
-        if not self._by_stamps:
-            return self._node.get_clock().now().to_msg()
-        sec, nanosec = divmod(self._stamp, 1_000_000_000)
-        return Time(sec=sec, nanosec=nanosec)
-
-    def _level(self, unwanted: list[str]) -> bytes:
-        if self._errors & set(unwanted):
-            return DiagnosticStatus.ERROR
-        return DiagnosticStatus.WARN if unwanted else DiagnosticStatus.OK

@@ -16,7 +16,7 @@ import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from fjr_core.config.process import ProcessSettings
@@ -45,20 +45,17 @@ class _Attributes(ctypes.Structure):
     ]
 
 
-class Scheduling(NamedTuple):
-    """What the system granted: one sentence; and one sentence for each setting that it refused."""
+def apply_process_settings(settings: ProcessSettings) -> tuple[str, list[str]]:
+    """Apply the settings to this process: its threads have the priority or, without one, short slices on one core.
 
-    granted: str
-    refusals: list[str]
-
-
-def apply_process_settings(settings: ProcessSettings) -> Scheduling:
-    """Apply the settings to this process: its threads have the priority or, without one, short slices on one core."""
+    Return a sentence about the scheduling that the system granted, and one for each setting that it refused.
+    """
     refuse_huge_pages()
     cores = use_cores(settings.cores)
     refused = take_priority(settings.priority)
     slices = take_short_slices()
-    where = f" on core {keep_to_last_core()}" if refused else ""
+    core = keep_to_last_core() if refused else None
+    where = "" if core is None else f" on core {core}"
     if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
         priority = os.sched_getparam(0).sched_priority
         granted = f"real-time priority {priority} is granted: other programs do not delay a cycle"
@@ -67,8 +64,7 @@ def apply_process_settings(settings: ProcessSettings) -> Scheduling:
     else:
         granted = f"ordinary scheduling{where} (slices of {SLICE * 1e-6:g} ms need Linux 6.12): {LATE}"
     memory = lock_memory() if settings.lock_memory else ""
-    refusals = [each for each in (cores, memory, refused) if each]
-    return Scheduling(granted, refusals)
+    return granted, [each for each in (cores, memory, refused) if each]
 
 
 def take_priority(priority: int, inherited: bool = True) -> str:
@@ -112,13 +108,15 @@ def take_short_slices() -> int:
     """
     for thread in _threads():
         with suppress(OSError, AttributeError):
-            if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER:
+            if _policy(thread) == os.SCHED_OTHER:
                 _ask_for_slice(thread, os.SCHED_OTHER)
     return slice_of(0)
 
 
-def keep_to_last_core() -> int:
-    """Confine the other threads with ordinary scheduling to the last core that this process may use; return it.
+def keep_to_last_core() -> int | None:
+    """Confine the other threads with ordinary scheduling to the last core that this process may use.
+
+    Return that core; None if the system refuses it.
 
     Linux divides the share of a session (its autogroup) among the cores by the load on each. A loop that changes its
     core, or whose middleware runs on another, meets cores on which its session has next to no share, and waits there
@@ -127,9 +125,13 @@ def keep_to_last_core() -> int:
     """
     core = max(os.sched_getaffinity(0))
     for thread in set(_threads()) - {threading.get_native_id()}:
-        with suppress(OSError):
-            if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER:
+        try:
+            if _policy(thread) == os.SCHED_OTHER:
                 os.sched_setaffinity(thread, {core})
+        except ProcessLookupError:  # the thread has ended
+            pass
+        except OSError:
+            return None
     return core
 
 
@@ -162,7 +164,7 @@ def yield_to_loops() -> None:
     priority a long call of Python would suspend another process that holds a lock of Fast DDS's shared memory, and the
     loop would wait for both.
     """
-    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
+    if _policy(0) != os.SCHED_FIFO:
         step_back(0)
         return
     with suppress(OSError, AttributeError):
@@ -180,7 +182,7 @@ def prioritised(priority: int, beside: bool = False) -> Iterator[None]:
     """
     granted = priority > 0 and not take_priority(priority, inherited=False)
     if beside and not granted:
-        _schedule(os.SCHED_BATCH, 0)
+        _schedule(os.SCHED_BATCH)
         for thread in _threads():
             _ask_for_slice(thread, os.SCHED_BATCH)
     try:
@@ -188,9 +190,9 @@ def prioritised(priority: int, beside: bool = False) -> Iterator[None]:
     finally:
         if beside or granted:
             try:
-                _schedule(os.SCHED_OTHER, 0)
+                _schedule(os.SCHED_OTHER)
             except PermissionError:  # only a privileged process may clear SCHED_RESET_ON_FORK
-                _schedule(os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, 0)
+                _schedule(os.SCHED_OTHER | os.SCHED_RESET_ON_FORK)
 
 
 @contextmanager
@@ -201,7 +203,8 @@ def ahead_of_new_threads() -> Iterator[bool]:
     """
     try:
         cores, policy, setting = os.sched_getaffinity(0), os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setaffinity(0, {_present_core()})
+        ran_on = Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[36]  # proc_pid_stat(5)
+        os.sched_setaffinity(0, {int(ran_on)})
     except (OSError, AttributeError):
         yield False
         return
@@ -247,8 +250,8 @@ def lock_memory() -> str:
     Return "", or one sentence with the reason of a complete or partial refusal.
     """
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    unlimited = limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK)
     try:
+        unlimited = limit == resource.RLIM_INFINITY or _capable(_CAP_IPC_LOCK)
         c = ctypes.CDLL(None, use_errno=True)
         if not c.mlockall(_MCL_CURRENT | (_MCL_FUTURE if unlimited else 0)):
             reason = "" if unlimited else f"memory that is mapped later, beyond the memlock limit of {limit // 1024} kB"
@@ -291,17 +294,20 @@ def freeze_garbage() -> None:
 
 def _capable(capability: int) -> bool:
     """Return True if this process has the Linux capability."""
-    with suppress(OSError):
-        for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-            if line.startswith("CapEff:"):
-                return bool(int(line.split()[1], 16) >> capability & 1)
-    return False
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return bool(int(status.partition("CapEff:")[2].split()[0], 16) >> capability & 1)
 
 
-def _schedule(policy: int, priority: int) -> None:
+def _policy(thread: int) -> int:
+    """Return the scheduling policy of a thread; 0: the calling one."""
+    return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK
+
+
+def _schedule(policy: int) -> None:
+    """Give all threads a policy without priorities."""
     for thread in _threads():
         with suppress(ProcessLookupError):
-            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+            os.sched_setscheduler(thread, policy, os.sched_param(0))
 
 
 def _ask_for_slice(thread: int, policy: int) -> None:
@@ -318,11 +324,6 @@ def _system_call(number: int, *arguments: Any) -> int:
 def _threads() -> list[int]:
     """Return the thread ids of this process; any thread may end at any time."""
     return [int(thread) for thread in os.listdir("/proc/self/task")]
-
-
-def _present_core() -> int:
-    """Return the core on which this process ran last (proc_pid_stat(5))."""
-    return int(Path("/proc/self/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[36])
 
 
 def _listed(cores: Iterable[int]) -> str:

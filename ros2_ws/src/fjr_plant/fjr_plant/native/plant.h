@@ -82,18 +82,20 @@ struct fjr_plant {
   int64_t sent_at, first_sent_at;      /* steady clock */
 };
 
-/* Real time. `next`: latest time of the next tick. */
+/* Real time, then the same functions in lock-step. `next`: latest time of the next tick. catch_up: integrate up to the
+ * present. restart: with the robot at its initial state. resume: after a pause. advance: by the samples `left`. */
 int fjr_real_time_command(struct fjr_plant* plant, const uint8_t* data, size_t size, int64_t now);
 int fjr_real_time_tick(struct fjr_plant* plant, int64_t now, int64_t* next);
 int fjr_real_time_catch_up(struct fjr_plant* plant, int64_t now);
 int fjr_real_time_restart(struct fjr_plant* plant, int64_t now);
 int fjr_real_time_resume(struct fjr_plant* plant, int64_t now);
-int fjr_real_time_advance(struct fjr_plant* plant);
+int fjr_real_time_advance(struct fjr_plant* plant, int64_t now);
 
-/* Lock-step. */
 int fjr_lock_step_command(struct fjr_plant* plant, const uint8_t* data, size_t size, int64_t now);
 int fjr_lock_step_tick(struct fjr_plant* plant, int64_t now, int64_t* next);
 int fjr_lock_step_restart(struct fjr_plant* plant, int64_t now);
 int fjr_lock_step_resume(struct fjr_plant* plant, int64_t now);
+int fjr_lock_step_catch_up(struct fjr_plant* plant, int64_t now);
+int fjr_lock_step_advance(struct fjr_plant* plant, int64_t now);
 
 #endif
