@@ -23,11 +23,11 @@ VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a 
 
 
 CREEP, STABLE = 0.5, 1.5  # decay of friction at rest in an integration step; of more than MOST_PARTS
-PASSAGE = 1.0  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
+PASSAGE = 0.5  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
 MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
 MOST_STIFF_PARTS = 256  # of these, where the integration would be unstable or pass over the turn of friction
 SLOW = 3.0  # smoothing velocities; friction is steep below
-PEAK = 3.0  # of accelerations, relative to their root mean square; a velocity may cross zero within a sample period
+PEAK = 8.0  # of accelerations, relative to the filtered ones; a velocity may cross zero within a sample period
 
 
 @dataclass(frozen=True, eq=False)
