@@ -27,6 +27,7 @@ LONGEST_FIRST = (
     "core/stability/test_complete_loop_check.py",
     "proofs/error_bound/test_error_bound.py",
     "monitor/diagnosis/test_diagnosis.py",
+    "physics/test_physics.py",
     "proofs/sampled_contraction/test_proof.py",
     "monitor/diagnosis/test_storage_growth.py",
     "core/simulation/test_batch.py",

@@ -25,19 +25,22 @@ from fjr_identification.estimation.multiple_shooting import Segment, compare
 from fjr_identification.estimation.parameters import (
     KINDS,
     PSEUDO_INERTIA,
+    SMOOTHING,
     USUAL,
+    USUAL_SMOOTHING,
     IdentifyOptions,
     ParameterCoordinates,
     Prior,
     size,
 )
-from fjr_identification.estimation.shooting import HeldEffort, Shooting
+from fjr_identification.estimation.shooting import HeldEffort, NearRest, Shooting
 
 FREE = (
     "joint_stiffness",
     "motor_inertia",
     "link_damping",
     "motor_coulomb_friction",
+    SMOOTHING,
     "offset",
     "effort_delay",
     "link_skew",
@@ -46,16 +49,13 @@ FREE = (
 
 def held(u: Array, dt: float, parts: int) -> HeldEffort:
     n = u.shape[1]
-    return HeldEffort(u, dt, parts, np.full(2 * n, parts, dtype=np.int32), np.zeros(2 * n))
+    return HeldEffort(u, dt, parts, NearRest(np.zeros(2 * n), np.zeros(2 * n)))
 
 
 def values(n: int, **given: float) -> dict[str, Array]:
     zeros = {name: np.zeros(size(name, n)) for name in KINDS}
-    return {**zeros, **{name: np.full(n, value) for name, value in given.items()}, **friction_velocities(n)}
-
-
-def friction_velocities(n: int) -> dict[str, Array]:
-    return {"smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)}
+    usual = {SMOOTHING: np.full(n, USUAL_SMOOTHING), "stribeck": np.full(n, 0.1)}
+    return {**zeros, **usual, **{name: np.full(n, value) for name, value in given.items()}}
 
 
 def parameters(joint: ElasticJoint) -> dict[str, Array]:
@@ -81,7 +81,7 @@ def test_prediction_equals_the_integral_of_scipy() -> None:
     p, start = parameters(joint), np.array([0.0, joint.offset, 0.0, 0.0])
     errors = []
     for parts in (16, 32):
-        found = Shooting(arm, ())(start, held(u[:, None], dt, parts), 0, len(u) - 1, packed(arm, p), p["effort_delay"])
+        found = Shooting(arm, ())(start, held(u[:, None], dt, parts), 0, len(u) - 1, p)
         assert found is not None
         errors.append(np.max(np.abs(found[0][:, :2] - np.column_stack([link, motor]))))
     assert errors[1] < 2e-7
@@ -153,7 +153,7 @@ def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() ->
 
     def moved(step: float) -> tuple[Array, Array]:
         at = coordinates.parameters(z + step * direction[12:])
-        found = shooting(x0 + step * direction[:12], effort, 6, 20, packed(arm, at), at["effort_delay"])
+        found = shooting(x0 + step * direction[:12], effort, 6, 20, at)
         assert found is not None
         return found
 

@@ -54,9 +54,9 @@ class ElasticArm:
 
     @cached_property
     def layout(self) -> PackedVector:
-        """Return the parts of the parameters: DYNAMIC, then the velocities of the friction model."""
+        """Return the parts of the parameters: DYNAMIC, then the Stribeck velocity."""
         n = self.robot.n
-        return PackedVector({**{name: size(name, n) for name in DYNAMIC}, "smoothing": n, "stribeck": n})
+        return PackedVector({**{name: size(name, n) for name in DYNAMIC}, "stribeck": n})
 
     @cached_property
     def accelerations(self) -> ca.Function:
@@ -109,8 +109,9 @@ class ElasticArm:
         q_l, q_m, v_l, v_m = ca.vertsplit(x, n)
         links = self._links(p)
         tau = p.joint_stiffness * (q_m - q_l - p.offset)
-        F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, p.smoothing)
-        F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, p.smoothing)
+        v_0 = p.friction_smoothing_velocity
+        F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, v_0)
+        F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, v_0)
         on_links = tau - p.link_damping * v_l - F_l - position_torque(p, q_l)
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
         M_l = links.M_l(q_l) + self._added

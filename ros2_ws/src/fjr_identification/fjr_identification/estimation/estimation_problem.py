@@ -18,19 +18,14 @@ from .elastic_arm import ElasticArm, correctable, packed
 from .filtered_motion import FilteredMotion, filtered, start_values
 from .motion_record import MotionRecord
 from .multiple_shooting import Problem, cut, measured_signals
-from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
-from .shooting import HeldEffort, Shooting
+from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, SMOOTHING, IdentifyOptions, ParameterCoordinates, Prior, size
+from .shooting import MOST_PARTS, SLOW, HeldEffort, NearRest, Shooting
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
 ACCURATE = 0.25
 """Angle [rad] of the fastest resonance in an integration step; Runge-Kutta 4 lowers its frequency by angle^4 / 120."""
-CREEP = 0.5  # decay of friction at rest in an integration step
-PASSAGE = 1.0  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
-MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
 RESONANT_PARTS = 11  # of these, for a resonance
 WIDE, FAST = 0.05, 1.0  # rad, rad/s; least widths of the prior of initial states
-SLOW = 3.0  # smoothing velocities; friction is steep below
-PEAK = 3.0  # of accelerations, relative to their root mean square; a velocity may cross zero within a sample period
 LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
 FARTHEST = 3.0  # widths of the prior, of a start value
 HARMONICS = {"1": 3.0, "2": 0.1}
@@ -83,8 +78,8 @@ class Estimation:
     @cached_property
     def start(self) -> dict[str, Array]:
         """Return the start values of all parameters."""
-        coordinates, smoothing = self.coordinates, self.values["smoothing"]
-        guess = start_values(self.records, self.motions, self.robot.B_m, self.prior, smoothing)
+        coordinates = self.coordinates
+        guess = start_values(self.records, self.motions, self.robot.B_m, self.prior)
         reach = FARTHEST * coordinates.width
         z = np.clip(coordinates.of_values(guess), coordinates.mean - reach, coordinates.mean + reach)
         return coordinates.parameters(z)
@@ -121,17 +116,12 @@ class Estimation:
     def problem(self, coordinates: ParameterCoordinates, start: Mapping[str, Array]) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values."""
         arm = self.arm(coordinates)
-        slowest, fastest, creep = _rates(arm, self.poses, start)
-        smoothing = np.tile(start["smoothing"], 2)
-        acceleration = _reversals(self.motions, SLOW * smoothing)
-        near_rest = np.maximum(creep, acceleration / smoothing / PASSAGE)
+        slowest, fastest, mobility = _rates(arm, self.poses, start)
+        rest = NearRest(mobility, _reversals(self.motions, SLOW * np.tile(start[SMOOTHING], 2)))
         segments, filtered_states = [], []
         for record, motion in zip(self.records, self.motions, strict=True):
             steps = int(np.clip(np.ceil(record.dt * fastest), 1, MOST_PARTS))
-            slow = SLOW * smoothing + PEAK * record.dt * acceleration
-            doublings = np.ceil(np.log2(np.maximum(record.dt * near_rest, 1.0)))
-            slow_steps = np.minimum(2.0**doublings, MOST_PARTS).astype(np.int32)
-            effort = HeldEffort(record.u, record.dt, steps, slow_steps, slow)
+            effort = HeldEffort(record.u, record.dt, steps, rest)
             pieces = cut(record, effort, self._length(slowest))
             segments += pieces
             filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]
@@ -170,10 +160,8 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Iden
 
 
 def _rates(arm: ElasticArm, poses: Array, p: Mapping[str, Array]) -> tuple[float, float, Array]:
-    """Return the slowest resonance [rad/s], and the integration steps needed per second, of resonances and creep (2n,).
-
-    Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest. Each side is given the
-    friction of both, because start values do not determine well how it is divided.
+    """Return the slowest resonance [rad/s], the integration steps per second of the fastest one, and the mobility (2n,)
+    [1 / (kg m^2)] of links and motors.
     """
     K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
     slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
@@ -182,11 +170,7 @@ def _rates(arm: ElasticArm, poses: Array, p: Mapping[str, Array]) -> tuple[float
         resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
         slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
         mobility = np.maximum(mobility, np.diag(inverse))
-    friction = sum(
-        np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")
-    )
-    decay = np.concatenate([friction * mobility, friction / B]) / np.tile(p["smoothing"], 2)
-    return slowest, fastest / ACCURATE, decay / CREEP
+    return slowest, fastest / ACCURATE, np.concatenate([mobility, 1 / B])
 
 
 def _reversals(motions: Sequence[FilteredMotion], slow: Array) -> Array:

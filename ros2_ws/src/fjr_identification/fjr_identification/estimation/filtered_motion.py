@@ -22,7 +22,7 @@ from fjr_core.numerics.checks import Array
 
 from .elastic_arm import ElasticArm, coulomb, packed
 from .motion_record import MotionRecord
-from .parameters import Prior
+from .parameters import SMOOTHING, Prior
 
 WINDOW = 0.03  # s
 ORDER = 4
@@ -124,10 +124,10 @@ def start_values(
     motions: Sequence[FilteredMotion],
     robot_input: Array,
     prior: Prior,
-    smoothing: Array,
 ) -> dict[str, Array]:
     """Return parameters by name from all records; what the equations do not determine keeps its prior."""
     values = {name: value.copy() for name, value in prior.values.items()}
+    smoothing = values[SMOOTHING]
     for j in range(len(records[0].joints)):
         two_sided = [motion for record, motion in zip(records, motions, strict=True) if record.both_sides(j)]
         if two_sided:

@@ -36,12 +36,13 @@ from .filtered_fit import (
 )
 from .filtered_motion import shifted
 from .intervals import spurious_information
+from .lack_of_fit import not_linear, withheld
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
 from .optimise import optimise, refine
-from .parameters import PAYLOAD, IdentifyOptions, Prior
+from .parameters import PAYLOAD, SMOOTHING, IdentifyOptions, Prior
 from .validation import Deflection, deflection_error, predicted_deflection, simulated_fits
-from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
+from .verdicts import BLUNT, LESS_LIKELY, Estimates, estimates_at, fitted_at_prior, not_identifiable
 
 NOT_CONVERGED = (
     "the fit did not reach a minimum, so that the interval may be too narrow; check signs, units and the prior"
@@ -73,13 +74,15 @@ def identify(
     setup, joints = Estimation(list(records), robot, prior, options), records[0].joints
     progress("filtered least squares", 0.0)
     z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
-    filtered = filtered_estimates(setup, z)
+    wrong = not_linear(setup, z)
+    filtered = withheld(filtered_estimates(setup, z), wrong)
     z_start = _start_of_simulation(setup, z)
     if z_start is None:
         by_filter = filtered.identification(joints)
         return replace(by_filter, fits=tuple(deflection.fit for deflection in _deflections(setup, by_filter)))
     progress("compilation", 0.0)
     simulated = simulated_fit(setup, simulation_start(setup, z_start), progress)
+    simulated = replace(simulated, estimates=withheld(simulated.estimates, wrong))
     progress("intervals", 1.0)
     entries = _better_by_filter(setup, simulated, filtered)
     if not entries:
@@ -120,8 +123,7 @@ class Simulation:
 def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
     coordinates = setup.coordinates
-    problem, z = setup.problem(coordinates, start), coordinates.of_values(start)
-    best, converged = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
+    best, converged = _optimum(setup, start, progress)
     progress("intervals", 0.0)
     spurious = spurious_information(best)
     unknown = not_identifiable(best.projected, spurious, coordinates.width)
@@ -139,6 +141,28 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
     doubt = "" if converged else NOT_CONVERGED
     estimates = estimates_at(setup, best.projected, spurious, fixed, z, doubt)
     return Simulation(best, estimates, simulated_fits(last, last.noise), converged)
+
+
+def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> tuple[PredictedSegments, bool]:
+    """Return the most likely parameters with all of them free, and whether the search has converged.
+
+    The velocities over which friction turns over are free once all others are near; where the records do not tell them
+    from the prior's, they stay there, because they would fit noise.
+    """
+    coordinates, step = setup.coordinates, lambda share: progress("prediction error", share)
+    turning = np.array([name == SMOOTHING for name, _ in coordinates.free], dtype=bool)
+    problem, z = setup.problem(coordinates, start), coordinates.of_values(start)
+    if not turning.any():
+        return optimise(problem, z, problem.filtered, step)
+    fewer = setup.problem(coordinates.without(np.flatnonzero(turning).tolist()), start)
+    near, near_converged = optimise(fewer, z[~turning], problem.filtered, step)
+    z[~turning] = near.z
+    best, converged = refine(problem, z, near.x0, near.noise, lambda share: progress("friction at reversals", share))
+    H, _ = best.normal_equations
+    deviations = np.sqrt(np.diag(np.linalg.inv(H)))[turning] / coordinates.width[turning]
+    if np.min(deviations) < BLUNT or near.cost - best.cost > LESS_LIKELY:
+        return best, converged
+    return problem.evaluate(z, near.x0, near.noise) or best, near_converged
 
 
 def _start_of_simulation(setup: Estimation, z: Array) -> Array | None:

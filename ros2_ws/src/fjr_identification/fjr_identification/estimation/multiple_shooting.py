@@ -25,7 +25,6 @@ from scipy.linalg import cho_factor, cho_solve
 
 from fjr_core.numerics.checks import Array
 
-from .elastic_arm import packed
 from .motion_record import SIGNALS, MotionRecord
 from .parameters import LARGEST_SKEW, ParameterCoordinates
 from .shooting import HeldEffort, Shooting
@@ -133,7 +132,7 @@ def compare(
     """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,)."""
     p = coordinates.parameters(z)
     start, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
-    motion = shooting(x0, segment.effort, start, samples, packed(shooting.arm, p), p["effort_delay"])
+    motion = shooting(x0, segment.effort, start, samples, p)
     if motion is None:
         return None
     n = len(segment.record.joints)

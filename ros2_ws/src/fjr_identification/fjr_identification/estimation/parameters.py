@@ -54,6 +54,7 @@ KINDS = {
     "motor_coulomb_friction": Kind("N m", NONNEGATIVE, REVERSALS.format("motor")),
     "link_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
     "motor_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
+    "friction_smoothing_velocity": Kind("rad/s", LOG, "needs friction and reversals; reverse slowly", 2.0),
     "offset": Kind(
         "rad", LINEAR, "needs spring torques of both signs, or a known one; change the load of the joint", 0.02
     ),
@@ -77,6 +78,9 @@ PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
 OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)
 """Parameters that the torques of the rigid links depend on."""
 POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
+SMOOTHING = "friction_smoothing_velocity"
+"""Velocity v_0 over which the friction of a joint turns over, of both sides: level tanh(v / v_0)."""
+USUAL_SMOOTHING = 0.01  # rad/s, as of the plant
 STATIC = ("link_static_friction", "motor_static_friction")
 TIMING = ("effort_delay", "link_skew", "torque_skew")
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
@@ -93,8 +97,8 @@ class IdentifyOptions:
     free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload: free
     these, too (the payload is a point mass on the last link). link_inertia: free a correction of mass and inertia of
     each link, positive definite and near the robot's own. position_torque: joint with a torque sum_k a_k sin k q +
-    b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. smoothing, stribeck [rad/s]: velocities of
-    the friction model, scalar or one per joint. segment [s]: length of the pieces of the record that are predicted;
+    b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. stribeck [rad/s]: velocity of the friction
+    model, scalar or one per joint. segment [s]: length of the pieces of the record that are predicted;
     None: from the resonances. threads: number of segments evaluated at the same time.
     """
 
@@ -104,7 +108,6 @@ class IdentifyOptions:
     payload: bool = False
     link_inertia: bool = False
     position_torque: str = ""
-    smoothing: ArrayLike = 0.01
     stribeck: ArrayLike = 0.1
     segment: float | None = None
     threads: int = 2
@@ -125,8 +128,8 @@ class IdentifyOptions:
         return tuple(name for name in KINDS if name in chosen)
 
     def friction_velocities(self, n: int) -> dict[str, Array]:
-        """Return the velocities (n,) of the friction model by name."""
-        return {name: checks.vector(name, getattr(self, name), n, StateError) for name in ("smoothing", "stribeck")}
+        """Return the Stribeck velocity (n,) by its name; it is not identified."""
+        return {"stribeck": checks.vector("stribeck", self.stribeck, n, StateError)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +157,7 @@ class Prior:
             "link_damping": _diagonal("D_l", robot.D_l),
             "motor_damping": _diagonal("D_m", robot.D_m),
         }
-        complete = {**dict.fromkeys(KINDS, 0.0), **of_robot, **(values or {})}
+        complete = {**dict.fromkeys(KINDS, 0.0), SMOOTHING: USUAL_SMOOTHING, **of_robot, **(values or {})}
         return cls(_shaped(complete, robot.n), _shaped(widths or {}, robot.n))
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,29 +16,67 @@ from fjr_core.numerics import jit
 from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
 
-from .elastic_arm import ElasticArm
+from .elastic_arm import ElasticArm, packed
+from .parameters import SMOOTHING
 
 VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a row of a block of sensitivities
+
+
+CREEP, STABLE = 0.5, 1.5  # decay of friction at rest in an integration step; of more than MOST_PARTS
+PASSAGE = 0.5  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
+MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
+MOST_STIFF_PARTS = 256  # of these, where the integration would be unstable or pass over the turn of friction
+SLOW = 3.0  # smoothing velocities; friction is steep below
+PEAK = 8.0  # of accelerations, relative to the filtered ones; a velocity may cross zero within a sample period
+
+
+@dataclass(frozen=True, eq=False)
+class NearRest:
+    """Integration steps while links and motors are slow, where friction is steep: as its level and velocity need.
+
+    mobility (2n,) [1 / (kg m^2)]: of links and motors, in this order. acceleration (2n,): while they reverse.
+    """
+
+    mobility: Array
+    acceleration: Array
+
+    def steps(self, p: Mapping[str, Array], dt: float) -> tuple[NDArray[np.int32], Array] | None:
+        """Return the steps (2n,) of a sample period below velocities (2n,); None: no number of steps is stable.
+
+        Each side is given the friction of both, because a fit in progress does not know well how it is divided.
+        """
+        levels = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
+        v_0 = np.tile(p[SMOOTHING], 2)
+        creep = dt * np.tile(sum(levels), 2) * self.mobility / v_0
+        passage = dt * self.acceleration / v_0 / PASSAGE
+        needed = np.maximum(np.minimum(creep / CREEP, np.maximum(creep / STABLE, MOST_PARTS)), passage)
+        if np.max(creep, initial=0.0) > STABLE * MOST_STIFF_PARTS:
+            return None
+        parts = np.minimum(2.0 ** np.ceil(np.log2(np.maximum(needed, 1.0))), MOST_STIFF_PARTS)
+        return parts.astype(np.int32), SLOW * v_0 + PEAK * dt * self.acceleration
 
 
 @dataclass(frozen=True, eq=False)
 class HeldEffort:
     """Efforts u (k, n) [N m] of a record, each held for the sample period dt [s], and the steps of integration.
 
-    parts: steps of a sample period. slow_parts (2n,): steps while a link or motor, in this order, is slower than slow
-    (2n,) [rad/s]; friction is steep there.
+    parts: steps of a sample period. rest: steps while a link or motor is slow.
     """
 
     u: Array
     dt: float
     parts: int
-    slow_parts: NDArray[np.int32]
-    slow: Array
+    rest: NearRest
 
-    def struct(self, ffi: Any, first: int, delay: Array) -> tuple[Any, ...]:
-        """Return the structure of C, and what it refers to."""
-        parts = np.array([self.parts, *self.slow_parts], dtype=np.int32)
-        u, slow, late = (np.ascontiguousarray(row, dtype=float) for row in (self.u, self.slow, delay / self.dt))
+    def struct(self, ffi: Any, first: int, p: Mapping[str, Array]) -> tuple[Any, ...] | None:
+        """Return the structure of C, and what it refers to; None: friction is too steep. p: parameters by name."""
+        near_rest = self.rest.steps(p, self.dt)
+        if near_rest is None:
+            return None
+        parts = np.array([self.parts, *near_rest[0]], dtype=np.int32)
+        u, slow, late = (
+            np.ascontiguousarray(row, dtype=float) for row in (self.u, near_rest[1], p["effort_delay"] / self.dt)
+        )
         numbers = {"u": u, "delay": late, "slow": slow}
         values = {name: ffi.from_buffer("double[]", array) for name, array in numbers.items()}
         values |= {"parts": ffi.from_buffer("int32_t[]", parts), "count": len(u), "first": first, "dt": self.dt}
@@ -71,18 +110,20 @@ class Shooting:
         return -(-self.columns // (VECTOR * self.vectors)) * VECTOR * self.vectors
 
     def __call__(
-        self, x0: Array, effort: HeldEffort, first: int, samples: int, parameters: Array, delay: Array
+        self, x0: Array, effort: HeldEffort, first: int, samples: int, p: Mapping[str, Array]
     ) -> tuple[Array, Array] | None:
         """Return states (samples + 1, 4n) and sensitivities (samples + 1, 4n, columns) from x0 (4n,) at sample `first`.
 
-        delay (n,) [s]: of the effort. None if the state does not stay finite.
+        p: all parameters by name. None if the state does not stay finite, or friction is too steep to integrate.
         """
         n, columns = self.arm.robot.n, self.columns
         X, S = np.empty((samples + 1, 4 * n)), np.empty((samples + 1, 4 * n, self.padded))
         X[0], S[0] = x0, np.eye(4 * n, self.padded)
         ffi, lib = self.library
-        held = effort.struct(ffi, first, delay)
-        arrays = [ffi.from_buffer("double[]", array) for array in (np.ascontiguousarray(parameters), X, S)]
+        held = effort.struct(ffi, first, p)
+        if held is None:
+            return None
+        arrays = [ffi.from_buffer("double[]", array) for array in (packed(self.arm, p), X, S)]
         failed = lib.fjr_shoot(self._memory.arm, held[0], arrays[0], samples, *arrays[1:])
         return None if failed else (X, S[:, :, :columns])
 

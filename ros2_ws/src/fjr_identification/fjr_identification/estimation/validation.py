@@ -23,7 +23,7 @@ from .elastic_arm import ElasticArm, coulomb, position_torque
 from .filtered_motion import FilteredMotion, decimated, filtered, inner, rigid_torque, shifted, smoothed
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
-from .parameters import OF_LINKS, IdentifyOptions, Prior
+from .parameters import OF_LINKS, SMOOTHING, IdentifyOptions, Prior
 
 STIFF = 1e12  # times the identified stiffness
 
@@ -86,7 +86,7 @@ def predicted_deflection(
         for side in (motion.q_l, motion.v_l, motion.a_l)
     )
     torque = rigid_torque(arm, values, q, v, a) + values["link_damping"] * v
-    torque += values["link_coulomb_friction"] * coulomb(v, values["smoothing"])
+    torque += values["link_coulomb_friction"] * coulomb(v, values[SMOOTHING])
     torque += np.asarray(position_torque(SimpleNamespace(**values), q, np))
     sides = smoothed(record.q_m - record.q_l, record.dt), torque / values["joint_stiffness"] - skew * v
     measured, predicted = (inner(side, record.dt) for side in sides)
