@@ -21,7 +21,7 @@ from fjr_identification.estimation.elastic_arm import ElasticArm
 from fjr_identification.estimation.motion_record import SIGNALS, MotionRecord
 from fjr_identification.estimation.multiple_shooting import SKEWS
 from fjr_identification.estimation.parameters import KINDS, SMOOTHING, USUAL_SMOOTHING, Prior, size
-from fjr_identification.estimation.shooting import HeldEffort, NearRest, Shooting
+from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
 ARMS = 3  # different arms of each number of joints; their equations are compiled once
@@ -109,7 +109,7 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
     late = round(float(truth["effort_delay"][0]) / FINE)
     noise = rng.uniform(2e-6, 3e-5, (2, n))
     states, efforts, sent = [x[None]], [], [robot.grad_P_l(x[:n])] * (late // fine + 2)
-    rest = NearRest(np.zeros(2 * n), np.zeros(2 * n))
+    none = np.zeros(2 * n)
     gain = truth["motor_inertia"] * (2 * np.pi * 2.5) ** 2
     for k in range(samples):
         q, v = x[n : 2 * n] + noise[1] * rng.standard_normal(n), x[3 * n :]
@@ -117,7 +117,7 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
         sent.append(u + 0.05 * np.abs(gain) * rng.standard_normal(n) * 0.1)
         efforts.append(sent[-1])
         ages = [(late - i + fine - 1) // fine if late > i else 0 for i in range(fine)]
-        held = HeldEffort(np.array([sent[-1 - age] for age in ages]), FINE, 1, rest)
+        held = HeldEffort(np.array([sent[-1 - age] for age in ages]), FINE, 1, none, none)
         found = step(x, held, 0, fine, p)
         assert found is not None
         states.append(found[0][1:])

@@ -24,7 +24,7 @@ from fjr_msgs_py.console.output import progress_bar  # noqa: E402
 from physics.coverage import CASES, Interval, head, line, of_batch  # noqa: E402
 
 FORM = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
-BATCH = 15  # draws that one process integrates together
+BATCH = 40  # draws that one process integrates together, in little more time than one
 
 
 def main(words: list[str]) -> int:

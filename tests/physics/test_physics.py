@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ from fjr_identification.estimation.parameters import IdentifyOptions
 from physics import laws
 from physics.arm import Arm, Array, G, Motion, simulated
 from physics.coverage import Interval, head, identified, line
-from physics.draws import Case, drawn
+from physics.draws import Case, Draws, drawn
 from physics.sensors import Encoder, Sensors, sampled
 
 DRAWS = 3
@@ -165,18 +166,34 @@ def test_friction_is_identified_wherever_it_turns_over(turning: float) -> None:
         assert all(each.error < 0.3 for each in velocities)
 
 
+STRAIGHT, LOOSE, STIFFENING = (
+    Case(friction, spring, duration=4.0)
+    for friction, spring in (
+        (laws.coulomb(1e-3), laws.linear()),
+        (laws.coulomb(0.01), laws.backlash(5e-4)),
+        (laws.coulomb(0.01), laws.cubic(0.3, 5e-3)),
+    )
+)
+
+
+@cache
+def one_joint_of(case: Case) -> Draws:
+    """Return four draws of one joint."""
+    return drawn(case, 1, 4, 1)
+
+
 @pytest.mark.parametrize(
     ("case", "draw", "said"),
     [
-        (Case(laws.coulomb(1e-3)), 1, ""),
-        (Case(laws.coulomb(1e-3)), 2, ""),
-        (Case(spring=laws.backlash(5e-4)), 1, "backlash of about 0.48 mrad"),
-        (Case(spring=laws.backlash(5e-4)), 0, ""),  # its torque keeps its sign, so that the dead zone is never passed
-        (Case(spring=laws.cubic(0.3, 5e-3)), 1, "the spring is not linear: 21.1 N m/rad at 2.4 mrad, 38"),
+        (STRAIGHT, 1, ""),
+        (STRAIGHT, 2, ""),
+        (LOOSE, 1, "backlash of about 0.48 mrad"),
+        (LOOSE, 0, ""),  # its torque keeps its sign, so that the dead zone is never passed
+        (STIFFENING, 1, "the spring is not linear: 21.1 N m/rad at 2.4 mrad, 38"),
     ],
 )
 def test_a_spring_that_is_no_straight_line_is_named_and_not_called_identified(case: Case, draw: int, said: str) -> None:
-    found = identified(drawn(replace(case, duration=4.0), 1, 4, 1), draw, IdentifyOptions())
+    found = identified(one_joint_of(case), draw, IdentifyOptions())
     assert found is not None
     (K,) = (each for each in found if each.kind == "joint_stiffness")
     assert (K.verdict == IDENTIFIED) == (not said)

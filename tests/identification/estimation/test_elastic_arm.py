@@ -33,7 +33,7 @@ from fjr_identification.estimation.parameters import (
     Prior,
     size,
 )
-from fjr_identification.estimation.shooting import HeldEffort, NearRest, Shooting
+from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 FREE = (
     "joint_stiffness",
@@ -48,8 +48,8 @@ FREE = (
 
 
 def held(u: Array, dt: float, parts: int) -> HeldEffort:
-    n = u.shape[1]
-    return HeldEffort(u, dt, parts, NearRest(np.zeros(2 * n), np.zeros(2 * n)))
+    none = np.zeros(2 * u.shape[1])
+    return HeldEffort(u, dt, parts, none, none)
 
 
 def values(n: int, **given: float) -> dict[str, Array]:
@@ -247,7 +247,7 @@ def test_a_heavier_link_is_found_from_the_torques_that_its_motion_needs() -> Non
     motor = q + tau / 900 + 1e-6 * np.random.default_rng(4).standard_normal(q.shape)
     record = MotionRecord("a record", ("a", "b"), dt, tau + 0.2 * a, q, motor, np.full_like(q, np.nan))
     setup = Estimation([record], nominal, Prior.of(nominal), IdentifyOptions(link_inertia=True))
-    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    z = filtered_fit(setup, setup.coordinates.mean)
     p = setup.coordinates.parameters(z)
     bodies = corrected(BODIES, np.column_stack([p[name] for name in PSEUDO_INERTIA]))
     found = robot_of(bodies)
@@ -286,4 +286,4 @@ def test_a_robot_without_bodies_has_no_inertia_to_correct() -> None:
     silent = np.zeros((500, 2))
     record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
     with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
-        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).start
+        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).coordinates

@@ -51,19 +51,23 @@ def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkey
 
 def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() -> None:
     setup = setup_of()
-    parts = []
+    longest = []
     for link, motor in ((0.1, 0.0), (0.0, 0.1)):
-        values = {**setup.start, "link_coulomb_friction": np.array([link]), "motor_coulomb_friction": np.array([motor])}
-        found = setup.problem(setup.coordinates, values).segments[0].effort.rest.steps(values, 4e-3)
+        values = {
+            **setup.values,
+            "link_coulomb_friction": np.array([link]),
+            "motor_coulomb_friction": np.array([motor]),
+        }
+        found = setup.problem(values).segments[0].effort.steps(values)
         assert found is not None
-        parts.append(found[0])
-    np.testing.assert_array_equal(*parts)
-    assert np.all(parts[0] > 1)
+        longest.append(found["rest"])
+    np.testing.assert_array_equal(*longest)
+    assert np.all(longest[0] < 4e-3)
 
 
 def test_the_fit_and_the_share_of_each_side_are_near_the_truth() -> None:
     setup = setup_of()
-    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    z = filtered_fit(setup, setup.coordinates.mean)
     assert np.all(z[list(confounded(setup))] == 0.0)
     fitted, shared = setup.coordinates.parameters(z), simulation_start(setup, z)
     assert fitted["joint_stiffness"][0] == pytest.approx(JOINT.K, rel=0.02)
@@ -105,7 +109,7 @@ def test_derivatives_of_both_sides_equal_central_differences() -> None:
 
 def test_blocks_add_up_to_the_information_of_the_record() -> None:
     setup = setup_of()
-    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    z = filtered_fit(setup, setup.coordinates.mean)
     parts = equation_error(setup, z)
     H, g = sum(part.H for part in parts), sum(part.g for part in parts)
     assert len(parts) == 4
@@ -125,7 +129,7 @@ def test_torques_that_the_model_lacks_are_not_simulated() -> None:
     relative = []
     for record in (honest, wrong):
         setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
-        relative.append(displacement(setup, filtered_fit(setup, setup.coordinates.of_values(setup.start))))
+        relative.append(displacement(setup, filtered_fit(setup, setup.coordinates.mean)))
     assert relative[0][0] < 0.1 * MOST
     assert relative[1][0] > MOST
     found = {each.name: each for each in identify([wrong], robot, Prior.of(robot)).estimates}

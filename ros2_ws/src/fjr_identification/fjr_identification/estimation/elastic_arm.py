@@ -112,7 +112,8 @@ class ElasticArm:
         v_0 = p.friction_smoothing_velocity
         F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, v_0)
         F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, v_0)
-        on_links = tau - p.link_damping * v_l - F_l - position_torque(p, q_l)
+        T = sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q_l), strict=True))
+        on_links = tau - p.link_damping * v_l - F_l - T
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
         M_l = links.M_l(q_l) + self._added
         dv_l = solve(M_l, on_links - _rigid(links, q_l, v_l, ca.SX.zeros(n)))
@@ -164,13 +165,8 @@ def coulomb(v: Array, smoothing: Array | float) -> Array:
     return np.tanh(v / smoothing)
 
 
-def position_torque(p: SimpleNamespace, q: ca.SX, f: Any = ca) -> ca.SX:
-    """Return the torque sum_k a_k sin k q + b_k cos k q (n,) [N m], k = 1, 2; f: casadi or numpy."""
-    return sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q, f), strict=True))
-
-
 def position_terms(q: Any, f: Any = ca) -> tuple[Any, ...]:
-    """Return what POSITION_TORQUE are the factors of: sin q, cos q, sin 2 q, cos 2 q."""
+    """Return what POSITION_TORQUE are the factors of: sin q, cos q, sin 2 q, cos 2 q; f: casadi or numpy."""
     return f.sin(q), f.cos(q), f.sin(2 * q), f.cos(2 * q)
 
 

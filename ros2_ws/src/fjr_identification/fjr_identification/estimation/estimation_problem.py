@@ -3,23 +3,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
+from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 from fjr_core.urdf.typical_joints import least_free_inertia
 
 from .elastic_arm import ElasticArm, correctable, packed
-from .filtered_motion import FilteredMotion, filtered, start_values
+from .filtered_motion import FilteredMotion, filtered, inner, smoothed
 from .motion_record import MotionRecord
 from .multiple_shooting import Problem, cut, measured_signals
-from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, SMOOTHING, IdentifyOptions, ParameterCoordinates, Prior, size
-from .shooting import MOST_PARTS, SLOW, HeldEffort, NearRest, Shooting
+from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
+from .shooting import MOST_PARTS, HeldEffort, Shooting
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
 ACCURATE = 0.25
@@ -27,9 +28,9 @@ ACCURATE = 0.25
 RESONANT_PARTS = 11  # of these, for a resonance
 WIDE, FAST = 0.05, 1.0  # rad, rad/s; least widths of the prior of initial states
 LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
-FARTHEST = 3.0  # widths of the prior, of a start value
 HARMONICS = {"1": 3.0, "2": 0.1}
 """Widths of the prior of a torque of the position, in efforts; a small second one lets it extrapolate."""
+UNSEEN = 0.1  # of the noise; displacement in a segment by steps of integration that miss a turn of friction
 MOST_POSES = 20  # samples of a record at which resonances are computed
 
 
@@ -44,8 +45,9 @@ class Estimation:
 
     @property
     def values(self) -> Mapping[str, Array]:
-        """Return all parameters by name at the prior, with the velocities of the friction model."""
-        return {**self.prior.values, **self.options.friction_velocities(self.robot.n)}
+        """Return all parameters by name at the prior, with the Stribeck velocity, which is not identified."""
+        stribeck = checks.vector("stribeck", self.options.stribeck, self.robot.n, StateError)
+        return {**self.prior.values, "stribeck": stribeck}
 
     @cached_property
     def coordinates(self) -> ParameterCoordinates:
@@ -74,15 +76,6 @@ class Estimation:
         """Return the filtered motion of each record."""
         arm, values = self.arm(self.coordinates), self.values
         return [filtered(record, arm, values) for record in self.records]
-
-    @cached_property
-    def start(self) -> dict[str, Array]:
-        """Return the start values of all parameters."""
-        coordinates = self.coordinates
-        guess = start_values(self.records, self.motions, self.robot.B_m, self.prior)
-        reach = FARTHEST * coordinates.width
-        z = np.clip(coordinates.of_values(guess), coordinates.mean - reach, coordinates.mean + reach)
-        return coordinates.parameters(z)
 
     def arm(self, coordinates: ParameterCoordinates) -> ElasticArm:
         """Return the arm with derivatives by the free parameters."""
@@ -113,15 +106,19 @@ class Estimation:
     def _length(self, slowest: float) -> float:
         return self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
 
-    def problem(self, coordinates: ParameterCoordinates, start: Mapping[str, Array]) -> Problem:
-        """Return the segments of the records with the model; their length and steps follow from the start values."""
+    def problem(self, start: Mapping[str, Array], held: Collection[int] = ()) -> Problem:
+        """Return the segments of the records with the model; their length and steps follow from the start values.
+
+        held: entries of z that are not free.
+        """
+        coordinates = replace(self.coordinates, held=frozenset(held))
         arm = self.arm(coordinates)
         slowest, fastest, mobility = _rates(arm, self.poses, start)
-        rest = NearRest(mobility, _reversals(self.motions, SLOW * np.tile(start[SMOOTHING], 2)))
+        accuracy = UNSEEN * np.tile(_noise(self.records), 2) / self._length(slowest)
         segments, filtered_states = [], []
         for record, motion in zip(self.records, self.motions, strict=True):
             steps = int(np.clip(np.ceil(record.dt * fastest), 1, MOST_PARTS))
-            effort = HeldEffort(record.u, record.dt, steps, rest)
+            effort = HeldEffort(record.u, record.dt, steps, mobility, accuracy)
             pieces = cut(record, effort, self._length(slowest))
             segments += pieces
             filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]
@@ -173,11 +170,11 @@ def _rates(arm: ElasticArm, poses: Array, p: Mapping[str, Array]) -> tuple[float
     return slowest, fastest / ACCURATE, np.concatenate([mobility, 1 / B])
 
 
-def _reversals(motions: Sequence[FilteredMotion], slow: Array) -> Array:
-    """Return the accelerations (2n,) of links and motors, root mean square while they are slower than slow (2n,)."""
-    v, a = (np.vstack([np.hstack([getattr(m, f"{name}_{side}") for side in "lm"]) for m in motions]) for name in "va")
-    near = np.abs(v) < slow
-    return np.asarray(np.sqrt(np.sum(np.where(near, a, 0.0) ** 2, axis=0) / np.maximum(1, np.sum(near, axis=0))))
+def _noise(records: Sequence[MotionRecord]) -> Array:
+    """Return what the filter leaves of positions (n,), root mean square: the least of all records and both sides."""
+    left = [inner(q - smoothed(q, r.dt), r.dt) for r in records for q in (r.q_l, r.q_m)]
+    with np.errstate(all="ignore"):
+        return np.asarray(np.fmin.reduce([np.sqrt(np.mean(rest**2, axis=0)) for rest in left]))
 
 
 def _state_width(motions: Sequence[FilteredMotion]) -> Array:

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fjr_core.numerics import jit
 from fjr_core.numerics.c_library import c_library
@@ -21,65 +20,53 @@ from .parameters import SMOOTHING
 
 VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a row of a block of sensitivities
 
-
 CREEP, STABLE = 0.5, 1.5  # decay of friction at rest in an integration step; of more than MOST_PARTS
-PASSAGE = 0.5  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
 MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
-MOST_STIFF_PARTS = 256  # of these, where the integration would be unstable or pass over the turn of friction
+MOST_STIFF_PARTS = 1024  # of these, where the integration would be unstable; more are not tried
+PASSAGE = 0.5  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
+IMPULSE = 1 / 3  # of a step, in which a change of the sign of friction may be missed
 SLOW = 3.0  # smoothing velocities; friction is steep below
-PEAK = 8.0  # of accelerations, relative to the filtered ones; a velocity may cross zero within a sample period
-
-
-@dataclass(frozen=True, eq=False)
-class NearRest:
-    """Integration steps while links and motors are slow, where friction is steep: as its level and velocity need.
-
-    mobility (2n,) [1 / (kg m^2)]: of links and motors, in this order. acceleration (2n,): while they reverse.
-    """
-
-    mobility: Array
-    acceleration: Array
-
-    def steps(self, p: Mapping[str, Array], dt: float) -> tuple[NDArray[np.int32], Array] | None:
-        """Return the steps (2n,) of a sample period below velocities (2n,); None: no number of steps is stable.
-
-        Each side is given the friction of both, because a fit in progress does not know well how it is divided.
-        """
-        levels = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
-        v_0 = np.tile(p[SMOOTHING], 2)
-        creep = dt * np.tile(sum(levels), 2) * self.mobility / v_0
-        passage = dt * self.acceleration / v_0 / PASSAGE
-        needed = np.maximum(np.minimum(creep / CREEP, np.maximum(creep / STABLE, MOST_PARTS)), passage)
-        if np.max(creep, initial=0.0) > STABLE * MOST_STIFF_PARTS:
-            return None
-        parts = np.minimum(2.0 ** np.ceil(np.log2(np.maximum(needed, 1.0))), MOST_STIFF_PARTS)
-        return parts.astype(np.int32), SLOW * v_0 + PEAK * dt * self.acceleration
 
 
 @dataclass(frozen=True, eq=False)
 class HeldEffort:
     """Efforts u (k, n) [N m] of a record, each held for the sample period dt [s], and the steps of integration.
 
-    parts: steps of a sample period. rest: steps while a link or motor is slow.
+    parts: steps of a sample period. They are halved where a velocity may cross zero, as far as the turn of friction
+    needs and a velocity may be wrong: mobility (2n,) [1 / (kg m^2)] of links and motors, accuracy (2n,) [rad/s].
     """
 
     u: Array
     dt: float
     parts: int
-    rest: NearRest
+    mobility: Array
+    accuracy: Array
+
+    def steps(self, p: Mapping[str, Array]) -> dict[str, Array] | None:
+        """Return what shooting.h limits steps by, (2n,) each; None: friction is too steep. p: parameters by name.
+
+        Each side is given the friction of both, because a fit in progress does not know well how it is divided.
+        """
+        levels = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
+        v_0, acceleration = np.tile(p[SMOOTHING], 2), np.tile(sum(levels), 2) * self.mobility
+        creep = self.dt * acceleration / v_0
+        if np.max(creep, initial=0.0) > STABLE * MOST_STIFF_PARTS:
+            return None
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rest = self.dt / np.minimum(creep / CREEP, np.maximum(creep / STABLE, MOST_PARTS))
+            harmless = self.accuracy / (IMPULSE * acceleration)
+        return {"slow": SLOW * v_0, "rest": rest, "passage": PASSAGE * v_0, "harmless": harmless}
 
     def struct(self, ffi: Any, first: int, p: Mapping[str, Array]) -> tuple[Any, ...] | None:
-        """Return the structure of C, and what it refers to; None: friction is too steep. p: parameters by name."""
-        near_rest = self.rest.steps(p, self.dt)
-        if near_rest is None:
+        """Return the structure of C, and what it refers to; None as `steps`."""
+        steps = self.steps(p)
+        if steps is None:
             return None
-        parts = np.array([self.parts, *near_rest[0]], dtype=np.int32)
-        u, slow, late = (
-            np.ascontiguousarray(row, dtype=float) for row in (self.u, near_rest[1], p["effort_delay"] / self.dt)
-        )
-        numbers = {"u": u, "delay": late, "slow": slow}
-        values = {name: ffi.from_buffer("double[]", array) for name, array in numbers.items()}
-        values |= {"parts": ffi.from_buffer("int32_t[]", parts), "count": len(u), "first": first, "dt": self.dt}
+        values: dict[str, Any] = {
+            name: ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
+            for name, array in {"u": self.u, "delay": p["effort_delay"] / self.dt, **steps}.items()
+        }
+        values |= {"parts": self.parts, "count": len(self.u), "first": first, "dt": self.dt}
         return ffi.new("struct fjr_input *", values), values
 
 
