@@ -128,8 +128,7 @@ def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.Ca
     assert sentences[0] in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize(("width", "dark"), [(400, True), (1280, False)])
 def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser, width: int, dark: bool) -> None:
     browser.open(folder / "identification.html", width=width, dark=dark)
     assert browser.said == []
