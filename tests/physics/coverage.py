@@ -58,6 +58,8 @@ KINDS = {
     "effort_delay": "delay",
     "link_skew": "skew",
 }
+SPRING = ("backlash", "the spring is")
+"""Words of the reasons that name a spring which is no straight line."""
 ROBOT = """/**:
   ros__parameters:
     joints: {joints}
@@ -130,12 +132,21 @@ def _interval(estimate: Estimate, true: float) -> Interval:
 
 def head() -> str:
     """Return the first lines of the table."""
-    columns = ["physics", "records", *KINDS.values(), "largest sigma", "K identified", "of these inside", "error of K"]
+    columns = [
+        "physics",
+        "records",
+        *KINDS.values(),
+        "largest sigma",
+        "K identified",
+        "of these inside",
+        "error of K",
+        "named",
+    ]
     return "\n".join(["| " + " | ".join(columns) + " |", "| --- " + "| ---: " * (len(columns) - 1) + "|"])
 
 
 def line(name: str, results: Sequence[list[Interval] | None]) -> str:
-    """Return a row of the table: how many intervals contain the truth, by kind of parameter."""
+    """Return a row of the table: how many intervals contain the truth, by kind of parameter, and springs named."""
     intervals = [each for result in results if result is not None for each in result if each.verdict != UNKNOWN]
     K = [each for each in intervals if each.kind == "joint_stiffness"]
     sure = [each for each in K if each.verdict == IDENTIFIED]
@@ -148,6 +159,7 @@ def line(name: str, results: Sequence[list[Interval] | None]) -> str:
         f"{len(sure)} of {sum(each.kind == 'joint_stiffness' for result in results for each in result or ())}",
         _share(sure),
         f"{np.median([each.error for each in K]):.1g}" if K else "",
+        f"{sum(any(word in each.reason for word in SPRING) for each in K)}/{len(K)}" if K else "",
     ]
     return "| " + " | ".join(cells) + " |"
 

@@ -204,8 +204,9 @@ def test_a_spring_that_is_no_straight_line_is_named_and_not_called_identified(ca
 
 
 def test_a_row_of_the_table_counts_what_is_inside() -> None:
-    intervals = [Interval("joint_stiffness", away, 0.01, "identified", "") for away in (0.5, 3.0)]
+    whys = {0.5: "", 3.0: "backlash of about 1 mrad"}
+    intervals = [Interval("joint_stiffness", away, 0.01, "identified", why) for away, why in whys.items()]
     row = line("a case", [intervals, None])
     assert len(row.split("|")) == len(head().splitlines()[0].split("|"))
     assert row.startswith("| a case | 2 (1 refused) | 1/2 |")
-    assert "| 3.0 | 2 of 2 | 1/2 | 0.01 |" in row
+    assert row.endswith("| 3.0 | 2 of 2 | 1/2 | 0.01 | 1/2 |")
