@@ -34,7 +34,7 @@ CASES = {
     "backlash 0.5 mrad": Case(spring=laws.backlash(5e-4)),
     "backlash 2 mrad": Case(spring=laws.backlash(2e-3)),
     "cubic, + 30 % at 5 mrad": Case(spring=laws.cubic(0.3, 5e-3)),
-    "hysteresis, 0.3 K up to 0.3 N m": Case(spring=laws.hysteresis(0.3, 0.3)),
+    "hysteresis, 0.3 K up to 1 mrad": Case(spring=laws.hysteresis(0.3, 1e-3)),
     "kinematic error, 0.1 mrad": Case(spring=laws.kinematic_error(1e-4)),
     "gain of the motor encoder 1.003": Case(sensors=Sensors(motor=Encoder(gain=1.003))),
     "eccentricity of 1 mrad": Case(sensors=Sensors(link=Encoder(eccentricity=1e-3))),

@@ -103,13 +103,13 @@ def backlash(width: float) -> Spring:
     return of_deflection(lambda K, zeta: K * (zeta - np.clip(zeta, -width / 2, width / 2)))
 
 
-def hysteresis(share: float, level: float) -> Spring:
-    """Return a spring with a Maxwell element beside it: stiffness share K up to a torque of slip `level` [N m]."""
+def hysteresis(share: float, slip: float) -> Spring:
+    """Return a spring with a Maxwell element beside it: stiffness share K up to a deflection slip [rad]."""
 
     def law(K: Array, q_l: Array, q_m: Array, v_l: Array, v_m: Array, w: Array) -> tuple[Array, Array, Array]:
-        rate, slip = v_m - v_l, np.abs(w / level) ** 4
+        rate, near = v_m - v_l, np.abs(w / (share * K * slip)) ** 4
         tau = K * (q_m - q_l) + w
-        return tau, tau, share * K * rate * (1 - slip * (rate * w > 0))
+        return tau, tau, share * K * rate * (1 - near * (rate * w > 0))
 
     return Spring(law, has_state=True)
 

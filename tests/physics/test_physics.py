@@ -32,7 +32,7 @@ SPRINGS = {
     "linear": laws.linear(),
     "cubic": laws.cubic(0.3, 5e-3),
     "backlash": laws.backlash(5e-4),
-    "hysteresis": laws.hysteresis(0.3, 0.1),
+    "hysteresis": laws.hysteresis(0.3, 1e-3),
     "kinematic error": laws.kinematic_error(1e-4),
 }
 
