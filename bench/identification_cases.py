@@ -18,10 +18,10 @@ from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_identification.estimation.elastic_arm import ElasticArm, packed
+from fjr_identification.estimation.elastic_arm import ElasticArm
 from fjr_identification.estimation.motion_record import SIGNALS, MotionRecord
 from fjr_identification.estimation.multiple_shooting import SKEWS
-from fjr_identification.estimation.parameters import KINDS, Prior, size
+from fjr_identification.estimation.parameters import KINDS, SMOOTHING, USUAL_SMOOTHING, Prior, size
 from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
@@ -103,6 +103,7 @@ def _true_parameters(rng: np.random.Generator, robot: Robot) -> dict[str, Array]
     found |= {"joint_stiffness": K, "motor_inertia": B}
     found |= {name: damping * rng.uniform(0.004, 0.04, n) for name in ("link_damping", "motor_damping")}
     found |= {f"{side}_coulomb_friction": torque * rng.uniform(0, 0.05, n) for side in ("link", "motor")}
+    found[SMOOTHING] = np.full(n, USUAL_SMOOTHING)
     found["offset"] = rng.uniform(-5e-3, 5e-3, n)
     found["link_skew"] = np.round(rng.uniform(-4e-3, 4e-3, n) / FINE) * FINE
     found["effort_delay"] = np.full(n, np.round(rng.uniform(0, 4e-3) / FINE) * FINE)
@@ -113,13 +114,13 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
     n, dt = robot.n, float(rng.choice([1e-3, 1e-3, 2e-3]))
     fine, samples = round(dt / FINE), round(duration / dt)
     step = Shooting(ElasticArm(robot, ()), ())
-    numbers = packed(step.arm, {**truth, "smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)})
+    p = {**truth, "stribeck": np.full(n, 0.1), "effort_delay": np.zeros(n)}  # the efforts are delayed here
     reference = _reference(rng, n, dt * np.arange(samples, dtype=float))
     x = _rest(robot, truth, reference[0])
     late = round(float(truth["effort_delay"][0]) / FINE)
     noise = rng.uniform(2e-6, 3e-5, (2, n))
     states, efforts, sent = [x[None]], [], [robot.grad_P_l(x[:n])] * (late // fine + 2)
-    always = np.ones(2 * n, dtype=np.int32), np.zeros(2 * n)
+    none = np.zeros(2 * n)
     gain = truth["motor_inertia"] * (2 * np.pi * 2.5) ** 2
     for k in range(samples):
         q, v = x[n : 2 * n] + noise[1] * rng.standard_normal(n), x[3 * n :]
@@ -127,8 +128,8 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
         sent.append(u + 0.05 * np.abs(gain) * rng.standard_normal(n) * 0.1)
         efforts.append(sent[-1])
         ages = [(late - i + fine - 1) // fine if late > i else 0 for i in range(fine)]
-        held = HeldEffort(np.array([sent[-1 - age] for age in ages]), FINE, 1, *always)
-        found = step(x, held, 0, fine, numbers, np.zeros(n))
+        held = HeldEffort(np.array([sent[-1 - age] for age in ages]), FINE, 1, none, none)
+        found = step(x, held, 0, fine, p)
         assert found is not None
         states.append(found[0][1:])
         x = found[0][-1]

@@ -25,7 +25,9 @@ isolate()  # before NumPy and rclpy load
 settings.register_profile("any machine", settings(), deadline=None)  # no deadline: other processes may use the cores
 settings.load_profile("any machine")
 
-WITHOUT_NODES = [Path(__file__).parent / name for name in ("core", "design", "monitor", "identification", "proofs")]
+WITHOUT_NODES = [
+    Path(__file__).parent / name for name in ("core", "design", "monitor", "identification", "physics", "proofs")
+]
 TURN = Path(tempfile.gettempdir(), f"fjr-real-time-{os.getuid()}.lock")
 QUEUE = TURN.with_suffix(".queue")
 LONGEST_WAIT = 3600.0  # s for a turn

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contradictions of a record are found and named: one labelled record each; healthy records pass.
 
-Mistakes in one joint of two: `system/test_identify_contradictions.py`; of a real record: `system/test_records.py`.
+The records are those of independent oracles (`system/motion_tables.py`); mistakes of files: `system/test_records.py`.
 """
 
 from __future__ import annotations
@@ -14,111 +14,181 @@ import pytest
 
 import fjr_core as fjr
 from bench.identification import draw
+from core.oracles.elastic_joint import ElasticJoint
 from fjr_core.errors import RecordError
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.record_checks import findings
 from fjr_identification.scale_checks import LONGEST, _most_moving, unseen
-from identification import recorded_joint
+from system.motion_tables import MotionTable, one_joint, two_joints
 
-Change = Callable[[MotionRecord], MotionRecord]
+BOTH, MOTOR, SENSOR, LINK = ("link", "motor"), ("motor",), ("motor", "torque"), ("link", "torque")
 SIGNALS = ("u", "q_l", "q_m", "torque")
+Change = Callable[[MotionTable], MotionTable]
 
 
-def clipped(record: MotionRecord) -> MotionRecord:
-    return replace(record, u=np.clip(record.u, -20.0, 20.0))
+def elbow(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    """Return a change of one signal of the elbow."""
+    return lambda table: table.with_joint(name, 1, change(table.signals[name][:, 1]))
 
 
-def rows(record: MotionRecord, part: slice, **changes: float) -> MotionRecord:
-    return replace(record, **{name: getattr(record, name)[part] for name in SIGNALS}, **changes)
+def scaled(**factors: float) -> Change:
+    """Return a change of whole signals by factors."""
+    return lambda t: replace(t, signals={name: factors.get(name, 1.0) * x for name, x in t.signals.items()})
 
 
-LABELLED: dict[str, tuple[Change, str, str]] = {
-    "sign of the effort": (lambda r: replace(r, u=-r.u), "sign", "times the torque that its motion needs"),
-    "both sides in degrees": (
-        lambda r: replace(r, q_l=np.degrees(r.q_l), q_m=np.degrees(r.q_m)),
-        "degrees",
-        "as degrees only; expected rad",
+def exchanged(*names: str) -> Change:
+    """Return a change that exchanges the joints of some signals."""
+    return lambda table: replace(
+        table, signals={name: x[:, ::-1] if name in names else x for name, x in table.signals.items()}
+    )
+
+
+def swapped(table: MotionTable) -> MotionTable:
+    """Return the table with the sides of the elbow swapped."""
+    link, motor = (table.signals[name][:, 1] for name in BOTH)
+    return table.with_joint("link", 1, motor).with_joint("motor", 1, link)
+
+
+def stopped(x: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(len(x)) < 700, x, x[700])
+
+
+def late(x: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.full(10, x[0]), x[:-10]])
+
+
+def spiked(x: np.ndarray) -> np.ndarray:
+    return x + 0.5 * (np.arange(len(x)) == 600)
+
+
+DEGREES, TURNS = np.degrees(1.0), 1 / (2 * np.pi)
+CONTRADICTIONS: dict[str, tuple[tuple[str, ...], Change, str]] = {
+    "too short": (BOTH, lambda t: t.rows(slice(99)), "has 99 samples; expected at least 200"),
+    "at rest": (BOTH, scaled(link=1e-6, motor=1e-6), "expected a record of motion"),
+    "a constant effort": (BOTH, elbow("effort", lambda x: 0 * x + 2.0), "u of elbow is 2 at every sample"),
+    "a constant link": (BOTH, elbow("link", np.zeros_like), "q_l of elbow is 0 at every sample"),
+    "one column for both sides": (
+        BOTH,
+        lambda table: table.with_signal("link", table.signals["motor"]),
+        "q_m - q_l of shoulder is constant at every sample",
     ),
-    "motors in turns": (lambda r: replace(r, q_m=r.q_m / (2 * np.pi)), "gear_ratio", "turns against rad"),
-    "at rest": (
-        lambda r: replace(r, q_l=0 * r.q_l + 1e-6 * np.sin(np.arange(len(r.u)))[:, None], q_m=0 * r.q_m),
-        "at_rest",
-        "expected a record of motion",
+    "a revolution lost": (BOTH, elbow("link", lambda x: x - 2 * np.pi * (np.arange(len(x)) > 600)), "jumps by -6.28"),
+    "a spike": (MOTOR, elbow("motor", spiked), "q_m of elbow jumps by 0.5"),
+    "a motor that stops": (MOTOR, elbow("motor", stopped), "q_m of elbow stops at"),
+    "both sides in degrees": (BOTH, scaled(link=DEGREES, motor=DEGREES), "as degrees only; expected rad"),
+    "motors alone in degrees": (MOTOR, scaled(motor=DEGREES), "as degrees only; expected rad"),
+    "one link in degrees": (BOTH, elbow("link", np.degrees), "degrees against rad"),
+    "motors in turns": (BOTH, scaled(motor=TURNS), "turns against rad"),
+    "joints of the links exchanged": (BOTH, exchanged("link"), "q_m of shoulder follows q_l of elbow"),
+    "joints of the efforts exchanged": (MOTOR, exchanged("effort"), "the efforts of shoulder and elbow fit the motion"),
+    "all joints exchanged": (BOTH, exchanged("effort", *BOTH), "all signals of shoulder and elbow fit the robot in"),
+    "joints of the motors exchanged": (SENSOR, exchanged("motor"), "the positions of shoulder and elbow fit the robot"),
+    "one gear ratio applied twice": (BOTH, elbow("motor", lambda x: x / 100), "q_m of elbow moves 0.0"),
+    "one gear ratio not applied": (BOTH, elbow("motor", lambda x: 100 * x), "q_m of elbow moves 99"),
+    "one ratio of 101 in place of 100": (BOTH, elbow("motor", lambda x: 1.01 * x), "q_m of elbow moves 1.01"),
+    "sign of one motor": (BOTH, elbow("motor", np.negative), "q_m of elbow moves against q_l"),
+    "sign of one motor alone": (MOTOR, elbow("motor", np.negative), "elbow"),
+    "sign of one effort": (BOTH, elbow("effort", np.negative), "effort of elbow is -"),
+    "sign of one torque sensor": (SENSOR, elbow("torque", np.negative), "torque of elbow is -"),
+    "a link 40 ms late": (BOTH, elbow("link", late), "q_l of elbow is read 38."),
+    "sides of one joint": (BOTH, swapped, "elbow"),
+    "one effort at the motor's shaft": (BOTH, elbow("effort", lambda x: x / 100), "effort of elbow is 0.0"),
+    "efforts in mN m": (MOTOR, scaled(effort=1e3), "effort of shoulder is 1"),
+    "one effort clipped": (BOTH, elbow("effort", lambda x: np.minimum(x, 0.6 * x.max())), "effort of elbow is"),
+    "half a gear ratio, motors alone": (
+        MOTOR,
+        elbow("motor", lambda x: 2 * x),
+        "motion of elbow fit the links of the robot only with positions 0.5 times as large",
     ),
-    "constant effort": (lambda r: replace(r, u=0 * r.u + 2.0), "constant", "u of joint1 is 2 at every sample"),
-    "constant link": (lambda r: replace(r, q_l=0 * r.q_l), "constant", "q_l of joint1 is 0 at every sample"),
-    "too short": (lambda r: rows(r, slice(99)), "too_short", "has 99 samples; expected at least 200"),
+    "gear ratio of position and effort, motors alone": (
+        MOTOR,
+        lambda t: elbow("effort", lambda x: 2 * x)(elbow("motor", lambda x: x / 2)(t)),
+        "only with positions 2 times and efforts 0.5 times as large",
+    ),
+    "a time of half the length, motors alone": (MOTOR, lambda t: replace(t, t=t.t / 2), "with a time 2 times as long"),
+    "a time of twice the length, links": (LINK, lambda t: replace(t, t=2 * t.t), "with a time 0.5 times as long"),
 }
 
 
-def test_good_record_has_no_contradiction() -> None:
-    record = recorded_joint.record()
-    assert findings(record, recorded_joint.robot()) == ()
-    assert findings(replace(record, q_l=np.nan * record.q_l), recorded_joint.robot()) == ()
-    assert findings(replace(record, torque=recorded_joint.K * (record.q_m - record.q_l)), recorded_joint.robot()) == ()
-
-
-@pytest.mark.parametrize("label", LABELLED)
-def test_labelled_contradiction_is_named(label: str) -> None:
-    change, kind, sentence = LABELLED[label]
-    found = findings(change(recorded_joint.record()), recorded_joint.robot())
-    assert {finding.kind for finding in found} == {kind}
+@pytest.mark.parametrize("label", CONTRADICTIONS)
+def test_a_contradiction_is_named_first(label: str) -> None:
+    measured, change, sentence = CONTRADICTIONS[label]
+    table = two_joints().of(*measured)
+    found = findings(change(table).record, table.guess)
     assert sentence in found[0].sentence
+    assert len({finding.kind for finding in found}) == 1
+
+
+TWO: dict[str, tuple[Change, tuple[str, ...]]] = {
+    "sides swapped and sign of the other effort": (
+        lambda t: swapped(t).with_joint("effort", 0, -t.signals["effort"][:, 0]),
+        ("swapped_sides", "sign"),
+    ),
+    "degrees and a wrong gear ratio": (
+        lambda t: scaled(link=DEGREES)(t).with_joint("motor", 0, 50 * t.signals["motor"][:, 0]),
+        ("degrees", "gear_ratio"),
+    ),
+    "a spike and a clipped effort": (
+        lambda t: elbow("link", spiked)(t).with_joint("effort", 0, np.minimum(t.signals["effort"][:, 0], 5.0)),
+        ("jump", "clipped"),
+    ),
+}
+
+
+@pytest.mark.parametrize("label", TWO)
+def test_accepting_one_of_two_contradictions_shows_the_other(label: str) -> None:
+    change, kinds = TWO[label]
+    table, seen = two_joints().of(*BOTH), set[str]()
+    for _ in kinds:
+        new = [each.kind for each in findings(change(table).record, table.guess, seen) if each.kind not in seen]
+        seen.add(new[0])
+    assert seen & set(kinds)
+    assert len(seen) == len(kinds)
+
+
+@pytest.mark.parametrize("measured", [BOTH, MOTOR, SENSOR, LINK])
+@pytest.mark.parametrize("table", [one_joint(), two_joints()], ids=["one joint", "two joints"])
+def test_a_good_record_has_no_contradiction(table: MotionTable, measured: tuple[str, ...]) -> None:
+    assert findings(table.of(*measured).record, table.guess) == ()
 
 
 @pytest.mark.parametrize("factor", [0.3, 3.0])
-def test_robot_file_that_is_wrong_by_a_factor_causes_no_finding(factor: float) -> None:
-    guessed = fjr.single_link(
-        stiffness=factor * recorded_joint.K,
-        link_inertia=recorded_joint.J / factor,
-        motor_inertia=factor * recorded_joint.B,
-        gravity_torque=recorded_joint.WEIGHT / factor,
-    )
-    assert findings(recorded_joint.record(), guessed) == ()
+def test_a_robot_file_that_is_wrong_by_a_factor_causes_no_finding(factor: float) -> None:
+    joint = ElasticJoint()
+    links = {"link_inertia": joint.M / factor, "gravity_torque": joint.load / factor, "link_damping": joint.D_l}
+    guessed = fjr.single_link(factor * joint.K, motor_inertia=factor * joint.B, **links)
+    assert findings(one_joint().of(*BOTH).record, guessed) == ()
 
 
 def test_smooth_peaks_of_a_coarse_effort_are_not_clipped() -> None:
-    record = recorded_joint.record()
-    t = record.dt * np.arange(len(record.u))
-    smooth = record.u + 40.0 * np.sin(2 * np.pi * 0.1 * t)[:, None]  # largest at a slow peak
-    found = findings(replace(record, u=np.round(smooth, 1)), recorded_joint.robot(), ("sign", "effort_scale"))
+    table = two_joints().of(*BOTH)
+    slow = 40.0 * np.sin(2 * np.pi * 0.25 * table.t)[:, None]
+    coarse = table.with_signal("effort", np.round(table.signals["effort"] + slow, 1))
+    found = findings(coarse.record, table.guess, ("sign", "effort_scale", "joint_order"))
     assert "clipped" not in [finding.kind for finding in found]
 
 
-def test_accepted_kinds_do_not_hide_others() -> None:
-    record = clipped(replace(recorded_joint.record(), u=-recorded_joint.record().u))
-    kinds = [finding.kind for finding in findings(record, recorded_joint.robot(), accepted=("sign",))]
-    assert list(dict.fromkeys(kinds)) == ["sign", "clipped"]
-
-
-def test_joint_at_rest_next_to_a_moving_one_is_listed() -> None:
-    one = recorded_joint.record()
-    still = np.zeros_like(one.u)
-    columns = {name: np.hstack([getattr(one, name), still]) for name in ("u", "q_l", "q_m")}
-    both = replace(one, joints=("joint1", "joint2"), torque=np.full_like(columns["u"], np.nan), **columns)
-    assert both.still == ("joint2",)
+def test_a_joint_at_rest_next_to_a_moving_one_is_listed() -> None:
+    table = two_joints().of(*BOTH)
+    rest = table.with_joint("link", 1, 0 * table.t).with_joint("motor", 1, 0 * table.t)
+    assert rest.record.still == ("elbow",)
     with pytest.raises(RecordError, match="has 2 joints; expected 1, as the robot"):
-        findings(both, recorded_joint.robot())
-
-
-def motor_side() -> MotionRecord:
-    record = recorded_joint.record()
-    return replace(record, q_l=np.nan * record.q_l)
+        findings(table.record, fjr.single_link())
 
 
 @pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 100.0])
 @pytest.mark.parametrize("with_effort", [False, True])
-def test_wrong_gear_ratio_of_the_only_side_is_found(factor: float, with_effort: bool) -> None:
-    right = motor_side()
-    record = replace(right, q_m=right.q_m * factor, u=right.u / factor if with_effort else right.u)
-    found = findings(record, recorded_joint.robot())
+def test_a_wrong_gear_ratio_of_the_only_side_is_found(factor: float, with_effort: bool) -> None:
+    table = one_joint().of(*MOTOR)
+    wrong = scaled(motor=factor, effort=1 / factor if with_effort else 1.0)(table)
+    found = findings(wrong.record, table.guess)
     assert {finding.kind for finding in found} <= {"gear_ratio", "effort_scale"}
     assert [finding.joint for finding in found] == ["joint1"]
 
 
 def test_the_minute_of_a_long_record_is_compared_in_which_the_joint_moves() -> None:
     """Rows of ten minutes would be too far apart for accelerations."""
-    right = motor_side()
+    right = one_joint().of(*MOTOR).record
     rest = [np.repeat(getattr(right, name)[[0]], round(300.0 / right.dt), 0) for name in SIGNALS]
     long = {name: np.vstack([still, getattr(right, name), still]) for name, still in zip(SIGNALS, rest, strict=True)}
     compared = _most_moving(replace(right, **long))
@@ -127,12 +197,17 @@ def test_the_minute_of_a_long_record_is_compared_in_which_the_joint_moves() -> N
     assert _most_moving(right) is right
 
 
+def rows(record: MotionRecord, part: slice, **changes: float) -> MotionRecord:
+    return replace(record, **{name: getattr(record, name)[part] for name in SIGNALS}, **changes)
+
+
 def test_what_one_side_cannot_reveal_is_stated() -> None:
-    robot, record = recorded_joint.robot(), motor_side()
+    table = one_joint().of(*MOTOR)
+    robot, record = table.guess, table.record
     (said,) = unseen(record, robot)
     assert "joint1 has no link encoder: a wrong gear ratio (up to " in said
     assert "would bias motor inertia, stiffness and friction" in said
-    assert unseen(recorded_joint.record(), robot) == ()
+    assert unseen(one_joint().of(*BOTH).record, robot) == ()
     slightly_wrong = replace(record, q_m=1.01 * record.q_m)
     assert findings(slightly_wrong, robot) == ()
     assert unseen(slightly_wrong, robot) != ()
@@ -141,7 +216,7 @@ def test_what_one_side_cannot_reveal_is_stated() -> None:
 
 
 @pytest.mark.parametrize(("n", "measured"), [(1, "motor"), (1, "link-torque"), (2, "motor-torque")])
-def test_healthy_record_of_the_coverage_study_has_no_finding(n: int, measured: str) -> None:
+def test_a_healthy_record_of_the_coverage_study_has_no_finding(n: int, measured: str) -> None:
     case = draw(n, 2, duration=8.0, measured=measured)
     guessed = {name: np.diag(case.prior.values[name]) for name in ("joint_stiffness", "motor_inertia")}
     robot = replace(case.robot, K=guessed["joint_stiffness"], M_m=guessed["motor_inertia"])

@@ -12,9 +12,12 @@ from typing import Any
 
 import numpy as np
 
+import fjr_core as fjr
 from core.oracles.elastic_joint import TRUTH, ElasticJoint, usual_record
 from core.oracles.elastic_two_link import ElasticTwoLink, Recorded, recorded
+from fjr_core.model.robot import Robot
 from fjr_design.uncertainty.posterior import Identification
+from fjr_identification.estimation.motion_record import MotionRecord
 from system.executables import fjr_here
 
 Array = np.ndarray
@@ -73,6 +76,22 @@ class MotionTable:
         at = np.arange(len(self.t))[chosen if isinstance(chosen, slice) else list(chosen)]
         return replace(self, t=self.t[at], signals={name: values[at] for name, values in self.signals.items()})
 
+    @property
+    def record(self) -> MotionRecord:
+        """Return the table as it is read."""
+        nothing = np.full((len(self.t), len(self.joints)), np.nan)
+        columns = (self.signals.get(name, nothing) for name in ("effort", "link", "motor", "torque"))
+        return MotionRecord("motion.csv", self.joints, float(self.t[1] - self.t[0]), *columns)
+
+    @property
+    def guess(self) -> Robot:
+        """Return the robot of the robot file that `written` writes."""
+        K, B = PRIOR[len(self.joints)]
+        if len(self.joints) == 1:
+            return fjr.single_link(stiffness=K, motor_inertia=B, link_damping=0.0)
+        links = {"link_mass": (1.6, 1.1), "link_length": (0.35, 0.3), "link_com": (0.17, 0.14)}
+        return fjr.planar_two_link(K, **links, link_inertia=(0.02, 0.01), motor_inertia=B)
+
     def written(self, folder: Path, entries: Mapping[str, str] | None = None) -> list[str]:
         """Write motion.csv, map.yaml with other entries of signals or time, and arm.yaml; return arguments of `fjr`."""
         names = ["t", *(f"{name}_{joint}".replace("effort", "u") for name in self.signals for joint in self.joints)]
@@ -94,13 +113,6 @@ class MotionTable:
         said = fjr_here(*self.written(folder, entries), *more)
         values: dict[str, Any] = json.loads((folder / "out/identification.json").read_text())
         return Identification.from_dict(values), said
-
-    def refused(self, folder: Path, *more: str, **entries: str) -> str:
-        """Return what `fjr identify` says when it refuses the written table."""
-        said = fjr_here(*self.written(folder, entries), *more, codes=(1, 2))
-        assert not (folder / "out").exists()
-        assert "Traceback" not in said
-        return said
 
 
 @cache
@@ -149,6 +161,7 @@ def _table(joints: tuple[str, ...], t: Array, signals: list[Array], arm: object)
     effort, link, motor, torque = signals
     noise = 1e-3 * np.sqrt(np.mean(torque**2, axis=0)) * np.random.default_rng(1).standard_normal(torque.shape)
     truth = {name: np.broadcast_to(getattr(arm, field), len(joints)) for name, field in TRUTH.items()}
+    truth["friction_smoothing_velocity"] = np.full(len(joints), 0.01)  # rad/s
     steps = {name: STEP * np.round(values / STEP) for name, values in (("link", link), ("motor", motor))}
     values = {"effort": effort, **steps, "torque": torque + noise}
     return MotionTable(joints, t, values, {**truth, "torque_skew": np.zeros(len(joints))})

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +13,7 @@ import pytest
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
+from fjr_core.errors import ParameterError
 from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
 from fjr_identification.cli.identify import unconfirmed
 from fjr_identification.estimation.validation import HoldOut
@@ -82,6 +84,29 @@ def test_robot_yaml_is_a_robot_file_that_brings_friction_and_no_gains(folder: Pa
     assert values.plant_values[key] == whole.plant_values[key]
 
 
+def test_a_robot_file_says_where_friction_turns_over_and_robot_yaml_what_was_found(tmp_path: Path) -> None:
+    path = tmp_path / "joint.yaml"
+    for section in ("/**", "/**/fjr_plant"):
+        stated = "imperfections: {friction_smoothing_velocity: [VALUE]}"
+        other = f"    {stated}\n" if section == "/**" else f"{section}:\n  ros__parameters:\n    {stated}\n"
+        path.write_text(GUESSED + other.replace("VALUE", "0.002"))
+        assert nominal_robot(path).smoothing == pytest.approx([0.002])
+        path.write_text(GUESSED + other.replace("VALUE", "0.0"))
+        with pytest.raises(ParameterError, match="friction_smoothing_velocity"):
+            nominal_robot(path)
+    path.write_text(GUESSED)
+    level = Estimate("motor_coulomb_friction", "joint1", "N m", 0.1, 0.09, 0.11, 0.0, IDENTIFIED)
+    turn = Estimate("friction_smoothing_velocity", "joint1", "rad/s", 3e-3, 2e-3, 4e-3, 0.01, IDENTIFIED)
+    for found, written in ((3e-3, 3e-3), (1e-6, 8.3e-5)):
+        estimates = (level, replace(turn, value=found))
+        known = Identification(("joint1",), estimates, (), (), np.zeros(0), np.zeros((0, 0)))
+        text = IdentifiedRobot(nominal_robot(path), known).file(tmp_path, ["a record"], "robot.yaml").text
+        assert "# friction_smoothing_velocity of joint1: " in text
+        (tmp_path / "robot.yaml").write_text(text)
+        values = load_scenario(tmp_path / "robot.yaml").plant_values
+        assert values["imperfections.friction_smoothing_velocity"] == pytest.approx((written,), rel=0.1)
+
+
 def test_json_has_the_posterior_and_names_records_robot_and_hold_out(folder: Path) -> None:
     values = json.loads((folder / "identification.json").read_text())
     found = Identification.from_dict(values)
@@ -103,8 +128,7 @@ def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.Ca
     assert sentences[0] in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize(("width", "dark"), [(400, True), (1280, False)])
 def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser, width: int, dark: bool) -> None:
     browser.open(folder / "identification.html", width=width, dark=dark)
     assert browser.said == []
@@ -114,7 +138,7 @@ def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Bro
     assert named == [f"record-0-{kind}" for kind in kinds]
     assert min(browser.coloured()) > DRAWN
     assert browser.overflows() == []
-    assert browser.value("document.querySelectorAll('.interval i').length") == 9
+    assert browser.value("document.querySelectorAll('.interval i').length") == 10
     assert browser.value("document.documentElement.scrollWidth") <= width
 
 

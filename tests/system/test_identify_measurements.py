@@ -32,7 +32,6 @@ KINDS = {
     "torque sensor and link": ("link", "torque"),
 }
 EXACT = 2e-3  # error of numbers that the noise of these records would permit to be smaller
-TABLES = {"one joint": one_joint, "two joints": two_joints}
 
 
 def agreeing(table: MotionTable, folder: Path) -> tuple[Estimate, ...]:
@@ -47,9 +46,8 @@ def agreeing(table: MotionTable, folder: Path) -> tuple[Estimate, ...]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("arm", TABLES)
-def test_each_kind_of_measurement_reveals_the_joints_in_encoder_steps(tmp_path: Path, arm: str, kind: str) -> None:
-    table = TABLES[arm]().of(*KINDS[kind])
+def test_each_kind_of_measurement_reveals_the_joints_in_encoder_steps(tmp_path: Path, kind: str) -> None:
+    table = two_joints().of(*KINDS[kind])
     estimates = agreeing(table, tmp_path)
     for name in ("joint_stiffness", "motor_inertia"):
         assert [e.value for e in estimates if e.name == name] == pytest.approx(table.truth[name], rel=0.01)

@@ -158,13 +158,10 @@ def test_bad_table_is_refused_in_one_sentence(
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"motor_position": {"factor": np.degrees(1)}}, "degrees against rad"),
         ({"motor_position": {"factor": 1.01}}, "expected 1: wrong gear ratio (and 2 more)"),
-        ({"link_position": {"factor": -1.0}}, "moves against q_l"),
-        ({"effort": {"factor": -256.86}}, "a sign is wrong"),
         ({"effort": {"factor": 1.0}}, "expected about 1: links in the robot file, gear ratio, unit of the effort?"),
     ],
-    ids=["degrees", "gear ratio", "sign of the links", "sign of the efforts", "effort at the motor"],
+    ids=["gear ratio", "effort at the motor"],
 )
 def test_wrong_mapping_of_a_real_record_is_named(
     kr300: Robot, reading: Reading, given: dict[str, dict[str, float]], sentence: str
@@ -240,19 +237,6 @@ def test_other_storage_and_commands_without_stamps_give_the_same_positions(
     first = int(np.argmin(np.sum(np.abs(whole.q_m - record.q_m[0]), axis=1)))  # states may be received before commands
     assert record.q_m[:500] == pytest.approx(whole.q_m[first : first + 500])
     assert "is taken to answer the last state sent before it" in notes[0]
-
-
-def test_bag_with_a_torque_sensor_has_no_motor_positions(
-    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
-) -> None:
-    run = shared_run(tmp_path_factory, "two_link")
-    scenario = load_scenario(run / "scenario.yaml")
-    (tmp_path / "map.yaml").write_text("bag: {motor: torque}\n")
-    mapping = read_map(tmp_path / "map.yaml", scenario.joints)
-    whole, _ = read_record(run, scenario.joints, scenario.robot, Reading())
-    record, _ = read_record(run, scenario.joints, scenario.robot, Reading(mapping))
-    assert np.isnan(record.q_m).all()
-    assert record.torque == pytest.approx((whole.q_m - whole.q_l) @ scenario.robot.K, abs=1e-6)
 
 
 def test_bag_of_another_robot_is_refused(

@@ -25,7 +25,9 @@ from fjr_identification.estimation.multiple_shooting import Segment, compare
 from fjr_identification.estimation.parameters import (
     KINDS,
     PSEUDO_INERTIA,
+    SMOOTHING,
     USUAL,
+    USUAL_SMOOTHING,
     IdentifyOptions,
     ParameterCoordinates,
     Prior,
@@ -38,6 +40,7 @@ FREE = (
     "motor_inertia",
     "link_damping",
     "motor_coulomb_friction",
+    SMOOTHING,
     "offset",
     "effort_delay",
     "link_skew",
@@ -45,17 +48,14 @@ FREE = (
 
 
 def held(u: Array, dt: float, parts: int) -> HeldEffort:
-    n = u.shape[1]
-    return HeldEffort(u, dt, parts, np.full(2 * n, parts, dtype=np.int32), np.zeros(2 * n))
+    none = np.zeros(2 * u.shape[1])
+    return HeldEffort(u, dt, parts, none, none)
 
 
 def values(n: int, **given: float) -> dict[str, Array]:
     zeros = {name: np.zeros(size(name, n)) for name in KINDS}
-    return {**zeros, **{name: np.full(n, value) for name, value in given.items()}, **friction_velocities(n)}
-
-
-def friction_velocities(n: int) -> dict[str, Array]:
-    return {"smoothing": np.full(n, 0.01), "stribeck": np.full(n, 0.1)}
+    usual = {SMOOTHING: np.full(n, USUAL_SMOOTHING), "stribeck": np.full(n, 0.1)}
+    return {**zeros, **usual, **{name: np.full(n, value) for name, value in given.items()}}
 
 
 def parameters(joint: ElasticJoint) -> dict[str, Array]:
@@ -79,13 +79,16 @@ def test_prediction_equals_the_integral_of_scipy() -> None:
     link, motor = integrated(joint, u, dt)
     arm = ElasticArm(fjr.single_link(link_inertia=joint.M, gravity_torque=joint.load), ())
     p, start = parameters(joint), np.array([0.0, joint.offset, 0.0, 0.0])
+    even = [held(u[:, None], dt, parts) for parts in (16, 32, 2)]
+    halved = replace(even[-1], mobility=np.array([1 / joint.M, 1 / joint.B]), accuracy=np.full(2, 1e-9))
     errors = []
-    for parts in (16, 32):
-        found = Shooting(arm, ())(start, held(u[:, None], dt, parts), 0, len(u) - 1, packed(arm, p), p["effort_delay"])
+    for effort in (*even, halved):
+        found = Shooting(arm, ())(start, effort, 0, len(u) - 1, p)
         assert found is not None
         errors.append(np.max(np.abs(found[0][:, :2] - np.column_stack([link, motor]))))
     assert errors[1] < 2e-7
     assert errors[1] < errors[0] / 8
+    assert errors[3] < errors[2] / 100  # steps are short where friction turns over
 
 
 def test_accelerations_of_two_links_equal_the_closed_form() -> None:
@@ -153,7 +156,7 @@ def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() ->
 
     def moved(step: float) -> tuple[Array, Array]:
         at = coordinates.parameters(z + step * direction[12:])
-        found = shooting(x0 + step * direction[:12], effort, 6, 20, packed(arm, at), at["effort_delay"])
+        found = shooting(x0 + step * direction[:12], effort, 6, 20, at)
         assert found is not None
         return found
 
@@ -247,7 +250,7 @@ def test_a_heavier_link_is_found_from_the_torques_that_its_motion_needs() -> Non
     motor = q + tau / 900 + 1e-6 * np.random.default_rng(4).standard_normal(q.shape)
     record = MotionRecord("a record", ("a", "b"), dt, tau + 0.2 * a, q, motor, np.full_like(q, np.nan))
     setup = Estimation([record], nominal, Prior.of(nominal), IdentifyOptions(link_inertia=True))
-    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
+    z = filtered_fit(setup, setup.coordinates.mean)
     p = setup.coordinates.parameters(z)
     bodies = corrected(BODIES, np.column_stack([p[name] for name in PSEUDO_INERTIA]))
     found = robot_of(bodies)
@@ -286,4 +289,4 @@ def test_a_robot_without_bodies_has_no_inertia_to_correct() -> None:
     silent = np.zeros((500, 2))
     record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
     with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
-        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).start
+        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).coordinates

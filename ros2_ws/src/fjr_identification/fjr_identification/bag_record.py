@@ -34,7 +34,8 @@ def record_of_bag(
     torque of the motors in the states. Raises BagError, RecordError.
     """
     held = read_bag(path).topics
-    states = _topic(path, list(held), mapping.namespace, names.JOINT_STATES)
+    states = _topic(path, list(held), mapping.namespace, names.JOINT_STATES, needed=True)
+    assert states is not None
     commands = _command_topic(path, list(held), mapping)
     if held[states].type_name != JOINT_STATE:
         raise BagError(f"{states} of {path} is a {held[states].type_name}; expected {JOINT_STATE}")
@@ -137,22 +138,17 @@ class _Efforts(_Columns):
         self.numbers.frombytes(data.tobytes())
 
 
-def _topic(path: Path, held: Sequence[str], namespace: str, name: str) -> str:
-    """Return the topic of this name in the namespace, else in any; raise BagError."""
-    topic = _topic_if_held(path, held, namespace, name)
-    if topic is None:
-        raise BagError(
-            f"{path} holds no message of {namespace}/{name}; it holds {', '.join(sorted(held)) or 'nothing'}"
-        )
-    return topic
-
-
-def _topic_if_held(path: Path, held: Sequence[str], namespace: str, name: str) -> str | None:
+def _topic(path: Path, held: Sequence[str], namespace: str, name: str, needed: bool = False) -> str | None:
+    """Return the topic of this name in the namespace, else in any; raise BagError for several, or none if needed."""
     if f"{namespace}/{name}" in held:
         return f"{namespace}/{name}"
     others = [] if namespace else [topic for topic in held if topic.endswith(f"/{name}")]
     if len(others) > 1:
         raise BagError(f"{path} holds {' and '.join(sorted(others))}; expected one, or bag.namespace in a --map")
+    if needed and not others:
+        raise BagError(
+            f"{path} holds no message of {namespace}/{name}; it holds {', '.join(sorted(held)) or 'nothing'}"
+        )
     return others[0] if others else None
 
 
@@ -160,13 +156,9 @@ def _command_topic(path: Path, held: Sequence[str], mapping: BagMap) -> str | No
     """Return the topic of the efforts; None: those of the states."""
     if mapping.effort == STATES:
         return None
-    for name in (names.JOINT_COMMANDS, names.EFFORT_COMMANDS):
-        topic = _topic_if_held(path, held, mapping.namespace, name)
-        if topic is not None:
-            return topic
-    if mapping.effort == COMMANDS:
-        return _topic(path, held, mapping.namespace, names.JOINT_COMMANDS)
-    return None
+    found = (_topic(path, held, mapping.namespace, name) for name in (names.JOINT_COMMANDS, names.EFFORT_COMMANDS))
+    needed = mapping.effort == COMMANDS
+    return next(filter(None, found), None) or _topic(path, held, mapping.namespace, names.JOINT_COMMANDS, needed)
 
 
 def _record(

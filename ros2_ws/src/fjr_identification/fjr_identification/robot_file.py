@@ -16,8 +16,9 @@ import numpy as np
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.law import gain_values
-from fjr_core.config.nodes import CONTROLLER
+from fjr_core.config.nodes import CONTROLLER, PLANT
 from fjr_core.config.parameter import complete, names, refuse_unknown
+from fjr_core.config.plant import imperfection_parameters
 from fjr_core.config.robot import FILE, GUESSES, guessed_joints, robot_parameters
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import URDF, is_xml, merged
@@ -34,10 +35,11 @@ from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Estimate, Identi
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
 from .estimation.elastic_arm import corrected_bodies
-from .estimation.parameters import PAYLOAD, PSEUDO_INERTIA
+from .estimation.parameters import PAYLOAD, PSEUDO_INERTIA, SMOOTHING
 
 GEAR_RATIO = "robot.gear_ratio"
 CORRECTED = "robot.urdf"
+STATED = f"imperfections.{SMOOTHING}"
 FRICTION = {
     "link_coulomb_friction": "coulomb_l",
     "motor_coulomb_friction": "coulomb_m",
@@ -47,6 +49,7 @@ FRICTION = {
 MOTION = ("amplitude", "frequency", "offset", "phase")
 STABLE_STEP = 2.0  # friction rate times inner step; Runge-Kutta 4 is stable below 2.78
 MOST_STEPS = 200
+MARGIN = 2.0  # of the steps, for links that are lighter elsewhere than at zero
 HEAD = """\
 # {name}, identified from {records}. Written by `fjr identify`.
 # A scenario: fjr check {file}, fjr run {file} --lockstep. As `robot.file` of another one it gives joints, robot and
@@ -79,13 +82,17 @@ LOOP = """\
 
 @dataclass(frozen=True)
 class NominalRobot:
-    """Values joints and robot.* of a file, with absolute paths, the robot they describe, and which are guesses."""
+    """Values joints and robot.* of a file, with absolute paths, the robot they describe, and which are guesses.
+
+    smoothing (n,) [rad/s]: imperfections.friction_smoothing_velocity of the file, where its friction turns over.
+    """
 
     path: Path
     given: Mapping[str, object]
     joints: tuple[str, ...]
     robot: Robot
     guessed: Mapping[str, tuple[str, ...]]
+    smoothing: Array
 
     @property
     def name(self) -> str:
@@ -109,9 +116,12 @@ def nominal_robot(path: Path) -> NominalRobot:
         refuse_unknown([parameter.name for parameter in parameters], given)
         values = complete(parameters, given)
         robot = build_robot(values)
+        of_plant = merged(ros_yaml.values_for(PLANT, document), PLANT, path.parent)
+        stated = {name: value for name, value in of_plant.items() if name == STATED}
+        smoothing = np.array(complete(imperfection_parameters(robot.n), stated)[STATED], dtype=float)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
-    return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values))
+    return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values), smoothing)
 
 
 @dataclass(frozen=True)
@@ -174,7 +184,7 @@ class IdentifiedRobot:
         absolute = {**values, **({} if urdf is None else {URDF: urdf})}
         robot = build_robot(complete(robot_parameters(absolute), absolute))
         head = HEAD.format(name=title, records=", ".join(records), file=name)
-        body = [head, *self._robot_lines(values), *self._imperfection_lines(), *self._left_out()]
+        body = [head, *self._robot_lines(values), *self._imperfection_lines(robot), *self._left_out()]
         text = "\n".join(line.rstrip("\n") for line in body) + "\n"
         try:
             proposal = proposal_of(robot, joints, title, self.effort_delay)
@@ -215,13 +225,16 @@ class IdentifiedRobot:
             else:
                 yield f"      {key}: {_value(value)}"
 
-    def _imperfection_lines(self) -> list[str]:
+    def _imperfection_lines(self, robot: Robot) -> list[str]:
         """Return friction, payload and delay for the simulated arm."""
         lines: list[str] = []
         for name in FRICTION:
             if self._of(name):
                 levels = [significant(max(0.0, level)) for level in self._of_joints(name, 0.0)]
                 lines += [*self._comments(name), f"      {name}: {_list(levels)}"]
+        if lines:
+            written = _list(map(significant, self._smoothing(robot)))
+            lines += [*self._comments(SMOOTHING), f"      {SMOOTHING}: {written}   # enough to be integrated"]
         if self._of(PAYLOAD[0]):
             mass, *place = (significant(self._of(name)[0].value) for name in PAYLOAD)
             lines += [line for name in PAYLOAD for line in self._comments(name)]
@@ -232,9 +245,22 @@ class IdentifiedRobot:
             lines.append(f"      command_delay: {delay}   # s, the largest of all joints")
         return ["    imperfections:   # of the simulated arm", *lines] if lines else []
 
+    @property
+    def _levels(self) -> dict[str, Array]:
+        """Return the levels (n,) of friction by the names of Imperfections."""
+        return {field: np.maximum(0.0, self._of_joints(name, 0.0)) for name, field in FRICTION.items()}
+
+    def _smoothing(self, robot: Robot) -> Array:
+        """Return the velocities (n,) [rad/s] over which friction turns over, at least what MOST_STEPS integrate."""
+        unit = Imperfections(robot.n, **self._levels, smoothing=1.0)
+        least = friction_rate(unit, robot.M_l(np.zeros(robot.n)), robot.M_m) / (
+            RATE * STABLE_STEP * MOST_STEPS / MARGIN
+        )
+        return np.maximum(self._of_joints(SMOOTHING, self.nominal.smoothing), least)
+
     def _left_out(self) -> list[str]:
         """Return comments on what no parameter of a scenario expresses."""
-        placed = {*MATRICES, *FRICTION, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+        placed = {*MATRICES, *FRICTION, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
         estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
         others = [f"    #   {described(estimate)}" for estimate in estimates if estimate.name not in placed]
         return ["    # Without a parameter here; correct these in the driver:", *others] if others else []
@@ -246,8 +272,8 @@ class IdentifiedRobot:
     def _loop(self, robot: Robot, proposal: Proposal, file: str) -> str:
         """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
         motion, gains, n = proposal.motion, proposal.gains, robot.n
-        levels = {field: np.maximum(0.0, self._of_joints(name, 0.0)) for name, field in FRICTION.items()}
-        rate = friction_rate(Imperfections(n, **levels), robot.M_l(proposal.q_l), robot.M_m)
+        turning = Imperfections(n, **self._levels, smoothing=self._smoothing(robot))
+        rate = friction_rate(turning, robot.M_l(proposal.q_l), robot.M_m)
         entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
         return LOOP.format(
             rate=RATE,

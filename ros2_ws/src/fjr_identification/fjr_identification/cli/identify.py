@@ -18,7 +18,7 @@ from fjr_core.urdf.typical_joints import joints_without_inertia
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, Prior
 from fjr_identification.estimation.validation import HoldOut, hold_out
 from fjr_identification.page import HOLD_OUT, counted, hold_out_rows, write_page
 from fjr_identification.read_record import Reading, read_record
@@ -66,7 +66,7 @@ def identify(
     reading = Reading(read_map(mapping, nominal.joints) if mapping else None, start, duration, accepted)
     motions, notes = _read(records, nominal, reading)
     predicted, more = _read(hold_outs, nominal, reading)
-    prior = Prior.of(nominal.robot)
+    prior = Prior.of(nominal.robot, {SMOOTHING: nominal.smoothing})
     with _progress() as progress:
         identification = identification_of(motions, nominal.robot, prior, options, progress)
     compared = [hold_out(identification, record, nominal.robot, prior, options) for record in predicted]

@@ -54,9 +54,9 @@ class ElasticArm:
 
     @cached_property
     def layout(self) -> PackedVector:
-        """Return the parts of the parameters: DYNAMIC, then the velocities of the friction model."""
+        """Return the parts of the parameters: DYNAMIC, then the Stribeck velocity."""
         n = self.robot.n
-        return PackedVector({**{name: size(name, n) for name in DYNAMIC}, "smoothing": n, "stribeck": n})
+        return PackedVector({**{name: size(name, n) for name in DYNAMIC}, "stribeck": n})
 
     @cached_property
     def accelerations(self) -> ca.Function:
@@ -109,9 +109,11 @@ class ElasticArm:
         q_l, q_m, v_l, v_m = ca.vertsplit(x, n)
         links = self._links(p)
         tau = p.joint_stiffness * (q_m - q_l - p.offset)
-        F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, p.smoothing)
-        F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, p.smoothing)
-        on_links = tau - p.link_damping * v_l - F_l - position_torque(p, q_l)
+        v_0 = p.friction_smoothing_velocity
+        F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, v_0)
+        F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, v_0)
+        T = sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q_l), strict=True))
+        on_links = tau - p.link_damping * v_l - F_l - T
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
         M_l = links.M_l(q_l) + self._added
         dv_l = solve(M_l, on_links - _rigid(links, q_l, v_l, ca.SX.zeros(n)))
@@ -163,13 +165,8 @@ def coulomb(v: Array, smoothing: Array | float) -> Array:
     return np.tanh(v / smoothing)
 
 
-def position_torque(p: SimpleNamespace, q: ca.SX, f: Any = ca) -> ca.SX:
-    """Return the torque sum_k a_k sin k q + b_k cos k q (n,) [N m], k = 1, 2; f: casadi or numpy."""
-    return sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q, f), strict=True))
-
-
 def position_terms(q: Any, f: Any = ca) -> tuple[Any, ...]:
-    """Return what POSITION_TORQUE are the factors of: sin q, cos q, sin 2 q, cos 2 q."""
+    """Return what POSITION_TORQUE are the factors of: sin q, cos q, sin 2 q, cos 2 q; f: casadi or numpy."""
     return f.sin(q), f.cos(q), f.sin(2 * q), f.cos(2 * q)
 
 

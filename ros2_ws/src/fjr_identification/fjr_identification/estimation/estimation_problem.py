@@ -3,38 +3,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
+from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 from fjr_core.urdf.typical_joints import least_free_inertia
 
 from .elastic_arm import ElasticArm, correctable, packed
-from .filtered_motion import FilteredMotion, filtered, start_values
+from .filtered_motion import FilteredMotion, filtered, inner, smoothed
 from .motion_record import MotionRecord
 from .multiple_shooting import Problem, cut, measured_signals
 from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
-from .shooting import HeldEffort, Shooting
+from .shooting import MOST_PARTS, HeldEffort, Shooting
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
 ACCURATE = 0.25
 """Angle [rad] of the fastest resonance in an integration step; Runge-Kutta 4 lowers its frequency by angle^4 / 120."""
-CREEP = 0.5  # decay of friction at rest in an integration step
-PASSAGE = 1.0  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
-MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
 RESONANT_PARTS = 11  # of these, for a resonance
 WIDE, FAST = 0.05, 1.0  # rad, rad/s; least widths of the prior of initial states
-SLOW = 3.0  # smoothing velocities; friction is steep below
-PEAK = 3.0  # of accelerations, relative to their root mean square; a velocity may cross zero within a sample period
 LEAST_DEFLECTION = 1e-3  # rad; of the torque that is taken as the scale of a joint without effort
-FARTHEST = 3.0  # widths of the prior, of a start value
 HARMONICS = {"1": 3.0, "2": 0.1}
 """Widths of the prior of a torque of the position, in efforts; a small second one lets it extrapolate."""
+UNSEEN = 0.1  # of the noise; displacement in a segment by steps of integration that miss a turn of friction
 MOST_POSES = 20  # samples of a record at which resonances are computed
 
 
@@ -49,8 +45,9 @@ class Estimation:
 
     @property
     def values(self) -> Mapping[str, Array]:
-        """Return all parameters by name at the prior, with the velocities of the friction model."""
-        return {**self.prior.values, **self.options.friction_velocities(self.robot.n)}
+        """Return all parameters by name at the prior, with the Stribeck velocity, which is not identified."""
+        stribeck = checks.vector("stribeck", self.options.stribeck, self.robot.n, StateError)
+        return {**self.prior.values, "stribeck": stribeck}
 
     @cached_property
     def coordinates(self) -> ParameterCoordinates:
@@ -79,15 +76,6 @@ class Estimation:
         """Return the filtered motion of each record."""
         arm, values = self.arm(self.coordinates), self.values
         return [filtered(record, arm, values) for record in self.records]
-
-    @cached_property
-    def start(self) -> dict[str, Array]:
-        """Return the start values of all parameters."""
-        coordinates, smoothing = self.coordinates, self.values["smoothing"]
-        guess = start_values(self.records, self.motions, self.robot.B_m, self.prior, smoothing)
-        reach = FARTHEST * coordinates.width
-        z = np.clip(coordinates.of_values(guess), coordinates.mean - reach, coordinates.mean + reach)
-        return coordinates.parameters(z)
 
     def arm(self, coordinates: ParameterCoordinates) -> ElasticArm:
         """Return the arm with derivatives by the free parameters."""
@@ -118,20 +106,19 @@ class Estimation:
     def _length(self, slowest: float) -> float:
         return self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
 
-    def problem(self, coordinates: ParameterCoordinates, start: Mapping[str, Array]) -> Problem:
-        """Return the segments of the records with the model; their length and steps follow from the start values."""
+    def problem(self, start: Mapping[str, Array], held: Collection[int] = ()) -> Problem:
+        """Return the segments of the records with the model; their length and steps follow from the start values.
+
+        held: entries of z that are not free.
+        """
+        coordinates = replace(self.coordinates, held=frozenset(held))
         arm = self.arm(coordinates)
-        slowest, fastest, creep = _rates(arm, self.poses, start)
-        smoothing = np.tile(start["smoothing"], 2)
-        acceleration = _reversals(self.motions, SLOW * smoothing)
-        near_rest = np.maximum(creep, acceleration / smoothing / PASSAGE)
+        slowest, fastest, mobility = _rates(arm, self.poses, start)
+        accuracy = UNSEEN * np.tile(_noise(self.records), 2) / self._length(slowest)
         segments, filtered_states = [], []
         for record, motion in zip(self.records, self.motions, strict=True):
             steps = int(np.clip(np.ceil(record.dt * fastest), 1, MOST_PARTS))
-            slow = SLOW * smoothing + PEAK * record.dt * acceleration
-            doublings = np.ceil(np.log2(np.maximum(record.dt * near_rest, 1.0)))
-            slow_steps = np.minimum(2.0**doublings, MOST_PARTS).astype(np.int32)
-            effort = HeldEffort(record.u, record.dt, steps, slow_steps, slow)
+            effort = HeldEffort(record.u, record.dt, steps, mobility, accuracy)
             pieces = cut(record, effort, self._length(slowest))
             segments += pieces
             filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]
@@ -170,10 +157,8 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Iden
 
 
 def _rates(arm: ElasticArm, poses: Array, p: Mapping[str, Array]) -> tuple[float, float, Array]:
-    """Return the slowest resonance [rad/s], and the integration steps needed per second, of resonances and creep (2n,).
-
-    Creep is the decay of the velocity of a link or a motor, in this order, by friction at rest. Each side is given the
-    friction of both, because start values do not determine well how it is divided.
+    """Return the slowest resonance [rad/s], the integration steps per second of the fastest one, and the mobility (2n,)
+    [1 / (kg m^2)] of links and motors.
     """
     K, B, values = np.diag(p["joint_stiffness"]), p["motor_inertia"], packed(arm, p)
     slowest, fastest, mobility = np.inf, 0.0, np.zeros(len(B))
@@ -182,18 +167,14 @@ def _rates(arm: ElasticArm, poses: Array, p: Mapping[str, Array]) -> tuple[float
         resonances = np.sqrt(np.linalg.eigvals(K @ (inverse + np.diag(1 / B))).real)
         slowest, fastest = min(slowest, resonances.min()), max(fastest, resonances.max())
         mobility = np.maximum(mobility, np.diag(inverse))
-    friction = sum(
-        np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")
-    )
-    decay = np.concatenate([friction * mobility, friction / B]) / np.tile(p["smoothing"], 2)
-    return slowest, fastest / ACCURATE, decay / CREEP
+    return slowest, fastest / ACCURATE, np.concatenate([mobility, 1 / B])
 
 
-def _reversals(motions: Sequence[FilteredMotion], slow: Array) -> Array:
-    """Return the accelerations (2n,) of links and motors, root mean square while they are slower than slow (2n,)."""
-    v, a = (np.vstack([np.hstack([getattr(m, f"{name}_{side}") for side in "lm"]) for m in motions]) for name in "va")
-    near = np.abs(v) < slow
-    return np.asarray(np.sqrt(np.sum(np.where(near, a, 0.0) ** 2, axis=0) / np.maximum(1, np.sum(near, axis=0))))
+def _noise(records: Sequence[MotionRecord]) -> Array:
+    """Return what the filter leaves of positions (n,), root mean square: the least of all records and both sides."""
+    left = [inner(q - smoothed(q, r.dt), r.dt) for r in records for q in (r.q_l, r.q_m)]
+    with np.errstate(all="ignore"):
+        return np.asarray(np.fmin.reduce([np.sqrt(np.mean(rest**2, axis=0)) for rest in left]))
 
 
 def _state_width(motions: Sequence[FilteredMotion]) -> Array:

@@ -29,7 +29,7 @@ from .estimation_problem import Estimation
 from .filtered_motion import FilteredMotion, decimated, inner, shifted
 from .multiple_shooting import NormalEquations, with_prior
 from .optimise import bounded_step
-from .parameters import OF_LINKS, POSITION_TORQUE
+from .parameters import OF_LINKS, POSITION_TORQUE, SMOOTHING
 from .verdicts import Estimates, estimates_at, not_identifiable
 
 BLOCK = 1.0  # s; longer than the correlation of the errors
@@ -101,13 +101,13 @@ def motor_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Arra
     p = setup.coordinates.parameters(z)
     tau, columns, _ = _spring_torque(m, rigid, p, j)
     u = shifted((m.u @ setup.robot.B_m.T)[:, j], m.dt, p["effort_delay"][j] + m.dt / 2)
-    B, v, friction = p["motor_inertia"][j], m.v_m[:, j], coulomb(m.v_m[:, j], p["smoothing"][j])
+    B, v, friction = p["motor_inertia"][j], m.v_m[:, j], coulomb(m.v_m[:, j], p[SMOOTHING][j])
     columns[("motor_inertia", j)] = B * m.a_m[:, j]
     columns[("motor_damping", j)] = v
     columns[("motor_coulomb_friction", j)] = friction
     columns[("effort_delay", j)] = np.gradient(u, m.dt)
     explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + p["motor_coulomb_friction"][j] * friction
-    return _side(m, u, u - explained, columns, np.abs(v) > MOVING * p["smoothing"][j])
+    return _side(m, u, u - explained, columns, np.abs(v) > MOVING * p[SMOOTHING][j])
 
 
 def _spring_torque(
@@ -116,7 +116,7 @@ def _spring_torque(
     """Return tau (k,) of joint j, its derivatives, and the position of the link, at the link's skew."""
     skew = p["link_skew"][j]
     q, v, tau = (shifted(signal[:, j], m.dt, skew) for signal in (m.q_l, m.v_l, rigid.torque))
-    friction, terms = coulomb(v, p["smoothing"][j]), position_terms(q, np)
+    friction, terms = coulomb(v, p[SMOOTHING][j]), position_terms(q, np)
     columns = {(name, j): term for name, term in zip(POSITION_TORQUE, terms, strict=True)}
     columns |= {("link_damping", j): v, ("link_coulomb_friction", j): friction}
     tau = tau + sum(p[name][i] * column for (name, i), column in columns.items())
@@ -195,7 +195,9 @@ def filtered_estimates(setup: Estimation, z: Array) -> Estimates:
 
 
 def undetermined(setup: Estimation) -> tuple[int, ...]:
-    """Return the entries that are not fitted: `confounded`, and stiffnesses whose deflection is within its noise."""
+    """Return the entries that are not fitted: `confounded`, stiffnesses whose deflection is within its noise, and the
+    velocities over which friction turns over, because the filter smooths the turn.
+    """
     deflected = [False] * setup.robot.n
     for record, motion in zip(setup.records, setup.motions, strict=True):
         for j in (j for j in range(setup.robot.n) if record.both_sides(j)):
@@ -204,7 +206,8 @@ def undetermined(setup: Estimation) -> tuple[int, ...]:
             noise = np.sqrt(np.nanmean(steps**2) / 2 / motion.stride)
             deflected[j] |= bool(np.std(slow) > LEAST_DEFLECTION * noise)
     free = enumerate(setup.coordinates.free)
-    return (*confounded(setup), *(k for k, (name, j) in free if name == "joint_stiffness" and not deflected[j]))
+    others = (k for k, (name, j) in free if name == SMOOTHING or (name == "joint_stiffness" and not deflected[j]))
+    return (*confounded(setup), *others)
 
 
 def confounded(setup: Estimation) -> tuple[int, ...]:

@@ -1,17 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filtered motion of a record, and start values by least squares on the exact equations of both sides.
+"""The filtered motion of a record: positions, velocities and accelerations of both sides.
 
-    link side    q_m - q_l = offset + (tau_rigid + D_l v_l + F_l tanh(v_l / v_0)) / K
-    motor side   u(t - delay) - tau = B a_m + D_m v_m + F_m tanh(v_m / v_0)
-
-The deflection is the output of the link side, so that its noise does not bias K. Link damping and a skew have nearly
-one effect on the deflection, so D_l keeps its prior here. All signals pass the same filter (A. Savitzky, M. Golay,
-Analytical Chemistry 36(8), 1964).
+All signals pass the same filter (A. Savitzky, M. Golay, Analytical Chemistry 36(8), 1964).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,16 +15,13 @@ from scipy.signal import resample_poly, savgol_filter
 
 from fjr_core.numerics.checks import Array
 
-from .elastic_arm import ElasticArm, coulomb, packed
+from .elastic_arm import ElasticArm, packed
 from .motion_record import MotionRecord
-from .parameters import Prior
 
 WINDOW = 0.03  # s
 ORDER = 4
 BAND, MARGIN = 0.99, 4.0  # share of the power of velocities below a frequency, and the cutoff relative to it
 CUTOFF = (8.0, 40.0)  # Hz; least and largest cutoff
-OTHER_ORDER = 8.0  # ratio of a value to its prior that is not believed
-TRIED = np.arange(-6, 6.5, 0.5) * 1e-3  # s; skews and delays
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,77 +109,3 @@ def inner(rows: Array, dt: float) -> Array:
     """Return the rows (k, ...) without those near the ends, which filters and shifts falsify."""
     edge = round(2 * WINDOW / dt) + 2
     return rows[edge:-edge] if len(rows) > 4 * edge else rows
-
-
-def start_values(
-    records: Sequence[MotionRecord],
-    motions: Sequence[FilteredMotion],
-    robot_input: Array,
-    prior: Prior,
-    smoothing: Array,
-) -> dict[str, Array]:
-    """Return parameters by name from all records; what the equations do not determine keeps its prior."""
-    values = {name: value.copy() for name, value in prior.values.items()}
-    for j in range(len(records[0].joints)):
-        two_sided = [motion for record, motion in zip(records, motions, strict=True) if record.both_sides(j)]
-        if two_sided:
-            _start_of_link(values, two_sided, j, smoothing[j])
-        _start_of_motor(values, motions, j, smoothing[j], robot_input)
-    return values
-
-
-def _start_of_link(values: dict[str, Array], motions: Sequence[FilteredMotion], j: int, smoothing: float) -> None:
-    """Choose the skew with the least residual of the deflection, and set K, F_l and the offset.
-
-    K keeps its prior at a skew that gives a value of another order.
-    """
-    least, D_l, prior = np.inf, values["link_damping"][j], values["joint_stiffness"][j]
-    for skew in TRIED:
-        columns, outputs = [], []
-        for m in motions:
-            q_l, v_l, rigid = (shifted(signal[:, j], m.dt, skew) for signal in (m.q_l, m.v_l, m.rigid))
-            A = np.column_stack([rigid + D_l * v_l, coulomb(v_l, smoothing), np.ones(len(q_l))])
-            columns.append(inner(A, m.dt))
-            outputs.append(inner(m.q_m[:, j] - q_l, m.dt))
-        A, deflection = np.vstack(columns), np.concatenate(outputs)
-        (compliance, friction, offset), squares = _solved(A, deflection)
-        if not 1 / OTHER_ORDER < prior * compliance < OTHER_ORDER:
-            compliance = 1 / prior
-            (friction, offset), squares = _solved(A[:, 1:], deflection - A[:, 0] / prior)
-        if squares < least:
-            least = squares
-            values["link_skew"][j], values["offset"][j] = skew, offset
-            values["joint_stiffness"][j] = 1 / compliance
-            values["link_coulomb_friction"][j] = max(0.0, friction / compliance)
-
-
-def _start_of_motor(
-    values: dict[str, Array], motions: Sequence[FilteredMotion], j: int, smoothing: float, robot_input: Array
-) -> None:
-    """Choose the delay with the least residual of the motor's equation, and set B, D_m and F_m.
-
-    values: parameters of the link side, by name.
-    """
-    least, prior = np.inf, values["motor_inertia"][j]
-    for delay in TRIED[TRIED >= 0]:
-        columns, outputs = [], []
-        for m in motions:
-            v_l, rigid = (shifted(signal[:, j], m.dt, values["link_skew"][j]) for signal in (m.v_l, m.rigid))
-            tau = rigid + values["link_damping"][j] * v_l
-            tau += values["link_coulomb_friction"][j] * coulomb(v_l, smoothing)
-            u = shifted((m.u @ robot_input.T)[:, j], m.dt, delay + m.dt / 2)
-            A = np.column_stack([m.a_m[:, j], m.v_m[:, j], coulomb(m.v_m[:, j], smoothing)])
-            columns.append(inner(A, m.dt))
-            outputs.append(inner(u - tau, m.dt))
-        solution, squares = _solved(np.vstack(columns), np.concatenate(outputs))
-        if squares < least:
-            least, values["effort_delay"][j] = squares, delay
-            B, D_m, F_m = solution
-    values["motor_inertia"][j] = B if prior / OTHER_ORDER < B < OTHER_ORDER * prior else prior
-    values["motor_damping"][j] = max(0.0, D_m)
-    values["motor_coulomb_friction"][j] = max(0.0, F_m)
-
-
-def _solved(A: Array, y: Array) -> tuple[Array, float]:
-    solution = np.linalg.lstsq(A, y, rcond=1e-10)[0]
-    return np.asarray(solution, dtype=float), float(np.sum((y - A @ solution) ** 2))

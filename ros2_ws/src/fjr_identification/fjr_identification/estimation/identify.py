@@ -36,11 +36,12 @@ from .filtered_fit import (
 )
 from .filtered_motion import shifted
 from .intervals import spurious_information
+from .lack_of_fit import not_linear, withheld
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
 from .optimise import optimise, refine
-from .parameters import PAYLOAD, IdentifyOptions, Prior
-from .validation import Deflection, deflection_error, predicted_deflection, simulated_fits
+from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
+from .validation import deflection_error, deflections, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 
 NOT_CONVERGED = (
@@ -51,6 +52,8 @@ WORSE, DOUBTFUL = 1.5, 1.1
 
 The first one is for a fit that has converged, the second one for one that has not.
 """
+RUBS = 2.0
+"""Friction of a joint that is not 0 by chance, in standard deviations."""
 MOST = 1.0
 """Displacement, relative to the deflection, beyond which a simulation does not predict it."""
 
@@ -72,14 +75,16 @@ def identify(
     _check(records, robot)
     setup, joints = Estimation(list(records), robot, prior, options), records[0].joints
     progress("filtered least squares", 0.0)
-    z = filtered_fit(setup, setup.coordinates.of_values(setup.start))
-    filtered = filtered_estimates(setup, z)
+    z = filtered_fit(setup, setup.coordinates.mean)
+    wrong = not_linear(setup, z)
+    filtered = withheld(filtered_estimates(setup, z), wrong)
     z_start = _start_of_simulation(setup, z)
     if z_start is None:
         by_filter = filtered.identification(joints)
-        return replace(by_filter, fits=tuple(deflection.fit for deflection in _deflections(setup, by_filter)))
+        return replace(by_filter, fits=tuple(each.fit for each in deflections(setup, filtered.mean)))
     progress("compilation", 0.0)
     simulated = simulated_fit(setup, simulation_start(setup, z_start), progress)
+    simulated = replace(simulated, estimates=withheld(simulated.estimates, wrong))
     progress("intervals", 1.0)
     entries = _better_by_filter(setup, simulated, filtered)
     if not entries:
@@ -119,26 +124,44 @@ class Simulation:
 
 def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
-    coordinates = setup.coordinates
-    problem, z = setup.problem(coordinates, start), coordinates.of_values(start)
-    best, converged = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
+    best, converged = _optimum(setup, start, progress)
     progress("intervals", 0.0)
-    spurious = spurious_information(best)
-    unknown = not_identifiable(best.projected, spurious, coordinates.width)
-    fixed = tuple(k for k in unknown if fitted_at_prior(best, (k,)) is not None)
-    last, z = best, best.z
-    if fixed:
-        free = [k for k in range(len(z)) if k not in fixed]
+    spurious, held = spurious_information(best), best.problem.coordinates.held
+    unknown = not_identifiable(best.projected, spurious, setup.coordinates.width, tuple(held))
+    fixed = tuple(k for k in unknown if k in held or fitted_at_prior(best, (k,)) is not None)
+    last = best
+    if set(fixed) != held:
         near = fitted_at_prior(best, fixed) or best
-        fewer = setup.problem(coordinates.without(fixed), start)
-        last, converged = refine(
-            fewer, near.z[free], near.x0, best.noise, lambda share: progress("prediction error again", share)
-        )
-        z = coordinates.mean.copy()
-        z[free] = last.z
+        z = np.where(np.isin(np.arange(len(near.z)), fixed), setup.coordinates.mean, near.z)
+        step = lambda share: progress("prediction error again", share)  # noqa: E731
+        last, converged = refine(setup.problem(start, fixed), z, near.x0, best.noise, step)
     doubt = "" if converged else NOT_CONVERGED
-    estimates = estimates_at(setup, best.projected, spurious, fixed, z, doubt)
+    estimates = estimates_at(setup, best.projected, spurious, fixed, last.z, doubt)
     return Simulation(best, estimates, simulated_fits(last, last.noise), converged)
+
+
+def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> tuple[PredictedSegments, bool]:
+    """Return the most likely parameters, and whether the search has converged.
+
+    The velocity over which the friction of a joint turns over is free once all others are near, and if that friction
+    is not 0 by chance: else it only changes what is within the noise, and keeps its prior.
+    """
+    free = setup.coordinates.free
+    turning = [k for k, (name, _) in enumerate(free) if name == SMOOTHING]
+    problem = setup.problem(start, turning)
+    z = problem.coordinates.of_values(start)
+    near, converged = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
+    levels, covariance = problem.coordinates.parameters(near.z), np.linalg.inv(near.normal_equations[0])
+    still = []
+    for k in turning:
+        of_joint = [name in COULOMB and j == free[k][1] for name, j in free]
+        deviation = np.sqrt(np.sum(covariance[np.ix_(of_joint, of_joint)]))
+        if sum(levels[name][free[k][1]] for name in COULOMB) <= RUBS * deviation:
+            still.append(k)
+    if len(still) == len(turning):
+        return near, converged
+    step = lambda share: progress("friction at reversals", share)  # noqa: E731
+    return refine(setup.problem(start, still), near.z, near.x0, near.noise, step)
 
 
 def _start_of_simulation(setup: Estimation, z: Array) -> Array | None:
@@ -194,14 +217,6 @@ def _better_by_filter(setup: Estimation, simulated: Simulation, filtered: Estima
 
 def _unexplained(setup: Estimation, estimates: Estimates) -> Array:
     """Return the root mean square (n,) of the deflections that are not explained, NaN: not measured."""
-    seen = _deflections(setup, estimates.identification(setup.records[0].joints))
+    seen = deflections(setup, estimates.mean)
     count = sum(len(deflection.t) for deflection in seen)
     return np.asarray(np.sqrt(sum(len(deflection.t) * deflection.elastic**2 for deflection in seen) / count))
-
-
-def _deflections(setup: Estimation, identification: Identification) -> list[Deflection]:
-    """Return the deflection of each record, predicted from its motion."""
-    return [
-        predicted_deflection(record, setup.robot, setup.prior, identification, setup.options)
-        for record in setup.records
-    ]

@@ -25,7 +25,6 @@ from scipy.linalg import cho_factor, cho_solve
 
 from fjr_core.numerics.checks import Array
 
-from .elastic_arm import packed
 from .motion_record import SIGNALS, MotionRecord
 from .parameters import LARGEST_SKEW, ParameterCoordinates
 from .shooting import HeldEffort, Shooting
@@ -133,29 +132,33 @@ def compare(
     """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,)."""
     p = coordinates.parameters(z)
     start, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
-    motion = shooting(x0, segment.effort, start, samples, packed(shooting.arm, p), p["effort_delay"])
+    motion = shooting(x0, segment.effort, start, samples, p)
     if motion is None:
         return None
-    n = len(segment.record.joints)
-    J = np.zeros((len(signals), segment.count, 4 * n + len(z)))
+    n, moving = len(segment.record.joints), coordinates.moving
+    J = np.zeros((len(signals), segment.count, 4 * n + len(moving)))
     predicted = np.empty((len(signals), segment.count))
     for k, (signal, joint) in enumerate(signals):
-        predicted[k], dy, J[k, :, : shooting.columns] = _output(segment, signal, joint, p, *motion)
+        predicted[k], dy, sensitivities = _output(segment, signal, joint, p, *motion)
+        np.divide(sensitivities, noise[k], out=J[k, :, : shooting.columns])
         measuring = {SKEWS.get(signal, ""): dy}  # derivatives by parameters of the measurement
         if signal == "torque":
             K = p["joint_stiffness"][joint]
             measuring |= {"joint_stiffness": predicted[k] / K, "offset": np.full(len(dy), -K)}
-        for column, (name, i) in enumerate(coordinates.free, start=4 * n):
+        for column, (name, i) in enumerate((coordinates.free[i] for i in moving), start=4 * n):
             if i == joint and name in measuring:
-                J[k, :, column] += measuring[name]
-    J[:, :, 4 * n :] *= coordinates.scale(z)
+                J[k, :, column] += measuring[name] / noise[k]
     residual = np.array([segment.measured(*signal) for signal in signals]) - predicted
     known = np.isfinite(residual)
-    residual[~known] = 0.0
-    J[~known] = 0.0
-    J /= noise[:, None, None]
-    H, g = shooting.normal_equations(J.reshape(-1, J.shape[2]), (residual / noise[:, None]).ravel())
-    return Comparison(predicted, np.sum(residual**2, axis=1), known.sum(axis=1), H, g)
+    if not known.all():
+        residual[~known], J[~known] = 0.0, 0.0
+    H, g = np.zeros((4 * n + len(z),) * 2), np.zeros(4 * n + len(z))
+    places = np.concatenate([np.arange(4 * n), 4 * n + np.array(moving, dtype=int)])
+    weighted = (residual / noise[:, None]).ravel()
+    H[np.ix_(places, places)], g[places] = shooting.normal_equations(J.reshape(-1, J.shape[2]), weighted)
+    scale = np.concatenate([np.ones(4 * n), coordinates.scale(z)])
+    squares, counts = np.sum(residual**2, axis=1), known.sum(axis=1)
+    return Comparison(predicted, squares, counts, H * np.outer(scale, scale), g * scale)
 
 
 def _output(segment: Segment, signal: str, joint: int, p: Mapping[str, Array], X: Array, S: Array) -> tuple[Array, ...]:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fjr_core.errors import ParameterError, StateError
+from fjr_core.errors import ParameterError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
@@ -54,6 +55,7 @@ KINDS = {
     "motor_coulomb_friction": Kind("N m", NONNEGATIVE, REVERSALS.format("motor")),
     "link_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
     "motor_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
+    "friction_smoothing_velocity": Kind("rad/s", LOG, "needs friction and reversals; reverse slowly", 2.0),
     "offset": Kind(
         "rad", LINEAR, "needs spring torques of both signs, or a known one; change the load of the joint", 0.02
     ),
@@ -77,6 +79,10 @@ PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
 OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)
 """Parameters that the torques of the rigid links depend on."""
 POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
+SMOOTHING = "friction_smoothing_velocity"
+"""Velocity v_0 over which the friction of a joint turns over, of both sides: level tanh(v / v_0)."""
+USUAL_SMOOTHING = 0.01  # rad/s, as of the plant
+COULOMB = ("link_coulomb_friction", "motor_coulomb_friction")
 STATIC = ("link_static_friction", "motor_static_friction")
 TIMING = ("effort_delay", "link_skew", "torque_skew")
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
@@ -93,8 +99,8 @@ class IdentifyOptions:
     free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload: free
     these, too (the payload is a point mass on the last link). link_inertia: free a correction of mass and inertia of
     each link, positive definite and near the robot's own. position_torque: joint with a torque sum_k a_k sin k q +
-    b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. smoothing, stribeck [rad/s]: velocities of
-    the friction model, scalar or one per joint. segment [s]: length of the pieces of the record that are predicted;
+    b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. stribeck [rad/s]: velocity of the friction
+    model, scalar or one per joint. segment [s]: length of the pieces of the record that are predicted;
     None: from the resonances. threads: number of segments evaluated at the same time.
     """
 
@@ -104,7 +110,6 @@ class IdentifyOptions:
     payload: bool = False
     link_inertia: bool = False
     position_torque: str = ""
-    smoothing: ArrayLike = 0.01
     stribeck: ArrayLike = 0.1
     segment: float | None = None
     threads: int = 2
@@ -123,10 +128,6 @@ class IdentifyOptions:
         chosen += PSEUDO_INERTIA if self.link_inertia else ()
         chosen += POSITION_TORQUE if self.position_torque else ()
         return tuple(name for name in KINDS if name in chosen)
-
-    def friction_velocities(self, n: int) -> dict[str, Array]:
-        """Return the velocities (n,) of the friction model by name."""
-        return {name: checks.vector(name, getattr(self, name), n, StateError) for name in ("smoothing", "stribeck")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,7 @@ class Prior:
             "link_damping": _diagonal("D_l", robot.D_l),
             "motor_damping": _diagonal("D_m", robot.D_m),
         }
-        complete = {**dict.fromkeys(KINDS, 0.0), **of_robot, **(values or {})}
+        complete = {**dict.fromkeys(KINDS, 0.0), SMOOTHING: USUAL_SMOOTHING, **of_robot, **(values or {})}
         return cls(_shaped(complete, robot.n), _shaped(widths or {}, robot.n))
 
 
@@ -181,12 +182,14 @@ class ParameterCoordinates:
     """The vector z of the free parameters (name, index), in the order of KINDS, with the normal prior of each.
 
     values: of all parameters, by name. mean, width (p,): of the prior of z. z of a positive parameter is its logarithm.
+    held: entries of z with respect to which no derivatives are taken, so that they keep their value or go to the prior.
     """
 
     free: tuple[tuple[str, int], ...]
     values: Mapping[str, Array]
     mean: Array
     width: Array
+    held: frozenset[int] = frozenset()
 
     @classmethod
     def of(
@@ -197,10 +200,10 @@ class ParameterCoordinates:
         prior = cls(tuple(free), values, np.zeros(len(free)), width)
         return replace(prior, mean=prior.of_values(values))
 
-    def without(self, dropped: Sequence[int]) -> ParameterCoordinates:
-        """Return the coordinates without some entries, which keep their values."""
-        kept = [k for k in range(len(self.free)) if k not in dropped]
-        return replace(self, free=tuple(self.free[k] for k in kept), mean=self.mean[kept], width=self.width[kept])
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Return the entries of z that are not held."""
+        return tuple(k for k in range(len(self.free)) if k not in self.held)
 
     def parameters(self, z: Array) -> dict[str, Array]:
         """Return all parameters by name at z (p,)."""
@@ -226,13 +229,13 @@ class ParameterCoordinates:
 
     @property
     def dynamic(self) -> tuple[tuple[str, int], ...]:
-        """Return the free parameters of the equations of motion."""
-        return tuple((name, i) for name, i in self.free if name in DYNAMIC)
+        """Return the parameters of the equations of motion that are not held."""
+        return tuple(self.free[k] for k in self.moving if self.free[k][0] in DYNAMIC)
 
     @property
     def delays(self) -> tuple[int, ...]:
-        """Return the joints whose effort delay is free."""
-        return tuple(i for name, i in self.free if name == "effort_delay")
+        """Return the joints whose effort delay is not held."""
+        return tuple(self.free[k][1] for k in self.moving if self.free[k][0] == "effort_delay")
 
     def _are(self, coordinate: str) -> Array:
         return np.array([KINDS[name].coordinate == coordinate for name, _ in self.free], dtype=bool)

@@ -55,9 +55,10 @@ static void advance(const double* a, const double* b, double h, double* sum, int
   for (int i = 0; i < n; ++i) sum[i] = a[i] + h * b[i];
 }
 
-/* One step of length h of the state (q_l, q_m, v_l, v_m) and of S; u, du as fjr_line returns them. */
+/* One step of length h of the state (q_l, q_m, v_l, v_m) and of S; u, du as fjr_line returns them. a: accelerations at
+ * the end. */
 static int step(const struct fjr_arm* m, double* x, double* S, const double* u, const double* du,
-                const double* parameters, double h) {
+                const double* parameters, double h, double* a) {
   double effort[N], d_effort[4][N], at[4 * N], slope[4 * N] = {0}, sum[4 * N];
   memcpy(sum, x, sizeof sum);
   m->arg[0] = at, m->arg[1] = effort, m->arg[2] = parameters, m->res[0] = slope + 2 * N;
@@ -71,6 +72,7 @@ static int step(const struct fjr_arm* m, double* x, double* S, const double* u, 
     advance(sum, slope, h * weight[stage], sum, 4 * N);
   }
   memcpy(x, sum, sizeof sum);
+  memcpy(a, slope + 2 * N, 2 * N * sizeof *a);
   for (int b = 0; b < BLOCKS; ++b) step_block(m, b, d_effort, h, S);
   return 0;
 }
@@ -93,23 +95,29 @@ void fjr_line(const struct fjr_input* input, int64_t k, int64_t part, int64_t pa
   }
 }
 
-static int64_t parts_at(const struct fjr_input* input, const double* x) {
-  int32_t most = input->parts[0];
+enum { HALVINGS = 10 }; /* of an integration step where friction turns over */
+
+/* Whether a step of length h from velocities v, under accelerations a, stays away from turns of friction or follows them. */
+static int follows(const struct fjr_input* input, const double* v, const double* a, double h) {
   for (int i = 0; i < 2 * N; ++i)
-    if (input->parts[1 + i] > most && fabs(x[2 * N + i]) < input->slow[i]) most = input->parts[1 + i];
-  return most;
+    if (h > input->rest[i] || (h > input->harmless[i] && fabs(a[i]) * h > input->passage[i]))
+      if (fabs(v[i]) < input->slow[i] + 1.5 * fabs(a[i]) * h) return 0;
+  return 1;
 }
 
 int fjr_shoot(const struct fjr_arm* m, const struct fjr_input* input, const double* parameters, int64_t samples,
               double* X, double* S) {
+  const int64_t finest = (int64_t)input->parts << HALVINGS;
+  double a[2 * N] = {0};
   for (int64_t k = 0; k < samples; ++k) {
     double *x = X + (k + 1) * 4 * N, *s = S + (k + 1) * 4 * N * M, u[2 * N], du[2 * N];
     memcpy(x, x - 4 * N, 4 * N * sizeof *x);
     memcpy(s, s - 4 * N * M, 4 * N * M * sizeof *s);
-    const int64_t parts = parts_at(input, x);
-    for (int64_t part = 0; part < parts; ++part) {
-      fjr_line(input, k, part, parts, u, du);
-      if (step(m, x, s, u, du, parameters, input->dt / (double)parts)) return 1;
+    for (int64_t at = 0, size; at < finest; at += size) {
+      for (size = 1 << HALVINGS; at % size; size /= 2) continue;
+      while (size > 1 && !follows(input, x + 2 * N, a, input->dt * (double)size / (double)finest)) size /= 2;
+      fjr_line(input, k, at / size, finest / size, u, du);
+      if (step(m, x, s, u, du, parameters, input->dt * (double)size / (double)finest, a)) return 1;
     }
     for (int i = 0; i < 4 * N; ++i)
       if (!isfinite(x[i])) return 1;
@@ -120,13 +128,18 @@ int fjr_shoot(const struct fjr_arm* m, const struct fjr_input* input, const doub
 void fjr_normal_equations(const double* J, const double* r, int64_t rows, int64_t columns, double* H, double* g) {
   enum { TOGETHER = 8 };
   for (int64_t first = 0; first < rows; first += TOGETHER) {
-    const int64_t last = first + TOGETHER < rows ? first + TOGETHER : rows;
-    for (int64_t i = 0; i < columns; ++i)
-      for (int64_t k = first; k < last; ++k) {
-        const double *row = J + k * columns, factor = row[i];
-        g[i] += factor * r[k];
-        for (int64_t j = i; j < columns; ++j) H[i * columns + j] += factor * row[j];
+    const double* row[TOGETHER];
+    for (int k = 0; k < TOGETHER; ++k) row[k] = J + (first + k < rows ? first + k : rows - 1) * columns;
+    for (int64_t i = 0; i < columns; ++i) {
+      double factor[TOGETHER];
+      for (int k = 0; k < TOGETHER; ++k) factor[k] = first + k < rows ? row[k][i] : 0;
+      for (int k = 0; k < TOGETHER; ++k) g[i] += factor[k] * r[first + k < rows ? first + k : rows - 1];
+      for (int64_t j = i; j < columns; ++j) {
+        double sum = 0;
+        for (int k = 0; k < TOGETHER; ++k) sum += factor[k] * row[k][j];
+        H[i * columns + j] += sum;
       }
+    }
   }
   for (int64_t i = 0; i < columns; ++i)
     for (int64_t j = 0; j < i; ++j) H[i * columns + j] = H[j * columns + i];

@@ -19,14 +19,12 @@ struct fjr_arm {
 };
 
 /* Efforts u (count, N) of a record, held for a sample period, of which one starts a segment at index `first`.
- * delay (N): in samples. parts (1 + 2 N): integration steps of a sample period: always, and where the velocity of a link
- * or motor is below slow (2 N). */
+ * delay (N): in samples. parts: integration steps of a sample period, halved where the velocity of a link or motor (2 N)
+ * may come below slow: to `rest` [s], and to a change of velocity of `passage` unless the step is `harmless` [s]. */
 struct fjr_input {
   const double* u;
-  int64_t count, first;
-  const double* delay;
-  const int32_t* parts;
-  const double* slow;
+  int64_t count, first, parts;
+  const double *delay, *slow, *rest, *passage, *harmless;
   double dt;
 };
 

@@ -4,43 +4,69 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fjr_core.numerics import jit
 from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
 
-from .elastic_arm import ElasticArm
+from .elastic_arm import ElasticArm, packed
+from .parameters import SMOOTHING
 
 VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a row of a block of sensitivities
+
+CREEP, STABLE = 0.5, 1.5  # decay of friction at rest in an integration step; of more than MOST_PARTS
+MOST_PARTS = 16  # integration steps of a sample period, while a joint creeps
+MOST_STIFF_PARTS = 1024  # of these, where the integration would be unstable; more are not tried
+PASSAGE = 0.5  # change of a velocity near zero in an integration step, in smoothing velocities of the friction
+IMPULSE = 1 / 3  # of a step, in which a change of the sign of friction may be missed
+SLOW = 3.0  # smoothing velocities; friction is steep below
 
 
 @dataclass(frozen=True, eq=False)
 class HeldEffort:
     """Efforts u (k, n) [N m] of a record, each held for the sample period dt [s], and the steps of integration.
 
-    parts: steps of a sample period. slow_parts (2n,): steps while a link or motor, in this order, is slower than slow
-    (2n,) [rad/s]; friction is steep there.
+    parts: steps of a sample period. They are halved where a velocity may cross zero, as far as the turn of friction
+    needs and a velocity may be wrong: mobility (2n,) [1 / (kg m^2)] of links and motors, accuracy (2n,) [rad/s].
     """
 
     u: Array
     dt: float
     parts: int
-    slow_parts: NDArray[np.int32]
-    slow: Array
+    mobility: Array
+    accuracy: Array
 
-    def struct(self, ffi: Any, first: int, delay: Array) -> tuple[Any, ...]:
-        """Return the structure of C, and what it refers to."""
-        parts = np.array([self.parts, *self.slow_parts], dtype=np.int32)
-        u, slow, late = (np.ascontiguousarray(row, dtype=float) for row in (self.u, self.slow, delay / self.dt))
-        numbers = {"u": u, "delay": late, "slow": slow}
-        values = {name: ffi.from_buffer("double[]", array) for name, array in numbers.items()}
-        values |= {"parts": ffi.from_buffer("int32_t[]", parts), "count": len(u), "first": first, "dt": self.dt}
+    def steps(self, p: Mapping[str, Array]) -> dict[str, Array] | None:
+        """Return what shooting.h limits steps by, (2n,) each; None: friction is too steep. p: parameters by name.
+
+        Each side is given the friction of both, because a fit in progress does not know well how it is divided.
+        """
+        levels = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
+        v_0, acceleration = np.tile(p[SMOOTHING], 2), np.tile(sum(levels), 2) * self.mobility
+        creep = self.dt * acceleration / v_0
+        if np.max(creep, initial=0.0) > STABLE * MOST_STIFF_PARTS:
+            return None
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rest = self.dt / np.minimum(creep / CREEP, np.maximum(creep / STABLE, MOST_PARTS))
+            harmless = self.accuracy / (IMPULSE * acceleration)
+        return {"slow": SLOW * v_0, "rest": rest, "passage": PASSAGE * v_0, "harmless": harmless}
+
+    def struct(self, ffi: Any, first: int, p: Mapping[str, Array]) -> tuple[Any, ...] | None:
+        """Return the structure of C, and what it refers to; None as `steps`."""
+        steps = self.steps(p)
+        if steps is None:
+            return None
+        values: dict[str, Any] = {
+            name: ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
+            for name, array in {"u": self.u, "delay": p["effort_delay"] / self.dt, **steps}.items()
+        }
+        values |= {"parts": self.parts, "count": len(self.u), "first": first, "dt": self.dt}
         return ffi.new("struct fjr_input *", values), values
 
 
@@ -71,18 +97,20 @@ class Shooting:
         return -(-self.columns // (VECTOR * self.vectors)) * VECTOR * self.vectors
 
     def __call__(
-        self, x0: Array, effort: HeldEffort, first: int, samples: int, parameters: Array, delay: Array
+        self, x0: Array, effort: HeldEffort, first: int, samples: int, p: Mapping[str, Array]
     ) -> tuple[Array, Array] | None:
         """Return states (samples + 1, 4n) and sensitivities (samples + 1, 4n, columns) from x0 (4n,) at sample `first`.
 
-        delay (n,) [s]: of the effort. None if the state does not stay finite.
+        p: all parameters by name. None if the state does not stay finite, or friction is too steep to integrate.
         """
         n, columns = self.arm.robot.n, self.columns
         X, S = np.empty((samples + 1, 4 * n)), np.empty((samples + 1, 4 * n, self.padded))
         X[0], S[0] = x0, np.eye(4 * n, self.padded)
         ffi, lib = self.library
-        held = effort.struct(ffi, first, delay)
-        arrays = [ffi.from_buffer("double[]", array) for array in (np.ascontiguousarray(parameters), X, S)]
+        held = effort.struct(ffi, first, p)
+        if held is None:
+            return None
+        arrays = [ffi.from_buffer("double[]", array) for array in (packed(self.arm, p), X, S)]
         failed = lib.fjr_shoot(self._memory.arm, held[0], arrays[0], samples, *arrays[1:])
         return None if failed else (X, S[:, :, :columns])
 

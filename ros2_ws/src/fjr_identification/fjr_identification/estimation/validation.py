@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much of a record the identified arm explains: deflections predicted from the motion, simulated fits, hold-outs.
 
-    q_m - q_l(t + skew) = offset + (M_l a + C v + grad P_l + D_l v + F_l(v) + T(q)) / K - skew v
+    q_m - q_l(t + skew) = offset + (M_l a + C v + grad P_l + D_l v + F_l(v) + T(q)) / K
 
-The right side follows from the filtered motion of the record and the parameters alone; nothing is fitted. A rigid arm
-without skew has a constant deflection.
+The right side, at t + skew, follows from the filtered motion of the record and the parameters alone (`link_side` of
+`filtered_fit`); nothing is fitted. A rigid arm without skew has a constant deflection.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -19,11 +18,12 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import DEFLECTION, Fit, Identification
 
-from .elastic_arm import ElasticArm, coulomb, position_torque
-from .filtered_motion import FilteredMotion, decimated, filtered, inner, rigid_torque, shifted, smoothed
+from .estimation_problem import Estimation
+from .filtered_fit import link_side, rigid_along
+from .filtered_motion import FilteredMotion, decimated, inner, smoothed
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
-from .parameters import OF_LINKS, IdentifyOptions, Prior
+from .parameters import IdentifyOptions, Prior
 
 STIFF = 1e12  # times the identified stiffness
 
@@ -64,6 +64,23 @@ class Deflection:
         return Fit(self.record, self.t, measured, predicted, {DEFLECTION: self.elastic}, 1 - self.unexplained**2)
 
 
+def deflections(setup: Estimation, z: Array) -> list[Deflection]:
+    """Return the deflection of each record, predicted at z (p,)."""
+    return [_deflection(setup, k, z) for k in range(len(setup.records))]
+
+
+def _deflection(setup: Estimation, k: int, z: Array) -> Deflection:
+    record, motion = setup.records[k], setup.motions[k]
+    rigid = rigid_along(setup, motion, z)
+    errors = np.column_stack([link_side(setup, motion, rigid, z, j).errors for j in range(setup.robot.n)])
+    measured = inner(smoothed(record.q_m - record.q_l, record.dt), record.dt)
+    measured, predicted = (
+        decimated(side - np.mean(side, axis=0), motion.stride) for side in (measured, measured - errors)
+    )
+    t = record.dt * inner(np.arange(len(record.u), dtype=float), record.dt)[:: motion.stride]
+    return Deflection(record.name, record.joints, t, measured, predicted)
+
+
 def predicted_deflection(
     record: MotionRecord,
     robot: Robot,
@@ -72,38 +89,11 @@ def predicted_deflection(
     options: IdentifyOptions = IdentifyOptions(),  # noqa: B008
 ) -> Deflection:
     """Return the deflection of a record, predicted by an identification from other records."""
-    values, joints = _parameters(robot, prior, identification, options), identification.joints
-    of_links = [
-        (estimate.name, joints.index(estimate.joint) if estimate.joint else 0)
-        for estimate in identification.estimates
-        if estimate.name in OF_LINKS
-    ]
-    arm = ElasticArm(robot, tuple(of_links))
-    motion = filtered(record, arm, values)
-    skew = values["link_skew"]
-    q, v, a = (
-        np.column_stack([shifted(side[:, j], record.dt, late) for j, late in enumerate(skew)])
-        for side in (motion.q_l, motion.v_l, motion.a_l)
-    )
-    torque = rigid_torque(arm, values, q, v, a) + values["link_damping"] * v
-    torque += values["link_coulomb_friction"] * coulomb(v, values["smoothing"])
-    torque += np.asarray(position_torque(SimpleNamespace(**values), q, np))
-    sides = smoothed(record.q_m - record.q_l, record.dt), torque / values["joint_stiffness"] - skew * v
-    measured, predicted = (inner(side, record.dt) for side in sides)
-    measured, predicted = (decimated(side - np.mean(side, axis=0), motion.stride) for side in (measured, predicted))
-    t = record.dt * inner(np.arange(len(q), dtype=float), record.dt)[:: motion.stride]
-    return Deflection(record.name, record.joints, t, measured, predicted)
-
-
-def _parameters(
-    robot: Robot, prior: Prior, identification: Identification, options: IdentifyOptions
-) -> Mapping[str, Array]:
-    """Return all parameters by name: the estimates, where there is none the prior."""
     values = {name: value.copy() for name, value in prior.values.items()}
     for estimate in identification.estimates:
-        j = identification.joints.index(estimate.joint) if estimate.joint else 0
-        values[estimate.name][j] = estimate.value
-    return {**values, **options.friction_velocities(robot.n)}
+        values[estimate.name][identification.joints.index(estimate.joint) if estimate.joint else 0] = estimate.value
+    setup = Estimation([record], robot, replace(prior, values=values), options)
+    return _deflection(setup, 0, setup.coordinates.mean)
 
 
 def _rms(signal: Array) -> Array:

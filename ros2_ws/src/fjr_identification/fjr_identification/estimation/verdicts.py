@@ -21,7 +21,7 @@ from .intervals import interval, posterior
 from .motion_record import MotionRecord
 from .multiple_shooting import NormalEquations, PredictedSegments
 from .optimise import bounded_step
-from .parameters import KINDS, PAYLOAD
+from .parameters import KINDS, PAYLOAD, SMOOTHING
 
 SHARP = 0.25
 """Standard deviation of an identified parameter: of its logarithm, or relative to its size or to its prior's width."""
@@ -29,8 +29,9 @@ BLUNT = 0.6
 """A parameter whose standard deviation exceeds this part of its prior's width is not identifiable."""
 STILL = 2e-3  # rad; a joint that moves less stands still
 WORSE = 1.1  # root mean square residual of some signal, relative to that of the most likely parameters
+LESS_LIKELY = 2.0  # of -log L, half the 95 % quantile of chi^2
 CORRELATED = 0.9
-PRISMATIC_UNITS = {"N m/rad": "N/m", "kg m^2": "kg", "N m s/rad": "N s/m", "N m": "N", "rad": "m"}
+PRISMATIC_UNITS = {"N m/rad": "N/m", "kg m^2": "kg", "N m s/rad": "N s/m", "N m": "N", "rad": "m", "rad/s": "m/s"}
 _RESONANCE = "without a link encoder only the resonance determines it; excite the joint near its resonance"
 WITHOUT_LINK = {
     "joint_stiffness": _RESONANCE,
@@ -64,11 +65,13 @@ def not_identifiable(
 def fitted_at_prior(best: PredictedSegments, entries: Sequence[int]) -> PredictedSegments | None:
     """Return the prediction with some entries of z at their prior's mean; None if the records contradict it.
 
-    They do if the residuals are clearly larger there although all others adapt. Initial states are sought from where
-    the normal equations move them, and from those of the most likely parameters.
+    They do if the residuals are clearly larger there although all others adapt; where friction turns over, of which few
+    samples depend, already if they are less likely by LESS_LIKELY. Initial states are sought from where the normal
+    equations move them, and from those of the most likely parameters.
     """
     coordinates, (H, _) = best.problem.coordinates, best.normal_equations
     moved = np.isin(np.arange(len(best.z)), entries)
+    unlikely = LESS_LIKELY if any(coordinates.free[k][0] == SMOOTHING for k in entries) else np.inf
     step = np.where(moved, coordinates.mean - best.z, 0.0)
     g = -H[np.ix_(~moved, moved)] @ step[moved]
     step[~moved] = bounded_step(H[np.ix_(~moved, ~moved)], g, best.z[~moved], coordinates.nonnegative[~moved])
@@ -76,7 +79,7 @@ def fitted_at_prior(best: PredictedSegments, entries: Sequence[int]) -> Predicte
     for x0 in (followed, best.x0):
         adapted = best.problem.evaluate(best.z + step, x0, best.noise)
         if adapted is not None and np.all(adapted.residual <= WORSE * best.residual):
-            return adapted
+            return adapted if adapted.cost - best.cost < unlikely else None
     return None
 
 

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cases of physics that the product's model does not share, identified by `fjr identify`'s code, and their table."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import fjr_core as fjr
+from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate
+from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.motion_record import record_of_samples
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.record_checks import findings
+from fjr_identification.robot_file import nominal_robot
+
+from . import laws
+from .draws import Case, Draws, drawn
+from .sensors import Encoder, Sensors
+
+MS = 1e-3
+CASES = {
+    **{f"Coulomb over {v:g} mrad/s": Case(laws.coulomb(v * MS)) for v in (0.1, 0.3, 1.0, 3.0, 10.0, 20.0)},
+    "v / sqrt(v^2 + v_0^2), 1 mrad/s": Case(laws.root(1e-3)),
+    "Stribeck, + 50 % over 50 mrad/s": Case(laws.stribeck(1e-3)),
+    "Dahl, 0.1 mrad": Case(laws.dahl(1e-4)),
+    "LuGre, 0.1 mrad, + 50 %": Case(laws.lugre(1e-4)),
+    "Coulomb + 3 % of the load": Case(laws.loaded(1e-3, 0.03)),
+    "backlash 0.2 mrad": Case(spring=laws.backlash(2e-4)),
+    "backlash 0.5 mrad": Case(spring=laws.backlash(5e-4)),
+    "backlash 2 mrad": Case(spring=laws.backlash(2e-3)),
+    "cubic, + 30 % at 5 mrad": Case(spring=laws.cubic(0.3, 5e-3)),
+    "hysteresis, 0.3 K up to 1 mrad": Case(spring=laws.hysteresis(0.3, 1e-3)),
+    "kinematic error, 0.1 mrad": Case(spring=laws.kinematic_error(1e-4)),
+    "gain of the motor encoder 1.003": Case(sensors=Sensors(motor=Encoder(gain=1.003))),
+    "eccentricity of 1 mrad": Case(sensors=Sensors(link=Encoder(eccentricity=1e-3))),
+    "slip of 1 mrad": Case(sensors=Sensors(link=Encoder(slip=1e-3))),
+    "delay that varies by 0.5 ms": Case(jitter=5e-4),
+    "0.5 % of the samples lost": Case(sensors=Sensors(lost=5e-3)),
+    "tip mass of 0.3 kg": Case(varied=lambda arm: replace(arm, tip_mass=arm.tip_mass + 0.3)),
+    "links 30 % too heavy in the robot file": Case(stated_mass=1.3),
+    "base tilted by 3 degrees": Case(varied=lambda arm: replace(arm, tilt=arm.tilt + np.deg2rad(3.0))),
+    "torque of a cable, 0.2 N m": Case(varied=lambda arm: replace(arm, cable=arm.cable + 0.2)),
+}
+KINDS = {
+    "joint_stiffness": "K",
+    "motor_inertia": "B",
+    "link_damping": "D_l",
+    "motor_damping": "D_m",
+    "link_coulomb_friction": "F_l",
+    "motor_coulomb_friction": "F_m",
+    "friction_smoothing_velocity": "v_0",
+    "offset": "offset",
+    "effort_delay": "delay",
+    "link_skew": "skew",
+}
+SPRING = ("backlash", "the spring is")
+"""Words of the reasons that name a spring which is no straight line."""
+ROBOT = """/**:
+  ros__parameters:
+    joints: {joints}
+    robot: {{model: urdf, urdf: arm.urdf, joint_stiffness: {stiffness}, motor_inertia: {inertia}}}
+"""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 95 % interval beside the truth. away: of the value from the truth, in standard deviations. error: relative."""
+
+    kind: str
+    away: float
+    error: float
+    verdict: str
+    reason: str
+
+    @property
+    def inside(self) -> bool:
+        """Return whether the interval contains the truth."""
+        return self.away <= 1.96
+
+
+def of_batch(job: tuple[str, int, int, int]) -> list[list[Interval] | None]:
+    """Return the intervals of each draw of a batch: name of the case, number of joints, of draws, and seed."""
+    name, joints, count, seed = job
+    draws = drawn(CASES[name], joints, count, seed)
+    return [identified(draws, i, IdentifyOptions(threads=1)) for i in range(count)]
+
+
+def identified(draws: Draws, i: int, options: IdentifyOptions) -> list[Interval] | None:
+    """Return the intervals of draw i, None if its record is refused."""
+    truth, samples = draws.truth(i), draws.records[i]
+    names = [f"joint{j}" for j in range(samples.u.shape[1])]
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "arm.urdf").write_text(draws.urdf(i), encoding="utf-8")
+        text = ROBOT.format(
+            joints=names, stiffness=draws.stiffness[i].tolist(), inertia=draws.motor_inertia[i].tolist()
+        )
+        Path(folder, "robot.yaml").write_text(text, encoding="utf-8")
+        nominal = nominal_robot(Path(folder, "robot.yaml"))
+    unmeasured = np.full_like(samples.u, np.nan)
+    record, _ = record_of_samples("physics", nominal.joints, samples.t, samples.q_l, samples.q_m, samples.u, unmeasured)
+    if findings(record, nominal.robot):
+        return None
+    try:
+        found = identify([record], nominal.robot, Prior.of(nominal.robot), options)
+    except fjr.FjrError:
+        return None
+    return [
+        _interval(each, float(truth[each.name][names.index(each.joint)]))
+        for each in found.estimates
+        if each.name in truth
+    ]
+
+
+def _interval(estimate: Estimate, true: float) -> Interval:
+    """Return where the truth is in an interval; that of a positive parameter has a logarithmic scale."""
+    values = np.array([estimate.low, estimate.value, estimate.high, true])
+    if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity"):
+        values = np.log(values)
+    low, value, high, truth = values
+    side = (value - low if truth < value else high - value) / 1.96
+    if side <= 0:  # cut at 0
+        side = max(value - low, high - value) / 1.96
+    away = abs(truth - value) / side if side > 0 else np.inf
+    error = abs(estimate.value - true) / (abs(true) or 1.0)
+    return Interval(estimate.name, float(away), float(error), estimate.verdict, estimate.reason)
+
+
+def head() -> str:
+    """Return the first lines of the table."""
+    columns = [
+        "physics",
+        "records",
+        *KINDS.values(),
+        "largest sigma",
+        "K identified",
+        "of these inside",
+        "error of K",
+        "named",
+    ]
+    return "\n".join(["| " + " | ".join(columns) + " |", "| --- " + "| ---: " * (len(columns) - 1) + "|"])
+
+
+def line(name: str, results: Sequence[list[Interval] | None]) -> str:
+    """Return a row of the table: how many intervals contain the truth, by kind of parameter, and springs named."""
+    intervals = [each for result in results if result is not None for each in result if each.verdict != UNKNOWN]
+    K = [each for each in intervals if each.kind == "joint_stiffness"]
+    sure = [each for each in K if each.verdict == IDENTIFIED]
+    refused = sum(result is None for result in results)
+    cells = [
+        name,
+        f"{len(results)}" + (f" ({refused} refused)" if refused else ""),
+        *(_share([each for each in intervals if each.kind == kind]) for kind in KINDS),
+        f"{max((each.away for each in intervals), default=0.0):.1f}",
+        f"{len(sure)} of {sum(each.kind == 'joint_stiffness' for result in results for each in result or ())}",
+        _share(sure),
+        f"{np.median([each.error for each in K]):.1g}" if K else "",
+        f"{sum(any(word in each.reason for word in SPRING) for each in K)}/{len(K)}" if K else "",
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _share(intervals: Iterable[Interval]) -> str:
+    inside = [each.inside for each in intervals]
+    return f"{sum(inside)}/{len(inside)}" if inside else ""

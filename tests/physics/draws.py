@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random planar arms of one to three joints that follow random motions, and robot files with wrong springs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arm import Arm, G, Motion, simulated
+from .laws import Friction, Spring, coulomb, linear
+from .sensors import Samples, Sensors, sampled
+
+Array = NDArray[np.float64]
+STIFFNESS_ERROR, INERTIA_ERROR = 0.5, 0.3  # standard deviations of the logarithm in the robot file
+BAND, PEAK = 12.0, 0.6  # rad/s of the position loop; rad of the motion
+SINES = 4
+
+
+@dataclass(frozen=True)
+class Case:
+    """Physics of a row of the table. varied: the arm with further bodies; jitter [s]: the delay varies as much."""
+
+    friction: Friction = field(default_factory=lambda: coulomb(0.01))
+    spring: Spring = field(default_factory=linear)
+    sensors: Sensors = field(default_factory=Sensors)
+    varied: Callable[[Arm], Arm] = lambda arm: arm
+    jitter: float = 0.0
+    largest_skew: float = 3e-3  # s
+    duration: float = 6.0  # s
+    dt: float = 2e-3  # s
+    stated_mass: float = 1.0  # factor of the robot file on masses and inertias of the links
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Arms (d, n) and samples. delay (d,), skew (d, n) [s]; stiffness, motor_inertia (d, n): of the robot files."""
+
+    case: Case
+    arm: Arm
+    delay: Array
+    skew: Array
+    stiffness: Array
+    motor_inertia: Array
+    records: list[Samples]
+
+    def truth(self, i: int) -> dict[str, Array]:
+        """Return the parameters (n,) of draw i by the names of `fjr identify`."""
+        arm, n = self.arm, self.skew.shape[1]
+        values = {
+            "joint_stiffness": arm.stiffness,
+            "motor_inertia": arm.motor_inertia,
+            "link_damping": arm.link_damping,
+            "motor_damping": arm.motor_damping,
+            "link_coulomb_friction": arm.link_friction,
+            "motor_coulomb_friction": arm.motor_friction,
+            "offset": arm.offset,
+            "effort_delay": np.repeat(self.delay[:, None], n, axis=1),
+            "link_skew": self.skew,
+        }
+        if arm.friction.turning is not None:
+            values["friction_smoothing_velocity"] = np.broadcast_to(arm.friction.turning, self.skew.shape)
+        return {name: np.asarray(value[i]) for name, value in values.items()}
+
+    def urdf(self, i: int) -> str:
+        """Return the URDF of draw i without its tip mass and tilt; joints turn about y, links hang at 0."""
+        arm, parts, height = self.arm, ['<robot name="chain"><link name="base"/>'], 0.0
+        for j in range(self.skew.shape[1]):
+            mass, inertia = (self.case.stated_mass * values[i, j] for values in (arm.mass, arm.inertia))
+            parts.append(
+                f'<link name="link{j}"><inertial><origin xyz="0 0 {-arm.com[i, j]}"/><mass value="{mass}"/>'
+                f'<inertia ixx="{inertia}" ixy="0" ixz="0" iyy="{inertia}" iyz="0" izz="{inertia}"/></inertial></link>'
+                f'<joint name="joint{j}" type="continuous"><parent link="{f"link{j - 1}" if j else "base"}"/>'
+                f'<child link="link{j}"/><origin xyz="0 0 {height}"/><axis xyz="0 1 0"/></joint>'
+            )
+            height = -arm.length[i, j]
+        return "".join([*parts, "</robot>"])
+
+
+def drawn(case: Case, joints: int, count: int, seed: int, done: Callable[[float], None] = lambda share: None) -> Draws:
+    """Return `count` draws of arms with this number of joints."""
+    random, shape = np.random.default_rng((seed, joints)), (count, joints)
+    arm = case.varied(_arm(random, shape, case))
+    delay = random.uniform(5e-4, 4e-3, count)
+    skew = random.uniform(-case.largest_skew, case.largest_skew, shape)
+    motion = _motion(random, arm, delay, case, done)
+    worse = (np.exp(width * random.standard_normal(shape)) for width in (STIFFNESS_ERROR, INERTIA_ERROR))
+    stiffness, inertia = (np.clip(factor, 0.4, 2.5) for factor in worse)
+    records = sampled(motion, case.dt, skew, case.sensors, seed)
+    return Draws(case, arm, delay, skew, stiffness * arm.stiffness, inertia * arm.motor_inertia, records)
+
+
+def _arm(random: np.random.Generator, shape: tuple[int, int], case: Case) -> Arm:
+    """Return arms whose springs swing at 7 to 18 Hz and whose friction is a part of their weight."""
+    count, n = shape
+    length, mass = random.uniform(0.2, 0.4, shape), random.uniform(0.8, 2.5, shape)
+    none = np.zeros(shape)
+    inertia = mass * length**2 * random.uniform(0.05, 0.12, shape)
+    arm = Arm(mass, length * random.uniform(0.35, 0.6, shape), length, inertia, *[none] * 7)
+    links = np.diagonal(arm.link_inertia(none), axis1=-2, axis2=-1)
+    rotor = links * random.uniform(0.2, 0.8, shape)
+    stiffness = (2 * np.pi * random.uniform(7.0, 18.0, shape)) ** 2 * links * rotor / (links + rotor)
+    critical = 2 * np.sqrt(stiffness * rotor)
+    weight = G * np.cumsum(arm.arms[1][:, ::-1], axis=1)[:, ::-1]
+    return replace(
+        arm,
+        stiffness=stiffness,
+        motor_inertia=rotor,
+        link_damping=critical * random.uniform(0.005, 0.02, shape),
+        motor_damping=critical * random.uniform(0.005, 0.02, shape),
+        link_friction=weight * random.uniform(0.02, 0.08, shape),
+        motor_friction=weight * random.uniform(0.02, 0.08, shape),
+        offset=random.uniform(-5e-3, 5e-3, shape),
+        friction=case.friction,
+        spring=case.spring,
+        tip_mass=np.zeros(count),
+        tilt=np.zeros(count),
+        cable=none,
+    )
+
+
+def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case, done: Callable[[float], None]) -> Motion:
+    """Return the motion under a position loop with the weight fed forward, along random sums of sines."""
+    count, n = arm.mass.shape
+    number = int(round(case.duration / case.dt)) + 16
+    sines = (SINES, count, n)
+    frequency, phase = 2 * np.pi * random.uniform(0.2, 1.8, sines), random.uniform(0, 2 * np.pi, sines)
+    amplitude, middle = PEAK / SINES * random.uniform(0.4, 1.0, sines), random.uniform(-0.8, 0.8, (count, n))
+    late = delay + case.jitter * random.random((number + 1, count))
+    t = case.dt * np.arange(number + 1)[:, None] + np.minimum(late, 0.9 * case.dt + delay)
+    angle = frequency[None] * (case.dt * np.arange(number))[:, None, None, None] + phase
+    q = middle + np.sum(amplitude * np.sin(angle), axis=1)
+    v = np.sum(amplitude * frequency * np.cos(angle), axis=1)
+    total = arm.motor_inertia + np.diagonal(arm.link_inertia(np.zeros((count, n))), axis1=-2, axis2=-1)
+    weight = arm.link_torque(q, np.zeros_like(q))
+
+    def control(k: Array, i: Array, x: Array) -> Array:
+        error, rate = q[k, i] - x[:, 1], v[k, i] - x[:, 3]
+        return np.asarray(weight[k, i] + total[i] * (BAND**2 * error + 2 * BAND * rate))
+
+    x = np.zeros((count, arm.rows, n))
+    x[:, 0], x[:, 1], x[:, 2], x[:, 3] = q[0], q[0], v[0], v[0]
+    x[:, 1] += weight[0] / arm.stiffness + arm.offset
+    return simulated(arm, x, t, control, done)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of friction and of springs, as functions of arrays of any shape, with at most one state each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Friction:
+    """torque, dw/dt = law(v, level, w, load): of velocities [rad/s], levels, the state, and the load [N m].
+
+    turning: the velocity v_0 [rad/s] of level tanh(v / v_0); None for other shapes.
+    """
+
+    law: Callable[[Array, Array, Array, Array], tuple[Array, Array]]
+    has_state: bool = False
+    turning: Any = None
+
+    def __call__(self, v: Array, level: Array, w: Array, load: Array) -> tuple[Array, Array]:
+        """Return the friction torque [N m] and the rate of its state."""
+        return self.law(v, level, w, load)
+
+
+def coulomb(turning: Any) -> Friction:
+    """Return level tanh(v / turning); turning [rad/s]: a number, or one per draw and joint."""
+    return Friction(lambda v, F, w, _: (F * np.tanh(v / turning), 0 * w), turning=turning)
+
+
+def root(turning: float) -> Friction:
+    """Return level v / sqrt(v^2 + turning^2), which reaches the level much later than the hyperbolic tangent."""
+    return Friction(lambda v, F, w, _: (F * v / np.hypot(v, turning), 0 * w))
+
+
+def stribeck(turning: float, excess: float = 0.5, velocity: float = 0.05) -> Friction:
+    """Return friction whose level near rest is `excess` higher, over a Stribeck velocity [rad/s]."""
+    return Friction(
+        lambda v, F, w, _: (F * (1 + excess * np.exp(-((v / velocity) ** 2))) * np.tanh(v / turning), 0 * w)
+    )
+
+
+def loaded(turning: float, share: float) -> Friction:
+    """Return friction that grows with the torque of the spring by a share of it, as that of gears."""
+    return Friction(lambda v, F, w, load: ((F + share * np.abs(load)) * np.tanh(v / turning), 0 * w))
+
+
+def dahl(displacement: float) -> Friction:
+    """Return P. Dahl's friction: bristles of a breakaway displacement [rad], w is their deflection."""
+    return Friction(lambda v, F, w, _: (F * w / displacement, v - np.abs(v) * w / displacement), has_state=True)
+
+
+def lugre(displacement: float, excess: float = 0.5, velocity: float = 0.05, damping: float = 1e-3) -> Friction:
+    """Return LuGre friction: Dahl's bristles with a Stribeck level and damping [s] (C. Canudas de Wit and others)."""
+
+    def law(v: Array, F: Array, w: Array, _: Array) -> tuple[Array, Array]:
+        dw = v - np.abs(v) * w / (displacement * (1 + excess * np.exp(-((v / velocity) ** 2))))
+        return F / displacement * (w + damping * dw), dw
+
+    return Friction(law, has_state=True)
+
+
+@dataclass(frozen=True)
+class Spring:
+    """tau, tau_m, dw/dt = law(K, q_l, q_m, v_l, v_m, w): torques on link and against the motor, rate of the state."""
+
+    law: Callable[..., tuple[Array, Array, Array]]
+    has_state: bool = False
+
+    def __call__(self, K: Array, q_l: Array, q_m: Array, v_l: Array, v_m: Array, w: Array) -> tuple[Array, ...]:
+        """Return tau and tau_m [N m], and the rate of the state."""
+        return self.law(K, q_l, q_m, v_l, v_m, w)
+
+
+def of_deflection(torque: Callable[[Array, Array], Array]) -> Spring:
+    """Return the spring with the torque torque(K, q_m - q_l)."""
+
+    def law(K: Array, q_l: Array, q_m: Array, v_l: Array, v_m: Array, w: Array) -> tuple[Array, Array, Array]:
+        tau = torque(K, q_m - q_l)
+        return tau, tau, 0 * w
+
+    return Spring(law)
+
+
+def linear() -> Spring:
+    """Return K zeta."""
+    return of_deflection(lambda K, zeta: K * zeta)
+
+
+def cubic(growth: float, at: float) -> Spring:
+    """Return a spring whose secant stiffness is larger by a factor 1 + growth at a deflection `at` [rad]."""
+    return of_deflection(lambda K, zeta: K * zeta * (1 + growth * (zeta / at) ** 2))
+
+
+def backlash(width: float) -> Spring:
+    """Return a spring with a dead zone of this width [rad]."""
+    return of_deflection(lambda K, zeta: K * (zeta - np.clip(zeta, -width / 2, width / 2)))
+
+
+def hysteresis(share: float, slip: float) -> Spring:
+    """Return a spring with a Maxwell element beside it: stiffness share K up to a deflection slip [rad]."""
+
+    def law(K: Array, q_l: Array, q_m: Array, v_l: Array, v_m: Array, w: Array) -> tuple[Array, Array, Array]:
+        rate, near = v_m - v_l, np.abs(w / (share * K * slip)) ** 4
+        tau = K * (q_m - q_l) + w
+        return tau, tau, share * K * rate * (1 - near * (rate * w > 0))
+
+    return Spring(law, has_state=True)
+
+
+def kinematic_error(amplitude: float, periods: float = 200.0) -> Spring:
+    """Return a gear whose link is led amplitude sin(periods q_m) [rad] astray: 2 per turn behind a ratio of 100."""
+
+    def law(K: Array, q_l: Array, q_m: Array, v_l: Array, v_m: Array, w: Array) -> tuple[Array, Array, Array]:
+        tau = K * (q_m - q_l - amplitude * np.sin(periods * q_m))
+        return tau, tau * (1 - amplitude * periods * np.cos(periods * q_m)), 0 * w
+
+    return Spring(law)

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The physics of the test bench is right by itself; identification finds friction that turns over anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN
+from fjr_identification.estimation.parameters import IdentifyOptions
+from physics import laws
+from physics.arm import Arm, Array, G, Motion, simulated
+from physics.coverage import Interval, head, identified, line
+from physics.draws import Case, Draws, drawn
+from physics.sensors import Encoder, Sensors, sampled
+
+DRAWS = 3
+FRICTION = {
+    "coulomb": laws.coulomb(1e-4),
+    "root": laws.root(1e-3),
+    "stribeck": laws.stribeck(1e-3),
+    "loaded": laws.loaded(1e-3, 0.1),
+    "dahl": laws.dahl(1e-4),
+    "lugre": laws.lugre(1e-4),
+}
+SPRINGS = {
+    "linear": laws.linear(),
+    "cubic": laws.cubic(0.3, 5e-3),
+    "backlash": laws.backlash(5e-4),
+    "hysteresis": laws.hysteresis(0.3, 1e-3),
+    "kinematic error": laws.kinematic_error(1e-4),
+}
+
+
+def arm_of(n: int, **changes: object) -> Arm:
+    """Return different draws of an arm without friction and damping."""
+    random, shape = np.random.default_rng(n), (DRAWS, n)
+    values = [random.uniform(low, high, shape) for low, high in ((0.5, 2), (0.1, 0.2), (0.2, 0.4), (5e-3, 2e-2))]
+    none = np.zeros(shape)
+    arm = Arm(*values, 80.0 + none, 0.02 + none, none, none, none, none, 2e-3 + none)
+    return replace(arm, tip_mass=np.full(DRAWS, 0.3), tilt=np.full(DRAWS, 0.1), **changes)
+
+
+def swung(arm: Arm, dt: float = 2e-3, samples: int = 200, u: float = 0.0) -> tuple[Array, Array]:
+    """Return times and states of an arm that is released from rest away from its balance."""
+    n = arm.mass.shape[1]
+    x = np.zeros((DRAWS, arm.rows, n))
+    x[:, :2] = 0.7
+    t = np.tile(dt * np.arange(samples + 1)[:, None], (1, DRAWS))
+    return t, simulated(arm, x, t, lambda k, i, at: np.full((len(i), n), u)).x
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_energy_is_conserved_without_friction(n: int) -> None:
+    arm = arm_of(n)
+    _, x = swung(arm)
+    assert np.ptp(x[:, :, 0], axis=0).min() > 0.05
+    energy = arm.energy(x)
+    np.testing.assert_allclose(energy, np.broadcast_to(energy[0], energy.shape), rtol=0, atol=2e-5)
+
+
+def test_work_of_efforts_and_friction_is_the_change_of_energy() -> None:
+    none = np.zeros((DRAWS, 2))
+    arm = arm_of(2, link_damping=none + 0.1, motor_friction=none + 0.2, link_friction=none + 0.1)
+    t, x = swung(arm, dt=1e-3, samples=400, u=0.5)
+    v_l, v_m = x[:, :, 2], x[:, :, 3]
+    power = np.sum(v_m * (0.5 - 0.2 * np.tanh(v_m / 0.01)) - v_l * (0.1 * v_l + 0.1 * np.tanh(v_l / 0.01)), axis=-1)
+    work = np.trapezoid(power, t, axis=0) if hasattr(np, "trapezoid") else np.trapz(power, t, axis=0)
+    np.testing.assert_allclose(arm.energy(x[-1]) - arm.energy(x[0]), work, rtol=2e-3)
+
+
+def test_inertia_and_weight_equal_those_of_positions_in_the_plane() -> None:
+    arm, random, step = arm_of(3), np.random.default_rng(0), 1e-6
+    q, v = random.normal(size=(2, DRAWS, 3))
+
+    def bodies(q: Array) -> Array:
+        """Return the positions (2, DRAWS, 4) of all bodies: centres of mass, then the tip."""
+        theta = np.cumsum(q, axis=1) + arm.tilt[:, None]
+        ends = np.cumsum([arm.length * np.sin(theta), -arm.length * np.cos(theta)], axis=2)
+        starts = np.concatenate([np.zeros((2, DRAWS, 1)), ends[:, :, :2]], axis=2)
+        centres = starts + np.array([arm.com * np.sin(theta), -arm.com * np.cos(theta)])
+        return np.concatenate([centres, ends[:, :, 2:]], axis=2)
+
+    mass = np.hstack([arm.mass, np.full((DRAWS, 1), 0.3)])
+    speed = (bodies(q + step * v) - bodies(q - step * v)) / (2 * step)
+    kinetic = np.sum(mass * np.sum(speed**2, axis=0), axis=1) + np.sum(arm.inertia * np.cumsum(v, axis=1) ** 2, axis=1)
+    np.testing.assert_allclose(np.einsum("di,dij,dj->d", v, arm.link_inertia(q), v), kinetic, rtol=1e-6)
+    for j in range(3):
+        moved = step * np.eye(3)[j]
+        slope = G * np.sum(mass * (bodies(q + moved)[1] - bodies(q - moved)[1]), axis=1) / (2 * step)
+        np.testing.assert_allclose(arm.link_torque(q, 0 * q)[:, j], slope, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("friction", FRICTION.values(), ids=list(FRICTION))
+def test_motion_equals_that_of_scipy(friction: laws.Friction) -> None:
+    level = np.full((DRAWS, 2), 0.2)
+    arm = arm_of(2, friction=friction, link_friction=level, motor_friction=level)
+    t, x = swung(arm, samples=60, u=0.3)
+    alone = replace(arm, **{name: value[:1] for name, value in vars(arm).items() if isinstance(value, np.ndarray)})
+
+    def rates(_: float, y: Array) -> Array:
+        return alone.rates(y.reshape(1, arm.rows, 2), np.full((1, 2), 0.3)).ravel()
+
+    found = solve_ivp(rates, (0, t[-1, 0]), x[0, 0].ravel(), "Radau", rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(x[-1, 0].ravel()[:4], found.y[:4, -1], rtol=0, atol=3e-7)
+
+
+@pytest.mark.parametrize("spring", SPRINGS.values(), ids=list(SPRINGS))
+def test_a_spring_in_a_closed_cycle_gives_back_at_most_its_work(spring: laws.Spring) -> None:
+    steps = 2000
+    q_m = 5e-3 * np.sin(np.linspace(0, 4 * np.pi, 2 * steps + 1))
+    w, torques = 0.0, []
+    for before, after in pairwise(q_m):
+        tau, tau_m, dw = spring(np.float64(200.0), 0.0, (before + after) / 2, 0.0, after - before, np.float64(w))
+        torques.append(tau_m)
+        w += float(dw)
+    work = float(np.sum(np.array(torques[steps:]) * np.diff(q_m[steps:])))
+    assert work > -1e-6
+    assert (work > 1e-4) == spring.has_state
+
+
+def test_breakaway_levels_and_secants_are_as_named() -> None:
+    one, rest = np.ones(1), np.zeros(1)
+    for friction in (laws.coulomb(1e-3), laws.root(1e-5), laws.stribeck(1e-3)):
+        assert friction(one, 0.3 * one, rest, rest)[0] == pytest.approx(0.3, rel=1e-3)
+    assert laws.loaded(1e-3, 0.1)(one, 0.3 * one, rest, -2 * one)[0] == pytest.approx(0.5)
+    for friction in (laws.dahl(1e-4), laws.lugre(1e-4)):
+        sliding = np.full(1, 1e-4)
+        torque, dw = friction(one, 0.3 * one, sliding, rest)
+        assert (torque, dw) == (pytest.approx(0.3, rel=1e-3), pytest.approx(0.0, abs=1e-3))
+    K = 200 * one
+    assert laws.cubic(0.3, 5e-3)(K, rest, 5e-3 * one, rest, rest, rest)[0] == pytest.approx(1.3)
+    assert laws.backlash(5e-4)(K, rest, 2e-4 * one, rest, rest, rest)[0] == 0.0
+    assert laws.backlash(5e-4)(K, rest, 5e-3 * one, rest, rest, rest)[0] == pytest.approx(200 * 4.75e-3)
+
+
+def test_samples_are_read_late_lost_and_rounded() -> None:
+    dt, phase = 2e-3, np.array([[0.3, 0.5], [0.7, 0.9]])
+    t = np.tile(dt * np.arange(301)[:, None] + 3e-4, (1, 2))
+    angle = t[:, :, None] + phase
+    motion = Motion(t, np.stack([np.sin(angle), 2 * np.sin(angle), np.cos(angle), 2 * np.cos(angle)], 2), 0 * angle[1:])
+    skew = np.array([[1e-3, -2e-3], [3e-3, 0.0]])
+    for i, samples in enumerate(sampled(motion, dt, skew, Sensors(Encoder(0.0), Encoder(0.0)))):
+        np.testing.assert_allclose(samples.q_m, 2 * np.sin(samples.t[:, None] + phase[i]), atol=1e-12)
+        np.testing.assert_allclose(samples.q_l, np.sin(samples.t[:, None] + skew[i] + phase[i]), atol=1e-12)
+    whole, coarse = (sampled(motion, dt, skew, sensors)[1] for sensors in (Sensors(), Sensors(Encoder(1e-3), lost=0.2)))
+    assert 0.7 < len(coarse.t) / len(whole.t) < 0.9
+    np.testing.assert_allclose(coarse.q_l / 1e-3, np.round(coarse.q_l / 1e-3), atol=1e-9)
+
+
+@pytest.mark.parametrize("turning", [3e-4, 1e-3, 2e-2])
+def test_friction_is_identified_wherever_it_turns_over(turning: float) -> None:
+    draws = drawn(Case(laws.coulomb(turning), duration=4.0), 2, 2, 3)
+    for i in range(2):
+        found = identified(draws, i, IdentifyOptions())
+        assert found is not None
+        seen = {(each.kind, k): each for k, each in enumerate(found) if each.verdict != UNKNOWN}
+        assert max(each.away for each in seen.values()) < 5
+        assert all(each.error < 2e-3 for each in seen.values() if each.kind == "joint_stiffness")
+        velocities = [each for each in found if each.kind == "friction_smoothing_velocity"]
+        assert all(each.error < 0.3 for each in velocities)
+
+
+STRAIGHT, LOOSE, STIFFENING = (
+    Case(friction, spring, duration=4.0)
+    for friction, spring in (
+        (laws.coulomb(1e-3), laws.linear()),
+        (laws.coulomb(0.01), laws.backlash(5e-4)),
+        (laws.coulomb(0.01), laws.cubic(0.3, 5e-3)),
+    )
+)
+
+
+@cache
+def one_joint_of(case: Case) -> Draws:
+    """Return four draws of one joint."""
+    return drawn(case, 1, 4, 1)
+
+
+@pytest.mark.parametrize(
+    ("case", "draw", "said"),
+    [
+        (STRAIGHT, 1, ""),
+        (STRAIGHT, 2, ""),
+        (LOOSE, 1, "backlash of about 0.48 mrad"),
+        (LOOSE, 0, ""),  # its torque keeps its sign, so that the dead zone is never passed
+        (STIFFENING, 1, "the spring is not linear: 21.1 N m/rad at 2.4 mrad, 38"),
+    ],
+)
+def test_a_spring_that_is_no_straight_line_is_named_and_not_called_identified(case: Case, draw: int, said: str) -> None:
+    found = identified(one_joint_of(case), draw, IdentifyOptions())
+    assert found is not None
+    (K,) = (each for each in found if each.kind == "joint_stiffness")
+    assert (K.verdict == IDENTIFIED) == (not said)
+    assert said.split(" ", 1)[0] in K.reason
+    numbers = [float(word) for word in K.reason.replace(",", "").split() if word.replace(".", "").isdigit()]
+    expected = [float(word) for word in said.replace(",", "").split() if word.replace(".", "").isdigit()]
+    assert numbers[: len(expected)] == pytest.approx(expected, rel=0.1)
+
+
+def test_a_row_of_the_table_counts_what_is_inside() -> None:
+    whys = {0.5: "", 3.0: "backlash of about 1 mrad"}
+    intervals = [Interval("joint_stiffness", away, 0.01, "identified", why) for away, why in whys.items()]
+    row = line("a case", [intervals, None])
+    assert len(row.split("|")) == len(head().splitlines()[0].split("|"))
+    assert row.startswith("| a case | 2 (1 refused) | 1/2 |")
+    assert row.endswith("| 3.0 | 2 of 2 | 1/2 | 0.01 | 1/2 |")
