@@ -23,14 +23,14 @@ from fjr_msgs_py.node.loading import ensure_log_folder
 from system.talker import TALKER
 from time_limits import HANG
 
-LIMIT, SENT = 100_000, 400  # bytes; limit on the file size, for messages of 400 bytes and more
+LIMIT, SENT = 100_000, 1500  # bytes; limit on the file size, for messages of 100 bytes and more
 
 RECORDER = f"""{TALKER}
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, ({LIMIT}, {LIMIT}))
 for k in range({SENT}):
-    publisher.publish(String(data=f"{{k:0400}}"))
-    while not (k + 1) % 10 and f"{{k:0400}}".encode() not in (recorder.ends("/words") or (b"", b""))[1]:
+    publisher.publish(String(data=f"{{k:0100}}"))
+    while not (k + 1) % 10 and f"{{k:0100}}".encode() not in (recorder.ends("/words") or (b"", b""))[1]:
         time.sleep(0.001)  # the publisher keeps ten messages
 recorder.close()
 print(recorder.failure, recorder.loss)

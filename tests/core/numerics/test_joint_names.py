@@ -23,7 +23,7 @@ ENTRIES: dict[str, Callable[[list[str]], object]] = {
     "parameters": lambda names: from_parameters(names),
     "URDF": lambda names: fjr.robot_from_urdf(two_link_urdf(), names, 400.0, 0.1),
     "settings": lambda names: Settings(tuple(names)),
-    "export": lambda names: replace(loop("two_link").controller, joints=tuple(names)),
+    "export": lambda names: replace(loop("two_link"), joints=tuple(names)),
 }
 NOT_PRINTABLE = st.characters(categories=("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
 NAMES = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8)
