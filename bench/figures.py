@@ -82,5 +82,5 @@ def put(lines: Sequence[str], page: str, begin: str, end: str) -> None:
     """Replace what is between two markers of a page of docs/tables; raise ValueError without the markers."""
     path = TABLES / page
     before, rest = path.read_text(encoding="utf-8").split(begin)
-    after = rest.split(end, 1)[1]
+    _, after = rest.split(end, 1)
     path.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")

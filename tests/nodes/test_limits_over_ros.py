@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Safety and measurement in the node; that each parameter reaches the control step: tests/tracking/test_limits.py."""
+"""Safety and measurement in the node. tests/tracking/test_limits.py tests that each parameter reaches the settings."""
 
 from __future__ import annotations
 

@@ -254,7 +254,7 @@ WIRED_BY_GROUP = (
     "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
     "plant.",  # test_own_code
     "robust.",  # test_other_laws
-    "robot.guesses.",  # tests/core/config/test_guesses.py
+    "robot.guesses.",  # tests/core/config/test_robot_file.py
 )
 
 

@@ -140,6 +140,7 @@ def test_no_rate_is_proven_with_another_plant() -> None:
     own = parse_scenario("own", FILE.replace("own_code:Pd", "v_dpbc"))
     assert not own.plant_is_the_model
     assert own.certified_law is own.law
+    assert parse_scenario("ideal", "{}").plant_is_the_model
 
 
 def test_an_unknown_option_is_refused_where_the_class_may_be_imported(tmp_path: Path) -> None:

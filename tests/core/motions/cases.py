@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""References of every kind by name, of two joints or more: what all of them have in common is tested once."""
+"""References of every kind by name; what all of them have in common is tested once."""
 
 from __future__ import annotations
 

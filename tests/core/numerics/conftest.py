@@ -13,7 +13,7 @@ from fjr_core.numerics import code_cache, jit
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Return the folder of an empty cache that is not there yet; no temporary one, no compiler by name, no warning."""
+    """Return the folder of an empty cache, not made yet. CC is unset; temporary folder and warning are forgotten."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("CC", raising=False)
     jit._warn_once.cache_clear()

@@ -96,6 +96,26 @@ def test_three_joints_of_a_description_contract() -> None:
     check_pairs(law, reference, found.rate, 0.5 * found.tube.min(), (0.0, 0.0), seed=2, period=period)
 
 
+@pytest.mark.parametrize(
+    ("law", "reference"),
+    [(joint(), fjr.Sine(0.3, 4 * np.pi)), (joint(), FAST_SINE), (two_link(), SHORT)],
+    ids=["500 samples a period", "samples beside the period", "two links"],
+)
+def test_starts_on_the_corners_of_the_tube_end_below_the_offset(law: fjr.TrackingLaw, reference: fjr.Sine) -> None:
+    """The delay changes from sample to sample; without it the largest error that remains would be smaller."""
+    found, n = sampled_contraction(law, reference, H, (0.0, 1.0)), law.robot.n
+    assert found is not None
+    x0 = on_reference(law.robot, reference)
+    q, dq = x0[: 2 * n], law.robot.velocities(x0)
+    corners = found.tube * np.stack(np.meshgrid(*[[-1.0, 1.0]] * n), axis=-1).reshape(-1, n)
+    starts = np.array([law.robot.state(*np.split(q + np.tile(corner, 2), 2), *dq) for corner in corners])
+    samples = np.arange(1400, 1601)
+    states = late_runs(law, reference, starts, np.random.default_rng(3).uniform(0.0, 1.0, samples[-1]), H)
+    errors = np.abs(states[samples, :, :n] - reference.jets(H * samples)[:, None, 0])
+    assert np.all(errors.max(axis=(0, 1)) < found.offset)
+    assert np.any(errors.max(axis=(0, 1)) > 0.02 * found.offset)
+
+
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 def test_simulated_errors_end_below_the_proven_offset(delay: float) -> None:
     law = joint()

@@ -115,8 +115,10 @@ class ServiceClient(_Requests):
         offered = self._node.get_service_names_and_types_by_node
         for name, space in self._node.get_node_names_and_namespaces():
             parameters = f"{space.rstrip('/')}/{name}/get_parameters"
-            if client.srv_name in dict(offered(name, space)) and parameters in self._services():
-                self.ask(self.find(parameters), GetParameters.Request())
+            with suppress(NodeNameNonExistentError):  # it has just left
+                if client.srv_name in dict(offered(name, space)) and parameters in self._services():
+                    self.ask(self.find(parameters), GetParameters.Request())
+                    break
         response = self._response(client, request, self._timeout)
         if response is None:
             raise ClientError(f"{self._silent(client)}; whether the request was carried out is not known")

@@ -132,7 +132,8 @@ class _Run:
         self._start(PLANT, "fjr_plant", "plant_node", "-p", "start_paused:=true")
         self._wait_for(PLANT, STATES)
         clock = ("-p", "use_sim_time:=true") if self.plan.lockstep else ()
-        self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)  # it would answer another robot
+        # Only now: started earlier, it might answer the states of another robot.
+        self._start(CONTROLLER, "fjr_controller", "controller_node", *clock)
         self._wait_for(CONTROLLER, JOINT_COMMANDS)
         commands = JOINT_COMMANDS if self.plan.lockstep else EFFORT_COMMANDS
 
@@ -239,10 +240,8 @@ class _Run:
         A topic that has ENDED is not waited for: of a loop that diverges no certificate is finite.
         """
         sent, end, deadline = self.recorder.sent, self.recorder.sent(JOINT_COMMANDS), time.monotonic() + CATCH_UP_LIMIT
-        while time.monotonic() < deadline:
-            newest = sent(JOINT_COMMANDS)
-            if not any(newest - ENDED < sent(topic) < end for topic in SAMPLES):
-                return
+        going = [topic for topic in SAMPLES if sent(topic) > end - ENDED]
+        while any(sent(topic) < end for topic in going) and time.monotonic() < deadline:
             self._pause()
 
     def _elapsed(self) -> float:

@@ -122,7 +122,7 @@ class PlantHost(Protocol):
         """Run an action between two messages and return its result; its exceptions are raised here."""
 
     def now(self) -> int:
-        """Return the time of the clock of its ticks [ns]."""
+        """Return the time [ns] of the clock that times the ticks."""
 
     def close(self) -> None:
         """Stop serving."""

@@ -124,7 +124,7 @@ class ContractionRows:
         """Return the rows of `fjr check`."""
         if self.found is None:
             return {"sampled loop": f"NOT proven: {self.reason}"}
-        tube, offset = (1e3 * float(extent.max()) for extent in (self.found.tube, self.found.offset))
+        tube, offset = 1e3 * float(self.found.tube.min()), 1e3 * float(self.found.offset.max())
         decay = f"contracts at {at_least(self.found.rate)} 1/s within {at_least(tube)} m{self.unit} of the reference"
         return {
             "sampled loop, proven": f"{decay}, {_delays(self.found.least_delay, self.found.longest_delay)}",

@@ -32,8 +32,8 @@ def demo(duration: float, output: Path) -> Result:
     """Run the demonstration scenarios in real time and write a page that compares them and states the paper's claim."""
     summaries = [_demonstrate(name, duration, output) for name in DEMO]
     stiff, soft = summaries[:2]
-    stiffness, softness = (float(each.data.run.scenario.robot.K[0, 0]) for each in (stiff, soft))
-    claim = paper_claim(stiff.report, soft.report, (stiffness, softness))
+    stiff_K, soft_K = (float(each.data.run.scenario.robot.K[0, 0]) for each in (stiff, soft))
+    claim = paper_claim(stiff.report, soft.report, (stiff_K, soft_K))
     with phase("comparing the runs"):
         page = compare(summaries, output, claim)
     return _result(summaries, page, claim)
@@ -81,7 +81,7 @@ def _plan(
 
     Raises UnstableError for a scenario that is unstable as sampled, unless forced, and CompilerError.
     """
-    c_compiler()  # refused before anything else
+    c_compiler()  # a missing compiler is refused first
     path = library.find(name)
     discover_quickly()  # an invalid ROS domain is refused before anything is compiled
     with phase(f"{path.stem}: checking and compiling the law"):

@@ -199,7 +199,7 @@ def check_law(law: object) -> None:
 
 
 def static_part(law: SampledLaw) -> SampledLaw:
-    """Return the law without the controller state that wraps it, e.g. without robust action."""
+    """Return the static law inside a law with a controller state, such as robust action; any other law unchanged."""
     found: SampledLaw = law if isinstance(law, StaticLaw) else getattr(law, "law", law)
     return found
 

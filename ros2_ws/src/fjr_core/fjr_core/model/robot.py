@@ -137,14 +137,14 @@ class Robot:
         s = symbols(position=2 * n, velocity=2 * n)
         position, velocity = s.values()
         momenta = self.momentum_expressions(position[:n], velocity[:n], velocity[n:])
-        return dense_function("to_momenta", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
+        return dense_function("to_state", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
 
     @cached_property
     def to_velocity(self) -> ca.Function:
         """The CasADi function x (4n,) -> velocity (dq_l, dq_m) (2n,)."""
         x = ca.SX.sym("x", 4 * self.n)
         velocity = ca.vertcat(*self.velocity_expressions(x))
-        return dense_function("to_velocities", {"x": x}, {"velocity": velocity}, cse=True)
+        return dense_function("to_velocity", {"x": x}, {"velocity": velocity}, cse=True)
 
     def fingerprint(self) -> bytes:
         """Return a digest of the equations of motion; equal for robots with the same equations."""

@@ -27,8 +27,11 @@ def ffi_of(declarations: str) -> Any:
     key = hashlib.sha256(f"{_cffi_backend.__version__}\n{declarations}".encode())
     name = f"c_types-{key.hexdigest()[:32]}.py"
     found: dict[str, Any] = {}
-    code = kept(name, lambda: _written(declarations)).read(name) or b""
-    exec(compile(code, name, "exec"), found)
+    try:
+        code = kept(name, lambda: _written(declarations)).read(name)
+    except OSError:  # no folder can be written; that only costs time
+        code = None
+    exec(compile(code or _written(declarations), name, "exec"), found)
     return found["ffi"]
 
 

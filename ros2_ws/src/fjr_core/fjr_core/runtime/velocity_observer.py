@@ -122,7 +122,7 @@ class VelocityObserver:
         if continues:
             self._u[:] = u
             self._continue(dt)
-        if not (continues and self._x_hat.dot(self._x_hat) < math.inf):  # the first sample
+        if not (continues and self._x_hat.dot(self._x_hat) < math.inf):  # the first one, a gap, or not finite
             self._x_hat[: 2 * n], self._x_hat[2 * n :] = self._y, 0.0
             self._k = 0
         return self._dq_l, self._dq_m

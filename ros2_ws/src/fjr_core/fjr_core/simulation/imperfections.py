@@ -22,7 +22,7 @@ SIZES = {"payload_mass": 1, "payload_position": 3}  # of the others: one entry p
 
 
 def _freeze_within_ranges(owner: object, n: int) -> None:
-    """Make the declared numbers of a frozen dataclass arrays (n,), or of their SIZES; raise ParameterError."""
+    """Store the numbers declared by a frozen dataclass as arrays (n,), or as SIZES says; raise ParameterError."""
     for name, parameter in declared(type(owner)).items():
         if isinstance(parameter.default, bool):
             continue
@@ -32,7 +32,8 @@ def _freeze_within_ranges(owner: object, n: int) -> None:
         if array.shape not in ((), (size,)):
             raise ParameterError(f"{name} has shape {array.shape}; expected a scalar or ({size},)")
         if not np.all((array >= parameter.minimum) & (array <= parameter.maximum)):
-            raise ParameterError(f"{name} is {array.tolist()}; expected {parameter.range}")
+            unit = f" {parameter.unit}" if parameter.unit else ""
+            raise ParameterError(f"{name} is {array.tolist()}{unit}; expected {parameter.range}{unit}")
         checks.freeze(owner, name, np.broadcast_to(array, size).copy())
 
 

@@ -170,7 +170,7 @@ class NonidealPlant:
         return NumericFunction(self._actuators)
 
     def _symbols(self, **rows: int) -> tuple[dict[str, ca.SX], SimpleNamespace]:
-        """Return symbols of these numbers of rows by name, the last of which are `parameters`, and these by name."""
+        """Return symbols with these numbers of rows and `parameters`, and the entries of `parameters`, each by name."""
         parts = layout(self.robot.n)
         s = symbols(ca.SX, **rows, parameters=parts.size)
         return s, parts.named(s["parameters"])

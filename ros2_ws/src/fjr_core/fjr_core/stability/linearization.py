@@ -58,7 +58,7 @@ def linearize(
 
 
 def closed_form(own: Equilibria, gains: CheckedGains, real: Equilibria | None = None) -> SampledLoop:
-    """Return the loop of v-dPBC at a fraction of the cost of `linearize` if the plant is the model of the law.
+    """Return the result of `linearize` for v-dPBC at a fraction of its cost; exact if the plant is the law's model.
 
     own, real: equilibria of the model and of the plant, None: the same. With another plant this is an approximation:
     the Jacobian of the law is taken at the equilibrium of its own robot.

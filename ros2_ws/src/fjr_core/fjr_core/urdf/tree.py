@@ -340,8 +340,10 @@ class UrdfFrames:
     """Relative poses of all links of a URDF. Raises RobotError for an invalid URDF."""
 
     def __init__(self, urdf: str) -> None:
-        """urdf: XML text."""
+        """urdf: XML text. Raises RobotError, also for a joint that mimics itself or one that is not there."""
         self._tree = read_urdf(urdf)
+        for joint in self._tree.joints.values():
+            self._tree.position(joint, {})
 
     def at(self, positions: Mapping[str, float]) -> list[LinkPose]:
         """Return the pose of each child link, in the order of the joints.

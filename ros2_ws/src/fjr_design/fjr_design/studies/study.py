@@ -8,7 +8,7 @@ comparison: much of its work is Python) or on a Dask cluster, with equal results
 
 study.json       description of the study and hash of the program
 parts/           <key>.parquet: the runs of each finished job
-table.parquet    all runs, once all jobs are finished
+table.parquet    all runs: of a sweep once all jobs are finished, instead of the parts; of a tuning after each job
 """
 
 from __future__ import annotations

@@ -64,21 +64,21 @@ def not_linear(setup: Estimation, z: Array) -> dict[str, str]:
             CUBIC: [(zeta * K / usual) ** 3 for zeta in deflections],
             DEAD: [np.tanh(t / usual / FLAT) for t in torques],
         }
-        terms = {name: _term(_blocks(setup, sides, shape, j)) for name, shape in shapes.items()}
+        periods = [setup.motions[k].dt for k in used]
+        terms = {name: _term(_blocks(setup, sides, periods, shape, j)) for name, shape in shapes.items()}
         sentence = _sentence(terms, K, usual / K, float(np.max(extent)))
         if sentence:
             sentences[joint] = sentence
     return sentences
 
 
-def _blocks(setup: Estimation, sides: list[Side], shape: list[Array], j: int) -> list[Array]:
+def _blocks(setup: Estimation, sides: list[Side], periods: list[float], shape: list[Array], j: int) -> list[Array]:
     """Return the rows of blocks of the records: columns of stiffness and of other parameters, the term, the errors."""
     first = [("joint_stiffness", j), ("offset", j)]
     columns = [*first, *(key for key in sides[0].columns if key in setup.coordinates.free and key not in first)]
     blocks = []
-    for side, term in zip(sides, shape, strict=True):
+    for side, dt, term in zip(sides, periods, shape, strict=True):
         rows = np.column_stack([*(side.columns[key] for key in columns), term, side.errors])
-        dt = setup.motions[0].dt
         count = max(FEWEST_BLOCKS, round(dt * len(rows) / BLOCK))
         blocks += np.array_split(decimated(rows, side.stride), count)
     return blocks

@@ -37,7 +37,8 @@ MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # decompressed over compressed size
 BLOCK = 2**20  # bytes of a checksum that are read at a time
 UNREADABLE = (McapError, struct.error, ValueError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError)
 MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id"
-FARTHEST = 2**15  # numbers of messages of a SQLite file that one damaged page may hold
+FARTHEST = 2**11  # numbers of messages that are tried behind damage in a SQLite file
+DOUBLED = 64  # tries after which their distance doubles: a damaged page may hide many messages
 COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
 
 
@@ -307,7 +308,7 @@ class _SqliteFile:
             self._topics[number] = self._contents.topic(str(topic), str(type_name), "")
 
     def _rows(self) -> Iterator[tuple[int, object, object, object]]:
-        """Yield the readable rows by increasing number. Damage is left by trying one number after the other.
+        """Yield the readable rows by increasing number. Damage is left by trying further numbers.
 
         The cursor reads ahead of the rows it yields, so that the last one before damage is asked for alone.
         """
@@ -324,7 +325,7 @@ class _SqliteFile:
                 if "malformed" not in str(error):
                     raise
                 self._gaps += tried == 1
-                following, tried = max(following + alone, 0), tried + 1
+                following, tried = max(following + alone * 2 ** (tried // DOUBLED), 0), tried + 1
 
     def _valid(self, _number: int, topic: object, time: object, data: object) -> Iterator[tuple[Topic, Message]]:
         """Yield a message if it has a known topic, a time and bytes."""

@@ -170,8 +170,8 @@ static int one_round(struct fjr_loop* loop) {
   return outcome;
 }
 
-/* Confine this thread to the last core it may use, if the system allows it; scheduling.py does the same with the threads
- * of the middleware, says why, and reports the core. */
+/* Confine this thread to the last core it may use, if the system allows it; scheduling.py does the same with the
+ * threads of the middleware, says why, and reports the core. */
 static void keep_to_last_core(void) {
   cpu_set_t cores;
   int last = CPU_SETSIZE - 1;
@@ -182,8 +182,8 @@ static void keep_to_last_core(void) {
   (void)sched_setaffinity(0, sizeof cores, &cores);
 }
 
-/* Take the priority; if it is refused, ask for one core. With ordinary scheduling ask for a short slice: the system then
- * lets the thread run soon after it wakes up (Linux 6.12; every user may ask for it). */
+/* Take the priority; if it is refused, ask for one core. With ordinary scheduling ask for a short slice: the system
+ * then lets the thread run soon after it wakes up (Linux 6.12; every user may ask for it). */
 static void schedule(int32_t priority) {
   const struct sched_param wanted = {.sched_priority = priority};
   if (priority && !pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted)) return;

@@ -50,7 +50,7 @@ class NativeSubscription:
         return int(self._subscription.get_publisher_count())
 
     def take(self) -> tuple[Any, dict[str, Any]] | None:
-        """Return the oldest waiting message and its info, None if there is none; where no native loop takes them."""
+        """Take the oldest waiting message: return it and its info, or None. No native loop may serve it."""
         with self.handle:
             return self.handle.take_message(self._kind, False)
 

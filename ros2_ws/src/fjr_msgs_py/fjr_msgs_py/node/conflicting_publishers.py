@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 from uuid import uuid4
@@ -152,9 +153,8 @@ def publisher_elsewhere(node: Node, name: str, kind: type, concerns: Callable[[A
     family = _own_participant(node, kind)
     if not _others_on(node, topic, family):
         return ""
-    subscription = NativeSubscription(node, kind, topic, _QUEUE)
-    heard = _first_heard(node, {topic: subscription}, LISTENING, concerns)
-    subscription.close()
+    with closing(NativeSubscription(node, kind, topic, _QUEUE)) as subscription:
+        heard = _first_heard(node, {topic: subscription}, LISTENING, concerns)
     nodes = {_name(info) for info in _others_on(node, topic, family)} - {""}
     return (", ".join(sorted(nodes)) or "an unknown node") if heard else ""
 
@@ -165,7 +165,7 @@ def _first_heard(
     seconds: float,
     concerns: Callable[[Any], object] = lambda _: True,
 ) -> tuple[str, Any] | None:
-    """Return topic and content of the first message that `concerns` this process within `seconds`, None for none.
+    """Return topic and content of the first message within `seconds` for which `concerns` is true, None for none.
 
     The time starts when all publishers are connected, at most MATCHING seconds after the call. It is counted in polls,
     so that it extends on busy cores, where another publisher is late as well.

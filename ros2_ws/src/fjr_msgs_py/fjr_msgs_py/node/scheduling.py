@@ -295,7 +295,8 @@ def freeze_garbage() -> None:
 def _capable(capability: int) -> bool:
     """Return True if this process has the Linux capability."""
     status = Path("/proc/self/status").read_text(encoding="utf-8")
-    return bool(int(status.partition("CapEff:")[2].split()[0], 16) >> capability & 1)
+    found = status.partition("CapEff:")[2].split()
+    return bool(found and int(found[0], 16) >> capability & 1)
 
 
 def _policy(thread: int) -> int:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove that any two motions of the sampled loop in a tube about its reference approach each other at a rate.
+"""Prove that any two motions of the sampled loop in a tube, with equal delays, approach each other at a rate.
 
 The difference y of two motions in the tube obeys the linear model of its cell, disturbed by at most |X| |y|, with X the
 ranges of the slopes in the tube. With y_k = exp(-rate t_k) Y_k the bounds of the tube apply to Y: loop and inputs are
-multiplied by exp(rate T). Bounds that reproduce themselves under a positive disturbance then exist only if the mismatch
-makes no Y grow, so that |y| <= c exp(-rate t).
+multiplied by exp(rate T). What acts at an instant is up to delay + 2 T older than the nearest sample: the bounds of its
+effects are multiplied by exp(rate (delay + 2 T)). Bounds that reproduce themselves under a positive disturbance then
+exist only if the mismatch makes no Y grow, so that |y| <= c exp(-rate t).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from fjr_core.numerics.checks import Array, kind_of, positive
 from fjr_core.numerics.one_line import one_line
 
 from .deviation_model import FACTORS
+from .enclosures import Ranges
 from .linear_loop import Response, transient
 from .search import Search
 from .tube import DeviationBounds, TubeProblem, fixed_point
@@ -32,7 +34,7 @@ SHARES = (0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
 RATE_SHARE = 0.9
 """The rate in the tube as a share of the rate near the reference: a smaller rate has a larger tube."""
 SMALLEST, LARGEST = 1e-6, 3.0
-"""Link errors [rad, m] of the smallest and the largest start that are tried."""
+"""Link errors [rad, m] of the smallest start, and of those up to which starts grow by FACTOR."""
 FACTOR, BISECTIONS = 4.0, 4
 SMALL = 1e-6
 """Disturbance under which the bounds of a difference are sought; every size gives the same answer."""
@@ -45,10 +47,10 @@ Progress = Callable[[float], None]
 class SampledContraction:
     """Proven contraction of the sampled loop on a tube about its reference.
 
-    rate [1/s]: distances of any two motions in the tube fall as c exp(-rate t). tube (n,) [rad, m]: largest link errors
-    of the starts at time 0 from which no motion leaves the tube. offset (n,) [rad, m]: bound of the link errors that
-    remain. least_delay, longest_delay [samples]: every delay between them is covered, also one that changes from sample
-    to sample.
+    rate [1/s]: distances of any two motions in the tube with equal delays fall as c exp(-rate t). tube (n,) [rad, m]:
+    starts at time 0 with link errors up to these, of all joints together, do not leave the tube. offset (n,) [rad, m]:
+    bound of the link errors that remain. least_delay, longest_delay [samples]: every delay between them is covered,
+    also one that changes from sample to sample.
     """
 
     rate: float
@@ -102,15 +104,21 @@ def _pairs(search: Search, problem: TubeProblem, rate: float, few: bool = False)
     gains = search.gains(problem.linear, rate, few)
     if gains is None:
         return None
-    found = Pairs(problem, rate, gains[0])
+    peaks, blocks = gains
+    given = problem.ranges
+    found = Pairs(problem, Ranges(problem.linear, given.low, given.high, blocks), rate, peaks)
     return None if found.approach(SMALLEST) is None else found
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs of motions that start near the reference; gains: of exp(rate t) Z."""
+    """Pairs of motions that start near the reference.
+
+    gains: of exp(rate t) Z. ranges: of the slopes in windows that hold the sums of these gains, which are longer.
+    """
 
     problem: TubeProblem
+    ranges: Ranges
     rate: float
     gains: Array
 
@@ -128,7 +136,9 @@ class Pairs:
         tube, linear = self.approach(size), self.problem.linear
         assert tube is not None
         final = self.problem.in_joints(self.problem.shrunk(tube))[: linear.n]
-        start = np.abs(linear.coordinates.S_inverse[: linear.n]) @ self._shape
+        S, n = linear.coordinates, linear.n
+        start = np.abs(S.S_inverse[:n]) @ self._shape
+        start *= np.min(self._shape[:n] / (np.abs(S.S[:n, :n]) @ start))  # all joints together within the modal box
         offset = linear.centre.largest[: linear.n] + final
         return SampledContraction(self.rate, size * start, offset, *delays, linear.sample_period)
 
@@ -141,10 +151,10 @@ class Pairs:
             return None
 
     def _approach_in(self, tube: DeviationBounds) -> bool:
-        linear, ranges = self.problem.linear, self.problem.ranges
+        linear = self.problem.linear
         acceleration = np.abs(linear.coordinates.acceleration) @ tube.acceleration
         small = np.full((5 if linear.late else 4) * linear.n, SMALL)
-        mismatch = ranges.mismatch(tube.z, small, self.problem.lines, acceleration)
+        mismatch = self.ranges.mismatch(tube.z, small, self.problem.lines, acceleration)
         if mismatch is None:
             return False
         oldest = linear.delay + 2 * linear.sample_period  # of what acts, before the nearest sample

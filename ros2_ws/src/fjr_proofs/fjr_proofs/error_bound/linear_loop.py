@@ -338,8 +338,7 @@ def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownError
             rates += [_largest(without_effort + by_effort @ effort) for effort in efforts]
             accelerations.append(_largest(without_effort[:, 2 * n : 3 * n]))
     rate, acceleration = linear.growth @ np.max(rates, axis=0), np.max(accelerations, axis=0)
-    answer, *transit = _efforts(linear, Z, errors)
-    change = _largest(answer - transit[0]) if linear.late else np.zeros(n)
+    change = _largest(efforts[0] - efforts[1]) if linear.late else np.zeros(n)  # efforts[1]: the newest in transit
     effort = np.max([_largest(u) for u in efforts], axis=0)
     return Response(Z, _largest(z), rate, acceleration, effort, change, remaining)
 
