@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import fjr_core as fjr
 from core.oracles.cases import LOOP_NAMES, LOOPS, Arm, Array, GainSet, planar, random_point
@@ -83,6 +84,26 @@ def test_slope_of_V_is_its_gradient_in_measured_positions_and_velocities(arm: Ar
 
     seen = at(balance, state[: 2 * n], state[2 * n :], p.jets).slope
     assert residual(seen, jacobian(V, state, np.full(4 * n, 2e-3))) <= 1e-9
+
+
+@pytest.mark.parametrize("of_the_law", [False, True])
+def test_mean_rate_of_V_over_a_step_is_of_third_order(of_the_law: bool) -> None:
+    """V(t + h) - V(t) = h held_rate + O(h^3) under an effort held over h, or under that of the law at each instant."""
+    arm, p = planar("31", 31.0), random_point(planar("31", 31.0), 47)
+    law, plant = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS), fjr.Plant(arm.robot)
+    jets = np.array([p.jets[0], *np.zeros((4, arm.n))])
+
+    def motion(_: float, x: Array) -> Array:
+        return plant.derivative(x, law.evaluate(x, x, jets).u if of_the_law else p.u)
+
+    def error(h: float) -> float:
+        after = solve_ivp(motion, (0.0, h), p.x, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+        position, velocity = map(np.array, zip(*(measured(arm, x) for x in (p.x, after)), strict=True))
+        u = np.full((2, arm.n), np.nan) if of_the_law else np.tile(p.u, (2, 1))
+        series = Certificate(law).along(position, velocity, np.tile(jets, (2, 1, 1)), u)
+        return abs(float(series.V[1] - series.V[0] - h * series.held_rate(u)[0]))
+
+    assert error(2e-4) / error(1e-4) == pytest.approx(8.0, rel=0.1)
 
 
 def test_batch_evaluation_equals_single_evaluations() -> None:
