@@ -63,9 +63,8 @@ def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str
     assert broken.level == "error"
     assert tracker.counters == {"stops": 1, f"stops: {kind}": 1}
     values = broken.values
-    limit = -0.7 if name.endswith("lower") else 0.7
-    assert (values["joint"], abs(values["value"]), values["limit"]) == (f"joint{joint + 1}", size, limit)  # type: ignore[arg-type]
-    assert values["value"] * values["limit"] > 0  # type: ignore[operator]
+    beyond = -size if name.endswith("lower") or (name in SIZES and values["value"] < 0) else size  # type: ignore[operator]
+    assert values == {**values, "joint": f"joint{joint + 1}", "value": beyond, "limit": np.copysign(0.7, beyond)}
     assert f"{kind} of joint{joint + 1}" in broken.sentence
     assert "0.7" in broken.sentence
 
