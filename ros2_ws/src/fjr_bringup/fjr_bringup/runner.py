@@ -240,8 +240,10 @@ class _Run:
         A topic that has ENDED is not waited for: of a loop that diverges no certificate is finite.
         """
         sent, end, deadline = self.recorder.sent, self.recorder.sent(JOINT_COMMANDS), time.monotonic() + CATCH_UP_LIMIT
-        going = [topic for topic in SAMPLES if sent(topic) > end - ENDED]
-        while any(sent(topic) < end for topic in going) and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
+            newest = sent(JOINT_COMMANDS)
+            if not any(newest - ENDED < sent(topic) < end for topic in SAMPLES):
+                return
             self._pause()
 
     def _elapsed(self) -> float:
