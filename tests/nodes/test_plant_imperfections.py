@@ -258,7 +258,6 @@ def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: 
 def test_a_torque_on_an_unknown_joint_is_refused(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True)
     publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
-    ros.until(publisher.get_subscription_count)
-    publisher.publish(JointState(name=["elbow"], effort=[0.8]))
-    ros.until(lambda: node._health.count["external torque refused: unknown joints"] == 1)
+    torque, refused = JointState(name=["elbow"], effort=[0.8]), "external torque refused: unknown joints"
+    ros.until(lambda: publisher.publish(torque) or node._health.count[refused])  # again, until both sides are connected
     assert not node._robot.external.any()
