@@ -196,6 +196,14 @@ class Client:
             assert not limit.passed(), set(topics) - set(self.heard)
             self._receive()
 
+    def time_of(self, *topics: str) -> int:
+        """Return a time at which all of these topics were heard: the topics are not subscribed to at one instant."""
+        limit = Limit(TIME_LIMIT)
+        while not (common := set.intersection(*(set(self.heard.get(topic, {})) for topic in topics))):
+            assert not limit.passed(), topics
+            self._receive()
+        return min(common)
+
     def _receive(self) -> None:
         message = self._socket.recv(timeout=TIME_LIMIT)
         if isinstance(message, bytes):
@@ -385,8 +393,8 @@ def test_client_receives_states_transforms_and_description_of_the_running_loop(w
     assert "float64[] position" in states["schema"]
     urdf = deserialize_message(next(iter(client.heard[DESCRIPTION].values())), String).data
     assert {link.get("name") for link in ElementTree.fromstring(urdf).iter("link")} > {"base_link"}
-    time, transforms = next(iter(client.heard[TRANSFORMS].items()))
-    state = deserialize_message(client.heard[STATES][time], JointState)
+    time = client.time_of(STATES, TRANSFORMS)
+    transforms, state = client.heard[TRANSFORMS][time], deserialize_message(client.heard[STATES][time], JointState)
     assert state.name == ["shoulder", "elbow", "shoulder_motor", "elbow_motor"]
     positions = dict(zip(state.name, state.position, strict=True))
     assert transforms == frame_transforms(UrdfFrames(urdf).at(positions), time).encode()
