@@ -337,8 +337,8 @@ def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: P
 def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path, storage: StoragePlugin) -> None:
     if storage is StoragePlugin.MCAP:
         file = in_chunks(next((run / "bag").glob("*.mcap")), tmp_path / "chunks.mcap")
-    else:
-        file = next(rewritten(run / "bag", tmp_path / "copy", storage).glob("*.db3"))
+    else:  # of few messages: the upper pages of a long table are written last, and nothing is found without them
+        file = next(rewritten(run / "bag", tmp_path / "copy", storage, topics=OURS).glob("*.db3"))
     torn, content = tmp_path / f"torn{file.suffix}", file.read_bytes()
     torn.write_bytes(content[: content.index(read_bag(run).topic(STATES).messages[600].data)])
     made = report(torn, run, tmp_path)
