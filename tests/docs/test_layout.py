@@ -86,7 +86,7 @@ BUDGETS = {
     "fjr_plant": 1_400,
     "fjr_controller": 2_000,
     "fjr_design": 8_050,
-    "fjr_identification": 5_850,
+    "fjr_identification": 6_200,
     "fjr_proofs": 3_650,
     "fjr_bringup": 1_350,
 }

@@ -30,19 +30,21 @@ CASES = {
     "Dahl, 0.1 mrad": Case(laws.dahl(1e-4)),
     "LuGre, 0.1 mrad, + 50 %": Case(laws.lugre(1e-4)),
     "Coulomb + 3 % of the load": Case(laws.loaded(1e-3, 0.03)),
-    "backlash 0.2 mrad": Case(spring=laws.backlash(2e-4)),
-    "backlash 0.5 mrad": Case(spring=laws.backlash(5e-4)),
-    "backlash 2 mrad": Case(spring=laws.backlash(2e-3)),
-    "cubic, + 30 % at 5 mrad": Case(spring=laws.cubic(0.3, 5e-3)),
-    "hysteresis, 0.3 K up to 1 mrad": Case(spring=laws.hysteresis(0.3, 1e-3)),
-    "kinematic error, 0.1 mrad": Case(spring=laws.kinematic_error(1e-4)),
+    "backlash 0.2 mrad": Case(spring=laws.backlash(2e-4), cause="backlash"),
+    "backlash 0.5 mrad": Case(spring=laws.backlash(5e-4), cause="backlash"),
+    "backlash 2 mrad": Case(spring=laws.backlash(2e-3), cause="backlash"),
+    "cubic, + 30 % at 5 mrad": Case(spring=laws.cubic(0.3, 5e-3), cause="the spring is not linear"),
+    "hysteresis, 0.3 K up to 1 mrad": Case(spring=laws.hysteresis(0.3, 1e-3), cause="hysteresis"),
+    "kinematic error, 0.1 mrad": Case(spring=laws.kinematic_error(1e-4), cause="kinematic error"),
     "gain of the motor encoder 1.003": Case(sensors=Sensors(motor=Encoder(gain=1.003))),
     "eccentricity of 1 mrad": Case(sensors=Sensors(link=Encoder(eccentricity=1e-3))),
     "slip of 1 mrad": Case(sensors=Sensors(link=Encoder(slip=1e-3))),
     "delay that varies by 0.5 ms": Case(jitter=5e-4),
     "0.5 % of the samples lost": Case(sensors=Sensors(lost=5e-3)),
-    "tip mass of 0.3 kg": Case(varied=lambda arm: replace(arm, tip_mass=arm.tip_mass + 0.3)),
-    "links 30 % too heavy in the robot file": Case(stated_mass=1.3),
+    "tip mass of 0.3 kg": Case(
+        varied=lambda arm: replace(arm, tip_mass=arm.tip_mass + 0.3), cause="the links of the robot file"
+    ),
+    "links 30 % too heavy in the robot file": Case(stated_mass=1.3, cause="the links of the robot file"),
     "base tilted by 3 degrees": Case(varied=lambda arm: replace(arm, tilt=arm.tilt + np.deg2rad(3.0))),
     "torque of a cable, 0.2 N m": Case(varied=lambda arm: replace(arm, cable=arm.cable + 0.2)),
 }
@@ -58,8 +60,8 @@ KINDS = {
     "effort_delay": "delay",
     "link_skew": "skew",
 }
-SPRING = ("backlash", "the spring is")
-"""Words of the reasons that name a spring which is no straight line."""
+CAUSES = ("backlash", "the spring is", "hysteresis", "kinematic error", "the links of the robot", "does not follow")
+"""Words of the reasons that name what the model lacks."""
 ROBOT = """/**:
   ros__parameters:
     joints: {joints}
@@ -69,13 +71,18 @@ ROBOT = """/**:
 
 @dataclass(frozen=True)
 class Interval:
-    """A 95 % interval beside the truth. away: of the value from the truth, in standard deviations. error: relative."""
+    """A 95 % interval beside the truth. away: of the value from the truth, in standard deviations. error: relative.
+
+    meets: whether the interval of a stiffness meets the range of the secants that were driven. width: relative.
+    """
 
     kind: str
     away: float
     error: float
     verdict: str
     reason: str
+    meets: bool = True
+    width: float = 0.0
 
     @property
     def inside(self) -> bool:
@@ -109,15 +116,14 @@ def identified(draws: Draws, i: int, options: IdentifyOptions) -> list[Interval]
         found = identify([record], nominal.robot, Prior.of(nominal.robot), options)
     except fjr.FjrError:
         return None
-    return [
-        _interval(each, float(truth[each.name][names.index(each.joint)]))
-        for each in found.estimates
-        if each.name in truth
-    ]
+    secants, known = draws.secants(i), [each for each in found.estimates if each.name in truth]
+    joints = [names.index(each.joint) for each in known]
+    return [_interval(each, float(truth[each.name][j]), *secants[j]) for each, j in zip(known, joints, strict=True)]
 
 
-def _interval(estimate: Estimate, true: float) -> Interval:
+def _interval(estimate: Estimate, true: float, softest: float, stiffest: float) -> Interval:
     """Return where the truth is in an interval; that of a positive parameter has a logarithmic scale."""
+    meets = estimate.name != "joint_stiffness" or (estimate.low <= stiffest and estimate.high >= softest)
     values = np.array([estimate.low, estimate.value, estimate.high, true])
     if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity"):
         values = np.log(values)
@@ -127,7 +133,8 @@ def _interval(estimate: Estimate, true: float) -> Interval:
         side = max(value - low, high - value) / 1.96
     away = abs(truth - value) / side if side > 0 else np.inf
     error = abs(estimate.value - true) / (abs(true) or 1.0)
-    return Interval(estimate.name, float(away), float(error), estimate.verdict, estimate.reason)
+    width = (estimate.high - estimate.low) / (abs(true) or 1.0)
+    return Interval(estimate.name, float(away), float(error), estimate.verdict, estimate.reason, meets, width)
 
 
 def head() -> str:
@@ -135,31 +142,39 @@ def head() -> str:
     columns = [
         "physics",
         "records",
+        "inside",
         *KINDS.values(),
         "largest sigma",
         "K identified",
-        "of these inside",
+        "of these beyond the secants",
         "error of K",
+        "width of K",
         "named",
     ]
     return "\n".join(["| " + " | ".join(columns) + " |", "| --- " + "| ---: " * (len(columns) - 1) + "|"])
 
 
 def line(name: str, results: Sequence[list[Interval] | None]) -> str:
-    """Return a row of the table: how many intervals contain the truth, by kind of parameter, and springs named."""
+    """Return a row of the table: how many intervals contain the truth, by kind of parameter.
+
+    named: stiffnesses with the right cause; where the model lacks nothing that changes K, with any cause.
+    """
     intervals = [each for result in results if result is not None for each in result if each.verdict != UNKNOWN]
     K = [each for each in intervals if each.kind == "joint_stiffness"]
     sure = [each for each in K if each.verdict == IDENTIFIED]
     refused = sum(result is None for result in results)
+    words = (CASES[name].cause,) if name in CASES and CASES[name].cause else CAUSES
     cells = [
         name,
         f"{len(results)}" + (f" ({refused} refused)" if refused else ""),
+        f"{np.mean([each.inside for each in intervals]):.1%}" if intervals else "",
         *(_share([each for each in intervals if each.kind == kind]) for kind in KINDS),
         f"{max((each.away for each in intervals), default=0.0):.1f}",
         f"{len(sure)} of {sum(each.kind == 'joint_stiffness' for result in results for each in result or ())}",
-        _share(sure),
+        f"{sum(not each.meets for each in sure)} of {len(sure)}",
         f"{np.median([each.error for each in K]):.1g}" if K else "",
-        f"{sum(any(word in each.reason for word in SPRING) for each in K)}/{len(K)}" if K else "",
+        f"{np.median([each.width for each in K]):.1g}" if K else "",
+        f"{sum(any(word in each.reason for word in words) for each in K)}/{len(K)}" if K else "",
     ]
     return "| " + " | ".join(cells) + " |"
 

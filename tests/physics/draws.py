@@ -17,11 +17,15 @@ Array = NDArray[np.float64]
 STIFFNESS_ERROR, INERTIA_ERROR = 0.5, 0.3  # standard deviations of the logarithm in the robot file
 BAND, PEAK = 12.0, 0.6  # rad/s of the position loop; rad of the motion
 SINES = 4
+CHORDS = 20  # deflections between which secants are taken, a fifth of their range apart at least
 
 
 @dataclass(frozen=True)
 class Case:
-    """Physics of a row of the table. varied: the arm with further bodies; jitter [s]: the delay varies as much."""
+    """Physics of a row of the table. varied: the arm with further bodies; jitter [s]: the delay varies as much.
+
+    cause: words that name what the model lacks, "": nothing that would change K.
+    """
 
     friction: Friction = field(default_factory=lambda: coulomb(0.01))
     spring: Spring = field(default_factory=linear)
@@ -32,6 +36,7 @@ class Case:
     duration: float = 6.0  # s
     dt: float = 2e-3  # s
     stated_mass: float = 1.0  # factor of the robot file on masses and inertias of the links
+    cause: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,18 @@ class Draws:
         if arm.friction.turning is not None:
             values["friction_smoothing_velocity"] = np.broadcast_to(arm.friction.turning, self.skew.shape)
         return {name: np.asarray(value[i]) for name, value in values.items()}
+
+    def secants(self, i: int) -> Array:
+        """Return the least and the largest stiffness (n, 2) between two deflections that draw i drove."""
+        samples, spring, ranges = self.records[i], self.arm.spring, []
+        for j, late in enumerate(self.skew[i]):
+            q_l = np.interp(samples.t, samples.t + late, samples.q_l[:, j])
+            ends = np.quantile(samples.q_m[:, j] - q_l - self.arm.offset[i, j], (0.01, 0.99))
+            zeta, (a, b) = np.linspace(*ends, CHORDS), np.triu_indices(CHORDS, CHORDS // 5)
+            tau = spring.torque(self.arm.stiffness[i, j], zeta)
+            slopes = (tau[b] - tau[a]) / (zeta[b] - zeta[a])
+            ranges.append((slopes.min(), spring.stiffest * slopes.max()))
+        return np.array(ranges)
 
     def urdf(self, i: int) -> str:
         """Return the URDF of draw i without its tip mass and tilt; joints turn about y, links hang at 0."""

@@ -68,10 +68,15 @@ def lugre(displacement: float, excess: float = 0.5, velocity: float = 0.05, damp
 
 @dataclass(frozen=True)
 class Spring:
-    """tau, tau_m, dw/dt = law(K, q_l, q_m, v_l, v_m, w): torques on link and against the motor, rate of the state."""
+    """tau, tau_m, dw/dt = law(K, q_l, q_m, v_l, v_m, w): torques on link and against the motor, rate of the state.
+
+    torque(K, zeta): of a deflection without what has a state, whose stiffness is at most `stiffest` times as large.
+    """
 
     law: Callable[..., tuple[Array, Array, Array]]
     has_state: bool = False
+    torque: Callable[[Array, Array], Array] = lambda K, zeta: K * zeta
+    stiffest: float = 1.0
 
     def __call__(self, K: Array, q_l: Array, q_m: Array, v_l: Array, v_m: Array, w: Array) -> tuple[Array, ...]:
         """Return tau and tau_m [N m], and the rate of the state."""
@@ -85,7 +90,7 @@ def of_deflection(torque: Callable[[Array, Array], Array]) -> Spring:
         tau = torque(K, q_m - q_l)
         return tau, tau, 0 * w
 
-    return Spring(law)
+    return Spring(law, torque=torque)
 
 
 def linear() -> Spring:
@@ -111,7 +116,7 @@ def hysteresis(share: float, slip: float) -> Spring:
         tau = K * (q_m - q_l) + w
         return tau, tau, share * K * rate * (1 - near * (rate * w > 0))
 
-    return Spring(law, has_state=True)
+    return Spring(law, has_state=True, stiffest=1 + share)
 
 
 def kinematic_error(amplitude: float, periods: float = 200.0) -> Spring:

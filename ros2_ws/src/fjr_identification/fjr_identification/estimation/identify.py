@@ -36,11 +36,12 @@ from .filtered_fit import (
 )
 from .filtered_motion import shifted
 from .intervals import spurious_information
-from .lack_of_fit import not_linear, withheld
+from .lack_of_fit import causes, withheld
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
 from .optimise import optimise, refine
 from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
+from .reversals import with_reversals
 from .validation import deflection_error, deflections, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 
@@ -76,7 +77,7 @@ def identify(
     setup, joints = Estimation(list(records), robot, prior, options), records[0].joints
     progress("filtered least squares", 0.0)
     z = filtered_fit(setup, setup.coordinates.mean)
-    wrong = not_linear(setup, z)
+    wrong = causes(setup, z)
     filtered = withheld(filtered_estimates(setup, z), wrong)
     z_start = _start_of_simulation(setup, z)
     if z_start is None:
@@ -125,6 +126,7 @@ class Simulation:
 def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
     best, converged = _optimum(setup, start, progress)
+    best, converged = with_reversals(best, converged, lambda share: progress("friction of another shape", share))
     progress("intervals", 0.0)
     spurious, held = spurious_information(best), best.problem.coordinates.held
     unknown = not_identifiable(best.projected, spurious, setup.coordinates.width, tuple(held))
@@ -134,7 +136,8 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
         near = fitted_at_prior(best, fixed) or best
         z = np.where(np.isin(np.arange(len(near.z)), fixed), setup.coordinates.mean, near.z)
         step = lambda share: progress("prediction error again", share)  # noqa: E731
-        last, converged = refine(setup.problem(start, fixed), z, near.x0, best.noise, step)
+        problem = replace(setup.problem(start, fixed), reversals=best.problem.reversals)
+        last, converged = refine(problem, z, near.x0, best.noise, step)
     doubt = "" if converged else NOT_CONVERGED
     estimates = estimates_at(setup, best.projected, spurious, fixed, last.z, doubt)
     return Simulation(best, estimates, simulated_fits(last, last.noise), converged)

@@ -6,6 +6,11 @@ g_s = J_s' r_s are nearly independent, and the sandwich H^-1 (sum g_s g_s') H^-1
 (K.-Y. Liang, S. L. Zeger, Biometrika 73(1), 1986). Its standard deviations, where larger, replace those of H^-1; its
 correlations do not, because it has the rank of the number of segments. The quantile is Student's.
 
+The sandwich takes the errors of segments to be independent. Those of a wrong model (friction of another shape) are not:
+they displace the estimate in the same direction in each segment, which scores at the optimum, whose sum is 0, do not
+show. The part of their squares that exceeds white residuals counts as correlated between all segments (SYSTEMATIC, from
+tests/physics), so that it does not average out however long the record is.
+
 Part of the information about z in the normal equations is spurious: the records do not determine what it says. Initial
 states fit noise: a spring at rest seems to swing, at a frequency that seems to reveal its stiffness. And initial states
 have a prior: without a motor encoder the offset of a spring only shifts the motor, away from this prior.
@@ -28,6 +33,8 @@ from .multiple_shooting import RIDGE, NormalEquations, PredictedSegments
 CONFIDENCE = 0.95
 LAGS = 2
 """Segments over which scores are taken to be correlated, with the weights of Bartlett (W. Newey, K. West, 1987)."""
+SYSTEMATIC, TWO_SIDED = 0.4, 2.0
+"""Correlation of the errors of a model between segments, and standard deviations of what is due to chance."""
 LEAST_DRAWS = 24  # of all segments together
 CAUTION = 4.0  # factor on spurious information: noise is estimated from few draws, the prior's share to first order
 
@@ -69,6 +76,8 @@ def posterior(
 def inflation(scores: Array, inverse: Array) -> Array:
     """Return by what factor (p,) standard deviations exceed those of white residuals, with Student's quantile.
 
+    Errors of the model count as systematic, as above.
+
     scores (segments, p), inverse (p, p): of the information. The factor is at least that of the quantile.
     """
     count = len(scores)
@@ -78,7 +87,10 @@ def inflation(scores: Array, inverse: Array) -> Array:
         product = scores[lag:].T @ scores[:-lag]
         meat = meat + (1 - lag / (LAGS + 1)) * (product + product.T)
     sandwich = np.diag(inverse @ meat @ inverse) * count / max(count - 1, 1)
-    ratio = np.sqrt(np.maximum(sandwich / np.diag(inverse), 1.0))
+    alone = np.mean((scores @ inverse) ** 2, axis=0) * count / np.diag(inverse)
+    by_chance = 1 + TWO_SIDED * np.sqrt(2 / count)
+    of_model = max(0.0, 1 - by_chance / max(float(np.median(alone)), by_chance))
+    ratio = np.sqrt(np.maximum(sandwich / np.diag(inverse), 1.0) * (1 + SYSTEMATIC * (count - 1) * of_model))
     quantile = (1 + CONFIDENCE) / 2
     return np.asarray(ratio * t.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
 

@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether springs are straight lines: deflection against torque, and what is wrong where they are not.
+"""What is wrong with the model of a joint: its spring, its gear, or the links of the robot file.
 
-The link side of the equations along a filtered motion (`filtered_fit`) is fitted again with one more term:
+The equations along a filtered motion (`filtered_fit`) are fitted again, each time with one more term:
 
     zeta = q_m - q_l - offset = tau / K + c zeta^3          a spring that stiffens (c < 0) or softens
     zeta                      = tau / K + b sign(tau) / 2   backlash: a dead zone of width b
+    zeta                      = tau / K - c w               hysteresis: w follows zeta, but slips at +-s (J. C. Maxwell)
+    zeta                      = tau / K + a sin(n q_m + f)  kinematic error of the gear, n times in a turn
+    u                         = tau + B a_m + ... + c rigid links that are 1 + c times as heavy as in the robot file
 
-A term counts if it explains much of what the straight line leaves, and stands out against its deviation over blocks of
-the record, whose scores are nearly independent. Friction of other shapes leaves errors, too, but not ones that follow
-the torque: on tests/physics they explain at most a fifth.
+A term counts if it explains much of what the equation leaves, and stands out against its deviation over blocks of the
+record, whose scores are nearly independent. Friction of other shapes leaves errors, too, but not ones that follow the
+torque or the deflection.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,101 +26,214 @@ from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, WEAK, Estimate
 
 from .estimation_problem import Estimation
-from .filtered_fit import BLOCK, FEWEST_BLOCKS, Side, link_side, rigid_along
-from .filtered_motion import decimated
+from .filtered_fit import BLOCK, FEWEST_BLOCKS, Side, link_side, motor_side, rigid_along
+from .filtered_motion import decimated, inner
 from .verdicts import Estimates
 
-SHARE = 0.3  # of the squares that the straight line leaves, which a term explains
-APART = 0.25  # between the shares of two terms of which the larger one is the cause
+SHARE = 0.3  # of the squares that the equation leaves, which a term explains
+APART = 0.1  # between the shares of a dead zone and a cubic term of which the larger one is the cause
+UNLIKE = 0.25  # relative difference of the compliances of records that is named
 SURE = 5.0  # standard deviations of its coefficient
-FLAT = 0.1  # of the root mean square torque; a dead zone is passed within it
-CUBIC, DEAD = "cubic", "dead zone"
+FLAT, BLUNT = 0.1, 0.5  # of the root mean square torque; a dead zone is passed within the first one
+SLIPS = np.array([0.03, 0.06, 0.12, 0.25, 0.5])  # of the root mean square deflection
+WIDE = 40.0  # Hz; band in which a kinematic error is sought
+PERIODS = np.arange(40.0, 401.0, 2.0)  # of a kinematic error in a turn of the joint, behind gears of 20 to 200
+USUAL = 0.95  # quantile of deflections up to which a spring is seen
+LIGHT, MOST = 0.05, 4.0  # least error of the links that is named, and largest factor; others are no cause
+CURVED = 0.1  # least relative change of a stiffness that is named
+OUTLYING = 4.0  # median errors, beyond which they are cut where a kinematic error is sought: friction at reversals
+FAINT, SURER = 0.1, 8.0  # as SHARE and SURE, of a kinematic error, whose band has more noise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Independent samples of an equation: errors (k,), columns (k, m) that are fitted anyway, and the block of each."""
+
+    errors: Array
+    columns: Array
+    block: Array
+
+    def term(self, added: Array) -> Term:
+        """Return what more columns (k, c) explain; by deviations of their coefficients over blocks."""
+        X = self.columns / np.maximum(np.linalg.norm(self.columns, axis=0), 1e-300)
+        u, s, _ = np.linalg.svd(X, full_matrices=False)
+        Q = u[:, s > 1e-8 * s[0]]
+        straight, T = (values - Q @ (Q.T @ values) for values in (self.errors, added))
+        c = np.linalg.lstsq(T, straight, rcond=1e-10)[0]
+        left = straight - T @ c
+        scores = np.array([T[self.block == b].T @ left[self.block == b] for b in np.unique(self.block)])
+        inverse = np.linalg.pinv(T.T @ T)
+        covariance = inverse @ scores.T @ scores @ inverse
+        wald = float(c @ np.linalg.pinv(covariance) @ c) / len(c)
+        share = 1 - float(left @ left) / max(float(straight @ straight), 1e-300)
+        log_stiffness = np.linalg.lstsq(self.columns, self.errors - added @ c, rcond=1e-10)[0][0]
+        return Term(share, float(np.sqrt(max(wald, 0.0))), c, float(log_stiffness))
+
+
+@dataclass(frozen=True, eq=False)
 class Term:
-    """A term of the deflection. share: of the squares that it explains. ratio: coefficient by its deviation.
+    """A term of an equation. share: of the squares that it explains. ratio: coefficients by their deviations.
 
-    size [rad]: coefficient, at the root mean square deflection. log_stiffness: by how much log K changes with it.
+    log_stiffness: by how much log K changes with it, if the first column is that of K.
     """
 
     share: float
     ratio: float
-    size: float
+    c: Array
     log_stiffness: float
 
+    def is_cause(self, share: float = SHARE, ratio: float = SURE) -> bool:
+        """Return whether the term is a cause."""
+        return self.share >= share and self.ratio >= ratio
 
-def not_linear(setup: Estimation, z: Array) -> dict[str, str]:
-    """Return a sentence for each joint whose spring is not a straight line at z (p,), a fit to the filtered motions."""
+
+def causes(setup: Estimation, z: Array) -> dict[str, str]:
+    """Return what is wrong with joints at z (p,), a fit to the filtered motions: a sentence by joint."""
     rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
-    stiffness, sentences = setup.coordinates.parameters(z)["joint_stiffness"], {}
+    sentences = {}
     for j, joint in enumerate(setup.records[0].joints):
         used = [k for k, record in enumerate(setup.records) if record.both_sides(j)]
-        sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
-        K = float(stiffness[j])
-        torques = [-K * side.columns[("joint_stiffness", j)] for side in sides]
-        usual = float(np.sqrt(np.mean(np.concatenate(torques) ** 2))) if sides else 0.0
-        if not usual:
+        if not used:
             continue
-        deflections = [side.errors + torque / K for side, torque in zip(sides, torques, strict=True)]
-        extent = np.abs(np.concatenate(deflections))
-        shapes = {
-            CUBIC: [(zeta * K / usual) ** 3 for zeta in deflections],
-            DEAD: [np.tanh(t / usual / FLAT) for t in torques],
-        }
-        periods = [setup.motions[k].dt for k in used]
-        terms = {name: _term(_blocks(setup, sides, periods, shape, j)) for name, shape in shapes.items()}
-        sentence = _sentence(terms, K, usual / K, float(np.max(extent)))
+        sentence = _of_links(setup, rigid, z, j) or _of_spring(setup, rigid, z, j, used)
+        sentence = sentence or _of_records(setup, rigid, z, j, used)
         if sentence:
             sentences[joint] = sentence
     return sentences
 
 
-def _blocks(setup: Estimation, sides: list[Side], periods: list[float], shape: list[Array], j: int) -> list[Array]:
-    """Return the rows of blocks of the records: columns of stiffness and of other parameters, the term, the errors."""
-    first = [("joint_stiffness", j), ("offset", j)]
-    columns = [*first, *(key for key in sides[0].columns if key in setup.coordinates.free and key not in first)]
-    blocks = []
-    for side, dt, term in zip(sides, periods, shape, strict=True):
-        rows = np.column_stack([*(side.columns[key] for key in columns), term, side.errors])
-        count = max(FEWEST_BLOCKS, round(dt * len(rows) / BLOCK))
-        blocks += np.array_split(decimated(rows, side.stride), count)
-    return blocks
-
-
-def _term(blocks: list[Array]) -> Term:
-    """Return the term of the last but one column, from `_blocks`."""
-    rows = np.vstack(blocks)
-    scale = np.linalg.norm(rows[:, :-1], axis=0)
-    scale[scale == 0] = 1.0
-    X, errors = rows[:, :-1] / scale, rows[:, -1]
-    fitted = np.linalg.lstsq(X, errors, rcond=1e-10)[0]
-    left = errors - X @ fitted
-    straight = errors - X[:, :-1] @ np.linalg.lstsq(X[:, :-1], errors, rcond=1e-10)[0]
-    ends = np.cumsum([len(block) for block in blocks])[:-1]
-    pairs = zip(np.split(X, ends), np.split(left, ends), strict=True)
-    scores = np.array([of_block.T @ residual for of_block, residual in pairs])
-    inverse = np.linalg.pinv(X.T @ X)
-    deviation = float(np.sqrt((inverse @ scores.T @ scores @ inverse)[-1, -1]))
-    share = 1 - float(left @ left) / max(float(straight @ straight), 1e-300)
-    changes = fitted / scale
-    return Term(share, float(fitted[-1]) / max(deviation, 1e-300), float(changes[-1]), float(changes[0]))
-
-
-def _sentence(terms: dict[str, Term], K: float, usual: float, largest: float) -> str:
-    """Return what is wrong with a spring, "" if nothing is. usual, largest [rad]: deflections."""
-    other, name = sorted(terms, key=lambda each: terms[each].share)
-    term = terms[name]
-    if term.share < SHARE or abs(term.ratio) < SURE or (name == DEAD and term.size < 0):
+def _of_links(setup: Estimation, rigid: Sequence, z: Array, j: int) -> str:
+    """Return a sentence if the effort of joint j needs other links than those of the robot file."""
+    sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
+    loads = [inner(along.torque[:, j], motion.dt) for motion, along in zip(setup.motions, rigid, strict=True)]
+    strides = [side.stride for side in sides]
+    periods = [motion.dt for motion in setup.motions]
+    free = [key for key in sides[0].columns if key in setup.coordinates.free]
+    rows = _rows(sides, free, periods, strides)
+    load = [decimated(load * side.used, side.stride) for load, side in zip(loads, sides, strict=True)]
+    term = rows.term(np.concatenate(load)[:, None])
+    factor = 1 + float(term.c[0])
+    if not term.is_cause() or abs(factor - 1) < LIGHT or not 1 / MOST < factor < MOST:
         return ""
-    if name == DEAD and terms[other].share > max(SHARE, term.share - APART) and terms[other].size < 0:
-        return "the spring is not linear: it is softer at small deflections, by backlash or because it stiffens"
-    if name == DEAD:
-        return f"backlash of about {2e3 * term.size:.2g} mrad: the deflection jumps where the torque changes sign"
-    K = K * float(np.exp(term.log_stiffness))
-    secants = [(K * (1 - term.size * zeta**2 / usual**3), zeta) for zeta in (usual / 2, largest)]
-    seen = [f"{secant:.4g} N m/rad at {1e3 * zeta:.2g} mrad" for secant, zeta in secants]
+    return f"the links of the robot file do not fit: a factor of {factor:.2f} on their inertia and weight explains it"
+
+
+def _of_spring(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> str:
+    """Return a sentence if the deflection of joint j is no straight line of its torque."""
+    K = float(setup.coordinates.parameters(z)["joint_stiffness"][j])
+    motions = [setup.motions[k] for k in used]
+    sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
+    torques = [-K * side.columns[("joint_stiffness", j)] for side in sides]
+    usual = float(np.sqrt(np.mean(np.concatenate(torques) ** 2))) / K
+    if not usual:
+        return ""
+    first = [("joint_stiffness", j), ("offset", j)]
+    free = [*first, *(key for key in sides[0].columns if key in setup.coordinates.free and key not in first)]
+    periods = [motion.dt for motion in motions]
+    rows = _rows(sides, free, periods, [side.stride for side in sides])
+    pairs = list(zip(torques, sides, strict=True))
+    slow = np.concatenate([decimated(torque / K, side.stride) for torque, side in pairs])
+    zeta = [decimated(side.errors + torque / K, side.stride) for torque, side in pairs]
+    deflection = np.concatenate(zeta)
+    slipping = np.concatenate([_slipping(each, usual * SLIPS) for each in zeta])
+    loops = [rows.term(-slipping[:, [i]]) for i in range(len(SLIPS))]
+    slip = int(np.argmax([term.share * (term.c[0] > 0) for term in loops]))
+    dead, blunt = (rows.term(np.tanh(slow / usual / flat)[:, None]) for flat in (FLAT, BLUNT))
+    cubic = rows.term(deflection[:, None] ** 3)
+    if loops[slip].is_cause() and loops[slip].c[0] > 0 and loops[slip].share > max(dead.share, cubic.share):
+        width = 2e3 * loops[slip].c[0] * usual * SLIPS[slip]
+        return f"hysteresis, loop of about {width:.2g} mrad: the deflection depends on the direction, too"
+    stiffens = cubic.c[0] < 0 and cubic.is_cause()
+    sharp = dead.is_cause() and dead.c[0] > 0 and dead.share > blunt.share - APART / 2
+    if sharp and dead.share > cubic.share - APART * stiffens:
+        if stiffens and cubic.share > dead.share - APART:
+            return "the spring is not linear: it is softer at small deflections, by backlash or because it stiffens"
+        return f"backlash of about {2e3 * dead.c[0]:.2g} mrad: the deflection jumps where the torque changes sign"
+    return _curved(rows, deflection, cubic, K) or _of_gear(
+        sides, [inner(m.q_m[:, j], m.dt) for m in motions], [inner(m.v_m[:, j], m.dt) for m in motions], free, periods
+    )
+
+
+def _curved(rows: Rows, zeta: Array, cubic: Term, K: float) -> str:
+    """Return a sentence if a cubic term of the deflection zeta (k,) counts, about its own offset if need be."""
+    if not cubic.is_cause():
+        both = rows.term(np.column_stack([zeta**3, zeta**2])).c  # c (zeta + d)^3, d: error of the offset
+        extent = float(np.quantile(np.abs(zeta), USUAL))
+        zeta = zeta + np.clip(both[1] / (3 * both[0]), -extent, extent)
+        cubic = rows.term(zeta[:, None] ** 3)
+    K = K * float(np.exp(cubic.log_stiffness))
+    ends = [float(np.sqrt(np.mean(zeta**2))) / 2, float(np.quantile(np.abs(zeta), USUAL))]
+    near, far = (K * (1 - float(cubic.c[0]) * end**2) for end in ends)
+    if not cubic.is_cause() or min(near, far) <= 0 or abs(far / near - 1) < CURVED:
+        return ""
+    seen = [f"{secant:.4g} N m/rad at {1e3 * end:.2g} mrad" for secant, end in zip((near, far), ends, strict=True)]
     return f"the spring is not linear: {seen[0]}, {seen[1]}"
+
+
+def _of_gear(
+    sides: Sequence[Side], positions: Sequence[Array], velocities: Sequence[Array], free: Sequence, periods: Sequence
+) -> str:
+    """Return a sentence if the deflection has a part that is periodic in the motor's position."""
+    strides = [max(1, int(0.4 / (WIDE * dt))) for dt in periods]
+    rows = _rows(sides, free, periods, strides)
+    q, v = (
+        np.concatenate([decimated(each, stride) for each, stride in zip(signals, strides, strict=True)])
+        for signals in (positions, velocities)
+    )
+    passed = PERIODS[:, None] * np.abs(v) < np.pi * WIDE
+    waves = np.stack([np.sin(PERIODS[:, None] * q), np.cos(PERIODS[:, None] * q)], axis=-1) * passed[..., None]
+    X = rows.columns / np.maximum(np.linalg.norm(rows.columns, axis=0), 1e-300)
+    Q, _ = np.linalg.qr(X)
+    errors = rows.errors - Q @ (Q.T @ rows.errors)
+    errors = np.clip(errors, *(np.median(np.abs(errors)) * np.array([-OUTLYING, OUTLYING])))
+    rows = replace(rows, errors=errors)
+    powers = np.sum(np.einsum("pkc,k->pc", waves, errors) ** 2, axis=1) / np.maximum(passed.sum(axis=1), len(q) / 20)
+    best = int(np.argmax(powers))
+    term = rows.term(waves[best])
+    if not term.is_cause(FAINT, SURER):
+        return ""
+    size, turns = float(np.hypot(*term.c)), PERIODS[best]
+    return f"kinematic error of about {1e3 * size:.2g} mrad, {turns:.0f} times in a turn of the joint"
+
+
+def _of_records(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> str:
+    """Return a sentence if records give the spring of joint j different compliances."""
+    K, seen = float(setup.coordinates.parameters(z)["joint_stiffness"][j]), []
+    for k in used:
+        side, dt = link_side(setup, setup.motions[k], rigid[k], z, j), setup.motions[k].dt
+        stiffness = ("joint_stiffness", j)
+        free = [key for key in side.columns if key in setup.coordinates.free and key != stiffness]
+        term = _rows([side], free, [dt], [side.stride]).term(decimated(side.columns[stiffness], side.stride)[:, None])
+        compliance, deviation = 1 - float(term.c[0]), abs(float(term.c[0])) / max(term.ratio, 1e-300)
+        seen.append((compliance, deviation, setup.records[k].name))
+    (low, s_low, soft), (high, s_high, stiff) = max(seen), min(seen)
+    if low - high < SURE * np.hypot(s_low, s_high) or low - high < UNLIKE * low:
+        return ""
+    of_stiff = f"{K / high:.3g} N m/rad" if high > 0 else "no spring"
+    return f"the records do not agree: {K / low:.3g} N m/rad from {soft}, {of_stiff} from {stiff}"
+
+
+def _rows(sides: Sequence[Side], free: Sequence, periods: Sequence[float], strides: Sequence[int]) -> Rows:
+    """Return the independent samples of an equation in all records; free: the parameters of the columns."""
+    tables: list[Array] = []
+    block: list[Any] = []
+    for side, dt, stride in zip(sides, periods, strides, strict=True):
+        table = np.column_stack([*(side.columns[key] for key in free), side.errors]) * side.used[:, None]
+        tables.append(decimated(table, stride))
+        count = max(FEWEST_BLOCKS, round(dt * len(table) / BLOCK))
+        past = len(np.unique(np.concatenate(block))) if block else 0
+        block.append(past + np.arange(len(tables[-1])) * count // len(tables[-1]))
+    rows = np.vstack(tables)
+    return Rows(rows[:, -1], rows[:, :-1], np.concatenate(block))
+
+
+def _slipping(zeta: Array, slips: Array) -> Array:
+    """Return elements (k, m) that follow a deflection (k,) but slip at +-slips (m,)."""
+    w, out = np.zeros(len(slips)), np.empty((len(zeta), len(slips)))
+    for k, change in enumerate(np.diff(zeta, prepend=zeta[0])):
+        w = np.clip(w + change, -slips, slips)
+        out[k] = w
+    return out
 
 
 def withheld(estimates: Estimates, wrong: Mapping[str, str]) -> Estimates:

@@ -82,6 +82,22 @@ class NormalEquations:
 
 
 @dataclass(frozen=True, eq=False)
+class Reduction:
+    """What random jumps take from the normal equations of a segment: H and g, and what they explain of the residuals.
+
+    explained (signals, count), in units of the noise; penalty: of their prior. squares, counts (4n,): of the jumps of
+    each state, and their number.
+    """
+
+    H: Array
+    g: Array
+    explained: Array
+    penalty: float
+    squares: Array
+    counts: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """Prediction of a segment: predicted (signals, count), and with residuals in units of their noise, J = d predicted.
 
@@ -97,6 +113,7 @@ class Comparison:
     g: Array
     penalty: float = 0.0
     unsettled: float = 0.0
+    reduction: Reduction | None = None
 
     def projected(self, size: int) -> NormalEquations:
         """Return the normal equations of z, without the initial state (size,)."""
@@ -128,8 +145,12 @@ def compare(
     x0: Array,
     signals: Sequence[tuple[str, int]],
     noise: Array,
+    reversals: Any = None,
 ) -> Comparison | None:
-    """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,)."""
+    """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,).
+
+    reversals: jumps that are eliminated (`reversals.Reversals`), None: none.
+    """
     p = coordinates.parameters(z)
     start, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
     motion = shooting(x0, segment.effort, start, samples, p)
@@ -154,11 +175,17 @@ def compare(
         residual[~known], J[~known] = 0.0, 0.0
     H, g = np.zeros((4 * n + len(z),) * 2), np.zeros(4 * n + len(z))
     places = np.concatenate([np.arange(4 * n), 4 * n + np.array(moving, dtype=int)])
-    weighted = (residual / noise[:, None]).ravel()
-    H[np.ix_(places, places)], g[places] = shooting.normal_equations(J.reshape(-1, J.shape[2]), weighted)
+    weighted = residual / noise[:, None]
+    H[np.ix_(places, places)], g[places] = shooting.normal_equations(J.reshape(-1, J.shape[2]), weighted.ravel())
+    reduction = reversals.reduction(segment, *motion, p, J, weighted) if reversals else None
+    if reduction:
+        H[np.ix_(places, places)] -= reduction.H
+        g[places] -= reduction.g
+        residual = residual - reduction.explained * noise[:, None]
     scale = np.concatenate([np.ones(4 * n), coordinates.scale(z)])
     squares, counts = np.sum(residual**2, axis=1), known.sum(axis=1)
-    return Comparison(predicted, squares, counts, H * np.outer(scale, scale), g * scale)
+    penalty = reduction.penalty if reduction else 0.0
+    return Comparison(predicted, squares, counts, H * np.outer(scale, scale), g * scale, penalty, reduction=reduction)
 
 
 def _output(segment: Segment, signal: str, joint: int, p: Mapping[str, Array], X: Array, S: Array) -> tuple[Array, ...]:
@@ -213,6 +240,7 @@ class Problem:
     filtered: Array
     state_width: Array
     threads: int = 2
+    reversals: Any = None
 
     @property
     def rough_noise(self) -> Array:
@@ -260,13 +288,13 @@ class Problem:
 
     def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
         """Return the comparison of segment k at z and the initial state x (4n,)."""
-        compared = compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise)
+        compared = compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise, self.reversals)
         if compared is None or not np.isfinite(compared.H).all():
             return None
         size, away = len(x), (x - self.filtered[k]) / self.state_width
         compared.H[range(size), range(size)] += self.state_width**-2
         compared.g[:size] -= away / self.state_width
-        return replace(compared, penalty=float(away @ away))
+        return replace(compared, penalty=compared.penalty + float(away @ away))
 
 
 def _weighted(compared: Comparison, noise: Array) -> float:

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Jumps at reversals are those of a new integration; eliminated, they are generalised least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fjr_core.numerics.checks import Array
+from fjr_identification.estimation.multiple_shooting import Segment
+from fjr_identification.estimation.reversals import Reversals
+from identification.estimation.test_optimise import problem_at_truth
+
+WIDTH = np.array([1e-4, 1e-4, 1e-2, 1e-2])
+
+
+@pytest.fixture(scope="module")
+def reversing() -> tuple[Reversals, Segment, Array, Array, dict[str, Array], Array]:
+    """Return a segment whose joint reverses, its motion, parameters, and derivatives of both positions."""
+    problem, z = problem_at_truth()
+    p, x0 = problem.coordinates.parameters(z), problem.filtered
+    for segment, x in zip(problem.segments, x0, strict=True):
+        first, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
+        motion = problem.shooting(x, segment.effort, first, samples, p)
+        assert motion is not None
+        at = slice(segment.pad, segment.pad + segment.count)
+        if np.ptp(np.sign(motion[0][at, 2])) == 2:
+            J = np.moveaxis(motion[1][at, :2], 1, 0)
+            return Reversals(problem.shooting, WIDTH), segment, *motion, p, J
+    raise AssertionError("no segment reverses")
+
+
+def test_a_jump_changes_the_signals_as_a_new_integration_from_it(reversing: tuple) -> None:
+    reversals, segment, X, S, p, J = reversing
+    N, states = reversals.responses(segment, X, S, p, J)
+    velocity = X[segment.pad : segment.pad + segment.count + 1, 2:]
+    at = 1 + np.repeat(np.nonzero(np.diff(np.sign(velocity), axis=0))[0], 2)
+    for column, (k, state) in enumerate(zip(at.tolist(), states, strict=True)):
+        e, step = segment.pad + k, 1e-3 * WIDTH[state] * np.eye(4)[state]
+        first, samples = segment.first - segment.pad + e, segment.pad + segment.count - e
+        ends = [reversals.shooting(X[e] + sign * step, segment.effort, first, samples, p) for sign in (1, -1)]
+        slopes = (ends[0][0] - ends[1][0])[:-1, :2].T / 2e-3
+        assert not N[:, :k, column].any()
+        np.testing.assert_allclose(N[:, k:, column], slopes, atol=0.02 * np.max(np.abs(slopes)))
+
+
+def test_eliminated_jumps_are_generalised_least_squares(reversing: tuple) -> None:
+    reversals, segment, X, S, p, J = reversing
+    J, r = J / 1e-4, np.random.default_rng(0).standard_normal(J.shape[:2])
+    reduction = reversals.reduction(segment, X, S, p, J, r)
+    N = reversals.responses(segment, X, S, p, J)[0].reshape(r.size, -1)
+    W, columns = np.linalg.inv(np.eye(r.size) + N @ N.T), J.reshape(r.size, -1)
+    np.testing.assert_allclose(columns.T @ columns - reduction.H, columns.T @ W @ columns, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(columns.T @ r.ravel() - reduction.g, columns.T @ W @ r.ravel(), rtol=1e-6, atol=1e-6)
+    left = r - reduction.explained
+    assert np.sum(left**2) + reduction.penalty == pytest.approx(r.ravel() @ W @ r.ravel())
+    assert reduction.counts.sum() == N.shape[1]
