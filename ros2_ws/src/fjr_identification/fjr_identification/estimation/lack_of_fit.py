@@ -57,7 +57,7 @@ class Rows:
         """Return what more columns (k, c) explain; by deviations of their coefficients over blocks."""
         X = self.columns / np.maximum(np.linalg.norm(self.columns, axis=0), 1e-300)
         u, s, _ = np.linalg.svd(X, full_matrices=False)
-        Q = u[:, s > 1e-8 * s[0]]
+        Q = u[:, s > 1e-8 * np.max(s, initial=0.0)]
         straight, T = (values - Q @ (Q.T @ values) for values in (self.errors, added))
         c = np.linalg.lstsq(T, straight, rcond=1e-10)[0]
         left = straight - T @ c
@@ -66,8 +66,8 @@ class Rows:
         covariance = inverse @ scores.T @ scores @ inverse
         wald = float(c @ np.linalg.pinv(covariance) @ c) / len(c)
         share = 1 - float(left @ left) / max(float(straight @ straight), 1e-300)
-        log_stiffness = np.linalg.lstsq(self.columns, self.errors - added @ c, rcond=1e-10)[0][0]
-        return Term(share, float(np.sqrt(max(wald, 0.0))), c, float(log_stiffness))
+        changes = np.linalg.lstsq(self.columns, self.errors - added @ c, rcond=1e-10)[0]
+        return Term(share, float(np.sqrt(max(wald, 0.0))), c, float(np.sum(changes[:1])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ def _of_spring(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Seque
     slow = np.concatenate([decimated(torque / K, side.stride) for torque, side in pairs])
     zeta = [decimated(side.errors + torque / K, side.stride) for torque, side in pairs]
     deflection = np.concatenate(zeta)
-    slipping = np.concatenate([_slipping(each, usual * SLIPS) for each in zeta])
+    slipping = np.concatenate([slipping_elements(each, usual * SLIPS) for each in zeta])
     loops = [rows.term(-slipping[:, [i]]) for i in range(len(SLIPS))]
     slip = int(np.argmax([term.share * (term.c[0] > 0) for term in loops]))
     dead, blunt = (rows.term(np.tanh(slow / usual / flat)[:, None]) for flat in (FLAT, BLUNT))
@@ -227,7 +227,7 @@ def _rows(sides: Sequence[Side], free: Sequence, periods: Sequence[float], strid
     return Rows(rows[:, -1], rows[:, :-1], np.concatenate(block))
 
 
-def _slipping(zeta: Array, slips: Array) -> Array:
+def slipping_elements(zeta: Array, slips: Array) -> Array:
     """Return elements (k, m) that follow a deflection (k,) but slip at +-slips (m,)."""
     w, out = np.zeros(len(slips)), np.empty((len(zeta), len(slips)))
     for k, change in enumerate(np.diff(zeta, prepend=zeta[0])):
