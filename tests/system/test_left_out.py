@@ -78,8 +78,8 @@ from fjr_core.extensions.law_registry import LAWS
 robot = fjr.single_link(stiffness=31.0)
 law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
 fjr.simulate(fjr.Plant(robot), law, fjr.Sine(1.0, 1.0), robot.state(0.5, 0.5, 0, 0), 0.1)
-print(law.rate().proven, fjr.check(law, 1e-3).stable, list(LAWS))
-for name in ("synthesize", "diagnose", "Record", "Diagnosis"):
+print(law.rate().proven, fjr.spectral_radius(law, 1e-3, configurations=[[0.5]])[0] < 1, list(LAWS))
+for name in ("check", "testing", "synthesize", "diagnose", "Record", "Diagnosis"):
     try:
         getattr(fjr, name)
     except fjr.FjrError as error:
@@ -94,10 +94,10 @@ except fjr.FjrError as error:
     assert status == 0, said
     lines = said.splitlines()
     assert lines[0] == "True True ['v_dpbc']"
-    packages = {"synthesize": "fjr_design", "proven_rate": "fjr_proofs"}
-    for name, line in zip(("synthesize", "diagnose", "Record", "Diagnosis", "proven_rate"), lines[1:], strict=True):
-        package = packages.get(name, "fjr_monitor")
-        assert line == f"{name} this needs the package {package}, which is not installed; expected it beside fjr_core"
+    packages = dict.fromkeys(("check", "testing", "synthesize"), "fjr_design")
+    packages |= dict.fromkeys(("diagnose", "Record", "Diagnosis"), "fjr_monitor") | {"proven_rate": "fjr_proofs"}
+    sentence = "{} this needs the package {}, which is not installed; expected it beside fjr_core"
+    assert lines[1:] == [sentence.format(*each) for each in packages.items()]
 
 
 SENTENCE = (

@@ -7,7 +7,9 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(),
-    package_data={package_name: ["py.typed", "exports/templates/*", "exports/ros2_control/templates/*"]},
+    package_data={
+        package_name: ["py.typed", "batch/*.[ch]", "exports/templates/*", "exports/ros2_control/templates/*"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),

@@ -18,7 +18,7 @@ from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..numerics.parameter_field import declared
 from ..robust.law import Robust, sampled_law
-from ..stability.sampled_loop import refuse_fast_integral
+from ..stability.linearization import refuse_fast_integral
 from .parameter import LIST, VECTOR, Parameter, Values, named, number, options, read
 from .reference import reference
 

@@ -18,7 +18,7 @@ from .robot import Robot
 
 
 class Elastic(Protocol):
-    """Robot parameters of eq. (36), numeric (Robot) or symbolic (simulation.batch.parametric_robot)."""
+    """Robot parameters of eq. (36), numeric (Robot) or symbolic (fjr_design.batch.parametric_robot)."""
 
     @property
     def n(self) -> int:

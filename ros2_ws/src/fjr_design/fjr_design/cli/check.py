@@ -26,7 +26,6 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import joined
 from fjr_core.numerics.one_line import at_least
 from fjr_core.robust.law import Robust
-from fjr_core.stability.sampled_loop import SampledCheck
 from fjr_design.cli.preflight import (
     StartError,
     UnstableError,
@@ -39,6 +38,7 @@ from fjr_design.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
+from fjr_design.stability.sampled_loop import SampledCheck
 from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch.draws import unit_of
+from fjr_design.batch.draws import unit_of
 from fjr_design.uncertainty.distributions import FIXED, LOG_UNIFORM
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot

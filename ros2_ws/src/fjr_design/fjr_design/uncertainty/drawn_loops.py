@@ -21,9 +21,9 @@ from fjr_core.model.configuration_sampling import checked_configurations
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch.draws import PARAMETERS
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
 from fjr_core.stability.linearization import held_maps, map_of_held, on_plant, split
+from fjr_design.batch.draws import PARAMETERS
 
 CONFIDENCE = 0.99
 SQUARINGS = 14

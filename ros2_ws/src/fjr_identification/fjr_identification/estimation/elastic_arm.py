@@ -26,7 +26,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fjr_core.model.newton_euler import InertialArm, pseudo_inertia
+from fjr_core.model.newton_euler import ChainAt, Mass, pseudo_inertia
 from fjr_core.model.rigid_arm import ArmDynamics, Body, PayloadArm, RigidArm
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
@@ -213,3 +213,42 @@ def _corrected(body: Body, theta: Any, U: Any, exp: Any) -> Any:
         U[row, column] = theta[4 + k]
     factor = L @ (exp(theta[0]) * U)
     return factor @ factor.T
+
+
+@dataclass(frozen=True)
+class InertialArm:
+    """A rigid arm whose masses and inertias are expressions, so that they can be identified.
+
+    The joint axes of the bodies are z. The pseudo-inertia (4, 4) of each, an expression, is the integral of
+    (r, 1)(r, 1)' dm about the origin of the body's frame; the masses, centres of mass and inertias of the bodies
+    themselves do not count. gravity (3,) [m/s^2] in the base frame.
+    """
+
+    bodies: Sequence[Body]
+    pseudo_inertias: Sequence[ca.SX]
+    gravity: Array
+
+    def M_l(self, q_l: ca.SX) -> ca.SX:
+        """Inertia M_l (n, n) [kg m^2]."""
+        return self._at(q_l).inertia()
+
+    def P_l(self, q_l: ca.SX) -> ca.SX:
+        """Potential energy P_l [J]."""
+        return self._at(q_l).potential_energy()
+
+    def grad_P_l(self, q_l: ca.SX) -> ca.SX:
+        """Gravity torque grad P_l (n,) [N m]."""
+        return self._at(q_l).gravity_torque()
+
+    def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
+        """d/dq_l (v' M_l v / 2) (n,) [N m], v constant."""
+        return self._at(q_l).kinetic_gradient(v)
+
+    def inertial_torque(self, q_l: ca.SX, v: ca.SX, w: ca.SX, a: ca.SX) -> ca.SX:
+        """M_l a + C(q_l, v) w (n,) [N m]."""
+        return self._at(q_l).inertial_torque(v, w, a)
+
+    def _at(self, q_l: ca.SX) -> ChainAt:
+        return ChainAt(
+            self.bodies, [Mass(P[3, 3], P[:3, 3], P[:3, :3]) for P in self.pseudo_inertias], self.gravity, q_l
+        )

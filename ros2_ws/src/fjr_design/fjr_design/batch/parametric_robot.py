@@ -15,14 +15,15 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
-from ...errors import ParameterError
-from ...model.port_hamiltonian import Plant, derivative_expression, gradient_expression
-from ...model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
-from ...model.robot import Robot
-from ...numerics import integrators, symbolic
-from ...numerics.checks import Array
-from ...numerics.symbolic import PackedVector, dense_function
-from ..nonideal_plant import friction
+from fjr_core.errors import ParameterError
+from fjr_core.model.port_hamiltonian import Plant, derivative_expression, gradient_expression
+from fjr_core.model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
+from fjr_core.model.robot import Robot
+from fjr_core.numerics import integrators, symbolic
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.symbolic import PackedVector, dense_function
+from fjr_core.simulation.nonideal_plant import friction
+
 from .draws import PARAMETERS
 
 SCALED = tuple(each.name for each in PARAMETERS.values() if each.is_factor)
