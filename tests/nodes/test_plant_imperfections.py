@@ -91,15 +91,6 @@ def test_imperfection_takes_effect_at_its_change(run: Run, name: str) -> None:
     assert changed[1:] != unchanged[1:]
 
 
-def test_seed_determines_the_noise(ros: Ros, peer: Peer) -> None:
-    seen = []
-    for seed in (0, 0, 1):
-        node = ros.plant(start_paused=True, imperfections__seed=seed, imperfections__link_position_noise=[1e-3])
-        seen.append(node._robot.measure()[0].tolist())
-        node.destroy_node()
-    assert seen[0] == seen[1] != seen[2]
-
-
 NONSENSE = {
     "link_coulomb_friction": ([-1.0], "0.0"),
     "cubic_stiffness": ([1.0, 2.0], "expected 1, one per joint"),

@@ -506,16 +506,6 @@ def test_play_refuses_a_transition_that_violates_the_limits(ros: Ros, manager: M
     np.testing.assert_allclose(reference_at(manager, 4.0)[0], 1.0 + 0.1 * np.sin(4.0), atol=1e-9)
 
 
-def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
-    manager.started(0.0, limits__tracking_error=[0.1])
-    assert manager.trigger("resume") == (False, "the controller is not stopped; expected a stopped one")
-    assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
-    assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
-    assert manager.trigger("resume")[0]
-    assert manager.ask(stamped(0.003, 0.0)).effort is not None
-    ros.until(lambda: "recoveries" in manager.kinds(), "the recovery")
-
-
 def test_resume_is_refused_outside_the_limits(ros: Ros, manager: Manager) -> None:
     manager.started(0.0, limits__link_velocity=[2.0])
     assert list(manager.ask(stamped(0.001, 0.0, 3.0)).effort) == [0.0]
