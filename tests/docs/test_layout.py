@@ -81,10 +81,10 @@ LAYERS = {
 
 BUDGETS = {
     "fjr_core": 14_400,
-    "fjr_msgs_py": 3_700,
+    "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_600,
-    "fjr_plant": 1_400,
-    "fjr_controller": 2_000,
+    "fjr_plant": 1_350,
+    "fjr_controller": 1_900,
     "fjr_design": 8_050,
     "fjr_identification": 5_850,
     "fjr_proofs": 3_650,
