@@ -81,10 +81,10 @@ LAYERS = {
 
 BUDGETS = {
     "fjr_core": 12_700,
-    "fjr_msgs_py": 3_700,
+    "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_800,
-    "fjr_plant": 1_400,
-    "fjr_controller": 2_000,
+    "fjr_plant": 1_350,
+    "fjr_controller": 1_900,
     "fjr_design": 9_500,
     "fjr_identification": 6_000,
     "fjr_proofs": 3_650,

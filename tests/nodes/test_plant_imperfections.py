@@ -230,7 +230,7 @@ def pushed(x: np.ndarray, torque: float, seconds: float) -> np.ndarray:
 def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True, advance_samples=100)
     publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
-    ros.until(publisher.get_subscription_count)
+    ros.until(lambda: ros.matched(publisher))
     x = np.array([0.5, 0.5, 0.0, 0.0])
     for count, (names, effort) in enumerate(((["joint1"], [0.8]), (["joint1"], [-0.3]), ([], [])), 1):
         publisher.publish(JointState(name=names, effort=effort))
@@ -249,6 +249,7 @@ def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: 
 def test_a_torque_on_an_unknown_joint_is_refused(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True)
     publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
-    torque, refused = JointState(name=["elbow"], effort=[0.8]), "external torque refused: unknown joints"
-    ros.until(lambda: publisher.publish(torque) or node._health.count[refused])  # again, until both sides are connected
+    ros.until(lambda: ros.matched(publisher))
+    publisher.publish(JointState(name=["elbow"], effort=[0.8]))
+    ros.until(lambda: node._health.count["external torque refused: unknown joints"] == 1)
     assert not node._robot.external.any()

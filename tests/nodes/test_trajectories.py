@@ -296,7 +296,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, **parameters: Any) -> Any:
     """Return a controller with a first command, whose planning of the first message waits at the gate."""
     node = manager.started(0.0, **parameters)
-    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     for message in messages:
         manager.trajectories.publish(message)
     ros.until(lambda: gate.waiting, "the planning")
@@ -386,7 +386,7 @@ def test_a_long_message_is_read_beside_the_executor_and_replaced_by_a_newer_one(
     node, reading = ros.controller(), threading.Event()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
-    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     planner = node._control._interface.planner
     planner._worker.submit(reading.wait)
     manager.trajectories.publish(long)
@@ -449,7 +449,7 @@ def test_an_unexpected_error_of_a_callback_does_not_end_the_node(
 
     interface = node._control._interface
     monkeypatch.setattr(interface, "on_replaced", failing)
-    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     manager.trajectories.publish(move())
     ros.until(lambda: "injected failure" in capfd.readouterr().err, "the log")
     monkeypatch.undo()

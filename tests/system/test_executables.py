@@ -30,7 +30,9 @@ def test_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, s
         ros.settle(1)
     np.testing.assert_allclose(peer.commands[-1].effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
     controller.signal(number)
-    ros.until(lambda: peer.efforts[-1].data[0] == 0.0 and peer.commands[-1].effort[0] == 0.0, "the last effort")
+    ros.until(
+        lambda: peer.efforts and peer.efforts[-1].data[0] == 0.0 == peer.commands[-1].effort[0], "the last effort"
+    )
     ended_by(controller, number)
 
 

@@ -197,6 +197,16 @@ def test_sweep_writes_a_table_a_figure_and_a_page(said: tuple[Path, str]) -> Non
     assert "runs succeed" in (folder / "report.html").read_text()
 
 
+def test_a_sweep_without_matplotlib_names_what_it_leaves_out(
+    said: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, _ = said
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    again = fjr_here("sweep", f"{folder}.yaml", "--output", str(folder.parent))
+    assert f"{folder / 'overview.png'} is left out" in again
+    assert f"open {folder / 'report.html'}" in again
+
+
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [400, 1280])
 def test_page_draws_all_plots_at_any_width(study: Path, browser: Browser, width: int, dark: bool) -> None:

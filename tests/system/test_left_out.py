@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be missing, a package or the C compiler: everything else runs, and what needs it names it."""
+"""What may be missing, a package, Matplotlib or the C compiler: everything else runs, and what needs it names it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from build_wheels import PACKAGES
 from fjr_msgs_py.console.ending import Exit
 from system.executables import Start, fjr_here
 from time_limits import HANG
@@ -98,6 +99,30 @@ except fjr.FjrError as error:
     packages |= dict.fromkeys(("diagnose", "Record", "Diagnosis"), "fjr_monitor") | {"proven_rate": "fjr_proofs"}
     sentence = "{} this needs the package {}, which is not installed; expected it beside fjr_core"
     assert lines[1:] == [sentence.format(*each) for each in packages.items()]
+
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+sys.modules["matplotlib"] = None
+for package in sys.argv[1:]:
+    for each in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        importlib.import_module(each.name)
+"""
+
+
+def test_every_module_loads_without_matplotlib(tmp_path: Path) -> None:
+    status, said = python(IMPORT_ALL, dict(os.environ), tmp_path, *PACKAGES)
+    assert status == 0, said
+
+
+def test_a_run_without_matplotlib_leaves_out_the_picture_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    said = fjr_here("run", "paper_k31", "--lockstep", "--duration", "0.2", "--output", str(tmp_path))
+    assert "overview.png is left out: Matplotlib is not installed; expected it from: pip install matplotlib" in said
+    assert {path.suffix for path in (tmp_path / "paper_k31").glob("*.*")} >= {".html", ".json"}
+    assert not (tmp_path / "paper_k31" / "overview.png").exists()
 
 
 SENTENCE = (

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections.abc import Iterable
@@ -67,9 +68,9 @@ def test_recorder_that_stands_still_for_a_while_loses_no_sample(start: Start, tm
     options = ("--lockstep", "--no-report", "--duration", "3", "--output", str(output))
     run = start("fjr", "run", "paper_k31", *options)
     wait_for(lambda: "running for" in run.said_so_far(), "the run")
-    run.signal(signal.SIGSTOP)
+    os.kill(run.recorder(), signal.SIGSTOP)
     time.sleep(0.2)  # the nodes compute some thousand samples
-    run.signal(signal.SIGCONT)
+    os.kill(run.recorder(), signal.SIGCONT)
     code, said = run.end()
     assert code == 0, said
     assert is_complete(output / "paper_k31")

@@ -23,10 +23,10 @@ setup(
             "PyYAML>=6.0.1",
             "click>=8.2",
             "cma>=4.0",
-            "matplotlib>=3.6",
             "pyarrow>=15",
             "tqdm>=4.66",
-        ]
+        ],
+        "plot": ["matplotlib>=3.6"],
     },  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
