@@ -80,7 +80,7 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 14_400,
+    "fjr_core": 14_500,
     "fjr_msgs_py": 3_700,
     "fjr_monitor": 7_600,
     "fjr_plant": 1_400,
