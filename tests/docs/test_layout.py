@@ -80,7 +80,7 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 12_700,
+    "fjr_core": 12_800,
     "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_800,
     "fjr_plant": 1_350,

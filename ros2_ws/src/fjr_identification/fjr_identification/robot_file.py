@@ -21,7 +21,7 @@ from fjr_core.config.law import gain_values
 from fjr_core.config.nodes import CONTROLLER, PLANT
 from fjr_core.config.parameter import complete, names, refuse_unknown
 from fjr_core.config.plant import imperfection_parameters
-from fjr_core.config.robot import FILE, GUESSES, guessed_joints, robot_parameters
+from fjr_core.config.robot import CUBIC, FILE, GUESSES, guessed_joints, robot_parameters
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import URDF, is_xml, merged
 from fjr_core.errors import GainsError, ParameterError, TrajectoryError
@@ -37,7 +37,7 @@ from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Estimate, Identi
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
 from .estimation.elastic_arm import corrected_bodies
-from .estimation.parameters import PAYLOAD, PSEUDO_INERTIA, SMOOTHING
+from .estimation.parameters import HARDENING, PAYLOAD, PSEUDO_INERTIA, SMOOTHING
 
 GEAR_RATIO = "robot.gear_ratio"
 CORRECTED = "robot.urdf"
@@ -173,6 +173,9 @@ class IdentifiedRobot:
             values = self._of_joints(name, before)
             if not np.array_equal(values, before) or (reflected and name == "motor_inertia"):
                 changed[f"robot.{name}"] = [significant(value) for value in values]
+        cubic = self._of_joints(HARDENING, 0.0 if self.nominal.robot.cubic is None else self.nominal.robot.cubic)
+        if self._of(HARDENING):
+            changed[CUBIC.name] = [significant(max(0.0, value)) for value in cubic]
         for name in GUESSES:
             guesses = [self._guess(changed, name, j) for j in range(len(self.nominal.joints))]
             if any(guesses):
@@ -262,7 +265,7 @@ class IdentifiedRobot:
 
     def _left_out(self) -> list[str]:
         """Return comments on what no parameter of a scenario expresses."""
-        placed = {*MATRICES, *FRICTION, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+        placed = {*MATRICES, HARDENING, *FRICTION, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
         estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
         others = [f"    #   {described(estimate)}" for estimate in estimates if estimate.name not in placed]
         return ["    # Without a parameter here; correct these in the driver:", *others] if others else []

@@ -82,7 +82,7 @@ def _in_error_coordinates(own: Equilibria, gains: CheckedGains, real: Equilibria
 def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
     """Return the loop of a linearised controller on the real plant; z is (q_l, q_m, dq_l, dq_m)."""
     A, B = plant_in_velocities(real)
-    seen = sensing.measured(own.robot, real.robot.K)
+    seen = sensing.measured(own.robot, real.K)
     return SampledLoop(own.q_l, A, B, np.swapaxes(B, 1, 2), at if seen is None else lambda T: at(T).seeing(seen))
 
 

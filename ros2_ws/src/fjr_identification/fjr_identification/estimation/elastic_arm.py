@@ -4,7 +4,8 @@
     M_l(q_l) dv_l + C(q_l, v_l) v_l + grad P_l(q_l) = tau - D_l v_l - F_l(v_l) - T(q_l),   tau = K (q_m - q_l - offset)
     B dv_m = B_m u - tau - D_m v_m - F_m(v_m)
 
-F_l and F_m are the friction of simulation.nonideal_plant, T is an optional torque of the position of one joint.
+Springs that harden have tau = K zeta + k zeta^3 (cubic_stiffness). F_l and F_m are the friction of
+simulation.nonideal_plant, T is an optional torque of the position of one joint.
 
 The inertia of the links may be corrected. The pseudo-inertia P of a link stays positive definite, hence physically
 consistent, with log-Cholesky parameters theta = (alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3) about that of the robot
@@ -34,7 +35,7 @@ from fjr_core.numerics.symbolic import PackedVector, dense_function, directional
 from fjr_core.simulation.nonideal_plant import friction
 from fjr_design.uncertainty.posterior import Identification
 
-from .parameters import DYNAMIC, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
+from .parameters import DYNAMIC, HARDENING, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
 
 LEAST = 1e-9  # of the trace; eigenvalue that is added to a link without extension, so that it has a factor
 ENTRIES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of s12, s23, s13, t1, t2, t3 in U
@@ -108,7 +109,10 @@ class ElasticArm:
         p, a_l = self.layout.named(parameters), ca.SX.sym("a_l", n)
         q_l, q_m, v_l, v_m = ca.vertsplit(x, n)
         links = self._links(p)
-        tau = p.joint_stiffness * (q_m - q_l - p.offset)
+        zeta = q_m - q_l - p.offset
+        tau = p.joint_stiffness * zeta
+        if self.robot.cubic is not None or self._entries((HARDENING,)):
+            tau += p.cubic_stiffness * zeta * zeta * zeta
         v_0 = p.friction_smoothing_velocity
         F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, v_0)
         F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, v_0)

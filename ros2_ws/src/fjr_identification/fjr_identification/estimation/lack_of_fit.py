@@ -18,12 +18,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fjr_core.model import springs
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, WEAK, Estimate
 
 from .estimation_problem import Estimation
 from .filtered_fit import BLOCK, FEWEST_BLOCKS, Side, link_side, rigid_along
 from .filtered_motion import decimated
+from .parameters import HARDENING
 from .verdicts import Estimates
 
 SHARE = 0.3  # of the squares that the straight line leaves, which a term explains
@@ -49,16 +51,18 @@ class Term:
 def not_linear(setup: Estimation, z: Array) -> dict[str, str]:
     """Return a sentence for each joint whose spring is not a straight line at z (p,), a fit to the filtered motions."""
     rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
-    stiffness, sentences = setup.coordinates.parameters(z)["joint_stiffness"], {}
+    p, sentences = setup.coordinates.parameters(z), {}
     for j, joint in enumerate(setup.records[0].joints):
         used = [k for k, record in enumerate(setup.records) if record.both_sides(j)]
         sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
-        K = float(stiffness[j])
-        torques = [-K * side.columns[("joint_stiffness", j)] for side in sides]
+        K, cubic = float(p["joint_stiffness"][j]), float(p[HARDENING][j])
+        torques = [side.torque for side in sides]
         usual = float(np.sqrt(np.mean(np.concatenate(torques) ** 2))) if sides else 0.0
         if not usual:
             continue
-        deflections = [side.errors + torque / K for side, torque in zip(sides, torques, strict=True)]
+        deflections = [
+            side.errors + springs.root(K, cubic, torque, np) for side, torque in zip(sides, torques, strict=True)
+        ]
         extent = np.abs(np.concatenate(deflections))
         shapes = {
             CUBIC: [(zeta * K / usual) ** 3 for zeta in deflections],
