@@ -24,7 +24,7 @@ from fjr_core.law.linearized import equilibria_at, error_dynamics, error_matrice
 from fjr_core.model import springs
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
-from fjr_core.simulation.batch.parametric_robot import ParametricPlant, layout
+from fjr_design.batch.parametric_robot import ParametricPlant, layout
 
 arms = pytest.mark.parametrize("arm", HARD, ids=[arm.name for arm in HARD])
 MIXED = replace(fjr.planar_two_link(), cubic=[0.0, 1e5])
