@@ -41,5 +41,5 @@ for name, straight, amplitude in (
     for known in ("the curve", best, "K zeta"):
         error, peak = results[known]
         rate = laws[known].rate()
-        proven = " proven" if rate.proven else ""
-        print(f"{name:10}  {known:22} {1e3 * error:10.3f} mrad {peak:7.2f} {rate.beta:8.2f} 1/s{proven}")
+        proven = f"{rate.beta:8.2f} 1/s, proven" if rate.proven and known == "the curve" else "    none: not its model"
+        print(f"{name:10}  {known:22} {1e3 * error:10.3f} mrad {peak:7.2f} {proven}")

@@ -93,7 +93,6 @@ TIMING = ("effort_delay", "link_skew", "torque_skew")
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
 """Parameters of the equations of motion."""
 HARDENING = "cubic_stiffness"
-"""Cubic part of the spring torque K zeta + k zeta^3."""
 USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC, HARDENING))
 """Parameters that are free by default."""
 LARGEST_SKEW = 8e-3  # s
