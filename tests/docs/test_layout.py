@@ -69,7 +69,7 @@ LAYERS = {
         "estimation",
         "rigid_motion elastic_motion record_map page robot_file",
         "motion_checks scale_checks excitation bag_record table_record",
-        "record_checks",
+        "record_checks sensors",
         "read_record",
         "cli",
     ),
@@ -86,7 +86,7 @@ BUDGETS = {
     "fjr_plant": 1_400,
     "fjr_controller": 2_000,
     "fjr_design": 8_050,
-    "fjr_identification": 5_850,
+    "fjr_identification": 5_950,
     "fjr_proofs": 3_650,
     "fjr_bringup": 1_350,
 }

@@ -94,7 +94,7 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
 
 
 def coupling_velocity(Pi_m_inverse: ca.SX, K: Array, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
-    """Return Pi_m^-1 K' M_l^-1 sigma_l (n,) [rad/s], the last term of (40), which prints M_l' (docs/notation.md)."""
+    """Return Pi_m^-1 K' M_l^-1 sigma_l (n,) [rad/s], the last term of (40), which prints M_l' (docs/paper_map.md)."""
     return Pi_m_inverse @ K.T @ s_l
 
 
