@@ -69,7 +69,7 @@ LAYERS = {
         "estimation",
         "rigid_motion elastic_motion record_map page robot_file",
         "motion_checks scale_checks excitation bag_record table_record",
-        "record_checks",
+        "record_checks sensors",
         "read_record",
         "cli",
     ),
@@ -80,13 +80,13 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 12_800,
+    "fjr_core": 12_850,
     "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_800,
     "fjr_plant": 1_350,
     "fjr_controller": 1_900,
     "fjr_design": 9_500,
-    "fjr_identification": 6_000,
+    "fjr_identification": 6_250,
     "fjr_proofs": 3_650,
     "fjr_bringup": 1_350,
 }

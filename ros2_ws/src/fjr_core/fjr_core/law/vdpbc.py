@@ -99,7 +99,7 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
 
 
 def coupling_velocity(Pi_m_inverse: ca.SX, K: Array | ca.SX, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
-    """Return Pi_m^-1 K' M_l^-1 sigma_l (n,) [rad/s], the last term of (40), which prints M_l' (docs/notation.md).
+    """Return Pi_m^-1 K' M_l^-1 sigma_l (n,) [rad/s], the last term of (40), which prints M_l' (docs/paper_map.md).
 
     K: stiffness, or secant stiffness of springs that harden.
     """
