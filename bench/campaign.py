@@ -26,7 +26,7 @@ from bench.mujoco_arm import MujocoArm
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_design.batch import ClosedLoop, Draws
 
 RUNS, DURATION, PERIOD, INNER_STEPS = 10_000, 5.0, 1e-3, 4
 PART = 250

@@ -21,7 +21,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_design.batch import ClosedLoop, Draws
 from fjr_msgs_py.scenarios import library
 from fjr_proofs.error_bound import bound_errors
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -65,9 +65,14 @@ def page(document: Mapping[str, Any]) -> str:
     figures = [Figure(**{name: each[name] for name in FIELDS}) for each in document["figures"]]
     machine = document["machine"]
     said = f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {document['date'][:10]}."
-    rows = [HEADINGS, ("---",) * len(HEADINGS), *(figure.row() for figure in figures)]
-    lines = [f"| {' | '.join(row)} |" for row in rows]
+    lines = markdown(HEADINGS, [figure.row() for figure in figures])
     return "\n".join(["# Benchmark figures", "", f"Written by `make bench`. {said}", "", *lines, ""])
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()) -> list[str]:
+    """Return the lines of a Markdown table; right: columns that are aligned on the right."""
+    rule = ["---:" if name in right else "---" for name in head]
+    return [f"| {' | '.join(row)} |" for row in (head, rule, *rows)]
 
 
 def table(figures: Sequence[Figure]) -> str:

@@ -86,7 +86,7 @@ def _gap(use: Use, overrides: Mapping[str, Any]) -> tuple[float, float]:
         with tap.listening([names.JOINT_COMMANDS], LONGEST) as heard, watched() as late:
             use(tap, heard)
             heard.drain()
-    return 1e-6 * float(np.diff(heard.messages()[0][:, 1]).max()), max(late)
+    return 1e-6 * float(np.diff(heard.messages()[0][:, 1]).max()), max(late).late
 
 
 def _send(tap: Tap, heard: Heard) -> None:

@@ -25,6 +25,7 @@ from scipy.stats import binomtest
 
 import fjr_identification.estimation
 from bench import identification_cases
+from bench.figures import markdown
 from bench.identification_cases import MEASURED, Case, draw
 from fjr_core.errors import FjrError
 from fjr_design.uncertainty.posterior import LOG, UNKNOWN, Identification
@@ -80,21 +81,19 @@ def compared(case: Case, found: Identification) -> list[Row]:
 
 def table(rows: Sequence[Row]) -> list[str]:
     """Return a Markdown table with one line for each kind of parameter; behind the share, its 95 % Wilson interval."""
-    lines = [
-        "| parameter | intervals | inside | not identifiable | median error |",
-        "| --- | ---: | ---: | ---: | ---: |",
-    ]
+    cells = []
     for name in dict.fromkeys(row["name"] for row in rows):
         own = [row for row in rows if row["name"] == name]
         known = [row for row in own if row["verdict"] != UNKNOWN]
-        line = f"| {name.replace('_', ' ')} | {len(known)} | "
+        share, error = "", ""
         if known:
             test = binomtest(sum(row["inside"] for row in known), len(known))
             low, high = test.proportion_ci(method="wilson")
-            line += f"{test.statistic:.1%} ({100 * low:.1f} to {100 * high:.1f})"
-        error = f"{np.nanmedian([row['error'] for row in known]):.2%}" if known else ""
-        lines.append(f"{line} | {len(own) - len(known)} | {error} |")
-    return lines
+            share = f"{test.statistic:.1%} ({100 * low:.1f} to {100 * high:.1f})"
+            error = f"{np.nanmedian([row['error'] for row in known]):.2%}"
+        cells.append((name.replace("_", " "), str(len(known)), share, str(len(own) - len(known)), error))
+    head = ("parameter", "intervals", "inside", "not identifiable", "median error")
+    return markdown(head, cells, right=head[1:])
 
 
 def report(lines: Sequence[Row]) -> Iterable[str]:

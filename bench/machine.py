@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from typing import NamedTuple
 
 from bench.arm import ROOT
 from fjr_msgs_py.node.scheduling import prioritised
@@ -18,10 +19,17 @@ COMMAND = (sys.executable, "-m", "bench.machine")
 PERIOD, PRIORITY = 1e-3, 80  # s; SCHED_FIFO, if it is granted
 
 
+class WakeUp(NamedTuple):
+    """late: of a sleeper [ms]; at: when it woke, as the stamps of messages [ns]."""
+
+    late: float
+    at: int
+
+
 @contextmanager
-def watched() -> Iterator[list[float]]:
-    """Yield a list that holds, after the block, how late [ms] each wake-up in it was, on any core."""
-    late: list[float] = []
+def watched() -> Iterator[list[WakeUp]]:
+    """Yield a list that holds, after the block, each wake-up in it, on any core."""
+    late: list[WakeUp] = []
     with ExitStack() as stack:
         sleepers = [
             stack.enter_context(subprocess.Popen([*COMMAND, str(core)], cwd=ROOT, stdout=subprocess.PIPE, text=True))
@@ -36,11 +44,12 @@ def watched() -> Iterator[list[float]]:
             for sleeper in sleepers:
                 sleeper.terminate()
             for sleeper in sleepers:
-                late += map(float, sleeper.communicate()[0].split())
+                rows = map(str.split, sleeper.communicate()[0].splitlines())
+                late += [WakeUp(float(each), int(at)) for each, at in rows]
 
 
 def main() -> int:
-    """Sleep again and again on a core until SIGTERM, then print the lateness of each wake-up [ms]."""
+    """Sleep again and again on a core until SIGTERM, then print each wake-up."""
     os.sched_setaffinity(0, {int(sys.argv[1])})
     stopped: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: stopped.append(number))
@@ -51,8 +60,8 @@ def main() -> int:
         while not stopped:
             due = max(due + PERIOD, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-            late.append(1e3 * (time.monotonic() - due))
-    print(*late)
+            late.append((1e3 * (time.monotonic() - due), time.time_ns()))
+    print(*(f"{each} {at}" for each, at in late), sep="\n")
     return 0
 
 

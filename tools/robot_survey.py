@@ -19,13 +19,17 @@ from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
-from bench.figures import put
+from bench.figures import markdown, put
 
 BEGIN = "<!-- survey: written by tools/robot_survey.py -->"
 END = "<!-- end of survey -->"
 FOLDER = Path("runs/survey")
 TRACKED = 1e-3  # rad, m: largest error after two seconds of a run that tracks
 DURATION = 2.2  # s
+HEADINGS = (
+    *("robot", "joints", "beta, 1/s", "delay margin, samples"),
+    *("error at start", "after 2 s, rad or m", "effort", "note"),
+)
 EXAMPLE = "cmeel.prefix/share/example-robot-data/robots"
 AIRO, XACRO = "airo_models", "rtbdata/xacro"
 
@@ -139,27 +143,23 @@ def _fjr(*command: str) -> tuple[dict[str, Any], str]:
     return json.loads(done.stdout or "{}"), refusal
 
 
-def row(found: Outcome) -> str:
-    """Return the row of a robot."""
-    joints = len(found.new["joints"]) if found.new else "-"
+def row(found: Outcome) -> list[str]:
+    """Return the cells of a robot."""
+    joints = str(len(found.new["joints"])) if found.new else "-"
     if not found.run:
-        return f"| {found.name} | {joints} | | | | | | refused: {found.refusal} |"
+        return [found.name, joints, *[""] * 5, f"refused: {found.refusal}"]
     result = found.run["runs"][0]
     tracking, notes = result["tracking"], [*found.new["notes"]]
     notes += ["published motor inertia"] if found.new["source"] else []
     notes += [f"the first of {len(found.new['chains'])} chains"] if len(found.new["chains"]) > 1 else []
     notes += [f"stopped: {result['stop']['reason']}"] if result["stop"] else []
     share = tracking["largest_share_of_effort_limit"]
-    return (
-        f"| {found.name} | {joints} | {found.new['beta_per_s']:g} | {found.check['delay_margin_samples']:.1f} "
-        f"| {number(tracking['initial_error_rad'])} | {number(tracking['max_error_after_2s_rad'])} "
-        f"| {'-' if share is None else f'{100 * share:.0f} %'} | {'; '.join(notes)} |"
-    )
-
-
-def number(value: float | None) -> str:
-    """Return an error with two digits; a dash for an unknown one."""
-    return "-" if value is None else f"{value:.1e}"
+    errors = (tracking["initial_error_rad"], tracking["max_error_after_2s_rad"])
+    return [
+        *(found.name, joints, f"{found.new['beta_per_s']:g}", f"{found.check['delay_margin_samples']:.1f}"),
+        *("-" if value is None else f"{value:.1e}" for value in errors),
+        *("-" if share is None else f"{100 * share:.0f} %", "; ".join(notes)),
+    ]
 
 
 def tracks(found: Outcome) -> bool:
@@ -172,20 +172,15 @@ def tracks(found: Outcome) -> bool:
 def table(outcomes: list[Outcome]) -> list[str]:
     """Return the Markdown lines: how many track, then a row for each robot."""
     good = sum(map(tracks, outcomes))
-    lines = [
-        f"{good} of {len(outcomes)} robots track within {1e3 * TRACKED:g} mrad (mm) after two seconds.",
-        "",
-        "| robot | joints | beta, 1/s | delay margin, samples | error at start | after 2 s, rad or m | effort | note |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    return [*lines, *map(row, outcomes)]
+    said = f"{good} of {len(outcomes)} robots track within {1e3 * TRACKED:g} mrad (mm) after two seconds."
+    return [said, "", *markdown(HEADINGS, map(row, outcomes))]
 
 
 def main(names: list[str]) -> int:
     """Run the robots whose name contains one of these, all for none; write the table of all kept results."""
     for robot in ROBOTS:
         if not names or any(name.lower() in robot.name.lower() for name in names):
-            print(row(outcome(robot)), flush=True)
+            print(*row(outcome(robot)), sep=" | ", flush=True)
     known = [outcome(robot) for robot in ROBOTS if kept_result(robot).exists()]
     put(table(known), "robots.md", BEGIN, END)
     return 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every code name on a page exists, in paper_map.md and notation.md each file and symbol, too."""
+"""Every code name on a page exists, in the tables of equations and subjects each file and symbol, too."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CORE = SOURCES / "fjr_core" / "fjr_core"
 HOMES = [folder for package in sorted(SOURCES.iterdir()) for folder in (package / package.name, package)]
 FOLDERS = (CORE, *HOMES, ROOT / "tests" / "core", ROOT / "tests", ROOT)
 """Folders to which the paths on a page are relative, in search order."""
-MAPS = tuple(ROOT / "docs" / f"{name}.md" for name in ("paper_map", "notation"))
+MAPS = tuple(ROOT / "docs" / name for name in ("paper_map.md", "tables/beyond_the_paper.md"))
 PATH = re.compile(r"([\w*/]+(?:\.(?:py|c|md)|/))(?:::([\w.]+))?")
 NAME = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*")
 
@@ -101,7 +101,7 @@ def test_files_functions_and_tests_named_in_a_map_exist(page: Path) -> None:
 
 
 def test_symbols_of_the_notation_are_in_the_code() -> None:
-    rows = [text for texts in first_column(MAPS[1]) for text in texts]
+    rows = [text for texts in first_column(MAPS[0]) for text in texts]
     assert len(rows) > 15
     assert {name for text in rows for name in re.findall(r"[A-Za-z_]\w*", text)} - symbols() == set()
 

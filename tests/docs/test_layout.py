@@ -35,7 +35,6 @@ LAYERS = {
         "stability simulation",
         "monitoring",
         "config",
-        "testing",
     ),
     "fjr_msgs_py": ("names", "messages", "native", "node", "console", "scenarios"),
     "fjr_monitor": ("diagnosis scene", "recording", "report", "watch", "cli"),
@@ -59,6 +58,7 @@ LAYERS = {
         "executable",
     ),
     "fjr_design": (
+        "batch testing",
         "stability baselines uncertainty",
         "tuning",
         "exports studies",
@@ -69,7 +69,7 @@ LAYERS = {
         "estimation",
         "rigid_motion elastic_motion record_map page robot_file",
         "motion_checks scale_checks excitation bag_record table_record",
-        "record_checks",
+        "record_checks sensors",
         "read_record",
         "cli",
     ),
@@ -80,13 +80,13 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 14_400,
-    "fjr_msgs_py": 3_700,
-    "fjr_monitor": 7_600,
-    "fjr_plant": 1_400,
-    "fjr_controller": 2_000,
-    "fjr_design": 8_050,
-    "fjr_identification": 6_200,
+    "fjr_core": 12_850,
+    "fjr_msgs_py": 3_800,
+    "fjr_monitor": 7_800,
+    "fjr_plant": 1_350,
+    "fjr_controller": 1_900,
+    "fjr_design": 9_500,
+    "fjr_identification": 6_250,
     "fjr_proofs": 3_650,
     "fjr_bringup": 1_350,
 }

@@ -22,7 +22,7 @@ from fjr_msgs_py import names
 from fjr_msgs_py.node.participant import leave
 from hosts.inputs import Input, Kind, Sequence
 from hosts.step_hosts import Efforts
-from nodes.harness import EventsExecutor
+from nodes.harness import EventsExecutor, subscriptions
 from time_limits import Limit
 
 EXECUTORS = {"rclpy": "events", "native": "native"}
@@ -83,7 +83,10 @@ class NodeHost:
             self._executor.add_node(self._node)
         else:
             self._loop._host.stop()  # the loop serves requests and messages of the caller
+        topic = self._states.topic_name
+        heard = [each for each in subscriptions(self._node) if each.topic_name == topic]  # of the command loop
         assert self._until(lambda: self._states.get_subscription_count() and self._listener.get_publisher_count())
+        assert self._until(lambda: all(each.get_publisher_count() for each in heard))
 
     def _end(self) -> None:
         self._executor.shutdown()

@@ -18,7 +18,7 @@ from faults.fault_rows import JOINT, Row
 from faults.rig import SECOND, STEPPED, Rig
 from faults.watcher import COMMANDS, STATES
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.simulation.batch import Draws
+from fjr_design.batch import Draws
 from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.names import state_names
 from hosts.inputs import Input, Kind, Sequence, with_ticks

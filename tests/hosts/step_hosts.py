@@ -15,7 +15,7 @@ from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.library import StepLibrary
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_core.runtime.structs import Model, settings_struct
-from fjr_core.simulation.batch.program import BatchProgram
+from fjr_design.batch.program import BatchProgram
 from fjr_design.exports.step_code import loop_of
 from hosts.inputs import Kind, Sequence
 

@@ -62,7 +62,8 @@ class Echo:
         self.state.publisher = publisher_address(program(), self.publisher)
         self.states = self.peer.create_publisher(JointState, "states", LATEST)
         self.answers = self.peer.create_subscription(JointState, "answers", lambda _: None, LATEST)
-        self.until(lambda: self.states.get_subscription_count() and self.answers.get_publisher_count())
+        self.until(lambda: self.states.get_subscription_count() and self.subscription.publishers)
+        self.until(lambda: self.publisher.get_subscription_count() and self.answers.get_publisher_count())
 
     def until(self, happened) -> object:
         limit = Limit(10.0)
@@ -81,7 +82,7 @@ class Echo:
             return self.until(lambda: self.answers.handle.take_message(JointState, False))[0]
 
     def close(self) -> None:
-        self.loop.close()
+        self.loop.stop()
         self.subscription.close()
         self.node.destroy_node()
         leave(self.peer)
@@ -113,6 +114,19 @@ def test_a_loop_whose_priority_is_refused_keeps_to_the_last_core(echo) -> None:
     echo.until(lambda: os.sched_getaffinity(started) == {max(os.sched_getaffinity(0))})
     echo.send(1)
     assert echo.answered().header.stamp.sec == 1
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core")
+def test_the_loop_keeps_to_the_core_that_python_has_left(echo) -> None:
+    cores = os.sched_getaffinity(0)
+    before = {int(thread) for thread in os.listdir("/proc/self/task")}
+    os.sched_setaffinity(0, cores - {max(cores)})
+    try:
+        echo.loop.start(1000)
+        (started,) = {int(thread) for thread in os.listdir("/proc/self/task")} - before
+        echo.until(lambda: os.sched_getaffinity(started) == {max(cores)})
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 def test_records_come_in_order_and_those_without_a_place_are_counted(echo) -> None:

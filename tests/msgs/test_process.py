@@ -157,3 +157,28 @@ def test_garbage_is_collected_regularly_while_the_node_runs_and_the_events_execu
 ) -> None:
     done = run(CYCLE, executor)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"spins {int(executor == 'events')}\n", "")
+
+
+# The child prints whether it leads a session, then ends as the argument says; the parent prints the exit code it got.
+OWN_SESSION = """
+import os, signal, sys
+from fjr_msgs_py.console.ending import in_own_session
+code = in_own_session()
+if code is None:
+    print(os.getsid(0) == os.getpid(), flush=True)
+    eval(sys.argv[1])
+print(code)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sessions share the cores on Linux")
+@pytest.mark.parametrize(
+    ("ends", "code"),
+    [
+        ("sys.exit(3)", 3),
+        ("os.kill(os.getpid(), signal.SIGKILL)", 128 + 9),
+        ("signal.pthread_sigmask(0, [15]), os.kill(os.getppid(), 15), sys.exit(signal.sigwait([15]))", 15),  # passed on
+    ],
+)
+def test_the_end_of_a_process_in_its_own_session_is_that_of_the_command(ends: str, code: int) -> None:
+    assert run(OWN_SESSION, ends).stdout == f"True\n{code}\n"

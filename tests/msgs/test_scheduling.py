@@ -51,7 +51,8 @@ if user is not None:
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     os.setuid(user)
 care["cores"] = frozenset(care.get("cores", ()))
-granted, refusals = apply_process_settings(ProcessSettings(**care))
+for _ in range(2):  # at the start and when the node is configured
+    granted, refusals = apply_process_settings(ProcessSettings(**care))
 yield_to_loops()
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 threads = sorted((int(thread) for thread in os.listdir("/proc/self/task")), key=os.getpid().__ne__)
@@ -185,7 +186,7 @@ def test_an_unprivileged_user_gets_two_sentences_short_slices_and_one_core_for_t
     found = _take_care({"priority": 50, "lock_memory": True}, user=NOBODY, memlock=4 << 20)
     assert found["policies"] == [[os.SCHED_BATCH, 0], [os.SCHED_OTHER, 0]]
     cores = sorted(os.sched_getaffinity(0))
-    assert found["cores"] == [cores, cores[-1:]]  # Python, and a thread of the middleware
+    assert found["cores"] == [cores[:-1] or cores, cores[-1:]]  # Python, and a thread of the middleware
     _is_said(found, f" on core {cores[-1]}")
     memory, priority = found["refusals"]
     locked = re.search(r"lock_memory is refused \(the memlock limit is 4096 kB; (\d+) kB of code are locked\)", memory)

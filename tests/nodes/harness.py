@@ -17,12 +17,15 @@ from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.controller_node import ControllerNode
 from fjr_msgs_py.names import LATEST
+from fjr_msgs_py.native.host import NativeHost
 from fjr_msgs_py.node.participant import stop_discovery
 from fjr_msgs_py.node.reports import CertificateValues, labelled
 from fjr_plant.plant_node import PlantNode
@@ -81,6 +84,16 @@ class Ros:
         assert not unknown, f"{node.get_name()} does not know {', '.join(sorted(unknown))}"
         return node
 
+    def matched(self, publisher: Publisher, least: int = 1) -> bool:
+        """Return whether a publisher and the subscriptions of this test to its topic, at least so many, are connected.
+
+        Of two endpoints of one process either may know the other first; what is sent before both do is lost.
+        """
+        topic = publisher.topic_name
+        found = [each for node in self._nodes for each in subscriptions(node) if each.topic_name == topic]
+        heard = [each.get_publisher_count() for each in found]
+        return all(heard) and publisher.get_subscription_count() >= max(least, len(heard))
+
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
         """Spin until `happened()` is true; fail after the time limit."""
         limit = Limit(TIME_LIMIT)
@@ -109,6 +122,18 @@ class Ros:
         self.context.try_shutdown()
         if participants():
             gc.collect()
+
+
+def subscriptions(node: Node) -> Iterator[Subscription]:
+    """Yield the subscriptions of a node, with those of its native loop and of its inbox, which it does not know."""
+    yield from node.subscriptions
+    control, base = getattr(node, "_control", None), getattr(node, "_time_base", None)
+    host = control._command_loop._host if control else base and base.host
+    if isinstance(host, NativeHost):
+        yield host.subscription._subscription
+    inbox = control and getattr(control._interface._close_subscription, "__self__", None)
+    if inbox:
+        yield inbox._subscription
 
 
 def participants() -> int:
@@ -193,7 +218,7 @@ class Peer(Listener):
         """Wait until controller and peer are connected in both directions."""
         heard = ("effort_controller/commands", "joint_commands", "fjr_controller/reference", "diagnostics")
         self._ros.until(
-            lambda: self.state_publisher.get_subscription_count() >= 2 and all(self.heard(topic) for topic in heard),
+            lambda: self._ros.matched(self.state_publisher, 2) and all(self.heard(topic) for topic in heard),
             "the controller",
         )
 
@@ -201,7 +226,7 @@ class Peer(Listener):
         """Wait until plant and peer are connected in both directions."""
         publisher = self.command_publisher if lockstep else self.effort_publisher
         self._ros.until(
-            lambda: publisher.get_subscription_count() >= 2 and self.states and self.heard("diagnostics"), "the plant"
+            lambda: self._ros.matched(publisher, 2) and self.states and self.heard("diagnostics"), "the plant"
         )
 
     def started(self, q: Any = 0.5, **parameters: Any) -> ControllerNode:

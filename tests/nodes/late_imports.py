@@ -23,6 +23,7 @@ def main() -> None:
     loop = node._control._command_loop._struct
     ros.until(lambda: loop.answered > STATES, "the states")
     ros.until(lambda: any("mismatch" in s.message for m in manager.diagnostics for s in m.status), "the diagnosis")
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     manager.trajectories.publish(trajectory((0.5, 0.3), (1.0, -0.2)))
     ros.until(lambda: "references changed" in manager.kinds(), "the trajectory")
     changed, _ = manager.set(gains__K_ld=[0.7], limits__tracking_error=[2.5])

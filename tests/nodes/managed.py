@@ -80,7 +80,7 @@ class Manager(Peer):
 
     def send(self, message: JointTrajectory) -> DiagnosticStatus:
         """Publish a trajectory; return the event that reports its outcome."""
-        self._ros.until(lambda: self.trajectories.get_subscription_count(), "the trajectory's subscription")
+        self._ros.until(lambda: self._ros.matched(self.trajectories), "the trajectory's subscription")
         before = len(self.answers())
         self.trajectories.publish(message)
         self._ros.until(lambda: len(self.answers()) > before, "an event")

@@ -65,7 +65,7 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager) -
     node = ros.controller(autostart=False)
     manager.ask(stamped(0.0), answered=False)
     assert manager.change("configure")
-    ros.until(lambda: manager.state_publisher.get_subscription_count() == 2, "the controller")
+    ros.until(lambda: ros.matched(manager.state_publisher, 2), "the controller")
     for _ in range(3):
         manager.ask(stamped(0.0), answered=False)
     assert node._control.step.last_stamp is None
@@ -281,7 +281,7 @@ def test_silence_is_measured_in_simulated_time(ros: Ros, manager: Manager) -> No
     ros.controller(state_timeout=0.5, use_sim_time=True)
     clock = manager.create_publisher(Clock, "/clock", 1)
     manager.meet_controller()
-    ros.until(clock.get_subscription_count, "the clock's reader")
+    ros.until(lambda: ros.matched(clock), "the clock's reader")
     manager.ask(stamped(0.0))
     clock.publish(Clock(clock=stamped(0.4).header.stamp))
     ros.settle()

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
-from fjr_msgs_py.native import program as native_program
-from fjr_msgs_py.native.program import NativeError
 from fjr_plant.host import NativePlantHost, RclpyPlantHost
 from fjr_plant.native import plant_program
 from fjr_plant.time_base import SendError
@@ -104,20 +102,3 @@ def test_the_reason_for_another_host_is_logged(ros: Ros, capfd, parameters: dict
     node = ros.plant(executor="native", **parameters)
     assert isinstance(node._time_base.host, RclpyPlantHost)
     assert f"the plant runs in rclpy's executor instead of a native thread: {why}\n" in capfd.readouterr().err
-
-
-def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, peer: Peer, capfd, monkeypatch) -> None:
-    def options() -> None:
-        raise NativeError("rcl.h is missing")
-
-    monkeypatch.setattr(native_program, "ros_options", options)
-    plant_program.cache_clear()
-    try:
-        node = ros.plant(executor="native", compile=True)
-    finally:
-        plant_program.cache_clear()
-    assert isinstance(node._time_base.host, RclpyPlantHost)
-    assert "instead of a native thread: rcl.h is missing\n" in capfd.readouterr().err
-    peer.meet_plant()
-    peer.effort_publisher.publish(command(0.3))
-    ros.until(lambda: peer.states[-1].effort[1] == 0.3, "motion")

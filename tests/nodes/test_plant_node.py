@@ -172,7 +172,7 @@ def test_reset_returns_to_the_initial_state_after_a_silence(ros: Ros, peer: Peer
 
 def test_pause_stops_publication_and_the_motion(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True, restart_silence=0.2)
-    ros.until(lambda: peer.effort_publisher.get_subscription_count() >= 2)
+    ros.until(lambda: ros.matched(peer.effort_publisher, 2))
     ros.settle()
     assert not peer.states
     assert call(ros, peer, SetBool, "fjr_plant/pause", data=False).success

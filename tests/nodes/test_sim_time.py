@@ -24,7 +24,7 @@ class Player:
         self._ros, self._peer = ros, peer
         self.node = ros.plant(use_sim_time=True, **parameters)
         self._publisher = peer.create_publisher(Clock, "/clock", 1)
-        ros.until(lambda: self._publisher.get_subscription_count() and peer.effort_publisher.get_subscription_count())
+        ros.until(lambda: ros.matched(self._publisher) and ros.matched(peer.effort_publisher, 2))
 
     def play(self, time: int) -> None:
         """Publish a time [ns] and wait until the plant has processed it."""

@@ -8,7 +8,7 @@ import time
 import numpy as np
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_plant.native import NO_TIME
+from fjr_msgs_py.native.host import NO_TIME
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import PERIOD, call, command
 from nodes.test_sim_time import SECOND, Player

@@ -296,7 +296,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, **parameters: Any) -> Any:
     """Return a controller with a first command, whose planning of the first message waits at the gate."""
     node = manager.started(0.0, **parameters)
-    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     for message in messages:
         manager.trajectories.publish(message)
     ros.until(lambda: gate.waiting, "the planning")
@@ -386,7 +386,7 @@ def test_a_long_message_is_read_beside_the_executor_and_replaced_by_a_newer_one(
     node, reading = ros.controller(), threading.Event()
     manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
-    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     planner = node._control._interface.planner
     planner._worker.submit(reading.wait)
     manager.trajectories.publish(long)
@@ -449,7 +449,7 @@ def test_an_unexpected_error_of_a_callback_does_not_end_the_node(
 
     interface = node._control._interface
     monkeypatch.setattr(interface, "on_replaced", failing)
-    ros.until(manager.trajectories.get_subscription_count, "the trajectory's subscription")
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     manager.trajectories.publish(move())
     ros.until(lambda: "injected failure" in capfd.readouterr().err, "the log")
     monkeypatch.undo()
@@ -504,16 +504,6 @@ def test_play_refuses_a_transition_that_violates_the_limits(ros: Ros, manager: M
     for t in (0.4, 1.5, 2.9):
         assert abs(reference_at(manager, t)[1]) < 1.0
     np.testing.assert_allclose(reference_at(manager, 4.0)[0], 1.0 + 0.1 * np.sin(4.0), atol=1e-9)
-
-
-def test_resume_ends_a_stop(ros: Ros, manager: Manager) -> None:
-    manager.started(0.0, limits__tracking_error=[0.1])
-    assert manager.trigger("resume") == (False, "the controller is not stopped; expected a stopped one")
-    assert list(manager.ask(stamped(0.001, 0.5)).effort) == [0.0]
-    assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
-    assert manager.trigger("resume")[0]
-    assert manager.ask(stamped(0.003, 0.0)).effort is not None
-    ros.until(lambda: "recoveries" in manager.kinds(), "the recovery")
 
 
 def test_resume_is_refused_outside_the_limits(ros: Ros, manager: Manager) -> None:

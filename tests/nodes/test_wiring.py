@@ -40,9 +40,11 @@ COMMON = {
     "link_damping": [0.3, 0.1],
     "motor_damping": [0.03, 0.01],
     "input_gain": [1.0, 0.5],
+    "cubic_stiffness": [4000.0, 0.0],
 }
 PLANAR = {"link_inertia": [0.02, 0.006], "link_mass": [1.0, 0.9], "link_length": [0.35, 0.25], "link_com": [0.1, 0.15]}
 ONE = {"joint_stiffness": [20.0], "motor_inertia": [0.006], "link_damping": [0.3], "motor_damping": [0.02]}
+ONE |= {"cubic_stiffness": [5000.0]}
 ROBOTS: dict[str, dict[str, Any]] = {  # other values of all parameters of each model
     "single_link": {"link_inertia": [0.05], "gravity_torque": [1.3], "input_gain": [2.0], **ONE},
     "planar_two_link": {**PLANAR, "gravity": 1.62, **COMMON},
@@ -73,7 +75,9 @@ def made(model: str, **parameters: Any) -> fjr.Robot:
     """Return the robot of a model with these parameters, by the function of fjr_core."""
     n = len(joints(model))
     values = {name: np.reshape(v, (n, n)) if np.size(v) == n * n > n else v for name, v in parameters.items()}
-    return MODELS[model](**{name.replace("joint_stiffness", "stiffness"): value for name, value in values.items()})
+    cubic = values.pop("cubic_stiffness", None)
+    robot = MODELS[model](**{name.replace("joint_stiffness", "stiffness"): value for name, value in values.items()})
+    return robot if cubic is None else replace(robot, cubic=cubic)
 
 
 def controller_effort(ros: Ros, model: str = "single_link", **parameters: Any) -> np.ndarray:

@@ -30,6 +30,7 @@ FLAGS = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
+DRAWN = 100  # coloured pixels; a line across a plot has more
 SOFTWARE = "GL Driver Message (OpenGL, Performance"  # logged because the processor draws
 # Count the pixels of each plot that are neither grey nor transparent, i.e. not axes or grid.
 COLOURED = """[...document.querySelectorAll(".uplot canvas")].map((canvas) => {
@@ -96,6 +97,7 @@ class Browser:
         self.settle()
 
     def size(self, width: int, height: int) -> None:
+        self._width = width
         self.call(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
@@ -126,6 +128,19 @@ class Browser:
                 f"[...document.querySelectorAll('figure')].filter((figure) => {wider}).map((figure) => figure.id)"
             )
         )
+
+    def figures(self) -> list[str]:
+        """Return the ids of the figures."""
+        return list(self.value("[...document.querySelectorAll('figure')].map((figure) => figure.id)"))
+
+    def is_sound(self) -> None:
+        """Check that a page from disk has no errors, fetches nothing, draws every plot and fits its window."""
+        assert self.said == []
+        assert [url for url in self.asked if not url.startswith(("file:", "data:"))] == []
+        drawn = dict(zip(self.figures(), self.coloured(), strict=True))
+        assert min(drawn.values()) > DRAWN, drawn
+        assert self.overflows() == []
+        assert self.value("document.documentElement.scrollWidth") <= self._width
 
     def close(self) -> None:
         self._socket.close()

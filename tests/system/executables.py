@@ -36,6 +36,11 @@ class Executable:
     def signal(self, number: int) -> None:
         self.process.send_signal(number)
 
+    def recorder(self) -> int:
+        """Return the process in which `fjr run` records, in a session of its own."""
+        (found,) = children(self.process.pid).values()
+        return found
+
     def said_so_far(self) -> str:
         return os.pread(self._said.fileno(), 1_000_000, 0).decode()  # leaves the position, which the child shares
 
@@ -49,6 +54,20 @@ class Executable:
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
         self._said.close()
+
+
+def children(pid: int) -> dict[str, int]:
+    """Return the processes started by `pid`, by the name that ps shows."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            name = (folder / "comm").read_text().strip()
+        except (OSError, IndexError):
+            continue
+        if parent == pid:
+            found[name] = int(folder.name)
+    return found
 
 
 def wait_for(condition: Callable[[], bool], what: str) -> None:

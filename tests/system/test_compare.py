@@ -47,7 +47,6 @@ QUICK: dict[str, Any] = {
 }
 PLOTS = ["robot-0-error", "robot-0-effort", "robot-0-stiffness", "robot-0-delay"]
 AT_REST = {f"initial_{side}_position": [0.0] for side in ("link", "motor")}
-DRAWN = 150  # coloured pixels, at least
 
 
 def compared(folder: Path, document: dict[str, Any], *arguments: str) -> tuple[dict[str, Any], str]:
@@ -219,14 +218,11 @@ def test_best_of_a_row(numbers: Any, states: str, less: bool, best: str) -> None
 @pytest.mark.usefixtures("found")
 def test_the_page_opens_from_disk_and_draws_everything(folder: Path, browser: Browser, dark: bool) -> None:
     browser.open(folder / "runs" / "compare_mine" / "comparison.html", dark=dark)
-    assert browser.said == []
-    assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
-    assert browser.value("[...document.querySelectorAll('figure')].map((figure) => figure.id)") == PLOTS
-    assert min(browser.coloured()) > DRAWN
+    browser.is_sound()
+    assert browser.figures() == PLOTS
     browser.size(390, 800)
     browser.settle()
-    assert browser.value("document.documentElement.scrollWidth") <= 390
-    assert browser.said == []
+    browser.is_sound()
 
 
 def test_page_states_the_findings(folder: Path, found: dict[str, Any], browser: Browser) -> None:

@@ -15,8 +15,8 @@ import fjr_core
 from fjr_core.config.scenario import load_scenario
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing
-from fjr_core.stability.sampled_loop import check
 from fjr_design.cli.preflight import StartError, refuse_start_outside
+from fjr_design.stability.sampled_loop import check
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from fjr_proofs.kept_rate import cached_rate

@@ -21,24 +21,10 @@ from fjr_bringup.runner import ENDED, JOINT_COMMANDS, SAMPLES, _Run
 from fjr_msgs_py.console.ending import Exit
 from isolation import leased_domain
 from nodes.harness import Listener, Ros
-from system.executables import NODES, Executable, Start, fjr, fjr_here, wait_for
+from system.executables import NODES, Executable, Start, children, fjr, fjr_here, wait_for
 from system.recorded import messages
 
 pytestmark = pytest.mark.system
-
-
-def children(pid: int) -> dict[str, int]:
-    """Return the processes started by `pid`, by the name that ps shows."""
-    found = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            name = (folder / "comm").read_text().strip()
-        except (OSError, IndexError):
-            continue
-        if parent == pid:
-            found[name] = int(folder.name)
-    return found
 
 
 def is_alive(pid: int) -> bool:
@@ -57,12 +43,13 @@ CALM = ("--force", "--set", "realtime_priority:=0", "--set", "publish_rate:=200.
 
 
 def running(ros: Ros, start: Start, output: Path, *options: str) -> tuple[Executable, dict[str, int]]:
-    """Start `fjr run`, wait for full motion, return the command and its node processes."""
+    """Start `fjr run`, wait for full motion, return the command, and the processes of its recorder and its nodes."""
     listener = Listener(ros, only=["joint_commands"])
     command = start("fjr", "run", "paper_k31", "--duration", "3600", "--output", str(output), *options)
     ros.until(lambda: len(listener.commands) > 100 or command.process.poll() is not None, "motion")
     assert command.process.poll() is None, command.end()
-    return command, children(command.process.pid)
+    recorder = command.recorder()
+    return command, {"recorder": recorder, **children(recorder)}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -71,6 +58,8 @@ def test_signal_ends_all_processes_and_leaves_a_readable_bag(
 ) -> None:
     command, nodes = running(ros, start, tmp_path, "--lockstep")
     assert {"plant_node", "controller_node"} <= set(nodes)
+    sessions = {os.getsid(pid) for pid in (command.process.pid, *nodes.values())}
+    assert len(sessions) == 4  # Linux divides the cores among them
     command.signal(number)
     code, said = command.end()
     assert code == Exit.INTERRUPTED, said
@@ -127,11 +116,11 @@ def test_the_run_waits_for_topics_that_lag_but_not_for_one_that_has_ended() -> N
     assert len(waits) == 2
 
 
-def test_no_node_outlives_a_command_that_is_killed(ros: Ros, start: Start, tmp_path: Path) -> None:
+def test_neither_recorder_nor_node_outlives_a_command_that_is_killed(ros: Ros, start: Start, tmp_path: Path) -> None:
     command, nodes = running(ros, start, tmp_path, *CALM)
     command.signal(signal.SIGKILL)
     command.process.wait()
-    wait_for(lambda: not any(is_alive(pid) for pid in nodes.values()), "the end of the nodes")
+    wait_for(lambda: not any(is_alive(pid) for pid in nodes.values()), "the end of recorder and nodes")
 
 
 @pytest.fixture(scope="module")

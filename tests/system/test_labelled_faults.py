@@ -14,9 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 
 from diagnosis_benchmark.fault_runs import FAULTS, HEALTHY, TUNING_SEEDS, VALIDATION_SEED, WIRING, FaultCase, cases  # noqa: E402
-from diagnosis_benchmark.fault_table import BEGIN, KINDS, Outcome, outcome, shares, table  # noqa: E402
 from diagnosis_benchmark.faulty_loop import Fault, FaultyLoop  # noqa: E402
 from diagnosis_benchmark.runs import Case  # noqa: E402
+from diagnosis_benchmark.tables import KINDS, Outcome, begin, fault_table, outcome, shares  # noqa: E402
 from fjr_core.monitoring.certificate import Certificate  # noqa: E402
 
 pytestmark = pytest.mark.system
@@ -92,7 +92,7 @@ def test_saturated_motor_is_not_diagnosed_as_wrong_wiring(scenario: str) -> None
 
 
 def test_page_shows_the_set_and_the_required_shares() -> None:
-    page = (ROOT / "docs" / "tables" / "diagnosis.md").read_text(encoding="utf-8").partition(BEGIN)[2]
+    page = (ROOT / "docs" / "tables" / "diagnosis.md").read_text(encoding="utf-8").partition(begin("faults"))[2]
     rows = [line for line in page.splitlines() if line.startswith("| ")][2 : 2 + len(KINDS)]
     counts = [int(cell) for row in rows for cell in row.split("|")[2:-2] if cell.strip()]
     assert sum(counts) == len(SET)
@@ -105,5 +105,5 @@ def test_page_shows_the_set_and_the_required_shares() -> None:
 def test_a_table_counts_joints() -> None:
     outcomes = [Outcome("inertia", "inertia", True), Outcome("inertia", "unknown", False)]
     assert shares(outcomes) == (0.5, 0.5)
-    row = next(line for line in table(outcomes) if "inertia" in line)
+    row = next(line for line in fault_table(outcomes) if "inertia" in line)
     assert row.endswith("| 1/2 |")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be missing, a package or the C compiler: everything else runs, and what needs it names it."""
+"""What may be missing, a package, Matplotlib or the C compiler: everything else runs, and what needs it names it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from build_wheels import PACKAGES
 from fjr_msgs_py.console.ending import Exit
 from system.executables import Start, fjr_here
 from time_limits import HANG
@@ -78,8 +79,8 @@ from fjr_core.extensions.law_registry import LAWS
 robot = fjr.single_link(stiffness=31.0)
 law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
 fjr.simulate(fjr.Plant(robot), law, fjr.Sine(1.0, 1.0), robot.state(0.5, 0.5, 0, 0), 0.1)
-print(law.rate().proven, fjr.check(law, 1e-3).stable, list(LAWS))
-for name in ("synthesize", "diagnose", "Record", "Diagnosis"):
+print(law.rate().proven, fjr.spectral_radius(law, 1e-3, configurations=[[0.5]])[0] < 1, list(LAWS))
+for name in ("check", "testing", "synthesize", "diagnose", "Record", "Diagnosis"):
     try:
         getattr(fjr, name)
     except fjr.FjrError as error:
@@ -94,10 +95,34 @@ except fjr.FjrError as error:
     assert status == 0, said
     lines = said.splitlines()
     assert lines[0] == "True True ['v_dpbc']"
-    packages = {"synthesize": "fjr_design", "proven_rate": "fjr_proofs"}
-    for name, line in zip(("synthesize", "diagnose", "Record", "Diagnosis", "proven_rate"), lines[1:], strict=True):
-        package = packages.get(name, "fjr_monitor")
-        assert line == f"{name} this needs the package {package}, which is not installed; expected it beside fjr_core"
+    packages = dict.fromkeys(("check", "testing", "synthesize"), "fjr_design")
+    packages |= dict.fromkeys(("diagnose", "Record", "Diagnosis"), "fjr_monitor") | {"proven_rate": "fjr_proofs"}
+    sentence = "{} this needs the package {}, which is not installed; expected it beside fjr_core"
+    assert lines[1:] == [sentence.format(*each) for each in packages.items()]
+
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+sys.modules["matplotlib"] = None
+for package in sys.argv[1:]:
+    for each in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        importlib.import_module(each.name)
+"""
+
+
+def test_every_module_loads_without_matplotlib(tmp_path: Path) -> None:
+    status, said = python(IMPORT_ALL, dict(os.environ), tmp_path, *PACKAGES)
+    assert status == 0, said
+
+
+def test_a_run_without_matplotlib_leaves_out_the_picture_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    said = fjr_here("run", "paper_k31", "--lockstep", "--duration", "0.2", "--output", str(tmp_path))
+    assert "overview.png is left out: Matplotlib is not installed; expected it from: pip install matplotlib" in said
+    assert {path.suffix for path in (tmp_path / "paper_k31").glob("*.*")} >= {".html", ".json"}
+    assert not (tmp_path / "paper_k31" / "overview.png").exists()
 
 
 SENTENCE = (

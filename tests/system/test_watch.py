@@ -33,7 +33,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
-from fjr_core.urdf.tree import UrdfFrames
+from fjr_monitor.scene import UrdfFrames
 from fjr_monitor.watch.browser import BrowserPage
 from fjr_monitor.watch.foxglove import FoxgloveError, FoxgloveServer, frame_transforms
 from system.browser import Browser

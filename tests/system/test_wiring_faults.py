@@ -101,13 +101,17 @@ def test_check_continues_without_motion() -> None:
     assert not check.done
 
 
+@pytest.mark.parametrize("hardens", [False, True], ids=["full matrices", "hardening springs"])
 @pytest.mark.parametrize("wrong_motor", [None, 0, 1])
-def test_both_agree_on_a_robot_with_full_matrices(wrong_motor: int | None) -> None:
+def test_both_agree_on_a_robot_with_full_matrices_or_hardening_springs(wrong_motor: int | None, hardens: bool) -> None:
     def full(a: float, b: float) -> Array:
         return np.array([[a, 0.2 * b], [0.2 * b, b]])
 
     links = fjr.planar_two_link().links
     robot = fjr.Robot(links, full(0.02, 0.01), full(40, 25), full(0.2, 0.1), full(0.01, 0.02), full(1, 0.8))
+    if hardens:
+        K = np.array([40.0, 25.0])
+        robot = replace(robot, K=np.diag(K), cubic=K / 0.05**2)
     plant, rng, x = fjr.Plant(robot), np.random.default_rng(5), robot.state(*np.zeros((4, 2)))
     here, oracle = WiringCheck(robot), NumericCheck(robot)
     for k in range(STATES):

@@ -2,7 +2,7 @@
 """Labelled runs for the diagnosis: healthy, each imperfection at two levels, model mismatch, low sample rates.
 
 Labels do not depend on the diagnosis: `label` compares a run with the same run without the cause. Thresholds
-(fjr_core.monitoring.thresholds) are tuned on the set of TUNING_SEED and validated on that of VALIDATION_SEED. A seed
+(fjr_monitor.diagnosis.thresholds) are tuned on the set of TUNING_SEED and validated on that of VALIDATION_SEED. A seed
 draws the initial position and all random sequences.
 """
 
@@ -20,9 +20,9 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.nodes import PLANT
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.thresholds import TOLERANCE
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record
+from fjr_monitor.diagnosis.thresholds import TOLERANCE
 from fjr_msgs_py.scenarios import library
 
 from .loop import LockStepLoop, Log, record

@@ -13,7 +13,7 @@ LEVELS = {
     "run": ("run", "colcon"),
     "bench": ("run", "colcon", "bench"),
     "docs": ("run", "colcon", "docs"),
-    "test": ("run", "colcon", "bench", "docs", "cluster", "foxglove", "test"),
+    "test": ("run", "colcon", "bench", "docs", "cluster", "foxglove", "plot", "test"),
 }
 """Levels of the environment and the files in requirements/ they take."""
 FILES_ONLY = "pages.txt"

@@ -23,7 +23,7 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=[
-        "fjr_core[plot,sweep]",
+        "fjr_core[sweep]",
         "fjr_msgs_py[commands]",
         "fjr_monitor[commands]",
         "fjr_plant",
@@ -33,7 +33,10 @@ setup(
         "click>=8.2",
         "numpy>=1.26",
     ],  # rclpy and messages: from ROS 2, or its wheels
-    extras_require={"all": ["fjr_identification[commands]", "fjr_proofs[commands]"]},
+    extras_require={
+        "all": ["fjr_identification[commands]", "fjr_proofs[commands]"],
+        "plot": ["matplotlib>=3.6"],
+    },
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

@@ -19,7 +19,6 @@ setup(
         package_name: [
             "py.typed",
             "runtime/*.[ch]",
-            "simulation/batch/*.[ch]",
         ]
     },
     data_files=[

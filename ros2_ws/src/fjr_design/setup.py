@@ -7,7 +7,9 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(),
-    package_data={package_name: ["py.typed", "exports/templates/*", "exports/ros2_control/templates/*"]},
+    package_data={
+        package_name: ["py.typed", "batch/*.[ch]", "exports/templates/*", "exports/ros2_control/templates/*"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
@@ -21,10 +23,10 @@ setup(
             "PyYAML>=6.0.1",
             "click>=8.2",
             "cma>=4.0",
-            "matplotlib>=3.6",
             "pyarrow>=15",
             "tqdm>=4.66",
-        ]
+        ],
+        "plot": ["matplotlib>=3.6"],
     },  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",

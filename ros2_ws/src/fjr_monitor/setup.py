@@ -20,13 +20,13 @@ setup(
             "click>=8.2",
             "jinja2>=3.1",
             "jupyter-threejs-sage>=130",
-            "matplotlib>=3.6",
             "mcap>=1.1",
             "rich>=13",
             "rosbags>=0.10",
             "scipy>=1.11",
             "uplot-python>=1.1",
-        ]
+        ],
+        "plot": ["matplotlib>=3.6"],
     },  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",

@@ -15,10 +15,10 @@ import own_code
 from fjr_core.extensions.law_registry import law_kind
 from fjr_core.extensions.python_code import own_law, own_plant
 from fjr_core.robust.law import Robust, sampled_law
-from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_core.stability.linear_controller import slope_at_rest
+from fjr_design.batch import ClosedLoop, Draws
 
 JOINT, ARM = fjr.single_link(stiffness=31.0), fjr.planar_two_link()
 VDPBC = fjr.TrackingLaw(ARM, fjr.PAPER_GAINS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equations as printed fail the tests that the corrected ones pass (docs/notation.md).
+"""The equations as printed fail the tests that the corrected ones pass (docs/paper_map.md).
 
 Eq. (49) is tested in stability/test_contraction.py, next to the corrected one.
 """

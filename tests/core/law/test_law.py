@@ -17,7 +17,16 @@ import fjr_core as fjr
 from core.oracles.cases import LOOP_NAMES, LOOPS, POINTS, Arm, GainSet, Point, planar, random_point, single
 from core.oracles.chains import arm7, chain_point, scaled_gains, two_joints
 from core.oracles.oracle import LiteralLaw
-from core.oracles.properties import TOLERANCE, Loop, error_dynamics, loop_of, residual, storage_rate, storage_terms
+from core.oracles.properties import (
+    TOLERANCE,
+    Loop,
+    error_dynamics,
+    loop_of,
+    on_reference,
+    residual,
+    storage_rate,
+    storage_terms,
+)
 
 EXACT = 1e-11
 """Tolerance for URDF arms: residuals are relative to the largest torques, so this checks the wrist to six digits."""
@@ -121,16 +130,6 @@ def test_storage_vanishes_where_all_errors_vanish(arm: Arm, gains: GainSet) -> N
     e = loop_of(arm, gains).law.evaluate(x_v, p.x, p.jets)
     assert e.V <= 1e-20
     assert np.all(np.isfinite(e.u))
-
-
-def on_reference(arm: Arm, gains: GainSet) -> tuple[Point, np.ndarray]:
-    """Return a measured state on the reference and the virtual state with all errors zero, solved block by block."""
-    law, p = loop_of(arm, gains).law, random_point(arm, 30)
-    M = arm.links.M(p.x[: arm.n])
-    q_lv, p_lv, zero = p.jets[0], M @ p.jets[1], np.zeros(arm.n)
-    q_mv = law.evaluate(np.concatenate([q_lv, q_lv, p_lv, zero]), p.x, p.jets).q_md
-    sigma_m = law.evaluate(np.concatenate([q_lv, q_mv, p_lv, zero]), p.x, p.jets).sigma_m
-    return p, np.concatenate([q_lv, q_mv, p_lv, -sigma_m])
 
 
 @loops

@@ -38,7 +38,7 @@ def along_the_plant(arm: Arm, seed: int, f: object) -> tuple[Array, object]:
     """Return x of a random point and the rate of f(x, jets) along the plant under the effort of that point."""
     p, plant = random_point(arm, seed), fjr.Plant(arm.robot)
     dx = plant.derivative(p.x, p.u)
-    h = 0.006 / max(1.0, float(np.max(np.abs(dx[: 2 * arm.n]))))
+    h = 0.006 * arm.grain / max(1.0, float(np.max(np.abs(dx[: 2 * arm.n]))))
     return p, stencil(lambda s: f(p.x + s * dx, p.jets + s * p.djets), h)
 
 
@@ -83,7 +83,7 @@ def test_slope_of_V_is_its_gradient_in_measured_positions_and_velocities(arm: Ar
         return np.array(at(balance, state[: 2 * n], state[2 * n :], p.jets).V)
 
     seen = at(balance, state[: 2 * n], state[2 * n :], p.jets).slope
-    assert residual(seen, jacobian(V, state, np.full(4 * n, 2e-3))) <= 1e-9
+    assert residual(seen, jacobian(V, state, np.full(4 * n, 2e-3 * arm.grain**0.5))) <= 1e-9
 
 
 @pytest.mark.parametrize("of_the_law", [False, True])

@@ -11,8 +11,9 @@ import fjr_core as fjr
 from core.motions.cases import FREE, KNOTS, OTHERS, SERIES, SINES, SPLINES, T0, T1, references
 from core.oracles.oracle import stencil
 from fjr_core.motions.reference import Reference
-from fjr_core.motions.sine import common_period, logarithmic_harmonics
+from fjr_core.motions.sine import common_period
 from fjr_core.motions.transition import Transition
+from fjr_identification.excitation import logarithmic_harmonics
 
 sines = pytest.mark.parametrize("reference", SINES.values(), ids=SINES)
 

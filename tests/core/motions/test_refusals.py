@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.motions.sine import RestingSeries
+from fjr_identification.excitation import RestingSeries
 
 TIMES = np.array([0.3, 1.0, 1.4, 2.5])
 POSITIONS, VELOCITIES, ACCELERATIONS = np.random.default_rng(4).normal(size=(3, 4, 3))

@@ -7,7 +7,7 @@ values are never computed by fjr_core.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,10 +80,19 @@ class Arm:
     D_l: Array
     D_m: Array
     B_m: Array
+    cubic: Array
 
     @property
     def n(self) -> int:
         return self.links.n
+
+    @property
+    def grain(self) -> float:
+        """Steps of differences relative to those of straight springs, whose law is nearly a polynomial."""
+        return 0.05 if self.cubic.any() else 1.0
+
+    def spring(self, zeta: Array) -> Array:
+        return self.K @ zeta + self.cubic * zeta**3
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +172,13 @@ def planar(name: str, stiffness: Any, **overrides: Any) -> Arm:
 
 def _arm(name: str, robot: fjr.Robot, links: Any, values: dict[str, Any]) -> Arm:
     keys = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
-    return Arm(name, robot, links, *(square(values[key], links.n) for key in keys))
+    return Arm(name, robot, links, *(square(values[key], links.n) for key in keys), np.zeros(links.n))
+
+
+def hardened(arm: Arm, at: float) -> Arm:
+    """Return the arm with springs that carry twice the torque of straight ones at a deflection [rad]."""
+    cubic = np.diag(arm.K) / at**2
+    return replace(arm, name=f"{arm.name}-hard", robot=replace(arm.robot, cubic=cubic), cubic=cubic)
 
 
 def gain_set(name: str, n: int, **values: Any) -> GainSet:
@@ -198,7 +213,8 @@ def full() -> GainSet:
 
 
 ARMS = (single(31.0), single(3.1), planar("31", 31.0), planar("3.1", 3.1), planar("full", **FULL))
-LOOPS = tuple((arm, gains(arm.n)) for arm in ARMS for gains in (linear, cubic)) + ((ARMS[-1], full()),)
+HARD = (hardened(ARMS[0], 0.2), hardened(ARMS[2], 0.4))
+LOOPS = tuple((arm, gains(arm.n)) for arm in ARMS + HARD for gains in (linear, cubic)) + ((ARMS[-1], full()),)
 LOOP_NAMES = tuple(f"{arm.name}-{gains.name}" for arm, gains in LOOPS)
 
 

@@ -193,7 +193,8 @@ def urdf_arm(name: str, urdf: Any, joints: tuple[str, ...], **values: Any) -> Ar
     model = pin.buildModelFromXML(Path(urdf).read_text() if isinstance(urdf, Path) else urdf)
     keys = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
     matrices = (square(values[key], len(joints)) for key in keys)
-    return Arm(name, robot, PinocchioLinks(model, joints), *matrices)  # type: ignore[arg-type]
+    straight = np.zeros(len(joints))
+    return Arm(name, robot, PinocchioLinks(model, joints), *matrices, straight)  # type: ignore[arg-type]
 
 
 @cache

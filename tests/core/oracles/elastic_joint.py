@@ -46,10 +46,12 @@ class ElasticJoint:
     offset: float = 0.003
     skew: float = 1.5e-3
     delay: float = 2.6e-3
+    cubic: float = 0.0
 
     def derivative(self, x: Array, u: float) -> Array:
         q_l, q_m, v_l, v_m = x
-        tau = self.K * (q_m - q_l - self.offset)
+        zeta = q_m - q_l - self.offset
+        tau = self.K * zeta + self.cubic * zeta**3
         on_link = tau - self.load * np.sin(q_l) - self.D_l * v_l - self.F_l * np.tanh(v_l / 0.01)
         on_motor = u - tau - self.D_m * v_m - self.F_m * np.tanh(v_m / 0.01)
         return np.array([v_l, v_m, on_link / self.M, on_motor / self.B])
@@ -107,7 +109,12 @@ def exact(joint: ElasticJoint, u: Array, dt: float, grain: float) -> tuple[Array
 
 
 @cache
-def usual_record(seed: int = 0, seconds: float = 4.0, dt: float = 4e-3) -> tuple[Array, Array, Array]:
-    """Return efforts, link and motor positions of the usual joint under a multi-sine, without noise."""
+def usual_record(
+    seed: int = 0,
+    seconds: float = 4.0,
+    dt: float = 4e-3,
+    joint: ElasticJoint = ElasticJoint(),
+) -> tuple[Array, Array, Array]:
+    """Return efforts, link and motor positions of a joint, the usual one, under a multi-sine, without noise."""
     u = multi_sine(np.arange(round(seconds / dt)) * dt, np.array([0.3, 0.8, 2.1, 5.3, 9.7]), 0.35, seed)
-    return u, *integrated(ElasticJoint(), u, dt)
+    return u, *integrated(joint, u, dt)

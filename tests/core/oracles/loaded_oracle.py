@@ -61,7 +61,9 @@ class LiteralLoadedLaw(LiteralLaw):
 
     @remembered
     def v_mr(self, z: Array) -> Array:
-        e, coupling = self.q_tilde_m(z), inverse(self.Pi_m) @ self.plant.K.T @ inverse(self.M(z)) @ self.sigma_l(z)
+        e, (q_l, q_m, _, _) = self.q_tilde_m(z), self.plant.split(z[: 4 * self.n])
+        K = self.plant.secant(q_m - q_l, self.q_md(z) - q_l)
+        coupling = inverse(self.Pi_m) @ K.T @ inverse(self.M(z)) @ self.sigma_l(z)
         return self.d(self.q_md, z, self.first_port(z)) - self.Lambda_m @ e - self.Gamma_m @ e**3 - coupling
 
     def port(self, z: Array) -> Array:
@@ -72,9 +74,9 @@ class LiteralLoadedLaw(LiteralLaw):
         q_l, q_m, _, _ = self.plant.split(z[: 4 * self.n])
         slope = self.by_momentum(self.v_mr, z)
         port = self.first_port(z) - slope.T @ self.sigma_m(z)
-        lag = slope @ self.gain @ inverse(self.plant.K) @ self.Pi_m @ self.q_tilde_m(z)
+        lag = slope @ self.gain @ self.plant.compliance(self.q_md(z) - q_l) @ self.Pi_m @ self.q_tilde_m(z)
         dv_mr, s_m = self.d(self.v_mr, z, port), inverse(self.plant.M_m) @ self.sigma_m(z)
-        u_mff = self.plant.M_m @ (dv_mr + lag) + self.plant.K @ (q_m - q_l) + self.plant.D_m @ self.v_mr(z)
+        u_mff = self.plant.M_m @ (dv_mr + lag) + self.plant.spring(q_m - q_l) + self.plant.D_m @ self.v_mr(z)
         u_mfb = -self.Pi_m @ self.q_tilde_m(z) - self.K_md @ s_m + self.omega
         return inverse(self.plant.B_m) @ (u_mff + u_mfb)
 

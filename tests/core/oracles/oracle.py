@@ -59,6 +59,7 @@ class LiteralPlant:
     def __init__(self, arm: Arm) -> None:
         self.n, self.links = arm.n, arm.links
         self.K, self.M_m, self.D_l, self.D_m, self.B_m = map(exact, (arm.K, arm.M_m, arm.D_l, arm.D_m, arm.B_m))
+        self.cubic = exact(arm.cubic)
 
     def split(self, x: Array) -> list[Array]:
         return np.split(x, 4)
@@ -70,7 +71,28 @@ class LiteralPlant:
         q_l, q_m, p_l, p_m = self.split(x)
         zeta = q_m - q_l
         kinetic = p_l @ inverse(self.M_l(q_l)) @ p_l + p_m @ inverse(self.M_m) @ p_m
-        return kinetic / 2 + self.links.P(q_l, mp) + zeta @ self.K @ zeta / 2
+        return kinetic / 2 + self.links.P(q_l, mp) + zeta @ self.K @ zeta / 2 + self.cubic @ zeta**4 / 4
+
+    def spring(self, zeta: Array) -> Array:
+        return self.K @ zeta + self.cubic * zeta**3
+
+    def deflection(self, tau: Array) -> Array:
+        """Return the root of spring(zeta) = tau by Newton's method, which is monotone from outside the root."""
+        zeta = inverse(self.K) @ tau
+        for _ in range(200 if np.any(self.cubic) else 0):
+            zeta = zeta - (self.spring(zeta) - tau) / (np.diag(self.K) + 3 * self.cubic * zeta**2)
+        return zeta
+
+    def compliance(self, zeta: Array) -> Array:
+        if not np.any(self.cubic):
+            return inverse(self.K)
+        return np.diag(1 / (np.diag(self.K) + 3 * self.cubic * zeta**2))
+
+    def secant(self, a: Array, b: Array) -> Array:
+        """Return the stiffness between two deflections, the quotient of differences if the springs harden."""
+        if not np.any(self.cubic):
+            return self.K
+        return np.diag((self.spring(a) - self.spring(b)) / (a - b))
 
     def E(self, x: Array) -> Array:
         """Return E_l = S_H - dM_l/2 = -C' with the Christoffel matrix C."""
@@ -86,7 +108,7 @@ class LiteralPlant:
     def virtual(self, x_v: Array, x: Array, u: Array) -> Array:
         q_lv, q_mv, p_lv, p_mv = self.split(x_v)
         dq_lv, dq_mv = inverse(self.M_l(x[: self.n])) @ p_lv, inverse(self.M_m) @ p_mv
-        spring = self.K @ (q_mv - q_lv)
+        spring = self.spring(q_mv - q_lv)
         dp_lv = -self.links.grad_P(q_lv, mp) + spring - (self.E(x) + self.D_l) @ dq_lv
         return np.concatenate([dq_lv, dq_mv, dp_lv, -spring - self.D_m @ dq_mv + self.B_m @ u])
 
@@ -193,7 +215,7 @@ class LiteralLaw:
     @remembered
     def q_md(self, z: Array) -> Array:
         x_v, x, _ = self.states(z)
-        return (x if "q_md" in self.printed else x_v)[: self.n] + inverse(self.plant.K) @ self.u_l(z)
+        return (x if "q_md" in self.printed else x_v)[: self.n] + self.plant.deflection(self.u_l(z))
 
     def q_tilde_m(self, z: Array) -> Array:
         return self.plant.split(self.states(z)[0])[1] - self.q_md(z)
@@ -202,7 +224,9 @@ class LiteralLaw:
     def v_mr(self, z: Array) -> Array:
         e = self.q_tilde_l(z) if "phi_m" in self.printed else self.q_tilde_m(z)
         weight = self.M(z).T if "coupling" in self.printed else inverse(self.M(z))
-        coupling = inverse(self.Pi_m) @ self.plant.K.T @ weight @ self.sigma_l(z)
+        q_lv, q_mv, _, _ = self.plant.split(self.states(z)[0])
+        K = self.plant.secant(q_mv - q_lv, self.q_md(z) - q_lv)
+        coupling = inverse(self.Pi_m) @ K.T @ weight @ self.sigma_l(z)
         return self.d(self.q_md, z) - self.Lambda_m @ e - self.Gamma_m @ e**3 - coupling
 
     def p_mr(self, z: Array) -> Array:
@@ -214,7 +238,7 @@ class LiteralLaw:
     def u(self, z: Array) -> Array:
         x_v, x, _ = self.states(z)
         q_l, q_m, _, _ = self.plant.split(x if "spring" in self.printed else x_v)
-        u_mff = self.d(self.p_mr, z) + self.plant.K @ (q_m - q_l) + self.plant.D_m @ self.v_mr(z)
+        u_mff = self.d(self.p_mr, z) + self.plant.spring(q_m - q_l) + self.plant.D_m @ self.v_mr(z)
         s_m = inverse(self.plant.M_m) @ self.sigma_m(z)
         u_mfb = -self.Pi_m @ self.q_tilde_m(z) - self.K_md @ s_m + self.omega
         return u_mff + u_mfb if "B_m" in self.printed else inverse(self.plant.B_m) @ (u_mff + u_mfb)

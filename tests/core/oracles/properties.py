@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import fjr_core as fjr
-from core.oracles.cases import Arm, Array, GainSet, Point
+from core.oracles.cases import Arm, Array, GainSet, Point, random_point
 from core.oracles.oracle import inverse, jacobian, stencil
 
 TOLERANCE = 1e-10
@@ -60,7 +60,7 @@ class Loop:
         dx_v, dx = self.field(p.x_v, p), self.plant.derivative(p.x, p.u)
         n = self.arm.n
         fastest = np.max(np.abs([dx[:n], dx_v[:n], dx[n : 2 * n], dx_v[n : 2 * n]]))
-        h = 0.006 / max(1.0, float(fastest))
+        h = 0.006 * self.arm.grain / max(1.0, float(fastest))
         return stencil(lambda s: f(p.x_v + s * dx_v, p.x + s * dx, p.jets + s * p.djets), h)
 
 
@@ -68,6 +68,16 @@ class Loop:
 def loop_of(arm: Arm, gains: GainSet) -> Loop:
     """Return the robot under the law of fjr_core, built once."""
     return Loop(arm, gains, fjr.TrackingLaw(arm.robot, gains.gains))
+
+
+def on_reference(arm: Arm, gains: GainSet) -> tuple[Point, Array]:
+    """Return a measured state on the reference and the virtual state with all errors zero, solved block by block."""
+    law, p = loop_of(arm, gains).law, random_point(arm, 30)
+    M = arm.links.M(p.x[: arm.n])
+    q_lv, p_lv, zero = p.jets[0], M @ p.jets[1], np.zeros(arm.n)
+    q_mv = law.evaluate(np.concatenate([q_lv, q_lv, p_lv, zero]), p.x, p.jets).q_md
+    sigma_m = law.evaluate(np.concatenate([q_lv, q_mv, p_lv, zero]), p.x, p.jets).sigma_m
+    return p, np.concatenate([q_lv, q_mv, p_lv, -sigma_m])
 
 
 def closed_form(loop: Loop, p: Point) -> tuple[Array, Array, Array]:
@@ -85,10 +95,15 @@ def error_dynamics(loop: Loop, p: Point) -> dict[str, float]:
     de_l, de_m, dsigma_l, dsigma_m = np.split(loop.rate_of(loop.errors, p), 4)
     M, _, E = closed_form(loop, p)
     s_l, s_m = inverse(M) @ sigma_l, inverse(a.M_m) @ sigma_m
+    q_lv, q_mv, _, _ = np.split(p.x_v, 4)
+    at, wanted = q_mv - q_lv, loop.law.evaluate(p.x_v, p.x, p.jets).q_md - q_lv
+    K = a.K + np.diag(a.cubic * (at**2 + at * wanted + wanted**2))
     return {
         "q_tilde_l": residual(de_l, s_l, -g.phi_l(e_l)),
-        "sigma_l": residual(dsigma_l, -E @ s_l, -(a.D_l + g.K_ld) @ s_l, -g.Pi_l @ e_l, a.K @ e_m),
-        "q_tilde_m": residual(de_m, s_m, -g.phi_m(e_m), -inverse(g.Pi_m) @ a.K.T @ s_l),
+        "sigma_l": residual(
+            dsigma_l, -E @ s_l, -(a.D_l + g.K_ld) @ s_l, -g.Pi_l @ e_l, a.spring(at), -a.spring(wanted)
+        ),
+        "q_tilde_m": residual(de_m, s_m, -g.phi_m(e_m), -inverse(g.Pi_m) @ K.T @ s_l),
         "sigma_m": residual(dsigma_m, -(a.D_m + g.K_md) @ s_m, -g.Pi_m @ e_m, p.omega),
     }
 
@@ -116,7 +131,7 @@ def coordinate_steps(loop: Loop, p: Point) -> Array:
     """Return steps of the stencil in x: 0.05 rad, and inertia times 5 rad/s (the law is quadratic in momenta)."""
     M = closed_form(loop, p)[0]
     angle = np.full(loop.arm.n, 0.05)
-    return np.concatenate([angle, angle, np.diag(M) * 5, np.diag(loop.arm.M_m) * 5])
+    return loop.arm.grain**1.5 * np.concatenate([angle, angle, np.diag(M) * 5, np.diag(loop.arm.M_m) * 5])
 
 
 def generator(loop: Loop, p: Point) -> Array:

@@ -187,12 +187,17 @@ def _speeds(window: Window, means: _Means) -> _Part:
 
 
 def _spring(robot: Robot, means: _Means) -> Array:
-    """Return K zeta of the intervals (m - 1, n) [N m]."""
-    return np.asarray((means.q[:, robot.n :] - means.q[:, : robot.n]) @ robot.K)
+    """Return the torque of the springs in the intervals (m - 1, n) [N m]."""
+    zeta = means.q[:, robot.n :] - means.q[:, : robot.n]
+    return np.asarray(zeta @ robot.K + (0.0 if robot.cubic is None else robot.cubic) * zeta**3)
 
 
 def _spring_noise(robot: Robot, means: _Means) -> Array:
-    """Return the variance (n,) of the noise of K zeta [N^2 m^2]."""
+    """Return the variance (n,) of the noise of the springs' torque [N^2 m^2]."""
+    if robot.cubic is not None:
+        middle = means.q[len(means.q) // 2]
+        tangent = np.diag(robot.K) + 3 * robot.cubic * (middle[robot.n :] - middle[: robot.n]) ** 2
+        return np.asarray(tangent**2 * (means.position[: robot.n] + means.position[robot.n :]))
     return np.asarray(robot.K**2 @ (means.position[: robot.n] + means.position[robot.n :]))
 
 

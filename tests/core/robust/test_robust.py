@@ -19,17 +19,51 @@ from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.integral_action import IntegralAction, gain_values
 from fjr_core.robust.law import LONGEST_DELAY, Robust, RobustLaw, sampled_law
 from fjr_core.robust.smith_predictor import EffortBuffer
-from fjr_core.stability.sampled_loop import spectral_radius
-from robust_study import PERIOD, errors, heavier, pushed, rms
+from fjr_core.stability.linearization import spectral_radius
+from fjr_design.batch import ClosedLoop, Draws
 
 JOINT = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
 TWO_LINK = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")
 PLANAR = fjr.TrackingLaw(TWO_LINK.robot, TWO_LINK.gains)
 LAWS = {"joint": JOINT, "two_link": PLANAR}
 SINE = fjr.Sine(1.0, 1.0)
+PERIOD = 1e-3  # s
 ESTIMATE = Robust(residual_gain=60.0, motor_residual_gain=30.0)
 INTEGRATE = Robust(integral_gain=5.0, motor_integral_gain=5.0)
 BOTH = replace(ESTIMATE, integral_gain=5.0, motor_integral_gain=5.0)
+
+
+def pushed(robot: fjr.Robot, torque: Any) -> fjr.Robot:
+    """Return the robot with a constant torque (n,) [N m] on its links: P_l - torque' q_l."""
+    links, q = robot.links, ca.SX.sym("q", robot.n)
+    d = ca.DM(np.broadcast_to(np.asarray(torque, dtype=float), robot.n))
+    P_l = ca.Function("P_l", [q], [links.P_l(q) - ca.dot(d, q)])
+    grad_P_l = ca.Function("grad_P_l", [q], [links.grad_P_l(q) - d])
+    return replace(robot, links=replace(links, P_l=P_l, grad_P_l=grad_P_l))
+
+
+def on_reference(robot: fjr.Robot, reference: fjr.Reference) -> np.ndarray:
+    """Return the state with the links on the reference and the springs loaded by gravity."""
+    q, dq = reference.jets(0.0)[:2]
+    return robot.state(q, q + np.linalg.solve(robot.K, robot.grad_P_l(q)), dq, dq)
+
+
+def errors(
+    law: fjr.TrackingLaw,
+    robust: Robust | None,
+    reference: fjr.Reference,
+    robot: fjr.Robot,
+    seconds: float,
+    delay: float = 0.0,
+) -> np.ndarray:
+    """Return q_l - q_ld (k, n) [rad] of a 1 kHz loop that starts on the reference."""
+    plant, sampled, x0 = fjr.Plant(robot), sampled_law(law, robust), on_reference(robot, reference)
+    run = fjr.simulate(plant, sampled, reference, x0, seconds, PERIOD, delay=delay)
+    return run.x[:, : robot.n] - run.jets[:, 0]
+
+
+def rms(e: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(e**2)))
 
 
 def radius(law: SampledLaw, robot: fjr.Robot, q_ld: np.ndarray, seconds: float) -> tuple[float, float]:
@@ -74,9 +108,12 @@ def test_constant_load_leaves_no_steady_state_error(robust: Robust, reference: f
 def test_residual_reduces_the_effect_of_an_inertia_error_threefold(gravity: float, rate: float) -> None:
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
-    robot = heavier(scenario.robot, 1.2, gravity)
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=scenario.reference.jets(0.5)[0])
-    plain, better = (rms(errors(law, r, slow, robot, 6.0)[2000:]) for r in (None, Robust(residual_gain=rate)))
+    heavier, x0 = Draws(1, link_inertia=1.2, gravity=gravity), on_reference(law.robot, slow)
+    plain, better = (
+        rms(ClosedLoop(law.robot, sampled_law(law, r), slow, x0, 6.0, PERIOD, settle_after=2.0).run(heavier).rms)
+        for r in (None, Robust(residual_gain=rate))
+    )
     assert plain > 3 * better
 
 

@@ -10,10 +10,10 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate, Prediction
-from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.runtime.library import step_library
 from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate
 from fjr_monitor.diagnosis.record import Record, innovations
+from fjr_monitor.diagnosis.thresholds import LONGEST
 
 MS = 1_000_000  # ns
 ROBOT = fjr.planar_two_link()

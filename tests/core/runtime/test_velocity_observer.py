@@ -13,7 +13,7 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm
 from fjr_core.config.controller import BANDWIDTH
 from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, error_radii, first_corrections
-from measurement_study import Sensors, run, scenario
+from study_tables import Sensors, run, scenario
 
 MS = 1_000_000  # ns
 SHIPPED = ("paper_k31", "paper_k3p1", "two_link", "arm7")

@@ -15,9 +15,9 @@ from tools.robot_survey import ROBOTS
 import fjr_core as fjr
 from core.oracles.cases import PLANAR, Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, PinocchioLinks, random_urdf
-from fjr_core.urdf.chains import chains
 from fjr_core.urdf.robot import reduced_bodies
 from fjr_core.urdf.tree import MOVING, read_urdf
+from fjr_design.scaffold.chains import chains
 
 CASES = [(n, seed) for n in (1, 2, 3, 5, 7) for seed in range(3)]
 all_cases = pytest.mark.parametrize("case", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CASES])

@@ -10,8 +10,9 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, random_urdf
-from fjr_core.urdf.chains import chains
-from fjr_core.urdf.tree import UrdfFrames, read_urdf
+from fjr_core.urdf.tree import read_urdf
+from fjr_design.scaffold.chains import chains
+from fjr_monitor.scene import UrdfFrames
 
 MIMIC = """<robot name="hand"><link name="palm"/><link name="a"/><link name="b"/>
 <joint name="one" type="prismatic"><parent link="palm"/><child link="a"/><axis xyz="0 2 0"/>

@@ -12,8 +12,8 @@ import pytest
 import fjr_core as fjr
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError
-from fjr_core.simulation.batch import ClosedLoop
-from fjr_core.stability.sampled_loop import check
+from fjr_design.batch import ClosedLoop
+from fjr_design.stability.sampled_loop import check
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.studies.imperfections import IMPERFECTIONS, Direction, directions, motion_demand
 from fjr_design.studies.trial import PARTS, ROUNDS, STEPS, Trial, margins

@@ -18,7 +18,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import GainsError, ParameterError, StateError
 from fjr_core.extensions.law_registry import LAWS
-from fjr_core.simulation.batch import ClosedLoop, Draws
+from fjr_design.batch import ClosedLoop, Draws
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.studies.coordinates import RULE, SCENARIO, coordinates, starts
 from fjr_design.studies.sweep import Sweep

@@ -19,9 +19,9 @@ from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.simulation.batch import ClosedLoop
 from fjr_core.stability.linear_controller import rest_position, slope_at_rest
 from fjr_design.baselines import feedback_linearisation
+from fjr_design.batch import ClosedLoop
 from fjr_design.studies.imperfections import motion_demand
 from fjr_design.studies.trial import Trial
 from fjr_design.tuning.equal_bandwidth import BaselineTarget, Tuning, tune, tuning

@@ -11,11 +11,11 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.chains import arm7
-from core.stability.test_sampled_loop import chain3, loop_converges
+from design.stability.test_sampled_loop import chain3, loop_converges
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.motions.domain import Domain
-from fjr_core.stability.linearization import closed_form
-from fjr_core.stability.sampled_loop import check, spectral_radius
+from fjr_core.stability.linearization import closed_form, spectral_radius
+from fjr_design.stability.sampled_loop import check
 from fjr_design.tuning.gain_synthesis import synthesize
 
 TORQUE_LIMITS = np.array([176, 176, 110, 110, 110, 40, 40])

@@ -16,7 +16,6 @@ from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.urdf.writing import with_inertias
 from fjr_identification.estimation.elastic_arm import ElasticArm, corrected_arm, corrected_body, packed
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
@@ -34,6 +33,7 @@ from fjr_identification.estimation.parameters import (
     size,
 )
 from fjr_identification.estimation.shooting import HeldEffort, Shooting
+from fjr_identification.robot_file import with_inertias
 
 FREE = (
     "joint_stiffness",

@@ -79,6 +79,33 @@ def test_all_parameters_of_a_joint_are_found_within_their_intervals(seed: int) -
     assert found["motor_inertia"].value == pytest.approx(0.004, rel=1e-3)
 
 
+HARD = ElasticJoint(cubic=31.0 / 0.02**2)  # twice the torque of a straight spring at 20 mrad
+
+
+def test_a_spring_that_hardens_is_found_with_its_curve() -> None:
+    record = noisy(*usual_record(joint=HARD), 4e-3)
+    found = found_in(record, HARD, cubic_stiffness=True)
+    for name, true in {"joint_stiffness": HARD.K, "cubic_stiffness": HARD.cubic, "motor_inertia": HARD.B}.items():
+        estimate = found[name]
+        assert abs(estimate.value - true) < 3 * (estimate.high - estimate.low) / 3.92, name
+        assert estimate.verdict == IDENTIFIED, name
+    straight = found_in(record, HARD)["joint_stiffness"]
+    assert "the spring is not linear" in straight.reason
+
+
+def test_a_straight_spring_has_no_curve() -> None:
+    found = found_in(noisy(*usual_record(), 4e-3), ElasticJoint(), cubic_stiffness=True)
+    assert found["cubic_stiffness"].low <= 0.0 or found["cubic_stiffness"].value < 0.02 * HARD.cubic
+    assert found["joint_stiffness"].value == pytest.approx(31.0, rel=0.02)
+
+
+def test_a_torque_sensor_does_not_measure_a_spring_that_hardens() -> None:
+    u, q_l, q_m = usual_record()
+    record = noisy(u, q_l, q_m, 4e-3, sensed(ElasticJoint(), q_l, q_m))
+    with pytest.raises(fjr.StateError, match="cubic_stiffness is of records with joint torque sensors"):
+        found_in(record, ElasticJoint(), cubic_stiffness=True)
+
+
 def test_two_records_give_narrower_intervals_than_one() -> None:
     robot = robot_like(ElasticJoint())
     records = [noisy(*usual_record(seed), 4e-3) for seed in (0, 1)]

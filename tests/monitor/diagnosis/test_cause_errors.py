@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
 from fjr_monitor.diagnosis.causes import closed_loop
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.record import Record
+from fjr_monitor.diagnosis.thresholds import Axes
 from monitor.diagnosis.loops import PERIOD, recorded
 from monitor.diagnosis.test_diagnosis import DURATION, LAW, REFERENCE, record
 

@@ -11,10 +11,10 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate, Prediction
-from fjr_core.monitoring.thresholds import Axes
 from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.record import Ends, Record, innovations, needed
+from fjr_monitor.diagnosis.thresholds import Axes
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 2.5

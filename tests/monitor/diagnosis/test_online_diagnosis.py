@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.thresholds import Axes
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
 from fjr_monitor.diagnosis.online_diagnosis import WINDOW, Latency, OnlineCertificate, OnlineDiagnosis
+from fjr_monitor.diagnosis.thresholds import Axes
 
 PERIOD, BETA = 1e-3, 10.0
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.thresholds import DIVERGED, EXCEEDED, FEWEST, Axes
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
 from fjr_monitor.diagnosis.diagnosis import Judged, diagnose
 from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
+from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, Axes
 from monitor.diagnosis.loops import recorded
 
 ROBOT = fjr.planar_two_link()

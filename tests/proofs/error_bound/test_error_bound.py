@@ -19,8 +19,8 @@ from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.motions.reference import Reference
-from fjr_core.simulation.batch import ClosedLoop, Draws
 from fjr_design.baselines.feedback_linearisation import CompositeGains
+from fjr_design.batch import ClosedLoop, Draws
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.cells import cells_of
 from fjr_proofs.error_bound.deviation_model import FACTORS, DeviationModel

@@ -16,13 +16,13 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
 from fjr_core import TrackingLaw
-from fjr_core.monitoring.thresholds import LONGEST, Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import StepLibrary
 from fjr_core.runtime.structs import CertificateStruct
 from fjr_monitor.diagnosis.diagnosis import unknown
 from fjr_monitor.diagnosis.online_diagnosis import Latency, OnlineCertificate, OnlineDiagnosis
+from fjr_monitor.diagnosis.thresholds import LONGEST, Axes
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array
 from fjr_msgs_py.native.loop import NativeMessage

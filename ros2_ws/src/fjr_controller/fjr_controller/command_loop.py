@@ -29,7 +29,7 @@ from fjr_msgs_py.node import process
 
 from .certificate import LiveCertificate
 from .command_topics import CommandConflictError, CommandTopics
-from .host import Host, NativeHost, RclpyHost
+from .host import NativeControllerHost, RclpyControllerHost
 from .native import controller_program, step_functions
 from .reports import ANSWERED, RECEIVED, Refusals, Reports
 
@@ -110,22 +110,22 @@ class CommandLoop:
         self._certificate: LiveCertificate | None = None
         self._lost, self.active = 0, False
 
-    def _chosen_host(self) -> Host:
+    def _chosen_host(self) -> NativeControllerHost | RclpyControllerHost:
         """Return the host of the parameter `executor`; log the reason if it is another one than wanted."""
         if self._node.values["executor"] == NATIVE:
             why = self.program.without_thread if self._controls.in_c else IN_PYTHON
             try:
                 if not why:
-                    return NativeHost(self._node, self.program, self._struct)
+                    return NativeControllerHost(self._node, self.program, self._struct)
             except NativeError as error:
                 why = str(error)
             self._node.get_logger().info(f"the command loop runs in rclpy's executor instead of a native thread: {why}")
-        return RclpyHost(self._node, self.program, self._struct, self._controls.raise_failure, self._report)
+        return RclpyControllerHost(self._node, self.program, self._struct, self._controls.raise_failure, self._report)
 
     @property
     def native(self) -> bool:
         """Whether a native thread answers the states."""
-        return isinstance(self._host, NativeHost)
+        return isinstance(self._host, NativeControllerHost)
 
     def add_listener(self, listener: Listener, wants: Callable[[], bool] = lambda: True) -> None:
         """Call `listener` for each sample some time after its command was sent, while `wants()`."""
@@ -155,7 +155,7 @@ class CommandLoop:
         if self._certificate is not None:
             self._certificate.restart()
         publishers = [*self._topics.publishers, *self._publishers]
-        self._host.start(self._topics, publishers, process_settings(self._node.values).priority)
+        self._host.serve(self._topics, publishers, process_settings(self._node.values).priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         period = READING_PERIOD_SIMULATED if self._simulated else READING_PERIOD
         self._timers = [self._node.create_timer(period, self._read, clock=steady)]
@@ -220,7 +220,7 @@ class CommandLoop:
         ffi = self.program.ffi
         first, second, *_ = (*pointers, ffi.NULL, ffi.NULL)
         arguments = ffi.new("struct fjr_arguments*", (first, second, time))
-        self._host.run(getattr(self.program.lib, kind), arguments)
+        self._host.request(getattr(self.program.lib, kind), arguments)
 
     def _recertify(self, gains: Any, beta: Any) -> None:
         """Let the loop use other gains for the certificate; records with those before are read first."""
@@ -240,9 +240,9 @@ class CommandLoop:
         self.copy()
         self._report()
         if not runs and self.active:
-            if isinstance(self._host.failure, BaseException):
-                raise self._host.failure
-            raise LoopError(f"the {self._host.name} failed: {self._host.failure}; the stop effort was sent")
+            if isinstance(self._host.reason, BaseException):
+                raise self._host.reason
+            raise LoopError(f"the {self._host.name} failed: {self._host.reason}; the stop effort was sent")
         if self.active:
             self._resolve_doubt()
 

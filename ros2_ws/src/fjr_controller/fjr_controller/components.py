@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
 from fjr_core.config import law
-from fjr_core.config.controller import axes, file_warnings, measurement, motion_limits, observer, safety
+from fjr_core.config.controller import file_warnings, measurement, motion_limits, observer, safety
 from fjr_core.config.law import control_law, robust_action
 from fjr_core.config.law import gains as build_gains
 from fjr_core.config.law import robust as build_robust
@@ -23,6 +23,7 @@ from fjr_core.config.robot import robot_name
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import ControlStep
+from fjr_monitor.diagnosis.thresholds import Axes
 from fjr_msgs_py.messages.trajectories import follow_messages
 from fjr_msgs_py.node.reports import EventWriter
 
@@ -149,7 +150,7 @@ class Control:
         if not isinstance(self._law, TrackingLaw):
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
-        robust, joint_axes = build_robust(self._values, self._robot.n), axes(self._values, self._robot)
+        robust, joint_axes = build_robust(self._values, self._robot.n), Axes.of(self._values, self._robot)
         loop = self._command_loop
         certificate = LiveCertificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
         loop.certify(certificate)

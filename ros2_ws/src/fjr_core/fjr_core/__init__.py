@@ -12,7 +12,6 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 
 from typing import Any
 
-from . import testing
 from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
 from .extensions.python_code import PythonLaw, PythonPlant
 from .files import importing
@@ -36,7 +35,7 @@ from .motions.transition import time_shifted, transition
 from .runtime.measurement_model import Measurement
 from .runtime.velocity_observer import VelocityObserver
 from .simulation.closed_loop import Trajectory, simulate
-from .stability.sampled_loop import SampledCheck, check, spectral_radius
+from .stability.linearization import spectral_radius
 from .urdf.robot import robot_from_urdf
 from .version import __version__
 
@@ -96,10 +95,13 @@ __all__ = [
 _ELSEWHERE = {
     "Diagnosis": "fjr_monitor.diagnosis.diagnosis",
     "Record": "fjr_monitor.diagnosis.record",
+    "SampledCheck": "fjr_design.stability.sampled_loop",
+    "check": "fjr_design.stability.sampled_loop",
     "diagnose": "fjr_monitor.diagnosis.diagnosis",
     "synthesize": "fjr_design.tuning.gain_synthesis",
+    "testing": "fjr_design.testing",
 }
-"""Public names of other packages, each with its module, which is imported on use."""
+"""Public names of other packages, each with its module, which is imported on use; `testing` is a module itself."""
 
 
 def __getattr__(name: str) -> Any:
@@ -108,7 +110,8 @@ def __getattr__(name: str) -> Any:
     Raises MissingPackageError if that package is not installed.
     """
     if name in _ELSEWHERE:
-        return getattr(importing.module(_ELSEWHERE[name]), name)
+        module = importing.module(_ELSEWHERE[name])
+        return getattr(module, name, module)
     raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from fjr_msgs_py.console.output import DASH, interval, number, percent, plural
 
 from .estimation.validation import HoldOut
 
+STIFFNESS = "joint_stiffness"
 HOLD_OUT = ("", "this model", "rigid joints", "without skew")
 HOLD_OUT_TEXT = (
     "Root mean square of the deflection q_m - q_l that a model leaves unexplained, relative to all of it, on a record "
@@ -26,7 +27,7 @@ HOLD_OUT_TEXT = (
 TEXT = (
     "Bars: 95 % interval, value as a line, prior dotted. Positive parameters have a logarithmic axis from a quarter to "
     "four times the value, others a linear one. A parameter that is not identifiable keeps its prior. Numbers refer to "
-    "the reasons below."
+    "the reasons below the table."
 )
 FOOTER = (
     "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. robot.yaml and "
@@ -61,22 +62,22 @@ def write_page(
     joints, fits = identification.joints, identification.fits
     places = [f"record-{i}" for i in range(len(fits))]
     pairs = list(zip(places, fits, strict=True))
-    counts = counted(identification)
+    counts, of_stiffness = counted(identification), counted(identification, STIFFNESS)
     html.write_page(
         path,
         "identification.html",
-        f"{name}: {counts[IDENTIFIED]} of {len(identification.estimates)} parameters identified",
+        f"{name}: joint stiffness K of {of_stiffness[IDENTIFIED]} of {plural(len(joints), 'joint')} identified",
         [plot for place, fit in pairs for plot in fit_plots(fit, joints, place)],
         kicker=f"Identification of {plural(len(joints), 'joint')} from {plural(len(fits), 'record')}",
         notes=notes,
         tiles=[
-            (str(counts[IDENTIFIED]), "parameters identified"),
+            (f"{counts[IDENTIFIED]} of {sum(counts.values())}", "parameters identified"),
             (str(counts[WEAK]), "weakly identified: read their intervals"),
             (str(counts[UNKNOWN]), "not identifiable from these records: as before"),
             (f"{seconds:.3g} s", "of motion"),
         ],
         groups=groups(identification),
-        reasons=reasons(identification),
+        reasons=list(reasons(identification).items()),
         parameters_text=TEXT,
         bar_head=BAR_HEAD,
         hold_outs=[(f"Hold-out: {held.record}", hold_out_rows(held), HOLD_OUT_TEXT) for held in hold_outs],
@@ -90,9 +91,9 @@ def write_page(
     return path
 
 
-def counted(identification: Identification) -> dict[str, int]:
-    """Return the number of estimates of each verdict."""
-    verdicts = [estimate.verdict for estimate in identification.estimates]
+def counted(identification: Identification, name: str = "") -> dict[str, int]:
+    """Return the number of estimates of each verdict, of one parameter or of all."""
+    verdicts = [estimate.verdict for estimate in identification.estimates if name in ("", estimate.name)]
     return {verdict: verdicts.count(verdict) for verdict in (IDENTIFIED, WEAK, UNKNOWN)}
 
 
@@ -122,9 +123,24 @@ class ParameterRow:
     prior_at: float | None
 
 
-def reasons(identification: Identification) -> list[str]:
-    """Return the reasons of all verdicts, each once, in the order of the estimates."""
-    return list(dict.fromkeys(estimate.reason for estimate in identification.estimates if estimate.reason))
+def reason(estimate: Estimate) -> str:
+    """Return the reason of a verdict, in the same words for every joint."""
+    return estimate.reason.replace(f" of {estimate.joint};", " of the same joint;")
+
+
+def reasons(identification: Identification, *verdicts: str) -> dict[str, str]:
+    """Return parameters and joints of each reason of some verdicts, or of all, in the order of the estimates."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for estimate in identification.estimates:
+        if estimate.reason and (not verdicts or estimate.verdict in verdicts):
+            found.setdefault(reason(estimate), {}).setdefault(estimate.name, []).append(estimate.joint or "the arm")
+    return {why: "; ".join(_of_joints(names)) for why, names in found.items()}
+
+
+def _of_joints(names: Mapping[str, list[str]]) -> Iterator[str]:
+    """Yield names and their joints, those of the same joints together."""
+    for joints in dict.fromkeys(map(tuple, names.values())):
+        yield f"{', '.join(name for name in names if tuple(names[name]) == joints)} of {', '.join(joints)}"
 
 
 def groups(identification: Identification) -> list[tuple[str, list[ParameterRow]]]:
@@ -133,7 +149,7 @@ def groups(identification: Identification) -> list[tuple[str, list[ParameterRow]
     for name in dict.fromkeys(estimate.name for estimate in identification.estimates):
         words = name.replace("_", " ").replace("coulomb", "Coulomb")
         estimates = [estimate for estimate in identification.estimates if estimate.name == name]
-        rows[words[:1].upper() + words[1:]] = list(_rows(estimates, reasons(identification)))
+        rows[words[:1].upper() + words[1:]] = list(_rows(estimates, list(reasons(identification))))
     return list(rows.items())
 
 
@@ -152,7 +168,7 @@ def _rows(estimates: Sequence[Estimate], why: Sequence[str]) -> Iterator[Paramet
             interval(e.low, e.high) if known else DASH,
             number(e.prior),
             e.verdict,
-            why.index(e.reason) + 1 if e.reason else None,
+            why.index(reason(e)) + 1 if e.reason else None,
             COLOURS[e.verdict],
             left if known else 0.0,
             round(right - left, 2) if known else 0.0,

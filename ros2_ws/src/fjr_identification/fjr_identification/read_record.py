@@ -18,7 +18,6 @@ from .bag_record import record_of_bag
 from .estimation.motion_record import MotionRecord, TimeWindow
 from .record_checks import findings
 from .record_map import BagMap, TableMap
-from .scale_checks import unseen
 from .table_record import PARQUET, record_of_table
 
 TABLES = (".csv", ".csv.gz", ".txt", ".tsv", PARQUET)
@@ -74,12 +73,12 @@ def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot
 
 
 def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collection[str]) -> tuple[str, ...]:
-    """Return a sentence for accepted contradictions, joints at rest and unseen scales; raise RecordError for others."""
+    """Return a sentence for each accepted contradiction and for joints at rest; raise RecordError for other ones."""
     contradictions = findings(record, robot, accepted)
     refused = [finding for finding in contradictions if finding.kind not in accepted]
     if refused:
         more = f" (and {len(refused) - 1} more)" if len(refused) > 1 else ""
         raise RecordError(f"{path}: {refused[0].sentence}{more}; --accept {refused[0].kind} identifies nevertheless")
     rest = [f"standing still: {', '.join(record.still)}"] if record.still else []
-    sentences = [*(finding.sentence for finding in contradictions), *rest, *unseen(record, robot)]
+    sentences = [*(finding.sentence for finding in contradictions), *rest]
     return tuple(f"{path}: {sentence}" for sentence in sentences)

@@ -7,10 +7,12 @@ robot.yaml has the identified robot, its friction and delay, and a loop that tra
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -19,23 +21,23 @@ from fjr_core.config.law import gain_values
 from fjr_core.config.nodes import CONTROLLER, PLANT
 from fjr_core.config.parameter import complete, names, refuse_unknown
 from fjr_core.config.plant import imperfection_parameters
-from fjr_core.config.robot import FILE, GUESSES, guessed_joints, robot_parameters
+from fjr_core.config.robot import CUBIC, FILE, GUESSES, guessed_joints, robot_parameters
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import URDF, is_xml, merged
 from fjr_core.errors import GainsError, ParameterError, TrajectoryError
 from fjr_core.files.text_file import read_text
+from fjr_core.model.rigid_arm import Body, rotation_to
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
-from fjr_core.urdf.tree import parse_xml
-from fjr_core.urdf.writing import with_inertias
+from fjr_core.urdf.tree import parse_xml, read_urdf
 from fjr_design.scaffold.files import path_from
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
 from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Estimate, Identification
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
 from .estimation.elastic_arm import corrected_bodies
-from .estimation.parameters import PAYLOAD, PSEUDO_INERTIA, SMOOTHING
+from .estimation.parameters import HARDENING, PAYLOAD, PSEUDO_INERTIA, SMOOTHING
 
 GEAR_RATIO = "robot.gear_ratio"
 CORRECTED = "robot.urdf"
@@ -171,6 +173,9 @@ class IdentifiedRobot:
             values = self._of_joints(name, before)
             if not np.array_equal(values, before) or (reflected and name == "motor_inertia"):
                 changed[f"robot.{name}"] = [significant(value) for value in values]
+        cubic = self._of_joints(HARDENING, 0.0 if self.nominal.robot.cubic is None else self.nominal.robot.cubic)
+        if self._of(HARDENING):
+            changed[CUBIC.name] = [significant(max(0.0, value)) for value in cubic]
         for name in GUESSES:
             guesses = [self._guess(changed, name, j) for j in range(len(self.nominal.joints))]
             if any(guesses):
@@ -260,7 +265,7 @@ class IdentifiedRobot:
 
     def _left_out(self) -> list[str]:
         """Return comments on what no parameter of a scenario expresses."""
-        placed = {*MATRICES, *FRICTION, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+        placed = {*MATRICES, HARDENING, *FRICTION, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
         estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
         others = [f"    #   {described(estimate)}" for estimate in estimates if estimate.name not in placed]
         return ["    # Without a parameter here; correct these in the driver:", *others] if others else []
@@ -313,3 +318,29 @@ def _list(values: object) -> str:
 def _value(value: object) -> str:
     """Return a value of a parameter in YAML, on one line."""
     return ros_yaml.dump([value]).strip()[1:-1]
+
+
+def with_inertias(path_or_xml: str | os.PathLike[str], joints: Sequence[str], bodies: Sequence[Body]) -> str:
+    """Return the URDF text with the inertia of each body, whose joint axis is z, at the link that its joint moves.
+
+    Links that are fixed to it, or that joints without a name here carry, lose their own inertia: it is part of the
+    body. Raises RobotError for a URDF that cannot be read.
+    """
+    tree = read_urdf(path_or_xml)
+    inline = str(path_or_xml).lstrip().startswith("<")
+    root = parse_xml(str(path_or_xml) if inline else Path(path_or_xml).read_bytes())
+    links = {element.get("name", ""): element for element in root.findall("link")}
+    for link in tree.moved_by(joints):
+        for element in links[link].findall("inertial"):
+            links[link].remove(element)
+    for name, body in zip(joints, bodies, strict=True):
+        joint = tree.joints[name]
+        turn = rotation_to(np.asarray(joint.axis))
+        com, moments = turn @ np.asarray(body.com), turn @ np.asarray(body.inertia) @ turn.T
+        inertial = ElementTree.SubElement(links[joint.child], "inertial")
+        ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{each:.9g}" for each in com))
+        ElementTree.SubElement(inertial, "mass", value=f"{body.mass:.9g}")
+        entries = {f"i{'xyz'[i]}{'xyz'[k]}": f"{moments[i, k]:.9g}" for i in range(3) for k in range(i, 3)}
+        ElementTree.SubElement(inertial, "inertia", entries)
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -85,18 +85,12 @@ def scales(record: MotionRecord, robot: Robot) -> Iterator[Contradiction]:
             yield Contradiction(TIME if what == SECONDS else GEAR_RATIO, joint, sentence)
 
 
-def unseen(record: MotionRecord, robot: Robot) -> tuple[str, ...]:
-    """Return a sentence on the errors of gear ratios and times that could not be found; none for two-sided joints."""
-    sentences = []
-    for joint, scan in _scans(record, robot).items():
-        factors = (max(scan.least_found(what) for what in (POSITION, RATIO)), scan.least_found(SECONDS))
-        ratio, time = (f"up to {factor:.3g} times" if np.isfinite(factor) else "any" for factor in factors)
-        side = "link" if np.isfinite(record.q_m[:, record.joints.index(joint)]).all() else "motor"
-        sentences.append(
-            f"{joint} has no {side} encoder: a wrong gear ratio ({ratio}) or time scale ({time}) would not be noticed "
-            "and would bias motor inertia, stiffness and friction"
-        )
-    return tuple(sentences)
+def least_seen(record: MotionRecord, robot: Robot) -> dict[str, tuple[float, float]]:
+    """Return the factors from which on a wrong gear ratio and time are found, for joints of one measured side only."""
+    return {
+        joint: (max(scan.least_found(what) for what in (POSITION, RATIO)), scan.least_found(SECONDS))
+        for joint, scan in _scans(record, robot).items()
+    }
 
 
 @lru_cache(maxsize=2)

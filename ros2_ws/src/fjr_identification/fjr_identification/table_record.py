@@ -158,7 +158,7 @@ def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
             "names such as a1_motor_rad and a1_motor_torque_nm, or a mapping file written by hand"
         )
     todo: list[str] = []
-    lines = [f"# Columns of {table.name}, by `fjr identify --write-map`; docs/identification.md explains the keys."]
+    lines = [f"# Columns of {table.name}, by `fjr identify --write-map`; docs/from_csv.md explains the keys."]
     lines += [] if delimiter == "," else [f"delimiter: {_text(delimiter)}"]
     time = next((m for m in meanings if m.signal == TIME), None)
     todo += [] if time else ["fill in  time.column: no column was recognised"]

@@ -5,21 +5,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from fjr_core import FjrError
-from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import LITTLE_ENDIAN
 from fjr_msgs_py.messages.joint_states import MessageError
-from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, Ring, publisher_address
+from fjr_msgs_py.native.host import NativeHost, RclpyHost
+from fjr_msgs_py.native.loop import Ring
 from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.reports import Health
-
-from .native import NO_TIME
 
 COUNTERS = (
     "states published",
@@ -112,58 +110,30 @@ class Hosted(NamedTuple):
     fail: Callable[[str], None]
 
 
-class PlantHost(Protocol):
-    """What serves messages and ticks of a plant."""
-
-    def start(self) -> None:
-        """Begin to serve."""
-
-    def run(self, action: Callable[[], Any]) -> Any:
-        """Run an action between two messages and return its result; its exceptions are raised here."""
-
-    def now(self) -> int:
-        """Return the time [ns] of the clock that times the ticks."""
-
-    def close(self) -> None:
-        """Stop serving."""
-
-
-class NativePlantHost:
+class NativePlantHost(NativeHost):
     """A thread in C, see plant_loop.h; raises NativeError if it cannot be started."""
 
     def __init__(self, hosted: Hosted) -> None:
-        program = hosted.program
+        program, plant = hosted.program, hosted.plant
         ffi, lib = program.ffi, program.lib
-        self._hosted = hosted
-        self.subscription = NativeSubscription(hosted.node, hosted.kind, hosted.topic, names.LATEST)
         self._callbacks = ffi.callback("int(void)", self._work, error=1), ffi.callback("void(void)", self._on_end)
-        self.state = ffi.new("struct fjr_plant_loop*", {"plant": hosted.plant, "lock_step": hosted.lock_step})
-        self.state.work, self.state.ended = self._callbacks
-        for k, publisher in enumerate(hosted.publishers):
-            self.state.publisher[k] = publisher_address(program, publisher)
-        functions = (ffi.addressof(lib, f"fjr_plant_on_{what}") for what in ("message", "tick", "request", "end"))
-        self._struct = ffi.new("struct fjr_host*", [self.state, *functions])
-        self._loop = NativeLoop(program, self._struct, [self.subscription], hosted.publishers)
-        self.state.loop = self._loop.pointer
-        self._notes, self.state.notify = Ring(program, "struct fjr_note", NOTES), hosted.plant.notify
-        self.state.notes, hosted.plant.host = self._notes.pointer, self.state
-        hosted.plant.send, hosted.plant.notify = (
-            ffi.addressof(lib, f"fjr_plant_{name}") for name in ("send", "notify")
-        )
+        state = ffi.new("struct fjr_plant_loop*", {"plant": plant, "lock_step": hosted.lock_step})
+        super().__init__(hosted.node, program, "fjr_plant", state, hosted.kind, hosted.topic)
+        self.use(hosted.publishers)
+        self._hosted, self._notes = hosted, Ring(program, "struct fjr_note", NOTES)
+        state.work, state.ended = self._callbacks
+        state.notes, state.notify, plant.host = self._notes.pointer, plant.notify, state
+        plant.send, plant.notify = (ffi.addressof(lib, f"fjr_plant_{name}") for name in ("send", "notify"))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = hosted.node.create_timer(NOTES_PERIOD, self._read_notes, clock=steady)
         self._action: Callable[[], Any] = lambda: None
         self._result: Any = None
         self._error: BaseException | None = None
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._loop.start()
-
     def run(self, action: Callable[[], Any]) -> Any:
-        """Run an action on the thread, between two messages."""
+        """Run an action on the thread, between two messages, and return its result; its exceptions are raised here."""
         self._action, self._error = action, None
-        self._loop.request(0)
+        self.request(0)
         if self._error is not None:
             raise self._error
         return self._result
@@ -174,10 +144,8 @@ class NativePlantHost:
 
     def close(self) -> None:
         """End the thread; a second call does nothing."""
-        if self._loop.pointer:
-            self._loop.close()
-            self.subscription.close()
-            self._hosted.node.destroy_timer(self._timer)
+        super().close()
+        self._hosted.node.destroy_timer(self._timer)
 
     def _read_notes(self) -> None:
         """Report the events that the thread kept."""
@@ -194,59 +162,43 @@ class NativePlantHost:
         return 0
 
     def _on_end(self) -> None:
-        self._hosted.fail(self._loop.reason)
+        self._hosted.fail(self.reason)
 
 
-class RclpyPlantHost:
+class RclpyPlantHost(RclpyHost):
     """Callbacks of the node's executor; the clock is the steady one, or the node's if it is simulated."""
 
     def __init__(self, hosted: Hosted, simulated: bool, period: float) -> None:
         """simulated: whether the clock is the node's, set by another publisher of /clock; period: of ticks [s]."""
-        self._hosted, node, ffi = hosted, hosted.node, hosted.program.ffi
-        self._clock = node.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
-        self._simulated = simulated
-        self._next = ffi.new("int64_t*")
-        self._send = ffi.callback("int(void*, int32_t, const struct fjr_message*)", self._publish, error=1)
-        hosted.plant.send = self._send
-        self._subscription = node.create_subscription(
-            hosted.kind, hosted.topic, self._on_command, names.LATEST, raw=True
-        )
-        self._period = period
-        self._between = node.create_timer(1.0, self._on_tick, clock=self._clock)
-        self._between.cancel()
+        clock = hosted.node.get_clock() if simulated else None
+        super().__init__(hosted.node, hosted.program, hosted.kind, hosted.topic, clock)
+        self._hosted, self._period, self._periodic = hosted, period, None  # type: Hosted, float, Any
+        hosted.plant.send = self.publish
+        self.use(hosted.publishers)
 
     def start(self) -> None:
         """Begin to tick."""
-        self._hosted.node.create_timer(self._period, self._on_tick, clock=self._clock)
-
-    def run(self, action: Callable[[], Any]) -> Any:
-        """Run an action."""
-        return action()
+        self._periodic = self._ticking(self._period)
 
     def close(self) -> None:
-        """Do nothing: the node destroys its subscriptions and timers."""
+        """Destroy subscription and timers; a second call does nothing."""
+        super().close()
+        self._node.destroy_timer(self._periodic)
 
-    def now(self) -> int:
-        """Return the time of the clock [ns]."""
-        return int(self._clock.now().nanoseconds) if self._simulated else time.monotonic_ns()
+    def run(self, action: Callable[[], Any]) -> Any:
+        """Run an action and return its result."""
+        return action()
 
-    def _on_command(self, message: bytes) -> None:
+    def _serve_message(self, message: bytes) -> None:
         data = self._hosted.program.ffi.from_buffer("uint8_t[]", message)
         self._succeeded(self._hosted.command(self._hosted.plant, data, len(message), self.now()))
 
-    def _on_tick(self) -> None:
-        if not self._between.is_canceled():
-            self._between.cancel()
-        now, plant = self.now(), self._hosted.plant
-        if self._succeeded(self._hosted.tick(plant, now, self._next)) and plant.between != NO_TIME:
-            self._between.timer_period_ns = max(plant.between - now, 1)
-            self._between.reset()
+    def _serve_tick(self) -> None:
+        plant = self._hosted.plant
+        if self._succeeded(self._hosted.tick(plant, self.now(), self._next)):
+            self._tick_by(plant.between)
 
     def _succeeded(self, fault: int) -> bool:
         if fault:
-            self._hosted.fail("")
+            self._hosted.fail(str(self.reason))
         return not fault
-
-    def _publish(self, _: Any, output: int, message: Any) -> int:
-        self._hosted.publishers[output].publish(bytes(self._hosted.program.ffi.buffer(message.bytes, message.size)))
-        return 0

@@ -14,13 +14,13 @@ from sensor_msgs.msg import JointState
 from fjr_core import FjrError
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, deserialised, nanoseconds, picked
+from fjr_msgs_py.native.host import NO_TIME
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health
 
 from .channel import Transport
-from .native import NO_TIME
 from .simulated_robot import SimulatedRobot
 from .time_base import WATCH_PERIOD, TimeBase, seconds
 

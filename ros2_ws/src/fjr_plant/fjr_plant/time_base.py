@@ -19,13 +19,14 @@ from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
 from fjr_msgs_py.messages.joint_states import deserialised, read_efforts
+from fjr_msgs_py.native.host import NO_TIME
 from fjr_msgs_py.native.loop import NativeMessage
 from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health
 
 from .channel import Transport
-from .host import Events, Hosted, NativePlantHost, PlantHost, RclpyPlantHost
-from .native import NO_TIME, plant_program
+from .host import Events, Hosted, NativePlantHost, RclpyPlantHost
+from .native import plant_program
 from .simulated_robot import SimulatedRobot
 
 
@@ -159,7 +160,7 @@ class TimeBase(ABC):
             *(self._publishers, command, tick, self._fail),
         )
         why = self._without_loop(simulated)
-        self.host: PlantHost
+        self.host: NativePlantHost | RclpyPlantHost
         if why:
             period = WATCH_PERIOD if self._lock_step else self._transport.period * 1e-9
             self.host = RclpyPlantHost(hosted, simulated, period)

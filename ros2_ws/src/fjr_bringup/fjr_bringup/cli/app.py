@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Entry point of `fjr`. ROS 2, CasADi and matplotlib load only once the command line is valid."""
+"""Entry point of `fjr`. ROS 2 and CasADi load only once the command line is valid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from runpy import run_path
 
 import click
 
-from fjr_msgs_py.console.ending import HELP, Exit, interruptible, uninterruptible
+from fjr_msgs_py.console.ending import HELP, Exit, in_own_session, interruptible, uninterruptible
 from fjr_msgs_py.console.options import COMMANDS
 from fjr_msgs_py.console.provenance import begin_command
 from fjr_msgs_py.node.loading import (
@@ -40,6 +40,8 @@ OTHERS = {
     "Running nodes": ("send", "echo", "record", "play", "call", "set", "lifecycle", "description"),
     "More": ("scenarios", "excite", "tune", "export-c", "export-ros2-control"),
 }
+RECORDING = ["run"], ["demo"]
+"""First arguments of the commands that record in real time."""
 MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification"}
 """Commands of packages without which the others run."""
 
@@ -55,6 +57,8 @@ def program() -> int:
     """Run the executable `fjr`: main() with handlers for SIGINT and SIGTERM from the first instruction on."""
     end_on_signals(Exit.INTERRUPTED)
     require_resources("fjr")
+    if sys.argv[1:2] in RECORDING and (code := in_own_session()) is not None:
+        return code
     pause_garbage_collection()
     try:
         return main(loaded=_loaded)

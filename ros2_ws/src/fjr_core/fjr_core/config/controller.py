@@ -10,8 +10,6 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..model.robot import Robot
-from ..monitoring import thresholds
-from ..monitoring.thresholds import Axes
 from ..motions.motion_limits import MotionLimits
 from ..numerics.checks import Array
 from ..numerics.parameter_field import declared
@@ -37,7 +35,7 @@ CERTIFICATE = Parameter(
 )
 CERTIFICATE_TOLERANCE = Parameter(
     "certificate_tolerance",
-    thresholds.TOLERANCE,
+    1e-3,
     "Tracking error of each joint up to which a violation counts as 'degraded'",
     "rad",
     minimum=1e-9,
@@ -86,6 +84,11 @@ def measurement_parameters(n: int) -> list[Parameter]:
 def measurement(values: Values, robot: Robot) -> Measurement:
     """Return the measurement model of the values; raises ParameterError if they contradict each other."""
     settings = read(_MEASUREMENT, values, robot.n)
+    if settings["motor"] == TORQUE and robot.cubic is not None:
+        raise ParameterError(
+            "parameter 'measurement.motor' is 'torque' with a robot.cubic_stiffness; expected "
+            "'position', or straight springs"
+        )
     return Measurement(robot.n, **settings, K=robot.K if settings["motor"] == TORQUE else None)
 
 
@@ -94,12 +97,6 @@ def observer(values: Values, robot: Robot) -> VelocityObserver | None:
     if values["measurement.velocity"] != OBSERVER:
         return None
     return VelocityObserver(robot, number(values, OBSERVER_BANDWIDTH.name), compile=bool(values["compile"]))
-
-
-def axes(values: Values, robot: Robot) -> Axes:
-    """Return the joints with the units and tolerances of the diagnosis; raises ParameterError."""
-    units = tuple(each.position for each in robot.units)
-    return Axes(names(values, "joints"), units, vector(values, CERTIFICATE_TOLERANCE.name, robot.n))
 
 
 def safety_parameters(n: int) -> list[Parameter]:

@@ -18,7 +18,7 @@ from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..numerics.parameter_field import declared
 from ..robust.law import Robust, sampled_law
-from ..stability.sampled_loop import refuse_fast_integral
+from ..stability.linearization import refuse_fast_integral
 from .parameter import LIST, VECTOR, Parameter, Values, named, number, options, read
 from .reference import reference
 
@@ -111,6 +111,8 @@ def control_law(values: Values, robot: Robot) -> StaticLaw:
     name, compile = str(values[TYPE.name]), bool(values["compile"])
     if name == V_DPBC:
         return TrackingLaw(robot, gains(values, robot.n), compile=compile)
+    if robot.cubic is not None and not is_named(name):
+        raise ParameterError(f"parameter '{TYPE.name}' is {name!r} with a robot.cubic_stiffness; expected '{V_DPBC}'")
     fault = FjrError if is_named(name) else GainsError
     try:
         if is_named(name):

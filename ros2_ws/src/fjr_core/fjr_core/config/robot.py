@@ -117,6 +117,14 @@ _ARGUMENTS = {  # argument of a model -> parameter
     ),
     "locked_positions": _argument("locked_positions", "rad", "Positions of locked_joints", LIST, "finite"),
 }
+CUBIC = Parameter(
+    "robot.cubic_stiffness",
+    0.0,
+    "Cubic stiffness k of springs that harden, K zeta + k zeta^3; with a diagonal joint_stiffness",
+    "N m/rad^3",
+    minimum=0.0,
+    shape=VECTOR,
+)
 GUESSES = {
     name: Parameter(
         f"robot.guesses.{name}",
@@ -130,6 +138,7 @@ GUESSES = {
 """Parameters that repeat the guessed values of a robot file, so that each is reported until it is replaced."""
 _SYMBOLS = {
     "K": "robot.joint_stiffness",
+    "cubic": CUBIC.name,
     "M_m": "robot.motor_inertia",
     "D_l": "robot.link_damping",
     "D_m": "robot.motor_damping",
@@ -158,7 +167,7 @@ def robot_parameters(given: Mapping[str, object]) -> list[Parameter]:
     n = joints_of(given)
     arguments = inspect.signature(MODELS[model_of(given)]).parameters.values()
     own = [_parameter(argument, n) for argument in arguments if argument.name != "joints"]
-    return [JOINTS, FILE, MODEL, *own, *table(GUESSES, n)]
+    return [JOINTS, FILE, MODEL, *own, CUBIC.for_joints(n), *table(GUESSES, n)]
 
 
 def _parameter(argument: inspect.Parameter, n: int) -> Parameter:
@@ -179,7 +188,13 @@ def robot(values: Values) -> Robot:
     build = MODELS[model]
     arguments = read({name: _ARGUMENTS[name] for name in inspect.signature(build).parameters}, values, n)
     fallback = "robot.urdf" if model == "urdf" else "robot"
-    return named(lambda symbol: _SYMBOLS.get(symbol, fallback), lambda: build(**arguments))
+    cubic = vector(values, CUBIC.name, n)
+
+    def built() -> Robot:
+        straight = build(**arguments)
+        return replace(straight, cubic=cubic) if cubic.any() else straight
+
+    return named(lambda symbol: _SYMBOLS.get(symbol, fallback), built)
 
 
 def guessed_joints(values: Values) -> dict[str, tuple[str, ...]]:

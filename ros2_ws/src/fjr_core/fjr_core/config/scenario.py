@@ -33,7 +33,7 @@ from . import parameter, ros_yaml
 from . import plant as plant_parameters
 from . import reference as reference_parameters
 from . import robot as robot_parameters
-from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement_parameters
+from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement, measurement_parameters
 from .nodes import CONTROLLER, PLANT, checked_values
 
 
@@ -195,7 +195,7 @@ def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) ->
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.reference
+    _ = scenario.reference, measurement(scenario.controller_values, scenario.robot)
     own_law, own_plant = (is_named(values[kind.name]) for kind, values in types)
     if user_code or not own_law:
         _ = scenario.sampled_law

@@ -14,7 +14,7 @@ from itertools import accumulate
 
 import casadi as ca
 
-from ..model import virtual_system
+from ..model import springs, virtual_system
 from ..model.robot import Robot
 from ..motions.reference import REFERENCE_DERIVATIVES
 from ..numerics import symbolic
@@ -137,7 +137,7 @@ class Flow:
     def at(self, x_v: ca.SX, x: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
         """Return the expressions as functions of the states x_v and x (4n,), with momenta, and of the jets.
 
-        Substitute ddq_l = M_l^-1 (K zeta - C dq_l - D_l dq_l - grad P_l), eqs. (36) and (38), then the velocities.
+        Substitute ddq_l = M_l^-1 (phi(zeta) - C dq_l - D_l dq_l - grad P_l), eqs. (36) and (38), then the velocities.
         """
         robot, positions = self.robot, 2 * self.robot.n
         states = [ca.vertcat(x[:positions], *robot.velocity_expressions(x))]
@@ -169,7 +169,7 @@ class Flow:
 
     def _residual(self, motion: Motion, ddq_l: ca.SX) -> ca.SX:
         """force - M_l ddq_l (n,) of a motion; force: see _force."""
-        spring = self.robot.K @ (motion.q_m - motion.q_l)
+        spring = springs.torque(self.robot, motion.q_m - motion.q_l)
         inertial, weight = self.inertial_torque(motion.dq_l, ddq_l), self.robot.links.grad_P_l(motion.q_l)
         return spring - inertial - self.robot.D_l @ motion.dq_l - weight + self.external
 

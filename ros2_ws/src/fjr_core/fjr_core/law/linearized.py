@@ -2,7 +2,7 @@
 """Linearise the plant and v-dPBC about the equilibria of a robot in closed form, for a stack of k configurations.
 
 Equilibrium: x = (q_l, q_l + K^-1 grad P_l, 0, 0); the springs carry the weight. With q_ld = q_l all errors are zero
-there, and E_l, C and d/dt M_l are of second order.
+there, and E_l, C and d/dt M_l are of second order. Springs that harden have the tangent stiffness under the weight.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..model import springs
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from .gains import CheckedGains
@@ -36,6 +37,25 @@ class Equilibria:
         """Gravity torques grad P_l (k, n) [N m]."""
         return np.asarray(self.robot.links.grad_P_l.map(len(self.q_l))(self.q_l.T).full().T)
 
+    @cached_property
+    def deflections(self) -> Array:
+        """Deflections of the springs (k, n) [rad] under the weights."""
+        if self.robot.cubic is None:
+            return np.asarray(self.weights @ np.linalg.inv(self.robot.K).T)
+        return ca.DM(springs.deflection(self.robot, ca.DM(self.weights.T))).full().T
+
+    @cached_property
+    def hardening(self) -> Array:
+        """Tangents phi' of the springs over K (k, n); (1, n) ones for straight springs."""
+        if self.robot.cubic is None:
+            return np.ones((1, self.robot.n))
+        return np.asarray(1 + 3 * self.robot.cubic / np.diag(self.robot.K) * self.deflections**2)
+
+    @cached_property
+    def K(self) -> Array:
+        """Stiffness (n, n), or tangents of springs that harden (k, n, n) [N m/rad]."""
+        return self.robot.K if self.robot.cubic is None else self.robot.K * self.hardening[:, None]
+
     @property
     def u(self) -> Array:
         """Equilibrium efforts (k, n) [N m]."""
@@ -44,7 +64,7 @@ class Equilibria:
     @property
     def x(self) -> Array:
         """Equilibrium states (k, 4n)."""
-        q_m = self.q_l + self.weights @ np.linalg.inv(self.robot.K).T
+        q_m = self.q_l + self.deflections
         return np.hstack([self.q_l, q_m, np.zeros_like(q_m), np.zeros_like(q_m)])
 
     def at(self, indices: Indices) -> Equilibria:
@@ -82,12 +102,12 @@ def _stacked(side_by_side: ca.DM) -> Array:
 
 def plant_matrices(points: Equilibria) -> tuple[Array, Array]:
     """Return A (k, 4n, 4n) and B (k, 4n, n) of dx = A x + B u, eq. (36) linearised about the equilibria."""
-    r, W_l, W_m = points.robot, np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m)
+    r, K, W_l, W_m = points.robot, points.K, np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m)
     A = points.blocks(
         [0, 0, W_l, 0],
         [0, 0, 0, W_m],
-        [-points.N_l - r.K, r.K, -r.D_l @ W_l, 0],
-        [r.K, -r.K, 0, -r.D_m @ W_m],
+        [-points.N_l - K, K, -r.D_l @ W_l, 0],
+        [K, -K, 0, -r.D_m @ W_m],
     )
     return A, points.blocks([0], [0], [0], [r.B_m])
 
@@ -102,21 +122,21 @@ def error_matrices(points: Equilibria, gains: CheckedGains) -> Array:
     sigma_l = p_l - M_l @ v_lr  # (30)
     s_l = np.linalg.solve(M_l, sigma_l)
     u_l = M_l @ v_lr @ A + points.N_l @ q_l + r.D_l @ v_lr - g.Pi_l @ q_l - g.K_ld @ s_l  # (33)
-    q_md = q_l + np.linalg.inv(r.K) @ u_l
+    q_md = q_l + np.linalg.inv(points.K) @ u_l
     q_tilde_m = q_m - q_md  # (39)
-    v_mr = q_md @ A - g.Lambda_m @ q_tilde_m - np.linalg.inv(g.Pi_m) @ r.K.T @ s_l  # (40)
+    v_mr = q_md @ A - g.Lambda_m @ q_tilde_m - np.linalg.inv(g.Pi_m) @ np.swapaxes(points.K, -1, -2) @ s_l  # (40)
     sigma_m = p_m - r.M_m @ v_mr  # (39)
     return np.concatenate([q_l, q_tilde_m, sigma_l, sigma_m], axis=1)
 
 
 def error_dynamics(points: Equilibria, gains: CheckedGains) -> Array:
     """Return A_e (k, 4n, 4n) of the continuous-time error dynamics de = A_e e, with E_l = 0."""
-    r, g = points.robot, gains
+    r, g, K = points.robot, gains, points.K
     W_l, W_m = np.linalg.inv(points.M_l), np.linalg.inv(r.M_m)
     return points.blocks(
         [-g.Lambda_l, 0, W_l, 0],
-        [0, -g.Lambda_m, -np.linalg.inv(g.Pi_m) @ r.K.T @ W_l, W_m],
-        [-g.Pi_l, r.K, -(r.D_l + g.K_ld) @ W_l, 0],
+        [0, -g.Lambda_m, -np.linalg.inv(g.Pi_m) @ np.swapaxes(K, -1, -2) @ W_l, W_m],
+        [-g.Pi_l, K, -(r.D_l + g.K_ld) @ W_l, 0],
         [0, -g.Pi_m, 0, -(r.D_m + g.K_md) @ W_m],
     )
 

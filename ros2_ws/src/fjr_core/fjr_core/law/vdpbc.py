@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..files import importing
+from ..model import springs
 from ..model.robot import Robot
 from ..motions.domain import GOAL, MOST_BOXES, Domain
 from ..numerics.checks import Array
@@ -30,6 +31,8 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     M_l, C_l and D_l are at the measured state, P_l and the spring at the virtual one. With v_lr = M_l^-1 p_lr and
     v_mr = M_m^-1 p_mr, the first two terms of eq. (33) are
     dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
+    phi(zeta) = K zeta is the torque of the springs; where they harden (model.springs), q_md takes its inverse, and the
+    coupling its secant between q_mv - q_lv and q_md - q_lv, so that phi(q_mv - q_lv) = u_l + S qt_m.
     omega (n,) [N m]: external input. The load torque on the links (Flow.load) is subtracted from u_l.
 
     Integral action against a disturbance torque d on the links (Flow.load, at x_v = x only) has the storage
@@ -42,7 +45,7 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     None, u_mi is zero and port_l is not complete.
     """
     robot, load = flow.robot, flow.integrated
-    D_l, M_m, D_m, K, K_inverse = robot.D_l, robot.M_m, robot.D_m, robot.K, np.linalg.inv(robot.K)
+    D_l, M_m, D_m = robot.D_l, robot.M_m, robot.D_m
     q_lv, q_mv, dq_lv, dq_mv = flow.virtual.q_l, flow.virtual.q_m, flow.virtual.dq_l, flow.virtual.dq_m
     q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
 
@@ -55,7 +58,8 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     u_lfb = -gains.Pi_l @ q_tilde_l - gains.K_ld @ s_l
     u_l = u_lff + u_lfb - flow.external
 
-    q_md = q_lv + K_inverse @ u_l
+    zeta, zeta_d = q_mv - q_lv, springs.deflection(robot, u_l)
+    q_md, K = q_lv + zeta_d, springs.secant(robot, zeta, zeta_d)
     q_tilde_m = q_mv - q_md  # (39)
     port_l = s_l if load is None else s_l - flow.momentum_vjp(q_md, gains.Pi_m @ q_tilde_m)
     (dq_md,) = flow.d(q_md, integral=None if load is None else load.gain @ port_l)
@@ -64,11 +68,12 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     sigma_m = M_m @ s_m
     port_l = port_l if load is None else port_l - flow.momentum_vjp(v_mr, sigma_m)
     (dv_mr,) = flow.d(v_mr, integral=None if load is None else load.gain @ port_l)
-    u_mff = M_m @ dv_mr + K @ (q_mv - q_lv) + D_m @ v_mr  # (42)
+    u_mff = M_m @ dv_mr + springs.torque(robot, zeta) + D_m @ v_mr  # (42)
     u_mfb = -gains.Pi_m @ q_tilde_m - gains.K_md @ s_m + omega
     u_mi = ca.SX(robot.n, 1)
-    if load is not None:  # completes dq_md: (dv_mr/dp_l) gain K^-1 Pi_m qt_m
-        u_mi = M_m @ flow.momentum_jvp(v_mr, load.gain @ (K_inverse @ gains.Pi_m @ q_tilde_m))
+    if load is not None:  # completes dq_md: (dv_mr/dp_l) gain phi'^-1 Pi_m qt_m
+        slope = springs.compliance(robot, zeta_d)
+        u_mi = M_m @ flow.momentum_jvp(v_mr, load.gain @ (slope @ gains.Pi_m @ q_tilde_m))
     u = np.linalg.inv(robot.B_m) @ (u_mff + u_mfb + u_mi)
 
     V_l = ca.dot(q_tilde_l, gains.Pi_l @ q_tilde_l) + ca.dot(s_l, sigma_l)
@@ -93,8 +98,11 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     }
 
 
-def coupling_velocity(Pi_m_inverse: ca.SX, K: Array, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
-    """Return Pi_m^-1 K' M_l^-1 sigma_l (n,) [rad/s], the last term of (40), which prints M_l' (docs/notation.md)."""
+def coupling_velocity(Pi_m_inverse: ca.SX, K: Array | ca.SX, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
+    """Return Pi_m^-1 K' M_l^-1 sigma_l (n,) [rad/s], the last term of (40), which prints M_l' (docs/paper_map.md).
+
+    K: stiffness, or secant stiffness of springs that harden.
+    """
     return Pi_m_inverse @ K.T @ s_l
 
 

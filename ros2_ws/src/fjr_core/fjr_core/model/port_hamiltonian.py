@@ -13,12 +13,13 @@ from ..numerics import integrators, symbolic
 from ..numerics.checks import Array
 from ..numerics.jit import compiled
 from ..numerics.symbolic import NumericFunction, dense_function, numeric
+from . import springs
 from .rigid_arm import RigidArm
 from .robot import Robot
 
 
 class Elastic(Protocol):
-    """Robot parameters of eq. (36), numeric (Robot) or symbolic (simulation.batch.parametric_robot)."""
+    """Robot parameters of eq. (36), numeric (Robot) or symbolic (fjr_design.batch.parametric_robot)."""
 
     @property
     def n(self) -> int:
@@ -31,6 +32,10 @@ class Elastic(Protocol):
     @property
     def K(self) -> ca.SX:
         """Joint stiffness (n, n) [N m/rad]."""
+
+    @property
+    def cubic(self) -> ca.SX | None:
+        """Cubic stiffness (n,) [N m/rad^3], or None for straight springs."""
 
     @property
     def D_l(self) -> ca.SX:
@@ -61,20 +66,15 @@ def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
 def gradient_expression(robot: Elastic, x: ca.SX, links: RigidArm | None = None, cubic: ca.SX | None = None) -> ca.SX:
     """Return dH/dx (4n,); d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), eq. (22).
 
-    links: replaces the robot's rigid arm, e.g. with a payload. cubic (n,) [N m/rad^3]: springs K zeta + cubic zeta^3.
+    links: replaces the robot's rigid arm, e.g. with a payload. cubic (n,) [N m/rad^3]: stiffness beside
+    the cubic one of the robot.
     """
     links = links or robot.links
     q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
     dq_l, dq_m = robot.velocity_expressions(x, links)
-    spring = spring_expression(robot, q_m - q_l, cubic)
+    spring = springs.torque(robot, q_m - q_l, cubic)
     dH_dq_l = -links.grad_T(q_l, dq_l) + links.grad_P_l(q_l) - spring
     return ca.vertcat(dH_dq_l, spring, dq_l, dq_m)
-
-
-def spring_expression(robot: Elastic, zeta: ca.SX, cubic: ca.SX | None = None) -> ca.SX:
-    """Return the joint torque (n,) [N m]: K zeta, or K zeta + cubic zeta^3."""
-    linear = robot.K @ zeta
-    return linear if cubic is None else linear + cubic * zeta**3
 
 
 def derivative_expression(robot: Elastic, x: ca.SX, u: ca.SX, dH: ca.SX | None = None) -> ca.SX:
@@ -129,7 +129,7 @@ class Plant:
         n, robot = self.robot.n, self.robot
         x, u = ca.SX.sym("x", 4 * n), ca.SX.sym("u", n)
         q_l, q_m, _, _ = symbolic.blocks(x, n)
-        torques = ca.vertcat(spring_expression(robot, q_m - q_l), symbolic.sparse(robot.B_m) @ u)
+        torques = ca.vertcat(springs.torque(robot, q_m - q_l), symbolic.sparse(robot.B_m) @ u)
         outputs = {"q": x[: 2 * n], "dq": ca.vertcat(*robot.velocity_expressions(x)), "torques": torques}
         function = dense_function("outputs", {"x": x, "u": u}, outputs)
         return compiled(function) if self.compiles else function

@@ -18,6 +18,7 @@ from ..numerics import checks, symbolic
 from ..numerics.checks import Array, floats, freeze
 from ..numerics.one_line import brief, joints, one_line
 from ..numerics.symbolic import NumericFunction, dense_function, numeric, symbols
+from . import springs
 from .rigid_arm import ArmDynamics, RigidArm
 
 
@@ -29,11 +30,14 @@ class Robot:
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
     All five are constant matrices (n, n). limits: joint limits or None; they are not enforced here.
     prismatic: True for each prismatic joint (n,), none by default; its units are m and N.
+    cubic: cubic stiffness k (n,) [N m/rad^3], 0 or more, of hardening springs K zeta + k zeta^3 (model.springs); None
+    for straight springs, also where zeros are given.
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
     Raises RobotError when M_l, M_m or K is not symmetric positive definite, D_l or D_m not symmetric
-    positive semidefinite, B_m not invertible, or anything is not finite or of the wrong shape.
+    positive semidefinite, B_m not invertible, or anything is not finite or of the wrong shape, or where a cubic
+    stiffness is negative or comes with a matrix K that is not diagonal.
     """
 
     links: ArmDynamics
@@ -44,9 +48,11 @@ class Robot:
     B_m: Array
     limits: JointLimits | None = None
     prismatic: tuple[bool, ...] = ()
+    cubic: Array | None = None
 
     def __repr__(self) -> str:
-        return f"Robot({joints(self.n)}, K={brief(self.K)}, M_m={brief(self.M_m)})"
+        cubic = "" if self.cubic is None else f", cubic={brief(self.cubic)}"
+        return f"Robot({joints(self.n)}, K={brief(self.K)}, M_m={brief(self.M_m)}{cubic})"
 
     def __post_init__(self) -> None:
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
@@ -56,6 +62,8 @@ class Robot:
             if name in ("D_l", "D_m"):
                 array = checks.positive_semidefinite(name, array, RobotError)
             checks.freeze(self, name, array)
+        if self.cubic is not None:
+            object.__setattr__(self, "cubic", springs.checked_cubic(self.cubic, self.K))
         if not np.linalg.cond(self.B_m) < 1e12:
             raise RobotError(f"B_m is {self.B_m.tolist()}; expected an invertible matrix")
         if self.limits is not None and self.limits.n != self.n:
@@ -107,16 +115,23 @@ class Robot:
         (velocity,) = self._velocity(checks.vector("x", x, 4 * self.n, StateError))
         return velocity[: self.n], velocity[self.n :]
 
+    def deflection(self, tau: ArrayLike) -> Array:
+        """Return the deflection q_m - q_l (n,) [rad] of the springs under torques tau (n,) [N m]."""
+        vector = self._vector("tau", tau)
+        if self.cubic is None:
+            return np.asarray(np.linalg.solve(self.K, vector))
+        return ca.DM(springs.deflection(self, ca.DM(vector))).full().ravel()
+
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
         """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36).
 
+        With a cubic stiffness k the springs store sum k zeta^4 / 4 more.
         links: replaces the rigid arm of the robot, e.g. with a payload.
         """
         q_l, q_m, p_l, p_m = symbolic.blocks(x, self.n)
         dq_l, dq_m = self.velocity_expressions(x, links)
-        zeta = q_m - q_l
         kinetic = (ca.dot(p_l, dq_l) + ca.dot(p_m, dq_m)) / 2
-        return kinetic + (links or self.links).P_l(q_l) + ca.dot(zeta, self.K @ zeta) / 2
+        return kinetic + (links or self.links).P_l(q_l) + springs.energy(self, q_m - q_l)
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """Return (dq_l, dq_m) = (M_l^-1 p_l, M_m^-1 p_m) as expressions; links as in hamiltonian_expression."""
@@ -153,6 +168,8 @@ class Robot:
         digest = hashlib.sha256("\n".join(parts).encode())
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+        if self.cubic is not None:
+            digest.update(self.cubic.tobytes())
         return digest.digest()
 
     def _vector(self, name: str, value: ArrayLike) -> Array:

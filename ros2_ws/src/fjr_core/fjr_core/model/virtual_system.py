@@ -11,17 +11,18 @@ from numpy.typing import ArrayLike
 from ..numerics import symbolic
 from ..numerics.checks import Array
 from ..numerics.symbolic import NumericFunction, numeric
+from . import springs
 from .robot import Robot
 
 
 def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
     """Return dx_v/dt (4n,) of eq. (38) as an expression; M_l, E_l and D at the measured x, P_l and spring at x_v."""
-    links, K = robot.links, robot.K
+    links = robot.links
     q_l = symbolic.blocks(x, robot.n)[0]
     q_lv, q_mv, _, _ = symbolic.blocks(x_v, robot.n)
     dq_l = robot.velocity_expressions(x)[0]
     dq_lv, dq_mv = velocities(robot, x_v, x)
-    spring = K @ (q_mv - q_lv)
+    spring = springs.torque(robot, q_mv - q_lv)
     dp_lv = -(links.grad_P_l(q_lv) - spring) - links.E(q_l, dq_l, dq_lv) - robot.D_l @ dq_lv
     dp_mv = -spring - robot.D_m @ dq_mv + robot.B_m @ u
     return ca.vertcat(dq_lv, dq_mv, dp_lv, dp_mv)

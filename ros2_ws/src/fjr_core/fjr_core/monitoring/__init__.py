@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate of a run, and the thresholds and axes with which it is judged."""
+"""The certificate of a run."""

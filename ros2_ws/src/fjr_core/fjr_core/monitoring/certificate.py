@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import StateError
 from ..law.vdpbc import TrackingLaw
+from ..model import springs
 from ..model.port_hamiltonian import Plant
 from ..motions.reference import JETS
 from ..numerics.checks import Array
@@ -145,7 +146,7 @@ class Certificate:
         robot = self.law.robot
         (q_l, q_m), (dq_l, dq_m) = ca.vertsplit(position, robot.n), ca.vertsplit(velocity, robot.n)
         kinetic = (ca.dot(dq_l, robot.links.M_l(q_l) @ dq_l) + ca.dot(dq_m, robot.M_m @ dq_m)) / 2
-        return kinetic + robot.links.P_l(q_l) + ca.dot(q_m - q_l, robot.K @ (q_m - q_l)) / 2
+        return kinetic + robot.links.P_l(q_l) + springs.energy(robot, q_m - q_l)
 
 
 def _rate(drive: Array, excess: Array, dissipation: Array) -> Array:

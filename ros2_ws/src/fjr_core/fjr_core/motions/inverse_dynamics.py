@@ -5,7 +5,7 @@ The link positions are a flat output (De Luca, 2000, "Feedforward/feedback laws 
 ICRA; Spong 1987). The motor motion follows from q .. d4q without integration:
 
     tau   = M_l ddq + C_l dq + D_l dq + grad P_l         joint (spring) torque
-    theta = q + K^-1 tau                                 motor positions
+    theta = q + K^-1 tau                                 motor positions; phi^-1(tau) of springs that harden
     u     = B_m^-1 (M_m ddtheta + D_m dtheta + tau)
 """
 
@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model import springs
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.symbolic import directional
@@ -59,8 +60,12 @@ def inverse_dynamics(robot: Robot) -> ca.Function:
     tau = spring_torque(robot, q, dq, ddq)
     dtau = directional(tau, ca.vertcat(q, dq, ddq), ca.vertcat(dq, ddq, d3q))
     ddtau = directional(dtau, ca.vertcat(q, dq, ddq, d3q), ca.vertcat(dq, ddq, d3q, d4q))
-    K_inverse = ca.sparsify(ca.DM(np.linalg.inv(robot.K)))
-    theta, dtheta, ddtheta = q + K_inverse @ tau, dq + K_inverse @ dtau, ddq + K_inverse @ ddtau
+    t, dt, ddt = torques = [ca.SX.sym(name, robot.n) for name in ("tau", "dtau", "ddtau")]
+    zeta = springs.deflection(robot, t)
+    dzeta = directional(zeta, t, dt)
+    ddzeta = directional(dzeta, ca.vertcat(t, dt), ca.vertcat(dt, ddt))
+    deflections = ca.substitute([zeta, dzeta, ddzeta], torques, [tau, dtau, ddtau])
+    theta, dtheta, ddtheta = (a + b for a, b in zip((q, dq, ddq), deflections, strict=True))
     torque = robot.M_m @ ddtheta + robot.D_m @ dtheta + tau
     return ca.Function("motor_motion", motion, [tau, theta, dtheta, ddtheta, torque])
 

@@ -121,20 +121,6 @@ def numeric(name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.S
     return NumericFunction(dense_function(name, inputs, outputs))
 
 
-def columnwise(function: ca.Function, *arguments: Array) -> list[Array]:
-    """Return the outputs (size, k) of a function at k columns of its arguments (size, k), in column-major order."""
-    k = arguments[0].shape[1]
-    given = []
-    for i, columns in enumerate(arguments):  # as matrices (rows, k columns) side by side
-        rows, width = function.size_in(i)
-        given.append(columns.T.reshape(k, width, rows).transpose(2, 0, 1).reshape(rows, -1))
-    results, found = function.map(k)(*given), []
-    for i, matrices in enumerate(results if isinstance(results, tuple) else (results,)):
-        rows, width = function.size_out(i)
-        found.append(matrices.full().reshape(rows, k, width).transpose(2, 0, 1).reshape(rows * width, k))
-    return found
-
-
 class PackedVector:
     """Names and sizes of the consecutive parts of a vector."""
 

@@ -91,6 +91,7 @@ struct fjr_model {
   double compliance[FJR_N * FJR_N];    /* K^-1 by rows [rad/(N m)] */
   double K[FJR_N * FJR_N], M_m[FJR_N * FJR_N], B_m[FJR_N * FJR_N]; /* by rows, of the check of the wiring */
   double D_l[FJR_N * FJR_N], D_m[FJR_N * FJR_N];
+  double cubic[FJR_N]; /* of springs K zeta + cubic zeta^3, whose K is diagonal [N m/rad^3] */
   const double** arg; /* work space of the functions */
   double** res;
   long long int* iw;

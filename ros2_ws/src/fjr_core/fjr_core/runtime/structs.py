@@ -144,6 +144,7 @@ def write_robot(model: Any, robot: Robot) -> None:
     """Write the constant matrices of a robot to a struct fjr_model, by rows."""
     for name in ("K", "M_m", "B_m", "D_l", "D_m"):
         setattr(model, name, np.ravel(getattr(robot, name)).tolist())
+    model.cubic = [0.0] * robot.n if robot.cubic is None else robot.cubic.tolist()
 
 
 class CertificateStruct:

@@ -157,7 +157,7 @@ static int evaluate_arm(const struct fjr_model* m, const struct fjr_comparison* 
   return 1;
 }
 
-/* Write K (q_m - q_l) of joint i. */
+/* Write K (q_m - q_l) of joint i, of a spring that hardens with its cubic part. */
 static void spring_torque(const struct fjr_model* m, const struct fjr_comparison* c, const struct wires* v, int i,
                           double* torque) {
   fill(torque, 0, c->intervals);
@@ -165,6 +165,11 @@ static void spring_torque(const struct fjr_model* m, const struct fjr_comparison
     const double K = m->K[j * N + i], *q_l = c->q[v->from[j]], *q_m = c->q[v->from[N + j]];
     if (K == 0) continue;
     for (int k = 0; k < c->intervals; ++k) torque[k] += (v->sign[N + j] * q_m[k] - v->sign[j] * q_l[k]) * K;
+  }
+  if (m->cubic[i] == 0) return;
+  for (int k = 0; k < c->intervals; ++k) {
+    const double zeta = torque[k] / m->K[i * N + i];
+    torque[k] += m->cubic[i] * zeta * zeta * zeta;
   }
 }
 
@@ -183,7 +188,9 @@ static void add_torque_noise(const struct fjr_model* m, const struct fjr_compari
                              int first, int i, const double* M, struct sides* s) {
   double mean = 0, change = 0;
   for (int j = 0; j < N; ++j) {
-    const double K = m->K[i * N + j], inertia = M[i * N + j];
+    const int middle = c->intervals / 2;
+    const double zeta = v->sign[N + j] * c->q[v->from[N + j]][middle] - v->sign[j] * c->q[v->from[j]][middle];
+    const double K = m->K[i * N + j] + (i == j) * 3 * m->cubic[i] * zeta * zeta, inertia = M[i * N + j];
     mean += K * K * (c->q_noise[v->from[j]] + c->q_noise[v->from[N + j]]);
     change += c->rate * (inertia * inertia) * c->dq_noise[v->from[first + j]];
   }

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..model.port_hamiltonian import Plant, derivative_expression, gradient_expression, spring_expression
+from ..model import springs
+from ..model.port_hamiltonian import Plant, derivative_expression, gradient_expression
 from ..model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
@@ -134,9 +135,9 @@ class NonidealPlant:
         n = self.robot.n
         s, p = self._symbols(state=5 * n, u=n)
         x, a = ca.vertsplit(s["state"], [0, 4 * n, 5 * n])
-        velocities, springs = self._measured(x, p)
+        velocities, torques = self._measured(x, p)
         applied = sparse(self.robot.B_m) @ self._actuators(a, s["u"], s["parameters"], 0)
-        outputs = {"q": x[: 2 * n], "dq": velocities, "torques": ca.vertcat(springs, applied)}
+        outputs = {"q": x[: 2 * n], "dq": velocities, "torques": ca.vertcat(torques, applied)}
         function = dense_function("nonideal_outputs", s, outputs)
         return compiled(function) if self.plant.compiles else function
 
@@ -144,7 +145,7 @@ class NonidealPlant:
         """Return velocities (2n,) and spring torques (n,) at x (4n,) as expressions."""
         q_l, q_m, _, _ = blocks(x, self.robot.n)
         velocities = ca.vertcat(*self.robot.velocity_expressions(x, self._links(p)))
-        return velocities, spring_expression(self.robot, q_m - q_l, p.cubic)
+        return velocities, springs.torque(self.robot, q_m - q_l, p.cubic)
 
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links
@@ -178,8 +179,8 @@ class NonidealPlant:
     @cached_property
     def _measure(self) -> NumericFunction:
         s, p = self._symbols(x=4 * self.robot.n)
-        velocities, springs = self._measured(s["x"], p)
-        return numeric("measure", s, {"velocities": velocities, "springs": springs})
+        velocities, torques = self._measured(s["x"], p)
+        return numeric("measure", s, {"velocities": velocities, "springs": torques})
 
     @cached_property
     def _hamiltonian(self) -> NumericFunction:

@@ -53,7 +53,7 @@ class Controller:
         return bool(self.S.any() or self.J.any())
 
     def seeing(self, measured: Array) -> Controller:
-        """Return the controller whose measurement is `measured` (4n, 4n) times y."""
+        """Return the controller whose measurement is `measured` (4n, 4n), or (k, 4n, 4n), times y."""
         return replace(self, F=self.F @ measured, G=self.G @ measured)
 
     def at(self, indices: Indices) -> Controller:
@@ -82,12 +82,15 @@ class Sensing:
         return self.bandwidth is None and not self.by_torque
 
     def measured(self, own: Robot, K: Array) -> Array | None:
-        """Return the map (4n, 4n) from the state of a plant with stiffness K to the measurement; None: identity."""
+        """Return the map (4n, 4n) from the state of a plant with stiffness K to the measurement; None: identity.
+
+        A stack of stiffnesses (k, n, n) gives a stack of maps.
+        """
         if not self.by_torque:
             return None
         n, ratio = own.n, np.linalg.solve(own.K, K)
-        seen = np.eye(4 * n)
-        seen[n : 2 * n, :n], seen[n : 2 * n, n : 2 * n] = np.eye(n) - ratio, ratio
+        seen = np.zeros((*K.shape[:-2], 4 * n, 4 * n)) + np.eye(4 * n)
+        seen[..., n : 2 * n, :n], seen[..., n : 2 * n, n : 2 * n] = np.eye(n) - ratio, ratio
         return seen
 
 
@@ -126,7 +129,7 @@ def slope_at_rest(law: StaticLaw, q_l: Array, robot: Robot | None = None) -> tup
 
 def rest_position(robot: Robot, q_l: Array) -> Array:
     """Return (q_l, q_m) (2n,) [rad] at the equilibrium with links at q_l (n,): the springs carry the weight."""
-    return np.concatenate([q_l, q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l))])
+    return np.concatenate([q_l, q_l + robot.deflection(robot.grad_P_l(q_l))])
 
 
 @lru_cache(maxsize=8)

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import StateError
+from ..errors import GainsError, StateError
 from ..law.gains import CheckedGains
 from ..law.interfaces import SampledLaw, StaticLaw, check_law, static_part
 from ..law.linearized import Equilibria, Indices, equilibria_at, error_matrices, feedback, metric_roots
 from ..law.vdpbc import TrackingLaw
-from ..model.configuration_sampling import checked_configurations
+from ..model.configuration_sampling import checked_configurations, sample_configurations
 from ..model.port_hamiltonian import Plant
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
+from ..robust.law import Robust, sampled_law
 from .linear_controller import (
     At,
     Controller,
@@ -28,6 +29,10 @@ from .linear_controller import (
 )
 
 OTHER_LAWS = 64  # configurations at which a law without a closed form is checked
+INTEGRAL_GAINS = ("integral_gain", "motor_integral_gain")
+FEW_FOR_INTEGRAL = 3  # sampled configurations at which the loop with integral action is evaluated
+BISECTIONS = 7  # of the logarithm of the factor on the integral gains, between LEAST_FACTOR and 1
+LEAST_FACTOR = 1e-4
 
 
 def linearize(
@@ -77,7 +82,7 @@ def _in_error_coordinates(own: Equilibria, gains: CheckedGains, real: Equilibria
 def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
     """Return the loop of a linearised controller on the real plant; z is (q_l, q_m, dq_l, dq_m)."""
     A, B = plant_in_velocities(real)
-    seen = sensing.measured(own.robot, real.robot.K)
+    seen = sensing.measured(own.robot, real.K)
     return SampledLoop(own.q_l, A, B, np.swapaxes(B, 1, 2), at if seen is None else lambda T: at(T).seeing(seen))
 
 
@@ -205,3 +210,54 @@ def split(delay: float, T: float) -> tuple[int, float]:
     samples = delay / T
     whole = round(samples) if abs(samples - round(samples)) < 1e-9 else int(samples)
     return whole, max(samples - whole, 0.0)
+
+
+def spectral_radius(
+    law: SampledLaw,
+    sample_period: float,
+    delay: float = 0.0,
+    configurations: ArrayLike | None = None,
+    plant: Plant | None = None,
+    sensing: Sensing | None = None,
+) -> Array:
+    """Return the spectral radii (k,) of the sampled loop at configurations (k, n); below 1: stable."""
+    checked_times(sample_period, delay)
+    return linearize(law, configurations, plant, sensing).radii(sample_period, delay)
+
+
+def checked_times(sample_period: float, delay: float) -> None:
+    """Raise StateError unless the sample period [s] is positive and the delay [s] is not negative."""
+    positive("sample_period", sample_period, StateError)
+    if not (np.isfinite(delay) and delay >= 0):
+        raise StateError(f"delay is {delay} s; expected 0 or more")
+
+
+def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
+    """Raise GainsError if integral action makes an otherwise stable loop unstable at sample period robust.hold [s].
+
+    The loop consists of the law and its own robot, linearised at a few equilibria, with the delay robust.delay [s].
+    """
+    if not robust.integrates:
+        return
+    configurations = sample_configurations(law.robot, FEW_FOR_INTEGRAL)
+
+    def stable(factor: float) -> bool:
+        rates = {name: factor * np.asarray(getattr(robust, name)) for name in INTEGRAL_GAINS}
+        sampled = sampled_law(law, replace(robust, **rates))  # type: ignore[arg-type]
+        return bool(spectral_radius(sampled, robust.hold, robust.delay, configurations).max() < 1)
+
+    def listed(rates: Array) -> str:
+        return "[" + ", ".join(f"{rate:.2g}" for rate in np.atleast_1d(rates)) + "]"
+
+    if stable(1.0) or not stable(0.0):
+        return
+    low, high = LEAST_FACTOR, 1.0
+    for _ in range(BISECTIONS):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    gains = {name: np.asarray(getattr(robust, name)) for name in INTEGRAL_GAINS if np.any(getattr(robust, name))}
+    given = ", ".join(f"{name} is {listed(gain)}" for name, gain in gains.items())
+    most = " and ".join(listed(low * gain) for gain in gains.values())
+    raise GainsError(
+        f"{given} 1/s, which makes the loop unstable at a hold of {robust.hold:g} s; expected at most {most} 1/s"
+    )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parse a URDF into a checked tree of joints and links, and place its links at given joint positions.
+"""Parse a URDF into a checked tree of joints and links.
 
 Only kinematics and inertia are read; visuals, collision shapes and extensions are ignored.
 """
@@ -324,39 +324,3 @@ def _attribute(where: str, element: ET.Element, tag: str, name: str) -> str:
     if not value:
         raise RobotError(f'{where} has no <{tag} {name}="...">; expected one')
     return value
-
-
-@dataclass(frozen=True, eq=False)
-class LinkPose:
-    """Pose of the frame of link `child` in that of link `parent`: translation (3,) [m], quaternion (4,) x, y, z, w."""
-
-    parent: str
-    child: str
-    translation: Array
-    quaternion: Array
-
-
-class UrdfFrames:
-    """Relative poses of all links of a URDF. Raises RobotError for an invalid URDF."""
-
-    def __init__(self, urdf: str) -> None:
-        """urdf: XML text. Raises RobotError, also for a joint that mimics itself or one that is not there."""
-        self._tree = read_urdf(urdf)
-        for joint in self._tree.joints.values():
-            self._tree.position(joint, {})
-
-    def at(self, positions: Mapping[str, float]) -> list[LinkPose]:
-        """Return the pose of each child link, in the order of the joints.
-
-        positions [rad, m] by joint; 0 for joints without one, other names are ignored.
-        """
-        from scipy.spatial.transform import Rotation  # loaded on use: no node needs it
-
-        joints = list(self._tree.joints.values())
-        moved = [self._tree.position(joint, positions) if joint.kind in MOVING else 0.0 for joint in joints]
-        poses = np.array([joint.pose(position) for joint, position in zip(joints, moved, strict=True)])
-        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-        return [
-            LinkPose(joint.parent, joint.child, translation, quaternion)
-            for joint, translation, quaternion in zip(joints, poses[:, :3, 3], quaternions, strict=True)
-        ]

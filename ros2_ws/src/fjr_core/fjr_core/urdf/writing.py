@@ -1,20 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write URDFs: a closed-form robot as a chain of rods, and identified inertias back into the URDF of a robot."""
+"""Write the URDF of a closed-form robot as a chain of rods."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
-
 from ..model.closed_form_arms import STANDARD_GRAVITY
-from ..model.rigid_arm import Body, rotation_to
-from .tree import parse_xml, read_urdf
 
 SMALLEST_LOAD = 1e-9  # N m, smallest gravity torque that is modelled
 WEIGHTLESS_LENGTH = 0.3  # m, of a single link without gravity
@@ -92,29 +86,3 @@ def _cylinder(
     geometry = ElementTree.SubElement(visual, "geometry")
     ElementTree.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(length))
     ElementTree.SubElement(visual, "material", name=colour)
-
-
-def with_inertias(path_or_xml: str | os.PathLike[str], joints: Sequence[str], bodies: Sequence[Body]) -> str:
-    """Return the URDF text with the inertia of each body, whose joint axis is z, at the link that its joint moves.
-
-    Links that are fixed to it, or that joints without a name here carry, lose their own inertia: it is part of the
-    body. Raises RobotError for a URDF that cannot be read.
-    """
-    tree = read_urdf(path_or_xml)
-    inline = str(path_or_xml).lstrip().startswith("<")
-    root = parse_xml(str(path_or_xml) if inline else Path(path_or_xml).read_bytes())
-    links = {element.get("name", ""): element for element in root.findall("link")}
-    for link in tree.moved_by(joints):
-        for element in links[link].findall("inertial"):
-            links[link].remove(element)
-    for name, body in zip(joints, bodies, strict=True):
-        joint = tree.joints[name]
-        turn = rotation_to(np.asarray(joint.axis))
-        com, moments = turn @ np.asarray(body.com), turn @ np.asarray(body.inertia) @ turn.T
-        inertial = ElementTree.SubElement(links[joint.child], "inertial")
-        ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{each:.9g}" for each in com))
-        ElementTree.SubElement(inertial, "mass", value=f"{body.mass:.9g}")
-        entries = {f"i{'xyz'[i]}{'xyz'[k]}": f"{moments[i, k]:.9g}" for i in range(3) for k in range(i, 3)}
-        ElementTree.SubElement(inertial, "inertia", entries)
-    ElementTree.indent(root)
-    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -25,6 +25,14 @@ class Baseline(StaticLaw):
     Raises GainsError (see the gains) on construction and StateError for wrong shapes.
     """
 
+    def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
+        if robot.cubic is not None:
+            raise GainsError(
+                f"{type(self).__name__} is given springs with a cubic stiffness, which it does not know; expected the "
+                "law v_dpbc, or a robot with straight springs"
+            )
+        super().__init__(robot, gains, compile)
+
     @abstractmethod
     def expressions(self, f: Flow, g: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
         """Return u (n,) [N m] and V [J] (nan without a storage) in the symbols of the flow f at x_v = x and gains g."""

@@ -22,11 +22,11 @@ from fjr_core.errors import ParameterError
 from fjr_core.extensions.law_registry import law_kind
 from fjr_core.files import importing
 from fjr_core.files.importing import is_named
+from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import joined
 from fjr_core.numerics.one_line import at_least
 from fjr_core.robust.law import Robust
-from fjr_core.stability.sampled_loop import SampledCheck
 from fjr_design.cli.preflight import (
     StartError,
     UnstableError,
@@ -39,6 +39,7 @@ from fjr_design.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
+from fjr_design.stability.sampled_loop import SampledCheck
 from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
@@ -115,6 +116,7 @@ def check(scenario: Scenario) -> Check:
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_in_the_loop(scenario),
         **rates,
+        **_springs(scenario),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {plural(found.configurations, 'configuration')}",
         "    found at q_l": f"{at} {position_unit(scenario)}",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
@@ -195,6 +197,17 @@ def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], dict[s
     }
     proven = exact and (rate.proven or kept is not None)
     return rows, {"beta_per_s": found.beta, "beta_is_proven": proven, "beta_attained_per_s": kept and kept.attained}
+
+
+def _springs(scenario: Scenario) -> dict[str, str]:
+    """Return how much stiffer than joint_stiffness springs that harden are at rest; no row for straight springs."""
+    robot = scenario.plant.robot
+    if robot.cubic is None:
+        return {}
+    most = 100 * (equilibria_at(robot, scenario.configurations()).hardening.max(axis=0) - 1)
+    return {
+        "springs": f"up to {as_list(most)} % stiffer at rest on the reference; radii are of springs under the weight"
+    }
 
 
 def _is_provable(scenario: Scenario) -> bool:

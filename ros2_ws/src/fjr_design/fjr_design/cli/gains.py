@@ -22,7 +22,7 @@ from fjr_core.motions.domain import joint_range
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_core.robust.law import sampled_law
-from fjr_core.stability.sampled_loop import SampledCheck, check
+from fjr_design.stability.sampled_loop import SampledCheck, check
 from fjr_design.tuning.gain_synthesis import synthesize
 from fjr_design.uncertainty.drawn_loops import (
     CONFIDENCE,

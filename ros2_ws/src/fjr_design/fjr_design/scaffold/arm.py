@@ -14,10 +14,11 @@ from ament_index_python.packages import get_package_share_directory
 
 from fjr_core.errors import RobotError
 from fjr_core.model.robot import Robot
-from fjr_core.urdf.chains import Chain, chains
 from fjr_core.urdf.robot import MasslessJointError, robot_from_urdf
 from fjr_core.urdf.tree import MOVING, UrdfTree, read_urdf
 from fjr_core.urdf.typical_joints import joints_without_inertia, typical_joints
+
+from .chains import Chain, chains
 
 PUBLISHED = "config/joint_data.yaml"
 

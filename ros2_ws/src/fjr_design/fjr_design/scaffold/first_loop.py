@@ -20,8 +20,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.sine import Sine
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import rest_position
-from fjr_core.stability.sampled_loop import SampledCheck, check
 from fjr_design.stability.fast_modes import fastest_mode, least_steps
+from fjr_design.stability.sampled_loop import SampledCheck, check
 from fjr_design.tuning.gain_synthesis import GainSearch, gain_search
 from fjr_msgs_py.console.output import phase, plural
 

@@ -20,7 +20,7 @@ from fjr_core.files.importing import is_named
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
-from fjr_core.stability.sampled_loop import spectral_radius
+from fjr_core.stability.linearization import spectral_radius
 
 from ..tuning.equal_bandwidth import baseline_target, tune
 from ..uncertainty import distributions

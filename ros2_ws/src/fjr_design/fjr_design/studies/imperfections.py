@@ -18,8 +18,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch.draws import SMOOTHING
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
+from fjr_design.batch.draws import SMOOTHING
 
 INSTANTS = 4096
 CONFIGURATIONS = 16

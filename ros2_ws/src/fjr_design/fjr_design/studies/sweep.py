@@ -18,11 +18,11 @@ from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, draws
-from fjr_core.simulation.batch.closed_loop import FIELDS, PER_JOINT
-from fjr_core.simulation.batch.draws import JOINT, PARAMETERS, POINT, SMOOTHING
-from fjr_core.simulation.batch.parametric_robot import FRICTION
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
+from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws
+from fjr_design.batch.closed_loop import FIELDS, PER_JOINT
+from fjr_design.batch.draws import JOINT, PARAMETERS, POINT, SMOOTHING
+from fjr_design.batch.parametric_robot import FRICTION
 
 from ..uncertainty import distributions
 from ..uncertainty.distributions import Distribution, DrawnColumn

@@ -6,23 +6,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch.draws import unit_of
+from fjr_design.batch.draws import unit_of
 from fjr_design.uncertainty.distributions import FIXED, LOG_UNIFORM
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
-from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, STYLE, draw_plot
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_picture
 from fjr_msgs_py.console.output import finite, number, percent
 
 from .sensitivity import Effect, ReadColumn, Summary
 from .sweep import OUTCOMES, Sweep
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 INFLUENCE = (
     "Share of the variance of success, and of log RMS error, that each parameter explains alone (first-order "
@@ -203,22 +205,22 @@ def _label(name: str) -> str:
     return f"{name} [{unit}]" if unit else f"{name} (factor)"
 
 
-@mpl.rc_context(STYLE)
-def draw(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> Path:
+def write_overview(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> None:
     """Write the picture: a column for each parameter that has plots, the most influential one first."""
     places = {plot.name: plot for plot in plots}
     columns = min(SHOWN, len(summary.effects)) + 1
-    figure = Figure(figsize=(3.1 * columns, 7.0), layout="constrained")
-    axes = figure.subplots(2, columns, squeeze=False)
     names = [[f"{row}-{column}" for column in range(columns - 1)] for row in ("share", "runs")]
-    for row, ax in zip([*names[0], "", *names[1], "distribution"], axes.flat, strict=True):
-        if row in places:
-            draw_plot(ax, places[row], WIDTH)
-    _indices(axes[0, -1], summary)
-    title = f"{headline(sweep, summary)}, each of {sweep.duration:g} s"
-    figure.suptitle(title, fontsize=13, x=0.01, ha="left")
-    figure.savefig(path)
-    return path
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(2, columns, squeeze=False)
+        for row, ax in zip([*names[0], "", *names[1], "distribution"], axes.flat, strict=True):
+            if row in places:
+                draw_plot(ax, places[row], WIDTH)
+        _indices(axes[0, -1], summary)
+        title = f"{headline(sweep, summary)}, each of {sweep.duration:g} s"
+        figure.suptitle(title, fontsize=13, x=0.01, ha="left")
+
+    write_picture(path, (3.1 * columns, 7.0), draw)
 
 
 def _indices(ax: Axes, summary: Summary) -> None:

@@ -20,7 +20,7 @@ from .sensitivity import Summary, summarised
 from .study import Columns, Store, Workers, divided, open_store
 from .sweep import OUTCOMES, Sweep, run_part
 from .sweep_file import Options, planned
-from .sweep_page import draw, sweep_plots, write_page
+from .sweep_page import sweep_plots, write_overview, write_page
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
 IN_PYTHON = "law or plant are evaluated in Python: the runs are not compiled, and --cores does not speed them up"
@@ -104,7 +104,7 @@ def _shown(plan: Sweep, store: Store) -> Result:
     summary = summarised(plan, store.column)
     write_text(store.folder / "summary.json", json_text(asdict(summary), indent=1) + "\n")
     plots = sweep_plots(plan, store.column, summary)
-    draw(plan, summary, plots, store.folder / "overview.png")
+    write_overview(plan, summary, plots, store.folder / "overview.png")
     page = write_page(plan, summary, plots, store.folder / "report.html")
     text = f"{table(plan, summary)}\nopen {page}; all runs: {store.table}"
     return Result(text, {**asdict(summary), "page": page, "table": store.table})

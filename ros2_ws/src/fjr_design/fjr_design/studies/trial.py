@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded
-from fjr_core.simulation.batch.draws import PARAMETERS
+from fjr_design.batch import ClosedLoop, Draws, Outcomes, Recorded
+from fjr_design.batch.draws import PARAMETERS
 
 from .imperfections import Direction, MotionDemand, fields_of
 from .sweep import figures

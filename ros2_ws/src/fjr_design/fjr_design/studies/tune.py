@@ -23,7 +23,7 @@ from fjr_core.errors import FjrError, ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.velocity_observer import VelocityObserver
-from fjr_core.stability.sampled_loop import spectral_radius
+from fjr_core.stability.linearization import spectral_radius
 
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates, starts
 from .study import once

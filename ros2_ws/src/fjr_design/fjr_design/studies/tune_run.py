@@ -12,13 +12,11 @@ import json
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fjr_core.config import ros_yaml
@@ -26,7 +24,7 @@ from fjr_core.config.law import TYPE
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
-from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, STYLE
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, write_picture
 from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
@@ -58,6 +56,10 @@ from .tune import (
     search,
     with_better_start,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 LAW = "law"
 SMALL, LARGE, MANY = 16, 200, 1000
@@ -182,10 +184,10 @@ def _shown(tuned: Tuned, folder: Path) -> Result:
     values = tuned.study.coordinates.values(tuned.found.chosen)
     write_text(scenario, tuned.study.sweep.scenario_text)
     write_text(scenario, library.as_run(scenario, values)[0])
-    picture = draw(tuned, folder / "overview.png")
+    picture = write_picture(folder / "overview.png", (12.0, 4.2), partial(_draw, tuned))
     plain = _values(tuned, values)
     write_text(folder / "result.json", json_text(plain, indent=1) + "\n")
-    lines = [*_table(tuned), f"scenario with these gains: {scenario}; picture: {picture}"]
+    lines = [*_table(tuned), f"scenario with these gains: {scenario}{f'; picture: {picture}' if picture else ''}"]
     return Result("\n".join(lines), {**plain, "scenario": scenario, "picture": picture})
 
 
@@ -238,18 +240,14 @@ def _ratio(start: float, tuned: float) -> str:
     return f"{tuned / start:.3g}" if np.isfinite([start, tuned]).all() and start > 0 else ""
 
 
-@mpl.rc_context(STYLE)
-def draw(tuned: Tuned, path: Path) -> Path:
-    """Write the picture: error against noise in the effort, error against peak effort, distribution of the error."""
-    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+def _draw(tuned: Tuned, figure: Figure) -> None:
+    """Draw error against noise in the effort, error against peak effort, distribution of the error."""
     axes = figure.subplots(1, 3)
     for ax, name in zip(axes, AXES, strict=False):
         _front(ax, tuned, name)
     _distribution(axes[2], tuned.scenario, tuned.chosen)
     title = f"{tuned.study.sweep.name}: {len(tuned.found.candidates)} candidates, {tuned.study.fresh:,} fresh draws"
     figure.suptitle(title, fontsize=13, x=0.01, ha="left")
-    figure.savefig(path)
-    return path
 
 
 def _front(ax: Axes, tuned: Tuned, name: str) -> None:

@@ -29,8 +29,8 @@ from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, checked_c
 from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array, positive
-from fjr_core.stability.linearization import SampledLoop, closed_form
-from fjr_core.stability.sampled_loop import FEW, checked_times
+from fjr_core.stability.linearization import SampledLoop, checked_times, closed_form
+from fjr_design.stability.sampled_loop import FEW
 
 from ..stability.fast_modes import late_spring
 from ..uncertainty.drawn_loops import DrawnLoops, DrawnPlants, in_common

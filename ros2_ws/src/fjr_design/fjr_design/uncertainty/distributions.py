@@ -12,7 +12,7 @@ import numpy as np
 
 from fjr_core.errors import ParameterError
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch import draws
+from fjr_design.batch import draws
 
 UNIFORM, NORMAL, LOG_UNIFORM, FIXED = "uniform", "normal", "log_uniform", "fixed"
 LOG_NORMAL = "log_normal"

@@ -21,9 +21,9 @@ from fjr_core.model.configuration_sampling import checked_configurations
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch.draws import PARAMETERS
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
 from fjr_core.stability.linearization import held_maps, map_of_held, on_plant, split
+from fjr_design.batch.draws import PARAMETERS
 
 CONFIDENCE = 0.99
 SQUARINGS = 14
@@ -143,15 +143,15 @@ class DrawnLoops:
     def _plants(self, plants: DrawnPlants) -> tuple[Array, Array, float]:
         """Return A (k c, 4n, 4n), B (k c, 4n, n) in y = (q_l, q_m, dq_l, dq_m), and the highest frequency [rad/s]."""
         own, n, k, c = self._own, self._own.robot.n, len(plants), len(self._own.q_l)
-        W = np.linalg.inv(own.M_l)
+        W, K = np.linalg.inv(own.M_l), plants.stiffness[:, None] * own.hardening
         A, B = np.zeros((k, c, 4 * n, 4 * n)), np.zeros((k, c, 4 * n, n))
         q_l, q_m, v_l, v_m = (slice(i * n, (i + 1) * n) for i in range(4))
         A[..., q_l, v_l] = A[..., q_m, v_m] = np.eye(n)
-        A[..., v_l, q_m] = W * plants.stiffness[:, None, None, :]
+        A[..., v_l, q_m] = W * K[:, :, None, :]
         A[..., v_l, q_l] = -A[..., v_l, q_m] - W @ own.N_l
         A[..., v_l, v_l] = -W * plants.link_damping[:, None, None, :]
         joints = np.arange(n)
-        spring = (plants.stiffness / plants.motor_inertia)[:, None]
+        spring = K / plants.motor_inertia[:, None]
         A[:, :, 3 * n + joints, joints], A[:, :, 3 * n + joints, n + joints] = spring, -spring
         A[:, :, 3 * n + joints, 3 * n + joints] = -(plants.motor_damping / plants.motor_inertia)[:, None]
         B[..., v_m, :] = own.robot.B_m / plants.motor_inertia[:, None, :, None]
@@ -214,13 +214,18 @@ FACTORS = (0.7, 0.8, 1.2, 1.3)
 """Ratios of a plant parameter to its value in the model."""
 
 
-def _scaled(matrix: str) -> Callable[[Equilibria, float], Equilibria]:
-    """Return the function that multiplies a matrix of the robot at its equilibria by a factor."""
-    return lambda at, factor: replace(at, robot=replace(at.robot, **{matrix: factor * getattr(at.robot, matrix)}))
+def _scaled(*matrices: str) -> Callable[[Equilibria, float], Equilibria]:
+    """Return the function that multiplies matrices of the robot at its equilibria by a factor."""
+
+    def changed(at: Equilibria, factor: float) -> Equilibria:
+        scaled = {name: factor * value for name in matrices if (value := getattr(at.robot, name)) is not None}
+        return replace(at, robot=replace(at.robot, **scaled))
+
+    return changed
 
 
 QUANTITIES: Mapping[str, Callable[[Equilibria, float], Equilibria]] = {
-    "stiffness": _scaled("K"),
+    "stiffness": _scaled("K", "cubic"),
     "link inertia": lambda at, factor: replace(at, M_l=factor * at.M_l),
     "motor inertia": _scaled("M_m"),
 }

@@ -21,8 +21,8 @@ from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.batch import draws
-from fjr_core.simulation.batch.draws import PARAMETERS, POINT
+from fjr_design.batch import draws
+from fjr_design.batch.draws import PARAMETERS, POINT
 
 from . import distributions
 from .distributions import LOG_NORMAL, NORMAL, Distribution, DrawnColumn

@@ -58,6 +58,7 @@ def excite(**given: Any) -> Any:
     "--accept", "accepted", metavar="KIND", multiple=True, help="Report a contradiction of this kind, do not refuse it."
 )
 @click.option("--payload", is_flag=True, help="Identify a point mass at the last link.")
+@click.option("--cubic-stiffness", is_flag=True, help="Identify springs that harden, K zeta + k zeta^3.")
 @click.option("--link-inertia", is_flag=True, help="Correct mass and inertia of the links, near those of the URDF.")
 @click.option("--static-friction", is_flag=True, help="Identify static friction.")
 @click.option(

@@ -20,11 +20,12 @@ from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, Prior
 from fjr_identification.estimation.validation import HoldOut, hold_out
-from fjr_identification.page import HOLD_OUT, counted, hold_out_rows, write_page
+from fjr_identification.page import HOLD_OUT, STIFFNESS, counted, hold_out_rows, reasons, write_page
 from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import read_map
 from fjr_identification.rigid_motion import KINDS
 from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
+from fjr_identification.sensors import lacking
 from fjr_identification.table_record import written_map
 from fjr_msgs_py.console.output import Result, interval, json_text, number, plural, progress_bar
 
@@ -72,11 +73,13 @@ def identify(
     compared = [hold_out(identification, record, nominal.robot, prior, options) for record in predicted]
     notes = (*notes, *more, *unconfirmed(compared))
     shares = {held.record: held.shares for held in compared}
-    inputs = {"robot": robot, "records": records, "hold_out": shares, "notes": notes}
+    lacks = lacking(motions, nominal.robot)
+    inputs = {"robot": robot, "records": records, "hold_out": shares, "lacking": lacks, "notes": notes}
     values = {**identification.as_dict(), **inputs}
     file = _write(output, nominal, identification, motions, compared, values)
     paths = [output / name for name in (ROBOT, VALUES, PAGE)]
-    lines = [*table(identification), *_hold_out_lines(compared), *_last_lines(paths, file)]
+    sensors = ["", "what the records lack:", *lacks] if lacks else []
+    lines = [*table(identification), *sensors, *_hold_out_lines(compared), *_last_lines(paths, file)]
     return Result("\n".join(lines), {**values, "files": paths})
 
 
@@ -138,31 +141,35 @@ def _write(
         write_text(folder / CORRECTED, robot.corrected_urdf)
     write_text(folder / VALUES, json_text(values, indent=1) + "\n")
     seconds = sum(record.dt * len(record.u) for record in records)
-    notes = [*values["notes"], *([f"robot.yaml has no gains: {file.reason}"] if file.reason else [])]
+    notes = [
+        *values["lacking"],
+        *values["notes"],
+        *([f"robot.yaml has no gains: {file.reason}"] if file.reason else []),
+    ]
     write_page(folder / PAGE, nominal.name, identification, compared, notes, seconds)
     return file
 
 
 def table(identification: Identification) -> list[str]:
-    """Return a line for each estimate, below a headline."""
-    counts = counted(identification)
+    """Return a headline, a line for each estimate, the stiffnesses first, and each reason once."""
+    counts, of_stiffness = counted(identification), counted(identification, STIFFNESS)
     cells = [("parameter", "joint", "value", "95 % interval", "verdict")]
-    reasons = []
     for estimate in identification.estimates:
         ends = "" if estimate.verdict == UNKNOWN else interval(estimate.low, estimate.high)
         value = number(estimate.value, estimate.unit)
         cells.append((estimate.name, estimate.joint, value, ends, estimate.verdict))
-        if estimate.verdict == UNKNOWN:
-            reasons.append(f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.reason}")
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
+    stiffness = f"joint stiffness K of {of_stiffness[IDENTIFIED]} of {plural(len(identification.joints), 'joint')}"
     others = f"{counts[WEAK]} weakly, {counts[UNKNOWN]} not identifiable"
-    headline = f"{plural(counts[IDENTIFIED], 'parameter')} identified, {others}"
+    headline = f"{stiffness} and {plural(counts[IDENTIFIED], 'parameter')} identified, {others}"
+    heads = {UNKNOWN: "not identifiable from these records, as before:", WEAK: "weakly identified:"}
+    why = [(head, reasons(identification, verdict)) for verdict, head in heads.items()]
     return [
         headline,
         "",
         *lines,
-        *(["", "not identifiable from these records, as before:", *reasons] if reasons else []),
+        *(line for head, found in why if found for line in ("", head, *(f"{of}: {one}" for one, of in found.items()))),
     ]
 
 

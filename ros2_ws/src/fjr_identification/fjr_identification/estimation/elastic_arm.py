@@ -4,7 +4,8 @@
     M_l(q_l) dv_l + C(q_l, v_l) v_l + grad P_l(q_l) = tau - D_l v_l - F_l(v_l) - T(q_l),   tau = K (q_m - q_l - offset)
     B dv_m = B_m u - tau - D_m v_m - F_m(v_m)
 
-F_l and F_m are the friction of simulation.nonideal_plant, T is an optional torque of the position of one joint.
+Springs that harden have tau = K zeta + k zeta^3 (cubic_stiffness). F_l and F_m are the friction of
+simulation.nonideal_plant, T is an optional torque of the position of one joint.
 
 The inertia of the links may be corrected. The pseudo-inertia P of a link stays positive definite, hence physically
 consistent, with log-Cholesky parameters theta = (alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3) about that of the robot
@@ -26,7 +27,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fjr_core.model.newton_euler import InertialArm, pseudo_inertia
+from fjr_core.model.newton_euler import ChainAt, Mass, pseudo_inertia
 from fjr_core.model.rigid_arm import ArmDynamics, Body, PayloadArm, RigidArm
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
@@ -34,7 +35,7 @@ from fjr_core.numerics.symbolic import PackedVector, dense_function, directional
 from fjr_core.simulation.nonideal_plant import friction
 from fjr_design.uncertainty.posterior import Identification
 
-from .parameters import DYNAMIC, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
+from .parameters import DYNAMIC, HARDENING, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
 
 LEAST = 1e-9  # of the trace; eigenvalue that is added to a link without extension, so that it has a factor
 ENTRIES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of s12, s23, s13, t1, t2, t3 in U
@@ -108,7 +109,10 @@ class ElasticArm:
         p, a_l = self.layout.named(parameters), ca.SX.sym("a_l", n)
         q_l, q_m, v_l, v_m = ca.vertsplit(x, n)
         links = self._links(p)
-        tau = p.joint_stiffness * (q_m - q_l - p.offset)
+        zeta = q_m - q_l - p.offset
+        tau = p.joint_stiffness * zeta
+        if self.robot.cubic is not None or self._entries((HARDENING,)):
+            tau += p.cubic_stiffness * zeta * zeta * zeta
         v_0 = p.friction_smoothing_velocity
         F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, v_0)
         F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, v_0)
@@ -213,3 +217,42 @@ def _corrected(body: Body, theta: Any, U: Any, exp: Any) -> Any:
         U[row, column] = theta[4 + k]
     factor = L @ (exp(theta[0]) * U)
     return factor @ factor.T
+
+
+@dataclass(frozen=True)
+class InertialArm:
+    """A rigid arm whose masses and inertias are expressions, so that they can be identified.
+
+    The joint axes of the bodies are z. The pseudo-inertia (4, 4) of each, an expression, is the integral of
+    (r, 1)(r, 1)' dm about the origin of the body's frame; the masses, centres of mass and inertias of the bodies
+    themselves do not count. gravity (3,) [m/s^2] in the base frame.
+    """
+
+    bodies: Sequence[Body]
+    pseudo_inertias: Sequence[ca.SX]
+    gravity: Array
+
+    def M_l(self, q_l: ca.SX) -> ca.SX:
+        """Inertia M_l (n, n) [kg m^2]."""
+        return self._at(q_l).inertia()
+
+    def P_l(self, q_l: ca.SX) -> ca.SX:
+        """Potential energy P_l [J]."""
+        return self._at(q_l).potential_energy()
+
+    def grad_P_l(self, q_l: ca.SX) -> ca.SX:
+        """Gravity torque grad P_l (n,) [N m]."""
+        return self._at(q_l).gravity_torque()
+
+    def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
+        """d/dq_l (v' M_l v / 2) (n,) [N m], v constant."""
+        return self._at(q_l).kinetic_gradient(v)
+
+    def inertial_torque(self, q_l: ca.SX, v: ca.SX, w: ca.SX, a: ca.SX) -> ca.SX:
+        """M_l a + C(q_l, v) w (n,) [N m]."""
+        return self._at(q_l).inertial_torque(v, w, a)
+
+    def _at(self, q_l: ca.SX) -> ChainAt:
+        return ChainAt(
+            self.bodies, [Mass(P[3, 3], P[:3, 3], P[:3, :3]) for P in self.pseudo_inertias], self.gravity, q_l
+        )

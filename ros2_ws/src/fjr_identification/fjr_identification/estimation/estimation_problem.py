@@ -19,7 +19,7 @@ from .elastic_arm import ElasticArm, correctable, packed
 from .filtered_motion import FilteredMotion, filtered, inner, smoothed
 from .motion_record import MotionRecord
 from .multiple_shooting import Problem, cut, measured_signals
-from .parameters import KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
+from .parameters import HARDENING, KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
 from .shooting import MOST_PARTS, HeldEffort, Shooting
 
 PERIODS, SHORTEST, LONGEST = 6, 0.4, 1.0  # of the slowest resonance in a segment; its least and largest length [s]
@@ -67,6 +67,7 @@ class Estimation:
             name: np.full(size(name, n), kind.width) for name, kind in KINDS.items() if kind.width is not None
         }
         widths |= dict.fromkeys(("link_damping", "motor_damping"), damping)
+        widths[HARDENING] = values["joint_stiffness"] ** 3 / effort**2
         widths |= {name: 0.3 * effort for name in KINDS if name.endswith("friction")}
         widths |= {name: HARMONICS[name[-1]] * effort for name in POSITION_TORQUE}
         return {**widths, "payload_mass": np.array([10.0]), **self.prior.widths}
@@ -99,6 +100,11 @@ class Estimation:
         needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
         return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
 
+    def _stiffest(self, p: Mapping[str, Array]) -> Array:
+        """Return the tangent stiffness (n,) of the springs at the largest deflection of the records."""
+        largest = np.max([np.max(np.abs(m.q_m - m.q_l - p["offset"]), axis=0) for m in self.motions], axis=0)
+        return np.asarray(p["joint_stiffness"] + 3 * p[HARDENING] * largest**2)
+
     def segment_length(self, start: Mapping[str, Array]) -> float:
         """Return the length [s] of the segments that follows from start values."""
         return self._length(_rates(self.arm(self.coordinates), self.poses, start)[0])
@@ -114,6 +120,8 @@ class Estimation:
         coordinates = replace(self.coordinates, held=frozenset(held))
         arm = self.arm(coordinates)
         slowest, fastest, mobility = _rates(arm, self.poses, start)
+        if np.any(start[HARDENING]):
+            fastest = _rates(arm, self.poses, {**start, "joint_stiffness": self._stiffest(start)})[1]
         accuracy = UNSEEN * np.tile(_noise(self.records), 2) / self._length(slowest)
         segments, filtered_states = [], []
         for record, motion in zip(self.records, self.motions, strict=True):
@@ -141,6 +149,9 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Iden
         raise StateError(
             "link_inertia is of a robot that is no chain of bodies; expected one from a URDF, joints from base to tip"
         )
+    hardens = robot.cubic is not None or HARDENING in options.names
+    if hardens and any(signal == "torque" for signal, _ in measured):
+        raise StateError("cubic_stiffness is of records with joint torque sensors; expected motor positions instead")
     unknown = [joint for joint in options.joints if joint not in joints]
     if unknown:
         raise StateError(f"joint {unknown[0]!r} is to be identified; expected some of {', '.join(joints)}")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit all parameters to the errors of the equations along filtered motions: start and fallback of the simulation.
 
-    link side    r = q_m - q_l - offset - tau / K
+    link side    r = q_m - q_l - offset - tau / K             (phi^-1(tau) of springs that harden)
     motor side   r = u(t - delay) - tau - B a_m - D_m v_m - F_m tanh(v_m / v_0)
     torque       tau = M_l a + C v + grad P_l + D_l v_l + F_l tanh(v_l / v_0) + T(q_l)
 
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fjr_core.model import springs
 from fjr_core.numerics.checks import Array
 
 from .elastic_arm import coulomb, packed, position_terms
@@ -29,7 +30,7 @@ from .estimation_problem import Estimation
 from .filtered_motion import FilteredMotion, decimated, inner, shifted
 from .multiple_shooting import NormalEquations, with_prior
 from .optimise import bounded_step
-from .parameters import OF_LINKS, POSITION_TORQUE, SMOOTHING
+from .parameters import HARDENING, OF_LINKS, POSITION_TORQUE, SMOOTHING
 from .verdicts import Estimates, estimates_at, not_identifiable
 
 BLOCK = 1.0  # s; longer than the correlation of the errors
@@ -52,12 +53,13 @@ Columns = dict[tuple[str, int], Array]
 class Side:
     """Errors r (k,) of an equation of a joint, and -dr/dp of each column (k,) by (name, index) of p.
 
-    p of positive parameters is the logarithm. used (k,): samples that count. Every `stride`-th one is independent.
-    measured: standard deviation of the deflection or the effort.
+    p of positive parameters is the logarithm. torque (k,) [N m]: of the spring. used (k,): samples that
+    count. Every `stride`-th one is independent. measured: standard deviation of the deflection or the effort.
     """
 
     errors: Array
     columns: Columns
+    torque: Array
     used: Array
     stride: int
     measured: float
@@ -88,12 +90,16 @@ def link_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Array
     """Return the errors [rad] of the equation of link j."""
     p = setup.coordinates.parameters(z)
     tau, columns, q = _spring_torque(m, rigid, p, j)
-    K, deflection = p["joint_stiffness"][j], m.q_m[:, j] - q
-    columns = {name: column / K for name, column in columns.items()}
-    columns[("joint_stiffness", j)] = -tau / K
+    K, cubic, deflection = p["joint_stiffness"][j], p[HARDENING][j], m.q_m[:, j] - q
+    zeta = springs.root(K, cubic, tau, np)
+    tangent = K + 3 * cubic * zeta**2
+    columns = {name: column / tangent for name, column in columns.items()}
+    columns[("joint_stiffness", j)] = -zeta * (K / tangent)
+    columns[(HARDENING, j)] = -(zeta**3) / tangent
     columns[("offset", j)] = np.ones(len(q))
     columns[("link_skew", j)] -= np.gradient(q, m.dt)
-    return _side(m, deflection, deflection - p["offset"][j] - tau / K, columns, np.ones(len(q), dtype=bool))
+    errors = deflection - p["offset"][j] - zeta
+    return _side(m, deflection, errors, columns, tau, np.ones(len(q), dtype=bool))
 
 
 def motor_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Array, j: int) -> Side:
@@ -107,7 +113,7 @@ def motor_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Arra
     columns[("motor_coulomb_friction", j)] = friction
     columns[("effort_delay", j)] = np.gradient(u, m.dt)
     explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + p["motor_coulomb_friction"][j] * friction
-    return _side(m, u, u - explained, columns, np.abs(v) > MOVING * p[SMOOTHING][j])
+    return _side(m, u, u - explained, columns, tau, np.abs(v) > MOVING * p[SMOOTHING][j])
 
 
 def _spring_torque(
@@ -125,9 +131,10 @@ def _spring_torque(
     return tau, columns, q
 
 
-def _side(m: FilteredMotion, measured: Array, errors: Array, columns: Columns, used: Array) -> Side:
+def _side(m: FilteredMotion, measured: Array, errors: Array, columns: Columns, torque: Array, used: Array) -> Side:
     inside = {name: inner(column, m.dt) for name, column in columns.items()}
-    return Side(inner(errors, m.dt), inside, inner(used, m.dt), m.stride, float(np.std(measured)))
+    errors, torque, used = (inner(values, m.dt) for values in (errors, torque, used))
+    return Side(errors, inside, torque, used, m.stride, float(np.std(measured)))
 
 
 def equation_error(setup: Estimation, z: Array) -> list[NormalEquations]:
@@ -206,7 +213,9 @@ def undetermined(setup: Estimation) -> tuple[int, ...]:
             noise = np.sqrt(np.nanmean(steps**2) / 2 / motion.stride)
             deflected[j] |= bool(np.std(slow) > LEAST_DEFLECTION * noise)
     free = enumerate(setup.coordinates.free)
-    others = (k for k, (name, j) in free if name == SMOOTHING or (name == "joint_stiffness" and not deflected[j]))
+    others = (
+        k for k, (name, j) in free if name == SMOOTHING or (name in ("joint_stiffness", HARDENING) and not deflected[j])
+    )
     return (*confounded(setup), *others)
 
 

@@ -13,10 +13,12 @@ from functools import cached_property
 import numpy as np
 from scipy.signal import resample_poly, savgol_filter
 
+from fjr_core.model import springs
 from fjr_core.numerics.checks import Array
 
 from .elastic_arm import ElasticArm, packed
 from .motion_record import MotionRecord
+from .parameters import HARDENING
 
 WINDOW = 0.03  # s
 ORDER = 4
@@ -64,7 +66,9 @@ def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array])
     rigid = rigid_torque(arm, values, *(smoothed(q_l, record.dt, order) for order in range(3)))
     sensed = np.isfinite(record.torque).any(axis=0)
     torque = np.where(sensed, _filled(record.torque), rigid)
-    deflection = smoothed(torque / values["joint_stiffness"] + values["offset"], record.dt)
+    stiffness = zip(values["joint_stiffness"], values[HARDENING], torque.T, strict=True)
+    zeta = [springs.root(K, cubic, tau, np) for K, cubic, tau in stiffness]
+    deflection = smoothed(np.transpose(zeta) + values["offset"], record.dt)
     q_l[:, no_link] = (q_m - deflection)[:, no_link]
     q_m[:, no_motor] = (q_l + deflection)[:, no_motor]
     (q_l, v_l, a_l), (q_m, v_m, a_m) = ([smoothed(q, record.dt, order) for order in range(3)] for q in (q_l, q_m))

@@ -22,12 +22,14 @@ from typing import Any
 
 import numpy as np
 
+from fjr_core.model import springs
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, WEAK, Estimate
 
 from .estimation_problem import Estimation
 from .filtered_fit import BLOCK, FEWEST_BLOCKS, Side, link_side, motor_side, rigid_along
 from .filtered_motion import decimated, inner
+from .parameters import HARDENING
 from .verdicts import Estimates
 
 SHARE = 0.3  # of the squares that the equation leaves, which a term explains
@@ -120,10 +122,11 @@ def _of_links(setup: Estimation, rigid: Sequence, z: Array, j: int) -> str:
 
 def _of_spring(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> str:
     """Return a sentence if the deflection of joint j is no straight line of its torque."""
-    K = float(setup.coordinates.parameters(z)["joint_stiffness"][j])
+    p = setup.coordinates.parameters(z)
+    K, cubic = float(p["joint_stiffness"][j]), float(p[HARDENING][j])
     motions = [setup.motions[k] for k in used]
     sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
-    torques = [-K * side.columns[("joint_stiffness", j)] for side in sides]
+    torques = [side.torque for side in sides]
     usual = float(np.sqrt(np.mean(np.concatenate(torques) ** 2))) / K
     if not usual:
         return ""
@@ -133,23 +136,23 @@ def _of_spring(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Seque
     rows = _rows(sides, free, periods, [side.stride for side in sides])
     pairs = list(zip(torques, sides, strict=True))
     slow = np.concatenate([decimated(torque / K, side.stride) for torque, side in pairs])
-    zeta = [decimated(side.errors + torque / K, side.stride) for torque, side in pairs]
+    zeta = [decimated(side.errors + springs.root(K, cubic, torque, np), side.stride) for torque, side in pairs]
     deflection = np.concatenate(zeta)
     slipping = np.concatenate([slipping_elements(each, usual * SLIPS) for each in zeta])
     loops = [rows.term(-slipping[:, [i]]) for i in range(len(SLIPS))]
     slip = int(np.argmax([term.share * (term.c[0] > 0) for term in loops]))
     dead, blunt = (rows.term(np.tanh(slow / usual / flat)[:, None]) for flat in (FLAT, BLUNT))
-    cubic = rows.term(deflection[:, None] ** 3)
-    if loops[slip].is_cause() and loops[slip].c[0] > 0 and loops[slip].share > max(dead.share, cubic.share):
+    curved = rows.term(deflection[:, None] ** 3)
+    if loops[slip].is_cause() and loops[slip].c[0] > 0 and loops[slip].share > max(dead.share, curved.share):
         width = 2e3 * loops[slip].c[0] * usual * SLIPS[slip]
         return f"hysteresis, loop of about {width:.2g} mrad: the deflection depends on the direction, too"
-    stiffens = cubic.c[0] < 0 and cubic.is_cause()
+    stiffens = curved.c[0] < 0 and curved.is_cause()
     sharp = dead.is_cause() and dead.c[0] > 0 and dead.share > blunt.share - APART / 2
-    if sharp and dead.share > cubic.share - APART * stiffens:
-        if stiffens and cubic.share > dead.share - APART:
+    if sharp and dead.share > curved.share - APART * stiffens:
+        if stiffens and curved.share > dead.share - APART:
             return "the spring is not linear: it is softer at small deflections, by backlash or because it stiffens"
         return f"backlash of about {2e3 * dead.c[0]:.2g} mrad: the deflection jumps where the torque changes sign"
-    return _curved(rows, deflection, cubic, K) or _of_gear(
+    return _curved(rows, deflection, curved, K) or _of_gear(
         sides, [inner(m.q_m[:, j], m.dt) for m in motions], [inner(m.v_m[:, j], m.dt) for m in motions], free, periods
     )
 

@@ -44,6 +44,11 @@ KINDS = {
     "joint_stiffness": Kind(
         "N m/rad", LOG, "the spring deflects too little against the noise; use larger loads or accelerations", 0.7
     ),
+    "cubic_stiffness": Kind(
+        "N m/rad^3",
+        NONNEGATIVE,
+        "the spring deflects too little for its curve to show; use larger loads or accelerations",
+    ),
     "motor_inertia": Kind("kg m^2", LOG, "the motor accelerates too little; use faster reversals", 0.5),
     "link_damping": Kind(
         "N m s/rad",
@@ -87,7 +92,8 @@ STATIC = ("link_static_friction", "motor_static_friction")
 TIMING = ("effort_delay", "link_skew", "torque_skew")
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
 """Parameters of the equations of motion."""
-USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC))
+HARDENING = "cubic_stiffness"
+USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC, HARDENING))
 """Parameters that are free by default."""
 LARGEST_SKEW = 8e-3  # s
 
@@ -96,18 +102,19 @@ LARGEST_SKEW = 8e-3  # s
 class IdentifyOptions:
     """What is identified.
 
-    free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload: free
-    these, too (the payload is a point mass on the last link). link_inertia: free a correction of mass and inertia of
-    each link, positive definite and near the robot's own. position_torque: joint with a torque sum_k a_k sin k q +
-    b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. stribeck [rad/s]: velocity of the friction
-    model, scalar or one per joint. segment [s]: length of the pieces of the record that are predicted;
-    None: from the resonances. threads: number of segments evaluated at the same time.
+    free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload,
+    cubic_stiffness: free these, too (the payload is a point mass on the last link). link_inertia: free a correction of
+    mass and inertia of each link, positive definite and near the robot's own. position_torque: joint with a torque
+    sum_k a_k sin k q + b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. stribeck [rad/s]:
+    velocity of the friction model, scalar or one per joint. segment [s]: length of the pieces of the record that are
+    predicted; None: from the resonances. threads: number of segments evaluated at the same time.
     """
 
     free: tuple[str, ...] = USUAL
     joints: tuple[str, ...] = ()
     static_friction: bool = False
     payload: bool = False
+    cubic_stiffness: bool = False
     link_inertia: bool = False
     position_torque: str = ""
     stribeck: ArrayLike = 0.1
@@ -125,6 +132,7 @@ class IdentifyOptions:
     def names(self) -> tuple[str, ...]:
         """Return the names of all free parameters."""
         chosen = [*self.free, *(STATIC if self.static_friction else ()), *(PAYLOAD if self.payload else ())]
+        chosen += [HARDENING] if self.cubic_stiffness else []
         chosen += PSEUDO_INERTIA if self.link_inertia else ()
         chosen += POSITION_TORQUE if self.position_torque else ()
         return tuple(name for name in KINDS if name in chosen)
@@ -151,6 +159,7 @@ class Prior:
         """
         of_robot: dict[str, ArrayLike] = {
             "joint_stiffness": _diagonal("K", robot.K),
+            HARDENING: 0.0 if robot.cubic is None else robot.cubic,
             "motor_inertia": _diagonal("M_m", robot.M_m),
             "link_damping": _diagonal("D_l", robot.D_l),
             "motor_damping": _diagonal("D_m", robot.D_m),

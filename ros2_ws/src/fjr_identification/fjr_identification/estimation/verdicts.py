@@ -21,7 +21,7 @@ from .intervals import interval, posterior
 from .motion_record import MotionRecord
 from .multiple_shooting import NormalEquations, PredictedSegments
 from .optimise import bounded_step
-from .parameters import KINDS, PAYLOAD, SMOOTHING
+from .parameters import HARDENING, KINDS, PAYLOAD, SMOOTHING
 
 SHARP = 0.25
 """Standard deviation of an identified parameter: of its logarithm, or relative to its size or to its prior's width."""
@@ -31,10 +31,19 @@ STILL = 2e-3  # rad; a joint that moves less stands still
 WORSE = 1.1  # root mean square residual of some signal, relative to that of the most likely parameters
 LESS_LIKELY = 2.0  # of -log L, half the 95 % quantile of chi^2
 CORRELATED = 0.9
-PRISMATIC_UNITS = {"N m/rad": "N/m", "kg m^2": "kg", "N m s/rad": "N s/m", "N m": "N", "rad": "m", "rad/s": "m/s"}
+PRISMATIC_UNITS = {
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+    "kg m^2": "kg",
+    "N m s/rad": "N s/m",
+    "N m": "N",
+    "rad": "m",
+    "rad/s": "m/s",
+}
 _RESONANCE = "without a link encoder only the resonance determines it; excite the joint near its resonance"
 WITHOUT_LINK = {
     "joint_stiffness": _RESONANCE,
+    HARDENING: _RESONANCE,
     "link_damping": _RESONANCE,
     "link_coulomb_friction": _RESONANCE,
     "link_static_friction": _RESONANCE,

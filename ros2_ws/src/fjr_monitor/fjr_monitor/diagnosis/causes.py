@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from fjr_core.law.linearized import equilibria_at, feedback, plant_matrices
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
-from fjr_core.monitoring.thresholds import (
+from fjr_core.numerics.checks import Array
+from fjr_core.stability.linear_controller import momentum_matrix
+from fjr_core.stability.linearization import SampledLoop
+from fjr_monitor.diagnosis.delay_estimation import Acting
+from fjr_monitor.diagnosis.record import Innovations, foreseen
+
+from .thresholds import (
     AT_LIMIT,
     BLOCK,
     GAP,
@@ -34,11 +40,6 @@ from fjr_core.monitoring.thresholds import (
     UNSURE,
     Axes,
 )
-from fjr_core.numerics.checks import Array
-from fjr_core.stability.linear_controller import momentum_matrix
-from fjr_core.stability.linearization import SampledLoop
-from fjr_monitor.diagnosis.delay_estimation import Acting
-from fjr_monitor.diagnosis.record import Innovations, foreseen
 
 CAUSES = ("model mismatch", "saturation", "delay", "loss")
 CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.model.robot import Robot
-from fjr_core.monitoring import thresholds
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Innovations, needed
+
+from . import thresholds
 
 BEFORE = 2 * thresholds.OLDEST + 2
 """Intervals before a part of which the sent efforts, or their changes, may still act in it."""

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.monitoring import thresholds
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
-from fjr_core.monitoring.thresholds import Axes
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
 from fjr_core.stability.linearization import linearize
 
+from . import thresholds
 from .causes import (
     CAUSES,
     CauseErrors,
@@ -36,6 +35,7 @@ from .causes import (
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
 from .fault_isolation import LONGEST, UNKNOWN, Finding, isolate
 from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
+from .thresholds import Axes
 
 SAMPLING, SATURATION = "sampling", "saturation"
 NO_DECAY = "V does not decay as guaranteed"

@@ -16,7 +16,6 @@ import numpy as np
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Certificate, Prediction
-from fjr_core.monitoring.thresholds import BLOCK, LONGEST_GAP
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
@@ -27,6 +26,7 @@ from .delay_estimation import acting, effort_delay
 from .hypotheses import Finding, Hypothesis, hypotheses
 from .record import Record, consecutive, innovations, needed
 from .residuals import FEWEST_BLOCKS, Residuals, block_means, deviation, residuals
+from .thresholds import BLOCK, LONGEST_GAP
 
 UNKNOWN = "unknown"
 EXPLAINED = 0.8

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from fjr_core.errors import StateError
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, Prediction
-from fjr_core.monitoring.thresholds import BLOCK, LONGEST, OLDEST, Axes
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.c_library import record_type
 from fjr_core.numerics.checks import Array
@@ -36,6 +35,8 @@ from fjr_monitor.diagnosis.causes import (
 from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, Judged, unknown
 from fjr_monitor.diagnosis.record import Innovations, needed
+
+from .thresholds import BLOCK, LONGEST, OLDEST, Axes
 
 _FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
 """Fields of Innovations, with the names of struct fjr_certified."""

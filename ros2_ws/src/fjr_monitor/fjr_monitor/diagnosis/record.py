@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
-from fjr_core.monitoring.thresholds import LONGEST_GAP
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints, span
+
+from .thresholds import LONGEST_GAP
 
 LEAD = 2
 """States of the part before that a part of a record repeats: an interval needs the effort before it."""

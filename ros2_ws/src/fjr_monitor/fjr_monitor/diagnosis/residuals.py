@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Prediction
-from fjr_core.monitoring.thresholds import BLOCK
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.delay_estimation import Acting, acting, effort_delay
 from fjr_monitor.diagnosis.record import Innovations, Record, consecutive, foreseen, held, needed
+
+from .thresholds import BLOCK
 
 FEWEST_BLOCKS = 20
 """Smallest number of blocks of a regression."""

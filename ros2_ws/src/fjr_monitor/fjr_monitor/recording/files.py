@@ -276,7 +276,7 @@ class _SqliteFile:
     """A SQLite file of rosbag2, read by increasing number of message; damaged places are left out."""
 
     def __init__(self, path: Path, contents: Contents) -> None:
-        self._path, self._contents = path, contents
+        self._path, self._contents, self._before = path, contents, contents.count
         self._topics: dict[int, Topic] = {}
         self._invalid = self._gaps = 0
 
@@ -293,7 +293,8 @@ class _SqliteFile:
             raise BagError(f"{self._path} is not a readable SQLite bag: {error}") from error
         name, notes = self._path.name, self._contents.notes
         if self._gaps:
-            notes.append(f"{name} is damaged in {plural(self._gaps, 'place')}; the messages there are lost")
+            read = plural(self._contents.count - self._before, "message")
+            notes.append(f"{name} is damaged in {plural(self._gaps, 'place')}; {read} read, those there are lost")
         if self._invalid:
             notes.append(f"{name}: {plural(self._invalid, 'message')} of no known topic or without a time left out")
         return not self._gaps

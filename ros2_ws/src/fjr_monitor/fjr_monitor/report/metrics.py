@@ -16,7 +16,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fjr_core.config.controller import axes
 from fjr_core.config.law import robust as build_robust
 from fjr_core.config.scenario import Scenario
 from fjr_core.files import importing
@@ -26,6 +25,7 @@ from fjr_core.model.robot import joined
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, PartwiseDiagnosis, unknown
+from fjr_monitor.diagnosis.thresholds import Axes
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.recording.signals import ControllerStop
 from fjr_monitor.recording.timing import Clock, Counts, Timing
@@ -176,7 +176,7 @@ class Metrics:
         visited, law = Visited(run.scenario, run.states), run.scenario.certified_law
         self._diagnosis: PartwiseDiagnosis | None = None
         if law is not None:
-            scales = axes(run.scenario.controller_values, run.scenario.robot)
+            scales = Axes.of(run.scenario.controller_values, run.scenario.robot)
             self._diagnosis = PartwiseDiagnosis(law, run.states, run.step, not run.lockstep, scales)
         self.efforts_known = self.energy_known = self._storage_known = False
         for part in run.parts():

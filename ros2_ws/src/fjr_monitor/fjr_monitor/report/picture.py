@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw the plots of a page with Matplotlib, for a picture in a file."""
+"""Draw the plots of a page with Matplotlib, which may be missing, for a picture in a file."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from fjr_monitor.report.html import Line, Plot, drawable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -34,6 +40,22 @@ STYLE = {
     "axes.axisbelow": True,
     "savefig.dpi": 150,
 }
+
+
+def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> Path | None:
+    """Write a figure of this size [inch] that `draw` fills; return its path, or None and say so without Matplotlib."""
+    try:
+        import matplotlib as mpl  # half a second of imports
+        from matplotlib.figure import Figure
+    except ImportError:
+        missing = "Matplotlib is not installed; expected it from: pip install matplotlib"
+        print(f"fjr: {path} is left out: {missing}", file=sys.stderr)
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        figure.savefig(path, pil_kwargs={"compress_level": 3})
+    return path
 
 
 def draw_plot(ax: Axes, plot: Plot, width: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +14,12 @@ from fjr_monitor.recording.timing import CountedTimes
 from fjr_monitor.report import html
 from fjr_monitor.report.html import ArmReplay, Line, Plot, colour, drawable
 from fjr_monitor.report.metrics import Report
+from fjr_monitor.report.picture import SHADES, draw_plot
 from fjr_monitor.report.shown import Shown
 from fjr_msgs_py.console.output import milliseconds, number, percent, plural
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FEW = 2  # joints; with more, efforts are shown in percent of their limits first
 BINS = 60  # of a histogram
@@ -30,13 +35,9 @@ def write_run_page(path: Path, data: Shown, report: Report, arm: ArmReplay | Non
     html.write_page(path, "run.html", title, plots, arm, report=report, json=html.as_json(report.as_json()))
 
 
-def draw_overview(name: str, data: Shown, report: Report, folder: Path) -> Path:
-    """Write overview.png, six plots of the page, into the folder and return its path."""
-    import matplotlib as mpl  # half a second of imports
-    from matplotlib.figure import Figure
+def draw_overview(name: str, data: Shown, report: Report, figure: Figure) -> None:
+    """Draw six plots of the page."""
     from matplotlib.lines import Line2D
-
-    from fjr_monitor.report.picture import SHADES, STYLE, draw_plot
 
     plots = RunPlots(data, report)
     storage = plots.storage()
@@ -45,21 +46,16 @@ def draw_overview(name: str, data: Shown, report: Report, folder: Path) -> Path:
         title = "The robot's energy (this law has no certificate)"
         storage = Plot("energy", title, "", data.states["t"], energy, y_label="H [J]")
     shown = (plots.tracking(), plots.error(), storage, plots.effort(), plots.period(), plots.latency())
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(14.0, 8.0))
-        margins = {"left": 0.05, "right": 0.99, "bottom": 0.1, "top": 0.86, "wspace": 0.2, "hspace": 0.48}
-        axes = figure.subplots(2, 3, gridspec_kw=margins)  # an automatic layout takes as long as the drawing
-        for ax, plot in zip(axes.flat, shown, strict=True):
-            draw_plot(ax, plot, WIDTH)
-        joints = data.run.joints if len(data.run.joints) > 1 else []
-        shown_by = [Line2D([], [], color=SHADES[colour(j)], label=joint) for j, joint in enumerate(joints)]
-        figure.legend(handles=shown_by, loc="lower center", ncols=8, frameon=False)
-        clock = "in lock-step" if report.lockstep else "in real time"
-        title = f"{name}: plant and controller as two ROS 2 nodes, {1.0 / report.sample_period_s:g} Hz {clock}"
-        figure.suptitle(title, fontsize=13, x=0.01, y=0.98, ha="left")
-        path = folder / "overview.png"
-        figure.savefig(path, pil_kwargs={"compress_level": 3})
-    return path
+    figure.set_layout_engine("none")  # an automatic layout takes as long as the drawing
+    margins = {"left": 0.05, "right": 0.99, "bottom": 0.1, "top": 0.86, "wspace": 0.2, "hspace": 0.48}
+    for ax, plot in zip(figure.subplots(2, 3, gridspec_kw=margins).flat, shown, strict=True):
+        draw_plot(ax, plot, WIDTH)
+    joints = data.run.joints if len(data.run.joints) > 1 else []
+    shown_by = [Line2D([], [], color=SHADES[colour(j)], label=joint) for j, joint in enumerate(joints)]
+    figure.legend(handles=shown_by, loc="lower center", ncols=8, frameon=False)
+    clock = "in lock-step" if report.lockstep else "in real time"
+    title = f"{name}: plant and controller as two ROS 2 nodes, {1.0 / report.sample_period_s:g} Hz {clock}"
+    figure.suptitle(title, fontsize=13, x=0.01, y=0.98, ha="left")
 
 
 class RunPlots:

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from fjr_monitor.recording.files import files_of
 from fjr_monitor.recording.run import Recording
 from fjr_monitor.report.comparison_page import Claim, write_comparison
 from fjr_monitor.report.metrics import Metrics, Report
+from fjr_monitor.report.picture import write_picture
 from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
@@ -62,8 +64,9 @@ def report_run(
     known = {"not_recorded": dict(skipped or {}), "failure": failure, "provenance": provenance()}
     summary = report_bag(name, bag, scenario, folder, duration, pages, **known)
     if pages and summary.data.metrics.energy_known and summary.data.metrics.efforts_known:
+        draw = partial(draw_overview, name, summary.data, summary.report)
         with without_warnings():
-            write_with_fallback(summary.folder, lambda place: draw_overview(name, summary.data, summary.report, place))
+            write_with_fallback(summary.folder, lambda place: write_picture(place / "overview.png", (14.0, 8.0), draw))
     return summary
 
 

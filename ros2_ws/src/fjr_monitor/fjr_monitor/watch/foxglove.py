@@ -25,8 +25,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from fjr_core.errors import FjrError, RobotError
-from fjr_core.urdf.tree import LinkPose, UrdfFrames
 from fjr_monitor.recording.topic import definition
+from fjr_monitor.scene import LinkPose, UrdfFrames
 from fjr_monitor.watch.app import drained
 from fjr_msgs_py import names
 from fjr_msgs_py.node.participant import own_node

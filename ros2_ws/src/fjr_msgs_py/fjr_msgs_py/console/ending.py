@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +14,7 @@ from enum import IntEnum
 from pathlib import Path
 from types import FrameType
 
-from ..node.loading import SIGNALS
+from ..node.loading import SIGNALS, signals_blocked
 
 
 class Exit(IntEnum):
@@ -57,6 +60,33 @@ def stoppable() -> Iterator[threading.Event]:
     finally:
         for number, handler in zip(SIGNALS, previous, strict=True):
             signal.signal(number, handler)
+
+
+_PR_SET_PDEATHSIG = 1  # sys/prctl.h of Linux
+
+
+def in_own_session() -> int | None:
+    """Go on in a child process with a session of its own: return None there, and here its exit code once it has ended.
+
+    Linux divides the cores among sessions (autogroup, sched(7)): a recorder in the session of a terminal waits for as
+    long as a second while other programs of that terminal are busy. SIGINT and SIGTERM are passed on; the child gets
+    SIGTERM when this process dies. Call it before any thread is started.
+    """
+    if sys.platform != "linux":
+        return None
+    parent = os.getpid()
+    with signals_blocked():
+        child = os.fork()
+        if child == 0:
+            os.setsid()
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+            if os.getppid() != parent:
+                os._exit(Exit.INTERRUPTED)
+            return None
+        for number in SIGNALS:
+            signal.signal(number, lambda received, _: os.kill(child, received))
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return code if code >= 0 else 128 - code
 
 
 def interruptible() -> None:

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * The middleware announces messages by a callback on a thread of its own, which wakes this one by a semaphore.
  */
+#include <dirent.h>
 #include <errno.h>
 #include <pthread.h>
 #include <sched.h>
@@ -170,13 +171,18 @@ static int one_round(struct fjr_loop* loop) {
   return outcome;
 }
 
-/* Confine this thread to the last core it may use, if the system allows it; scheduling.py does the same with the
- * threads of the middleware, says why, and reports the core. */
+/* Confine this thread to the last core that a thread of this process may use, if the system allows it; scheduling.py
+ * does the same with the threads of the middleware, says why, and reports the core, which Python has left. */
 static void keep_to_last_core(void) {
-  cpu_set_t cores;
+  cpu_set_t cores, own;
   int last = CPU_SETSIZE - 1;
-  if (sched_getaffinity(0, sizeof cores, &cores)) return;
-  while (last > 0 && !CPU_ISSET(last, &cores)) --last;
+  DIR* threads = opendir("/proc/self/task");
+  CPU_ZERO(&cores);
+  for (struct dirent* each; threads && (each = readdir(threads));)
+    if (!sched_getaffinity(atoi(each->d_name), sizeof own, &own)) CPU_OR(&cores, &cores, &own);
+  if (threads) closedir(threads);
+  while (last >= 0 && !CPU_ISSET(last, &cores)) --last;
+  if (last < 0) return;
   CPU_ZERO(&cores);
   CPU_SET(last, &cores);
   (void)sched_setaffinity(0, sizeof cores, &cores);

@@ -187,13 +187,6 @@ class NativeLoop:
         self._held.close()
         _running.discard(self)
 
-    def close(self) -> None:
-        """End the thread and free its memory."""
-        self.stop()
-        if self.pointer:
-            self._program.ffi.release(self.pointer)
-            self.pointer = self._program.ffi.NULL
-
     def request(self, kind: int, argument: Any = None) -> int:
         """Let the thread call the host's on_request between two messages; return the result."""
         ffi = self._program.ffi

@@ -114,24 +114,28 @@ def take_short_slices() -> int:
 
 
 def keep_to_last_core() -> int | None:
-    """Confine the other threads with ordinary scheduling to the last core that this process may use.
+    """Confine the other threads with ordinary scheduling to the last core of this process, and this one to the rest.
 
-    Return that core; None if the system refuses it.
+    Return that core; None if the system refuses it. The calling thread is Python's.
 
     Linux divides the share of a session (its autogroup) among the cores by the load on each. A loop that changes its
     core, or whose middleware runs on another, meets cores on which its session has next to no share, and waits there
     for up to 0.1 s while other sessions are busy. On one core the session keeps its share. The native loop does the
     same (loop.c).
     """
-    core = max(os.sched_getaffinity(0))
-    for thread in set(_threads()) - {threading.get_native_id()}:
-        try:
-            if _policy(thread) == os.SCHED_OTHER:
-                os.sched_setaffinity(thread, {core})
-        except ProcessLookupError:  # the thread has ended
-            pass
-        except OSError:
-            return None
+    cores: set[int] = set()
+    try:
+        for thread in _threads():
+            with suppress(ProcessLookupError):  # the thread has ended
+                cores |= os.sched_getaffinity(thread)
+        core = max(cores)
+        os.sched_setaffinity(0, cores - {core} or cores)
+        for thread in set(_threads()) - {threading.get_native_id()}:
+            with suppress(ProcessLookupError):
+                if _policy(thread) == os.SCHED_OTHER:
+                    os.sched_setaffinity(thread, {core})
+    except (OSError, AttributeError):
+        return None
     return core
 
 

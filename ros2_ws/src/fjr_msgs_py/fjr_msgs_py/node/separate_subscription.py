@@ -52,7 +52,7 @@ class SeparateSubscription:
             enable_rosout=False,
             start_parameter_services=False,
         )
-        inbox.create_subscription(kind, topic, self._forward, 10, raw=True)
+        self._subscription = inbox.create_subscription(kind, topic, self._forward, 10, raw=True)
         executor = SingleThreadedExecutor(context=self._context)
         executor.add_node(inbox)
         self._created.set()

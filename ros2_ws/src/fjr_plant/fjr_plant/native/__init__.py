@@ -7,9 +7,6 @@ from functools import cache
 
 from fjr_msgs_py.native.program import Program
 
-NO_TIME = 2**63 - 1
-"""FJR_NO_TIME."""
-
 
 @cache
 def plant_program() -> Program:

@@ -22,6 +22,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.motions.inverse_dynamics import MotorMotion
 from fjr_core.motions.reference import JETS
@@ -122,10 +123,14 @@ class DeviationModel:
     """CasADi functions of the deviation under a static law and its robot; n joints.
 
     Arguments: path (n, 6) q_lc .. d5q_lc of the centre motion, jets (n, 6) q_ld .. d5q_ld of the reference, z (4n,),
-    c and f (7,) factors of the centre motion and of the robot.
+    c and f (7,) factors of the centre motion and of the robot. Raises ParameterError for springs that harden.
     """
 
     def __init__(self, law: StaticLaw) -> None:
+        if law.robot.cubic is not None:
+            raise ParameterError(
+                "the robot has a cubic_stiffness; expected straight springs for a proof of the sampled loop"
+            )
         self.law, self.robot, self.n = law, law.robot, law.robot.n
         self._path, self._jets = (ca.SX.sym(name, self.n, DERIVATIVES) for name in ("path", "jets"))
         self._z, (self._c, self._f) = ca.SX.sym("z", 4 * self.n), (ca.SX.sym(name, len(FACTORS)) for name in "cf")

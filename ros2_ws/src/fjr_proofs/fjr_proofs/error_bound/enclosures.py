@@ -12,14 +12,13 @@ import numpy as np
 
 from fjr_core.errors import StateError
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.symbolic import columnwise
 from fjr_core.stability.linearization import split
 
 from ..verification.taylor_models import Shape, TaylorModels, taylor_function
 from .cells import CellTimes
 from .deviation_model import FACTORS
 from .linear_loop import KnownErrors, LinearLoop
-from .peak_gains import ROUNDING
+from .peak_gains import ROUNDING, columnwise
 
 SAMPLED = 24  # cells at which ranges that are not verified are evaluated
 POINTS = 4  # of tube and factors at each instant: their middle, and random corners

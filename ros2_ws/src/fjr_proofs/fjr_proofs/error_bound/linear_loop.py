@@ -17,12 +17,11 @@ from scipy.linalg import block_diag
 from fjr_core.law.linearized import Indices
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.symbolic import columnwise
 from fjr_core.stability.linear_controller import static
 from fjr_core.stability.linearization import held_maps, map_of_held, split
 
 from .deviation_model import CentreMotion, DeviationModel
-from .peak_gains import ROUNDING, CellModels, curvature
+from .peak_gains import ROUNDING, CellModels, columnwise, curvature
 
 
 class ModalCoordinates:

@@ -17,6 +17,7 @@ from functools import reduce
 from os import cpu_count
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from fjr_core.law.linearized import Indices
@@ -116,3 +117,17 @@ def _chained(models: CellModels, samples: int) -> tuple[Array, Array, Array]:
         bent = bent + np.abs(power) @ models.curvature
         power = power @ models.loop
     return power, np.concatenate(beside, axis=2), bent
+
+
+def columnwise(function: ca.Function, *arguments: Array) -> list[Array]:
+    """Return the outputs (size, k) of a function at k columns of its arguments (size, k), in column-major order."""
+    k = arguments[0].shape[1]
+    given = []
+    for i, columns in enumerate(arguments):  # as matrices (rows, k columns) side by side
+        rows, width = function.size_in(i)
+        given.append(columns.T.reshape(k, width, rows).transpose(2, 0, 1).reshape(rows, -1))
+    results, found = function.map(k)(*given), []
+    for i, matrices in enumerate(results if isinstance(results, tuple) else (results,)):
+        rows, width = function.size_out(i)
+        found.append(matrices.full().reshape(rows, k, width).transpose(2, 0, 1).reshape(rows * width, k))
+    return found

@@ -22,7 +22,7 @@ from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import one_line
-from fjr_core.stability.sampled_loop import checked_times
+from fjr_core.stability.linearization import checked_times
 
 from ..verification.taylor_models import taylor_function
 from .cells import Cells, cells_of

@@ -26,7 +26,6 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Certificate
-from fjr_core.monitoring.thresholds import LONGEST
 from fjr_core.numerics.checks import MOTOR
 from fjr_core.numerics.parameter_field import Parameter, declared
 from fjr_core.runtime.events import KINDS, SENTENCES, level_of
@@ -35,6 +34,7 @@ from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfection
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
 from fjr_core.urdf.tree import parse_xml
 from fjr_core.version import __version__
+from fjr_monitor.diagnosis.thresholds import LONGEST
 
 from ..c_code import comment, filled, number, numbers, quoted
 from ..project import recorded_case

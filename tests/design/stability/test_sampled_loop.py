@@ -16,8 +16,8 @@ import fjr_core as fjr
 from core.oracles.chains import arm7
 from fjr_core.law.linearized import equilibria_at, plant_matrices
 from fjr_core.model.configuration_sampling import loop_configurations, sample_configurations
-from fjr_core.stability.linearization import closed_form, linearize
-from fjr_core.stability.sampled_loop import check, spectral_radius
+from fjr_core.stability.linearization import closed_form, linearize, spectral_radius
+from fjr_design.stability.sampled_loop import check
 
 SAMPLES = 400  # of a simulated run: 0.98^400 = 3e-4, 1.02^400 = 3e3
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...errors import ParameterError
-from ...numerics.checks import Array, floats, freeze
+from fjr_core.errors import ParameterError
+from fjr_core.numerics.checks import Array, floats, freeze
 
 POSITIVE, NONNEGATIVE, SIGNED = "positive", "non-negative", "signed"
 JOINT, RUN, POINT = "joint", "run", "point"

@@ -18,8 +18,8 @@ from fjr_core import ParameterError, StateError
 from fjr_core.numerics import jit as jit_cache
 from fjr_core.runtime.library import c_text
 from fjr_core.runtime.measurement_model import Measurement
-from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, draws, program
-from fjr_core.simulation.batch.closed_loop import FIELDS as OUTCOMES
+from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws, program
+from fjr_design.batch.closed_loop import FIELDS as OUTCOMES
 
 PERIOD = 1e-3
 AGREE = 1e-9

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.stability.test_sampled_loop import elastic_modes, scaled
+from design.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS, law_kind
 from fjr_core.law.interfaces import SampledLaw
@@ -21,8 +21,8 @@ from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
 from fjr_core.stability.linear_controller import Sensing, controller
-from fjr_core.stability.linearization import linearize, on_plant
-from fjr_core.stability.sampled_loop import check, refuse_fast_integral, spectral_radius
+from fjr_core.stability.linearization import linearize, on_plant, refuse_fast_integral, spectral_radius
+from fjr_design.stability.sampled_loop import check
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 

@@ -15,14 +15,16 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 
-from ...errors import ParameterError
-from ...model.port_hamiltonian import Plant, derivative_expression, gradient_expression
-from ...model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
-from ...model.robot import Robot
-from ...numerics import integrators, symbolic
-from ...numerics.checks import Array
-from ...numerics.symbolic import PackedVector, dense_function
-from ..nonideal_plant import friction
+from fjr_core.errors import ParameterError
+from fjr_core.model import springs
+from fjr_core.model.port_hamiltonian import Plant, derivative_expression, gradient_expression
+from fjr_core.model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
+from fjr_core.model.robot import Robot
+from fjr_core.numerics import integrators, symbolic
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.symbolic import PackedVector, dense_function
+from fjr_core.simulation.nonideal_plant import friction
+
 from .draws import PARAMETERS
 
 SCALED = tuple(each.name for each in PARAMETERS.values() if each.is_factor)
@@ -70,6 +72,7 @@ class ScaledRobot:
     n: int
     links: RigidArm
     K: ca.SX
+    cubic: ca.SX | None
     D_l: ca.SX
     D_m: ca.SX
     B_m: ca.SX
@@ -151,12 +154,12 @@ class ParametricPlant:
         return dense_function(name, s, {"x": ca.vertcat(position, p_l, p_m)})
 
     def torque(self, name: str) -> ca.Function:
-        """Return the function (position (2n,), parameters) -> spring torque K (q_m - q_l) (n,)."""
+        """Return the function (position (2n,), parameters) -> torque of the springs (n,)."""
         n = self.robot.n
         s = symbolic.symbols(position=2 * n, parameters=layout(n).size)
         position, parameters = s.values()
         _, robot = self._drawn(parameters)
-        return dense_function(name, s, {"torque": robot.K @ (position[n:] - position[:n])})
+        return dense_function(name, s, {"torque": springs.torque(robot, position[n:] - position[:n])})
 
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
         own, p = self.robot, layout(self.robot.n).named(parameters)
@@ -167,6 +170,7 @@ class ParametricPlant:
             n=own.n,
             links=links,
             K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
+            cubic=None if own.cubic is None else p.stiffness**2 * ca.DM(own.cubic),
             D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
             D_m=_both_sides(p.motor_damping, symbolic.sparse(own.D_m)),
             B_m=symbolic.sparse(own.B_m),

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from .tree import MOVING, UrdfTree
+from fjr_core.urdf.tree import MOVING, UrdfTree
 
 HAND = re.compile(
     r"finger|gripper|thumb|knuckle|jaw|claw|grasp|allegro|(?:^|_)hand_|(?:index|middle|ring|little|pinky)_?(?:\d|joint|prox|dist|inter|mid)"

@@ -11,18 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...errors import StateError
-from ...law.interfaces import SampledLaw
-from ...model.port_hamiltonian import Plant
-from ...model.robot import Robot
-from ...motions.reference import Reference
-from ...numerics import checks
-from ...numerics.checks import Array
-from ...runtime.events import KINDS, STARTS_REFUSED, STOPS
-from ...runtime.measurement_model import Measurement
-from ...runtime.safety_settings import Settings
-from ...runtime.velocity_observer import VelocityObserver
-from ..closed_loop import check_joints
+from fjr_core.errors import StateError
+from fjr_core.law.interfaces import SampledLaw
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.model.robot import Robot
+from fjr_core.motions.reference import Reference
+from fjr_core.numerics import checks
+from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import KINDS, STARTS_REFUSED, STOPS
+from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.safety_settings import Settings
+from fjr_core.runtime.velocity_observer import VelocityObserver
+from fjr_core.simulation.closed_loop import check_joints
+
 from . import parametric_robot
 from .draws import Draws
 from .program import BatchProgram

@@ -17,17 +17,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import GainsError, StateError
-from ..law.interfaces import SampledLaw, StaticLaw, check_law, static_part
-from ..law.linearized import Indices, equilibria_at
-from ..law.vdpbc import TrackingLaw
-from ..model.configuration_sampling import sample_configurations
-from ..model.port_hamiltonian import Plant
-from ..numerics.checks import Array, positive
-from ..numerics.one_line import one_line
-from ..robust.law import Robust, sampled_law
-from .linear_controller import Sensing
-from .linearization import SampledLoop, closed_form, linearize, loop_configurations
+from fjr_core.law.interfaces import SampledLaw, StaticLaw, check_law, static_part
+from fjr_core.law.linearized import Indices, equilibria_at
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import one_line
+from fjr_core.stability.linear_controller import Sensing
+from fjr_core.stability.linearization import SampledLoop, checked_times, closed_form, linearize, loop_configurations
 
 FEW = 48  # up to so many configurations, margins are searched at all of them
 KEPT = 16  # configurations of the largest radius at each screened delay, at which margins are searched
@@ -41,10 +38,6 @@ ROUNDS = 8  # checks of all configurations
 HIGHEST_RATE = 1e5  # Hz; highest sample rate considered
 LOWEST_RATE = 1.0  # Hz
 MOST_SAMPLES_OF_DELAY = 10  # rates at which the given delay exceeds this many samples are not considered
-INTEGRAL_GAINS = ("integral_gain", "motor_integral_gain")
-FEW_FOR_INTEGRAL = 3  # sampled configurations at which the loop with integral action is evaluated
-BISECTIONS = 7  # of the logarithm of the factor on the integral gains, between LEAST_FACTOR and 1
-LEAST_FACTOR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,19 +64,6 @@ class SampledCheck:
     closely: Array
 
     __repr__ = one_line
-
-
-def spectral_radius(
-    law: SampledLaw,
-    sample_period: float,
-    delay: float = 0.0,
-    configurations: ArrayLike | None = None,
-    plant: Plant | None = None,
-    sensing: Sensing | None = None,
-) -> Array:
-    """Return the spectral radii (k,) of the sampled loop at configurations (k, n); below 1: stable. See `check`."""
-    checked_times(sample_period, delay)
-    return linearize(law, configurations, plant, sensing).radii(sample_period, delay)
 
 
 def check(
@@ -219,41 +199,3 @@ def _last_stable(stable: Callable[[float], bool], points: Array, tolerance: floa
             good, point = (middle, point) if stable(middle) else (good, middle)
         break
     return good
-
-
-def checked_times(sample_period: float, delay: float) -> None:
-    """Raise StateError unless the sample period [s] is positive and the delay [s] is not negative."""
-    positive("sample_period", sample_period, StateError)
-    if not (np.isfinite(delay) and delay >= 0):
-        raise StateError(f"delay is {delay} s; expected 0 or more")
-
-
-def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
-    """Raise GainsError if integral action makes an otherwise stable loop unstable at sample period robust.hold [s].
-
-    The loop consists of the law and its own robot, linearised at a few equilibria, with the delay robust.delay [s].
-    """
-    if not robust.integrates:
-        return
-    configurations = sample_configurations(law.robot, FEW_FOR_INTEGRAL)
-
-    def stable(factor: float) -> bool:
-        rates = {name: factor * np.asarray(getattr(robust, name)) for name in INTEGRAL_GAINS}
-        sampled = sampled_law(law, replace(robust, **rates))  # type: ignore[arg-type]
-        return bool(spectral_radius(sampled, robust.hold, robust.delay, configurations).max() < 1)
-
-    def listed(rates: Array) -> str:
-        return "[" + ", ".join(f"{rate:.2g}" for rate in np.atleast_1d(rates)) + "]"
-
-    if stable(1.0) or not stable(0.0):
-        return
-    low, high = LEAST_FACTOR, 1.0
-    for _ in range(BISECTIONS):
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if stable(middle) else (low, middle)
-    gains = {name: np.asarray(getattr(robust, name)) for name in INTEGRAL_GAINS if np.any(getattr(robust, name))}
-    given = ", ".join(f"{name} is {listed(gain)}" for name, gain in gains.items())
-    most = " and ".join(listed(low * gain) for gain in gains.values())
-    raise GainsError(
-        f"{given} 1/s, which makes the loop unstable at a hold of {robust.hold:g} s; expected at most {most} 1/s"
-    )

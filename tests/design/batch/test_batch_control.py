@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.simulation.test_batch import normals
+from design.batch.test_batch import normals
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import load_scenario
 from fjr_core.numerics.symbolic import NumericFunction
@@ -20,8 +20,8 @@ from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.simulation.batch import ClosedLoop, Draws, Outcomes, Recorded
-from fjr_core.simulation.batch.parametric_robot import NAMES, ParametricPlant, vector
+from fjr_design.batch import ClosedLoop, Draws, Outcomes, Recorded
+from fjr_design.batch.parametric_robot import NAMES, ParametricPlant, vector
 from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.scenarios import installed
 

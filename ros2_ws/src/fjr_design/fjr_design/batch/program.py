@@ -14,21 +14,22 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ...errors import StateError
-from ...files.importing import source_digest
-from ...law.interfaces import SampledLaw, in_python, raise_failure, static_part
-from ...model.port_hamiltonian import Plant
-from ...model.robot import Robot
-from ...motions.reference import Reference
-from ...numerics import jit
-from ...numerics.c_library import ffi_of
-from ...numerics.jit import program_digest
-from ...runtime.library import HEADER, CFunction, StepLibrary, c_text, declarations, text
-from ...runtime.measurement_model import Measurement
-from ...runtime.reference import ReferenceStruct
-from ...runtime.safety_settings import Settings
-from ...runtime.structs import Model, model_functions, settings_struct
-from ...runtime.velocity_observer import VelocityObserver
+from fjr_core.errors import StateError
+from fjr_core.files.importing import source_digest
+from fjr_core.law.interfaces import SampledLaw, in_python, raise_failure, static_part
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.model.robot import Robot
+from fjr_core.motions.reference import Reference
+from fjr_core.numerics import jit
+from fjr_core.numerics.c_library import ffi_of
+from fjr_core.numerics.jit import program_digest
+from fjr_core.runtime.library import HEADER, CFunction, StepLibrary, c_text, declarations, text
+from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.reference import ReferenceStruct
+from fjr_core.runtime.safety_settings import Settings
+from fjr_core.runtime.structs import Model, model_functions, settings_struct
+from fjr_core.runtime.velocity_observer import VelocityObserver
+
 from .parametric_robot import ParametricPlant
 
 LANES = 4

@@ -10,9 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import StateError
-from ..law.vdpbc import TrackingLaw
-from ..numerics.checks import Array, vector
+from fjr_core.config.controller import CERTIFICATE_TOLERANCE
+from fjr_core.config.parameter import Values, names, vector
+from fjr_core.errors import StateError
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.robot import Robot
+from fjr_core.numerics import checks
+from fjr_core.numerics.checks import Array
 
 BLOCK = 20
 """Intervals per block: noise averages out within a block, a model mismatch does not."""
@@ -28,7 +32,7 @@ EXCEEDED = 10.0
 """Largest growth of V over its lowest value plus its floor of a run that holds."""
 DIVERGED = 100.0
 """Growth of V above which the run is violated, however small the errors are."""
-TOLERANCE = 1e-3
+TOLERANCE = float(CERTIFICATE_TOLERANCE.default)  # type: ignore[arg-type]
 """Largest tracking error [rad, m] due to the causes in a run that is degraded, not violated."""
 RELATIVE = 0.1
 """Additional tracking error due to the causes, as a share of the loop's own error."""
@@ -98,12 +102,18 @@ class Axes:
     tolerance: Array
 
     def __post_init__(self) -> None:
-        tolerance = vector("tolerance", self.tolerance, len(self.names), StateError)
+        tolerance = checks.vector("tolerance", self.tolerance, len(self.names), StateError)
         if not (tolerance > 0).all():
             raise StateError(f"tolerance is {tolerance.tolist()}; expected positive numbers")
         if len(self.units) != len(self.names):
             raise StateError(f"units are {self.units}; expected one for each of {len(self.names)} joints")
         object.__setattr__(self, "tolerance", tolerance)
+
+    @classmethod
+    def of(cls, values: Values, robot: Robot) -> Axes:
+        """Return the joints of a controller's parameters; raise ParameterError."""
+        units = tuple(each.position for each in robot.units)
+        return cls(names(values, "joints"), units, vector(values, CERTIFICATE_TOLERANCE.name, robot.n))
 
     @classmethod
     def plain(cls, n: int) -> Axes:

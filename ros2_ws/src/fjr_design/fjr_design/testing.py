@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FjrError, ParameterError
-from .extensions.python_code import PythonLaw, PythonPlant
-from .law.interfaces import StaticLaw
-from .law.vdpbc import TrackingLaw
-from .model.port_hamiltonian import Plant
-from .model.robot import Robot
-from .motions.reference import JETS
-from .numerics.checks import Array
+from fjr_core.errors import FjrError, ParameterError
+from fjr_core.extensions.python_code import PythonLaw, PythonPlant
+from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.model.robot import Robot
+from fjr_core.motions.reference import JETS
+from fjr_core.numerics.checks import Array
 
 __all__ = ["CheckError", "check_law", "check_plant"]
 

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scenario whose springs harden is checked and runs in lock-step; what needs straight springs refuses it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fjr_msgs_py.console.ending import Exit
+from system.executables import fjr_here
+
+pytestmark = [pytest.mark.system, pytest.mark.usefixtures("no_kept_proof")]
+
+HARD = ("two_link", "--set", "robot.cubic_stiffness:=[4.0e3, 2.5e3]")  # twice the torque at 0.1 rad
+
+AT = {
+    "link_position": [0.3, 0.0],
+    "motor_position": [0.34, 0.01],
+    "link_velocity": [1.0, 2.1],
+    "motor_velocity": [1.0, 2.1],
+}
+NEAR = [part for name, value in AT.items() for part in ("--set", f"initial_{name}:={value}")]  # the reference's start
+
+
+def test_check_has_the_rate_of_straight_springs_and_the_tangents_under_the_weight() -> None:
+    hard, straight = (json.loads(fjr_here("check", *each, "--json")) for each in (HARD, HARD[:1]))
+    assert hard["beta_per_s"] == straight["beta_per_s"]
+    assert hard["beta_is_proven"]
+    assert hard["stable"]
+    assert "stiffer at rest on the reference" in hard["rows"]["springs"]
+    assert "springs" not in straight["rows"]
+    assert hard["spectral_radius"] != straight["spectral_radius"]
+
+
+def test_a_run_keeps_the_certificate_and_no_wiring_fault_is_seen(tmp_path: Path) -> None:
+    said = fjr_here("run", *HARD, *NEAR, "--lockstep", "--duration", "1.5", "--output", str(tmp_path))
+    assert said.splitlines()[3].endswith("holding"), said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ("check", *HARD, "--set", "law.type:=lqr"),
+            "'law.type' is 'lqr' with a robot.cubic_stiffness; expected 'v_dpbc'",
+        ),
+        (("check", *HARD, "--prove-error"), "expected straight springs for a proof of the sampled loop"),
+        (
+            ("check", *HARD, "--set", "measurement.motor:=torque", "--set", "measurement.velocity:=observer"),
+            "'measurement.motor' is 'torque' with a robot.cubic_stiffness",
+        ),
+    ],
+)
+def test_what_needs_straight_springs_says_so(
+    arguments: tuple[str, ...], sentence: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    said = fjr_here(*arguments, codes=set(Exit) - {Exit.DONE})
+    assert sentence in said + capfd.readouterr().err
