@@ -86,7 +86,7 @@ BUDGETS = {
     "fjr_plant": 1_350,
     "fjr_controller": 1_900,
     "fjr_design": 9_500,
-    "fjr_identification": 6_250,
+    "fjr_identification": 6_400,
     "fjr_proofs": 3_650,
     "fjr_bringup": 1_350,
 }

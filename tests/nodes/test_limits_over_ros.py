@@ -67,12 +67,13 @@ def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> Non
 
 
 def test_a_start_begins_with_a_transition_from_the_measured_state(ros: Ros, peer: Peer) -> None:
-    effort(ros, peer, start__join_time=0.5, limits__acceleration=[50.0])
+    peer.controller(start__join_time=0.5, limits__acceleration=[50.0])
+    peer.answer(at())
     first, wanted = peer.references[-1], fjr.Sine(1.0, 1.0)
     assert (first.position[0], first.velocity[0]) == pytest.approx((0.5, 0.3), abs=1e-12)
-    peer.ask(at(0.49))
+    peer.answer(at(0.49))
     assert peer.references[-1].position[0] != wanted.jets(0.49)[0, 0]
-    peer.ask(at(0.5))
+    peer.answer(at(0.5))
     assert peer.references[-1].position[0] == pytest.approx(wanted.jets(0.5)[0, 0])
 
 

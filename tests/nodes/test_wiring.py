@@ -40,16 +40,15 @@ COMMON = {
     "link_damping": [0.3, 0.1],
     "motor_damping": [0.03, 0.01],
     "input_gain": [1.0, 0.5],
-    "cubic_stiffness": [4000.0, 0.0],
 }
 PLANAR = {"link_inertia": [0.02, 0.006], "link_mass": [1.0, 0.9], "link_length": [0.35, 0.25], "link_com": [0.1, 0.15]}
 ONE = {"joint_stiffness": [20.0], "motor_inertia": [0.006], "link_damping": [0.3], "motor_damping": [0.02]}
-ONE |= {"cubic_stiffness": [5000.0]}
 ROBOTS: dict[str, dict[str, Any]] = {  # other values of all parameters of each model
     "single_link": {"link_inertia": [0.05], "gravity_torque": [1.3], "input_gain": [2.0], **ONE},
     "planar_two_link": {**PLANAR, "gravity": 1.62, **COMMON},
     "urdf": {"gravity": [0.0, 3.0, -9.0], "gear_ratio": [2.0, 1.5], **COMMON},
 }
+ALONE = {"cubic_stiffness": 5000.0}  # K of ROBOTS couples the joints
 GAIN_CASES = {"Lambda_l": 12.0, "Pi_l": 25.0, "K_ld": 0.7, "Lambda_m": 17.0}
 GAIN_CASES |= {"Pi_m": 70.0, "K_md": 0.4, "Gamma_l": 2.0, "Gamma_m": 3.0}
 REFERENCE_CASES = {"amplitude": 0.8, "frequency": 1.3, "offset": 0.1, "phase": 0.2}
@@ -132,9 +131,12 @@ def values_of(own: OwnParameters, model: str = "single_link", **parameters: Any)
     return dict(complete(all_parameters(own, named), named))
 
 
-@pytest.mark.parametrize(("model", "name"), [(model, name) for model, values in ROBOTS.items() for name in values])
+@pytest.mark.parametrize(
+    ("model", "name"), [(model, name) for model, values in ROBOTS.items() for name in (*values, *ALONE)]
+)
 def test_each_parameter_of_the_robot_has_its_effect(model: str, name: str) -> None:
-    value, law = ROBOTS[model][name], (fjr.PAPER_GAINS, unit_sine(len(joints(model))))
+    value = ROBOTS[model][name] if name in ROBOTS[model] else [ALONE[name]] * len(joints(model))
+    law = (fjr.PAPER_GAINS, unit_sine(len(joints(model))))
     robot = build_robot(values_of(controller_parameters, model, **{f"robot__{name}": value}))
     expected, default = made(model, **{name: value}), made(model)
     assert_changed(*(law_effort(each, *law) for each in (robot, expected, default)))
@@ -265,7 +267,7 @@ WIRED_BY_GROUP = (
 @pytest.mark.parametrize("model", MODELS)
 def test_no_parameter_is_left_out(model: str) -> None:
     tested = {*INITIAL, *(name for names in (HERE, *ELSEWHERE.values()) for name in names.split())}
-    tested |= {f"robot.{name}" for name in ROBOTS[model]}
+    tested |= {f"robot.{name}" for name in (*ROBOTS[model], *ALONE)}
     tested |= {f"gains.{name}" for name in GAIN_CASES} | {f"reference.{name}" for name in REFERENCE_CASES}
     for own in (plant_parameters, controller_parameters):
         names = {parameter.name for parameter in all_parameters(own, given(model))} - tested

@@ -40,6 +40,7 @@ FLAT, BLUNT = 0.1, 0.5  # of the root mean square torque; a dead zone is passed 
 SLIPS = np.array([0.03, 0.06, 0.12, 0.25, 0.5])  # of the root mean square deflection
 WIDE = 40.0  # Hz; band in which a kinematic error is sought
 PERIODS = np.arange(40.0, 401.0, 2.0)  # of a kinematic error in a turn of the joint, behind gears of 20 to 200
+LEAST = 0.01  # of the root mean square deflection; smaller loops and dead zones are no cause
 USUAL = 0.95  # quantile of deflections up to which a spring is seen
 LIGHT, MOST = 0.05, 4.0  # least error of the links that is named, and largest factor; others are no cause
 CURVED = 0.1  # least relative change of a stiffness that is named
@@ -143,11 +144,11 @@ def _of_spring(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Seque
     slip = int(np.argmax([term.share * (term.c[0] > 0) for term in loops]))
     dead, blunt = (rows.term(np.tanh(slow / usual / flat)[:, None]) for flat in (FLAT, BLUNT))
     curved = rows.term(deflection[:, None] ** 3)
-    if loops[slip].is_cause() and loops[slip].c[0] > 0 and loops[slip].share > max(dead.share, curved.share):
-        width = 2e3 * loops[slip].c[0] * usual * SLIPS[slip]
-        return f"hysteresis, loop of about {width:.2g} mrad: the deflection depends on the direction, too"
+    width = 2 * loops[slip].c[0] * usual * SLIPS[slip]
+    if loops[slip].is_cause() and width > LEAST * usual and loops[slip].share > max(dead.share, curved.share):
+        return f"hysteresis, loop of about {1e3 * width:.2g} mrad: the deflection depends on the direction, too"
     stiffens = curved.c[0] < 0 and curved.is_cause()
-    sharp = dead.is_cause() and dead.c[0] > 0 and dead.share > blunt.share - APART / 2
+    sharp = dead.is_cause() and 2 * dead.c[0] > LEAST * usual and dead.share > blunt.share - APART / 2
     if sharp and dead.share > curved.share - APART * stiffens:
         if stiffens and curved.share > dead.share - APART:
             return "the spring is not linear: it is softer at small deflections, by backlash or because it stiffens"
