@@ -89,7 +89,7 @@ def inflation(scores: Array, inverse: Array) -> Array:
     sandwich = np.diag(inverse @ meat @ inverse) * count / max(count - 1, 1)
     alone = np.mean((scores @ inverse) ** 2, axis=0) * count / np.diag(inverse)
     by_chance = 1 + TWO_SIDED * np.sqrt(2 / count)
-    of_model = max(0.0, 1 - by_chance / max(float(np.median(alone)), by_chance))
+    of_model = max(0.0, 1 - by_chance / max(by_chance, float(np.median(alone)) if alone.size else 0.0))
     ratio = np.sqrt(np.maximum(sandwich / np.diag(inverse), 1.0) * (1 + SYSTEMATIC * (count - 1) * of_model))
     quantile = (1 + CONFIDENCE) / 2
     return np.asarray(ratio * t.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
