@@ -47,6 +47,14 @@ def test_inverse_is_the_root_of_the_curve(size: float) -> None:
     assert scalar(springs.torque(MIXED, ca.DM(zeta))) == pytest.approx(tau, rel=2e-15)
 
 
+@pytest.mark.parametrize("k", [5e-324, 1e-310, 1e-9, 1e300])
+def test_inverse_is_the_root_of_any_curve(k: float) -> None:
+    zeta = float(springs.root(1000.0, k, 5.0, np))
+    with mpmath.workdps(400):
+        torque = 1000 * mpmath.mpf(zeta) + mpmath.mpf(k) * mpmath.mpf(zeta) ** 3
+    assert float(torque) == pytest.approx(5.0, rel=EXACT)
+
+
 @arms
 def test_secant_joins_two_points_and_the_tangent_one(arm: Arm) -> None:
     rng = np.random.default_rng(3)

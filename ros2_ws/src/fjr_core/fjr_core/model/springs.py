@@ -73,7 +73,7 @@ def root(K: float, cubic: float, tau: Any, f: Any = ca) -> Any:
     """Return the root zeta of K zeta + cubic zeta^3 = tau; f: casadi or numpy."""
     if not cubic:
         return tau / K
-    a = float(np.sqrt(K / (3 * cubic)))
+    a = float(np.sqrt(K / 3) / np.sqrt(cubic))  # K / cubic may overflow
     return 2 * a * f.sinh(f.arcsinh(1.5 / (K * a) * tau) / 3)
 
 

@@ -85,6 +85,9 @@ def in_own_session() -> int | None:
             return None
         for number in SIGNALS:
             signal.signal(number, lambda received, _: os.kill(child, received))
+    os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)  # a signal that comes now still finds the child
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return code if code >= 0 else 128 - code
 
