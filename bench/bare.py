@@ -27,7 +27,10 @@ RESEND = 0.1  # s
 
 
 class Bare(Node):
-    """A node with the process parameters of our nodes."""
+    """A node with the process parameters of our nodes, and without what ends them (EndingNode)."""
+
+    host: process.NodeProcess | None = None
+    ended = None
 
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)

@@ -22,6 +22,7 @@ from bench import (
     driver,
     identification,
     identification_peers,
+    latency,
     lock_step,
     memory,
     real_time,
@@ -31,10 +32,13 @@ from bench.build import chain_urdf, joint_names
 from bench.figures import Figure, page, table
 from bench.measure import in_turns, ratio
 from bench.mujoco_arm import MujocoArm
-from bench.tap import Seen
+from bench.nodes import bare, running
+from bench.tap import Seen, Tap
 from fjr_core import Plant, TrackingLaw, robot_from_urdf
 from fjr_core.config.scenario import load_scenario
 from fjr_core.monitoring.certificate import Certificate
+from fjr_msgs_py import names
+from time_limits import HANG
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +147,19 @@ def test_sides_alternate_by_blocks_and_the_first_round_is_discarded() -> None:
     found = driver.rounds(times, ["ours", "bare"], 3)
     assert [each[:: driver.BLOCK] for each in found["ours"]] == [[8.0, 10.0, 12.0, 14.0], [16.0, 18.0, 20.0, 22.0]]
     assert [each[:: driver.BLOCK] for each in found["bare"]] == [[9.0, 11.0, 13.0, 15.0], [17.0, 19.0, 21.0, 23.0]]
+
+
+def test_driver_measures_a_bare_node_in_its_own_process() -> None:
+    echo = bare("echo", "-r", f"__ns:=/{latency.BARE}", priority=0)
+    times = np.array(latency.latencies(1, (latency.BARE,), [echo])[latency.BARE])
+    assert times.shape == (1, driver.BLOCKS * driver.BLOCK)
+    assert np.all(times > 0)
+
+
+def test_bare_nodes_exchange_states_and_commands() -> None:
+    with running(bare("ping", priority=0), bare("pong", priority=0)), Tap() as tap:
+        first = tap.next(names.JOINT_STATES, HANG)
+        assert tap.next(names.JOINT_STATES, HANG).stamp > first.stamp
 
 
 def test_a_state_is_answered_in_time_by_a_command_before_the_next_state() -> None:
