@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -40,6 +41,11 @@ STYLE = {
     "axes.axisbelow": True,
     "savefig.dpi": 150,
 }
+
+
+def can_draw() -> bool:
+    """Return whether Matplotlib is installed."""
+    return find_spec("matplotlib") is not None
 
 
 def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> Path | None:

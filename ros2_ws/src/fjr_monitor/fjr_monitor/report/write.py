@@ -25,7 +25,7 @@ from fjr_monitor.recording.files import files_of
 from fjr_monitor.recording.run import Recording
 from fjr_monitor.report.comparison_page import Claim, write_comparison
 from fjr_monitor.report.metrics import Metrics, Report
-from fjr_monitor.report.picture import write_picture
+from fjr_monitor.report.picture import can_draw, write_picture
 from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
@@ -58,12 +58,13 @@ def report_run(
     """Write report.json, report.html and overview.png into a run's folder, also if the run diverged or ended early.
 
     duration: planned duration [s]; None: up to the last answered state. skipped: topics that could not be recorded.
-    failure: why the run ended early. pages: false for report.json only.
+    failure: why the run ended early. pages: false for report.json only. Without Matplotlib there is no overview.png:
+    report.html has every plot.
     """
     scenario, bag = load_scenario(folder / SCENARIO, user_code=False), read_bag(folder / "bag")
     known = {"not_recorded": dict(skipped or {}), "failure": failure, "provenance": provenance()}
     summary = report_bag(name, bag, scenario, folder, duration, pages, **known)
-    if pages and summary.data.metrics.energy_known and summary.data.metrics.efforts_known:
+    if pages and can_draw() and summary.data.metrics.energy_known and summary.data.metrics.efforts_known:
         draw = partial(draw_overview, name, summary.data, summary.report)
         with without_warnings():
             write_with_fallback(summary.folder, lambda place: write_picture(place / "overview.png", (14.0, 8.0), draw))
