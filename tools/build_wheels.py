@@ -9,6 +9,7 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from envsetup import pins
@@ -28,6 +29,8 @@ PACKAGES = (
 )
 COPIED = ("README.md", "LICENSE", "pyproject.toml", "requirements", "ros2_ws/src")
 """What the wheels are made of; they are built in a copy, so that no file of an earlier build enters."""
+UPLOT, UPLOT_FILES = "uplot-python", ("uPlot.iife.js", "uPlot.min.css")
+TEMPLATES = "ros2_ws/src/fjr_monitor/fjr_monitor/report/templates"
 LOG = ROOT / ".setup" / "wheels.log"
 BUILD = """
 import os, sys
@@ -49,6 +52,7 @@ def build(target: Path) -> list[Path]:
         source = Path(scratch)
         copy_sources(source)
         pin_ros(source / "requirements" / "ros-wheels.txt")
+        bring_uplot(source)
         folders = [str(source), *(str(source / "ros2_ws" / "src" / name) for name in PACKAGES)]
         command = [sys.executable, "-c", BUILD, str(target.resolve()), *folders]
         with Step("wheels") as step:
@@ -74,6 +78,20 @@ def pin_ros(requirements: Path) -> None:
     names = [pins.requirement_name(entry) for entry in entries]
     lines = [f"{e}=={pinned[n]}" if n.startswith("ros-") else e for e, n in zip(entries, names, strict=True)]
     requirements.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def bring_uplot(source: Path) -> None:
+    """Copy uPlot (MIT) beside the templates of the pages, and require it no more: its wheel requires IPython, 65 MB."""
+    try:
+        found = distribution(UPLOT).files or []
+    except PackageNotFoundError:
+        raise SetupError(f"{UPLOT} is not installed; expected it from: make build") from None
+    for file in found:
+        if file.name in UPLOT_FILES:
+            shutil.copy(str(file.locate()), source / TEMPLATES)
+    pages = source / "requirements" / pins.FILES_ONLY
+    kept = [entry for entry in pins.entries(pages.read_text(encoding="utf-8")) if entry != UPLOT]
+    pages.write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 
 def main() -> int:

@@ -18,6 +18,7 @@ import pytest
 
 from build_wheels import PACKAGES, build
 from envsetup import pins
+from fjr_monitor.report.html import SCRIPT, STYLE, TEMPLATES
 from time_limits import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,6 +66,7 @@ def test_fjr_core_requires_what_it_imports(wheels: dict[str, Path]) -> None:
     assert required == {DISTRIBUTIONS.get(name, name) for name in imports} - {"matplotlib", "pyarrow"}
     assert {re.sub(r".*extra == [\"'](\w+)[\"']", r"\1", each) for each in extra} == {
         "sweep",
+        "tables",
         "plot",
         "compiler",
         "all",
@@ -83,6 +85,21 @@ def test_fjr_requires_the_pinned_ros(wheels: dict[str, Path]) -> None:
     ros = [each for each in always if each.startswith("ros-")]
     assert len(ros) == 2
     assert all(each.endswith(f"=={pinned[pins.requirement_name(each)]}") for each in ros)
+
+
+def test_fjr_brings_uplot_without_the_requirements_of_its_wheel(wheels: dict[str, Path]) -> None:
+    assert {f"fjr_monitor/{TEMPLATES}/{name}" for name in (SCRIPT, STYLE)} <= contents(wheels["fjr"])
+    always, _ = requirements(wheels["fjr"])
+    required = set(map(pins.requirement_name, always))
+    assert required.isdisjoint({"uplot-python", "ipython"})
+    assert "jupyter-threejs-sage" in required
+
+
+@pytest.mark.parametrize(("name", "distribution"), [("compiler", "ziglang"), ("tables", "pyarrow")])
+def test_fjr_brings_what_is_large_only_with_its_extra(wheels: dict[str, Path], name: str, distribution: str) -> None:
+    always, extra = requirements(wheels["fjr"])
+    assert distribution not in map(pins.requirement_name, always)
+    assert [pins.requirement_name(each) for each in extra if f'"{name}"' in each] == [distribution]
 
 
 @pytest.fixture(scope="module")

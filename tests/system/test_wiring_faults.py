@@ -42,6 +42,7 @@ def compared(case: FaultCase, run: Record) -> str:
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
         found, expected = here.see(t, q, dq), oracle.see(t, q, dq)
         assert found == expected
+        assert WiringFault.of(here.state.fault) == oracle.last
         np.testing.assert_array_equal(np.array(list(here.state.right), dtype=bool), oracle.right)
         np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[: 2 * robot.n], **SAME)
         assert here.done == oracle.right.all()
@@ -99,6 +100,23 @@ def test_check_continues_without_motion() -> None:
         assert check.see(1e-3 * k, np.zeros(4), np.zeros(4)) is None
         check.sent(np.zeros(2))
     assert not check.done
+
+
+def test_the_operations_after_one_state_are_bounded() -> None:
+    """Fewer than 16 n before the last hypothesis, which takes 2 n + 3; the next state continues the comparison."""
+    moved = Fault(position=lambda q: np.roll(q, 1), velocity=lambda dq: np.roll(dq, 1))  # all joints are suspected
+    case = replace(next(wrong("arm7", "effort sign")), fault=moved)
+    run, robot = Stop.of(case, LASTING).run, case.case.loaded().robot
+    check, done, went_on = WiringCheck(robot), [], 0
+    for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
+        check._lib.fjr_wiring_see(check.state, t, check._pointer(q), check._pointer(dq))
+        done.append(check._lib.fjr_wiring_compare(check._model, check.state))
+        went_on += check.state.comparing
+        if check.state.found or not np.isfinite(u).all():
+            break
+        check.sent(u)
+    assert went_on
+    assert 0 <= min(done) < max(done) <= 18 * robot.n + 2
 
 
 @pytest.mark.parametrize("hardens", [False, True], ids=["full matrices", "hardening springs"])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import pyarrow as pa
@@ -11,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from docs.pages import ROOT
-from fjr_core.errors import ParameterError, RecordError
+from fjr_core.errors import MissingPackageError, ParameterError, RecordError
 from fjr_identification.record_map import EFFORT, LINK, MOTOR, TORQUE, TableMap, read_map
 from fjr_identification.table_record import FILL_IN, written_map
 from system.executables import fjr_here
@@ -119,3 +120,9 @@ def test_parquet_has_a_header_too_and_other_files_are_refused(tmp_path: Path) ->
             written_map(tmp_path / "bad.csv", ARM)
         assert "; expected " in str(found.value)
         assert "\n" not in str(found.value)
+
+
+def test_missing_pyarrow_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.csv", None)
+    with pytest.raises(MissingPackageError, match=r"pyarrow is not installed; .*: pip install pyarrow$"):
+        written_map(tmp_path / "log.csv", ARM)

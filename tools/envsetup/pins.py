@@ -10,10 +10,10 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 LEVELS = {
-    "run": ("run", "colcon"),
-    "bench": ("run", "colcon", "bench"),
-    "docs": ("run", "colcon", "docs"),
-    "test": ("run", "colcon", "bench", "docs", "cluster", "foxglove", "plot", "test"),
+    "run": ("run", "tables", "colcon"),
+    "bench": ("run", "tables", "colcon", "bench"),
+    "docs": ("run", "tables", "colcon", "docs"),
+    "test": ("run", "tables", "colcon", "bench", "docs", "cluster", "foxglove", "plot", "test"),
 }
 """Levels of the environment and the files in requirements/ they take."""
 FILES_ONLY = "pages.txt"

@@ -23,7 +23,7 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=[
-        "fjr_core[sweep]",
+        "fjr_core[tables]",
         "fjr_msgs_py[commands]",
         "fjr_monitor[commands]",
         "fjr_plant",

@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 package_name = "fjr_core"
 version = run_path(str(Path(__file__).parent / package_name / "version.py"))["__version__"]
 extras = {
-    "sweep": ["pyarrow>=15"],  # reads Parquet: motions
+    "tables": ["pyarrow>=15"],  # motions in Parquet
     "plot": ["matplotlib>=3.6"],
 }
 
@@ -27,7 +27,12 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=["numpy>=1.26", "scipy>=1.11", "casadi>=3.6.5", "PyYAML>=6.0.1", "cffi>=1.17"],
-    extras_require={**extras, "all": sorted(sum(extras.values(), [])), "compiler": ["ziglang>=0.13"]},
+    extras_require={
+        **extras,
+        "all": sorted(sum(extras.values(), [])),
+        "compiler": ["ziglang>=0.13"],
+        "sweep": extras["tables"],  # the earlier name, for one version
+    },
     zip_safe=True,
     maintainer="The fjr authors",
     maintainer_email="fjr@example.org",

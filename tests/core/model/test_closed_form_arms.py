@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 import pytest
+import scipy.constants
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, PLANAR, Arm, random_state
@@ -41,6 +44,15 @@ def test_closed_forms_of_inertia_coriolis_and_gravity(arm: Arm, seed: int) -> No
 def test_constant_matrices(arm: Arm) -> None:
     for name in ("K", "M_m", "D_l", "D_m", "B_m"):
         assert np.array_equal(getattr(arm.robot, name), getattr(arm, name)), name
+
+
+def test_the_default_links_of_the_planar_arm_are_bodies_of_their_length() -> None:
+    """Each centre of mass is on its link, and the inertia about it is below that of all mass at the link's ends."""
+    given = {name: each.default for name, each in inspect.signature(fjr.planar_two_link).parameters.items()}
+    mass, length, com, inertia = (np.array(given[f"link_{name}"]) for name in ("mass", "length", "com", "inertia"))
+    assert np.all((com > 0) & (com < length))
+    assert np.all((inertia > 0) & (inertia < mass * com * (length - com)))
+    assert given["gravity"] == pytest.approx(scipy.constants.g, rel=1e-3)
 
 
 @arms

@@ -243,7 +243,10 @@ LOADED = 100.0
 
 
 class NumericCheck:
-    """Check of the wiring with samples and efforts from the start until every joint is right or a fault is found."""
+    """Check of the wiring with samples and efforts from the start until every joint is right or a fault is found.
+
+    last: fault of the last comparison, of which CONFIRMED in a row are needed; right, misfit (4n,): of its rows.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -251,7 +254,7 @@ class NumericCheck:
         self.misfit = np.zeros(4 * robot.n)
         self._rows: deque[tuple[float, Array, Array, Array]] = deque(maxlen=WINDOW)
         self._count, self._agreed, self._due = 0, 0, FEWEST
-        self._last: WiringFault | None = None
+        self.last: WiringFault | None = None
         self._constant: Array | None = None
 
     def see(self, t: float, q: Array, dq: Array) -> WiringFault | None:
@@ -275,9 +278,9 @@ class NumericCheck:
         constant = self._constant * (1.0 if self._count <= WINDOW else LOADED)
         fault, right, self.misfit = wiring_fault(self._robot, window, self.right, constant)
         self.right |= right
-        same = fault is not None and self._last is not None and fault.joints[0] == self._last.joints[0]
+        same = fault is not None and self.last is not None and fault.joints[0] == self.last.joints[0]
         self._agreed = self._agreed + 1 if same else int(fault is not None)
-        self._last = fault
+        self.last = fault
         return fault if self._agreed >= CONFIRMED else None
 
 

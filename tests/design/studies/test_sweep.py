@@ -232,7 +232,7 @@ def test_missing_pyarrow_error_says_how_to_install_it(tmp_path: Path, monkeypatc
 
 
 def test_commands_without_a_study_do_not_need_pyarrow() -> None:
-    modules = "fjr_bringup.cli.run", "fjr_design.cli.check", "fjr_design.cli.files", "fjr_design.cli.gains"
+    modules = "fjr_bringup.cli.run", "fjr_design.cli.check", "fjr_design.cli.gains", "fjr_identification.cli.identify"
     code = f"import sys, {', '.join(modules)}; sys.exit('pyarrow' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=HANG).returncode == 0
 

@@ -17,14 +17,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 
 from fjr_core.config import ros_yaml
-from fjr_core.errors import LONGEST, RecordError
+from fjr_core.errors import LONGEST, MissingPackageError, RecordError
 from fjr_core.numerics.checks import Array
 
 from .estimation.motion_record import MotionRecord, TimeWindow, record_of_samples
@@ -50,14 +48,24 @@ SIDES = {MOTOR: {"motor", "rotor", "qm", "m"}, LINK: {"link", "load", "output", 
 SENSORS = {"sensor", "measured", "ext", "jts"}
 
 
+def _arrow() -> Any:
+    """Return pyarrow with its readers, loaded on use: a bag needs none of them. Raises MissingPackageError."""
+    try:
+        import pyarrow.csv
+        import pyarrow.parquet
+    except ModuleNotFoundError:
+        raise MissingPackageError("pyarrow is not installed; expected it for tables: pip install pyarrow") from None
+    return pyarrow
+
+
 def record_of_table(
     path: Path, mapping: TableMap, joints: tuple[str, ...], window: TimeWindow
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record of a table within the window, and notes on it.
 
-    Raises RecordError, which names the file, row and column.
+    Raises RecordError, which names the file, row and column, and MissingPackageError.
     """
-    names, rows = mapping.columns, 0
+    names, rows, pa = mapping.columns, 0, _arrow()
     blocks: list[Array] = []
     try:
         for block in _blocks(path, names, mapping.delimiter):
@@ -83,18 +91,19 @@ def record_of_table(
 
 def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
     """Yield the named columns (rows, columns) of a table block by block."""
+    pa = _arrow()
     if path.name.endswith(PARQUET):
-        file = pq.ParquetFile(path)
+        file = pa.parquet.ParquetFile(path)
         _check_header(path, file.schema_arrow.names, names)
-        batches: Iterator[pa.RecordBatch] = file.iter_batches(columns=names, batch_size=2**16)
+        batches = file.iter_batches(columns=names, batch_size=2**16)
     else:
         skipped, header = header_of(path, delimiter)
         _check_header(path, header, names)
-        batches = pa_csv.open_csv(
+        batches = pa.csv.open_csv(
             pa.input_stream(str(path), compression="detect"),
-            pa_csv.ReadOptions(block_size=BLOCK, skip_rows=skipped + 1, column_names=header),
-            pa_csv.ParseOptions(delimiter=delimiter),
-            pa_csv.ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, pa.float64())),
+            pa.csv.ReadOptions(block_size=BLOCK, skip_rows=skipped + 1, column_names=header),
+            pa.csv.ParseOptions(delimiter=delimiter),
+            pa.csv.ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, pa.float64())),
         )
     for batch in batches:
         yield np.column_stack([np.asarray(batch[name].to_numpy(zero_copy_only=False), dtype=float) for name in names])
@@ -255,10 +264,11 @@ def _unit(words: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def _delimiter_and_names(table: Path) -> tuple[str, list[str]]:
-    """Return delimiter and names of the columns; raises RecordError."""
+    """Return delimiter and names of the columns; raises RecordError, MissingPackageError."""
+    pa = _arrow()
     try:
         if table.name.endswith(PARQUET):
-            return ",", list(pq.read_schema(table).names)
+            return ",", list(pa.parquet.read_schema(table).names)
         headers: Mapping[str, list[str]] = {mark: header_of(table, mark)[1] for mark in ",;\t"}
     except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
         raise RecordError(f"{table} is not a table ({' '.join(str(error).split())}); expected CSV or Parquet") from None

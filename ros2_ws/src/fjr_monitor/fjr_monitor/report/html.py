@@ -206,8 +206,11 @@ class AssetError(FjrError):
 
 @cache
 def asset(name: str) -> str:
-    """Return the text of a file of ASSETS; raises AssetError."""
+    """Return the text of a file of ASSETS, which a wheel may hold beside the templates; raises AssetError."""
     package, folder = ASSETS[name]
+    held = files("fjr_monitor") / TEMPLATES / name
+    if held.is_file():
+        return held.read_text(encoding="utf-8")
     try:
         return Path(str(distribution(package).locate_file(f"{folder}/{name}"))).read_text(encoding="utf-8")
     except (PackageNotFoundError, OSError):
