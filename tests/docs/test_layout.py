@@ -85,7 +85,7 @@ BUDGETS = {
     "fjr_monitor": 7_800,
     "fjr_plant": 1_350,
     "fjr_controller": 1_900,
-    "fjr_design": 9_500,
+    "fjr_design": 9_520,
     "fjr_identification": 6_400,
     "fjr_proofs": 3_650,
     "fjr_bringup": 1_350,

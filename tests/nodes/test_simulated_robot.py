@@ -74,7 +74,18 @@ def test_integration_never_exceeds_the_requested_time() -> None:
 
 
 NOISY = SensorErrors(1, bits_l=14, position_m=1e-4, velocity_l=0.01)
-BAD = Imperfections(1, coulomb_m=0.05, static_m=0.1, smoothing=0.05, cubic=100, ripple=0.1, effort_limit=1.5, lag=2e-3)
+BAD = Imperfections(
+    1,
+    coulomb_m=0.05,
+    static_m=0.1,
+    smoothing=0.05,
+    cubic=100,
+    hysteresis=0.1,
+    slip=0.02,
+    ripple=0.1,
+    effort_limit=1.5,
+    lag=2e-3,
+)
 
 
 def test_run_after_a_reset_is_bit_identical() -> None:
@@ -118,7 +129,7 @@ def test_changed_robot_continues_like_one_built_with_the_new_values() -> None:
     run(robot, 10)
     robot.change(BAD)
     other.x, other.pointer.time, other.u = robot.x, robot.time, robot.u
-    other._output = robot.u
+    other._output, other._sliders = robot.u, np.diff(robot.x[:2])
     assert np.array_equal(run(robot, 10), run(other, 10))
     robot.change(Imperfections(1))
     other.change(Imperfections(1))
@@ -133,6 +144,22 @@ def test_enabled_lag_starts_from_the_acting_torque() -> None:
     assert robot.measure()[2][1] == 1.0
     robot.advance_to(8 * INNER)
     assert robot.measure()[2][1] == pytest.approx(3 - 2 * np.exp(-0.1), rel=1e-12)
+
+
+def test_hysteresis_begins_without_torque_and_keeps_it_at_later_changes() -> None:
+    robot = simulated()
+    run(robot, 10)
+    before = robot.measure()[2][0]
+    for torque, slip in ((0.2, 1e-3), (0.2, 1e-3), (0.4, 2e-3)):  # twice the torque at twice the deflection: as stiff
+        robot.change(Imperfections(1, hysteresis=torque, slip=slip))
+        assert robot.measure()[2][0] == pytest.approx(before, rel=1e-12)
+        run(robot, 3)
+        robot._sliders = np.diff(robot.x[:2]) - 5e-4
+        before = robot.measure()[2][0]
+        assert before == pytest.approx(31.0 * np.diff(robot.x[:2])[0] + 0.1, rel=1e-12)
+    run(robot, 20)
+    robot.reset()
+    assert robot.measure()[2][0] == pytest.approx(3.1, rel=1e-12)
 
 
 def test_acting_torque_is_measured() -> None:
@@ -174,6 +201,14 @@ def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str
     with pytest.raises(fjr.ParameterError, match="friction damps with"):
         simulated(steep)
     simulated(steep, integrator="implicit_midpoint")
+
+
+def test_hysteresis_too_stiff_for_the_step_is_refused_without_any_change() -> None:
+    robot, stiff = simulated(BAD), Imperfections(1, hysteresis=1.0, slip=1e-6)
+    with pytest.raises(fjr.ParameterError, match="^springs with hysteresis oscillate at .*; expected at most 1.08e"):
+        robot.change(stiff)
+    assert np.array_equal(run(robot), run(simulated(BAD)))
+    simulated(stiff, integrator="implicit_midpoint")
 
 
 def test_stiffest_friction_brakes_without_changing_the_sign_of_the_velocity() -> None:
@@ -222,6 +257,8 @@ BASE = {  # enable the effects that other parameters modify
     "motor_static_friction": (0.1,),
     "motor_stribeck_velocity": (0.3,),
     "friction_smoothing_velocity": (0.1,),
+    "hysteresis_torque": (0.1,),
+    "hysteresis_deflection": (0.02,),
     "torque_ripple": (0.05,),
     "payload_mass": 0.1,
     "payload_position": (0.1, 0.0, 0.0),
@@ -239,6 +276,8 @@ CASES = {
     "motor_stribeck_velocity": (0.6,),
     "friction_smoothing_velocity": (0.2,),
     "cubic_stiffness": (500.0,),
+    "hysteresis_torque": (0.2,),
+    "hysteresis_deflection": (0.01,),
     "torque_ripple": (0.1,),
     "torque_ripple_periods": (24.0,),
     "torque_ripple_phase": (1.0,),

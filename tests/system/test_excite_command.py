@@ -46,6 +46,17 @@ def test_a_robot_file_gets_gains(tmp_path: Path) -> None:
     fjr_here("check", f"{target}")
 
 
+def test_springs_that_harden_are_refused_with_the_way_to_a_motion_for_straight_ones(tmp_path: Path) -> None:
+    target = tmp_path / "moves.yaml"
+    given = "excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}"
+    hard = "--set", "robot.cubic_stiffness:=[4.0e3, 2.5e3]"
+    shown = fjr_here(*given, *hard, code=Exit.NOT_UNDERSTOOD)
+    assert "'robot.cubic_stiffness' is [4000.0, 2500.0]; expected straight springs" in shown
+    assert not target.exists()
+    fjr_here(*given, "--set", shown.partition("--set ")[2].strip())
+    assert load_scenario(target).robot.cubic is None
+
+
 def test_an_earlier_file_is_not_replaced(tmp_path: Path) -> None:
     earlier = tmp_path / "moves.yaml"
     earlier.write_text("mine", encoding="utf-8")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,14 +25,30 @@ AT = {
 NEAR = [part for name, value in AT.items() for part in ("--set", f"initial_{name}:={value}")]  # the reference's start
 
 
+def checked(*arguments: str) -> dict[str, Any]:
+    """Return the JSON values of a check, which the warnings follow."""
+    values: dict[str, Any] = json.JSONDecoder().raw_decode(fjr_here("check", *arguments, "--json"))[0]
+    return values
+
+
 def test_check_has_the_rate_of_straight_springs_and_the_tangents_under_the_weight() -> None:
-    hard, straight = (json.loads(fjr_here("check", *each, "--json")) for each in (HARD, HARD[:1]))
+    hard, straight = (checked(*each) for each in (HARD, HARD[:1]))
     assert hard["beta_per_s"] == straight["beta_per_s"]
     assert hard["beta_is_proven"]
     assert hard["stable"]
     assert "stiffer at rest on the reference" in hard["rows"]["springs"]
     assert "springs" not in straight["rows"]
     assert hard["spectral_radius"] != straight["spectral_radius"]
+
+
+def test_check_warns_of_a_start_from_which_the_sampled_loop_diverges() -> None:
+    """The shipped start is 0.3 rad off; a start on the reference tracks."""
+    far, near = (checked(*HARD, *more) for more in ((), NEAR))
+    assert any("diverges as sampled from the start error [-0.3, 0] rad" in each for each in far["warnings"])
+    assert "diverges as sampled" in far["rows"]["start error"]
+    assert not any("diverges" in each for each in near["warnings"])
+    assert near["rows"]["start error"].startswith("springs deflect up to")
+    assert near["rows"]["start error"].endswith("with springs as stiff as there")
 
 
 def test_a_run_keeps_the_certificate_and_no_wiring_fault_is_seen(tmp_path: Path) -> None:

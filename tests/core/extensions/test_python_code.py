@@ -203,8 +203,10 @@ def test_options_change_the_motion() -> None:
 
 
 def test_friction_ripple_and_external_torques_act_as_on_the_same_equations() -> None:
-    errors = Imperfections(2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3)
-    state = np.append(START + 0.1, [1.0, 2.0])
+    errors = Imperfections(
+        2, coulomb_l=[0.1, 0.2], coulomb_m=0.05, ripple=0.01, ripple_periods=4.0, lag=1e-3, hysteresis=0.3
+    )
+    state = np.concatenate([START + 0.1, [1.0, 2.0], [5e-4, -2e-3]])
     plants = [NonidealPlant(plant) for plant in (fjr.Plant(ARM), PLANT)]
     steps = [plant.step(state, [3.0, 4.0], [0.5, 0.0], errors.vector, 2.5e-4) for plant in plants]
     np.testing.assert_allclose(steps[1], steps[0], rtol=1e-12, atol=1e-14)

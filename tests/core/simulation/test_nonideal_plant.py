@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, PLANAR, Arm, PlanarTwoLink, random_point, random_state
@@ -18,7 +19,7 @@ from core.oracles.oracle import stencil
 from core.oracles.properties import TOLERANCE, residual
 from fjr_core.model.rigid_arm import closed_form
 from fjr_core.numerics.symbolic import NumericFunction
-from fjr_core.simulation.imperfections import NAMES, SWITCHES, Imperfections, friction_rate
+from fjr_core.simulation.imperfections import NAMES, SWITCHES, Imperfections, friction_rate, stuck_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 Array = NDArray[Any]
@@ -31,9 +32,25 @@ def plant_of(robot: fjr.Robot, **options: Any) -> NonidealPlant:
     return NonidealPlant(fjr.Plant(robot, **options))
 
 
-def derivative(plant: NonidealPlant, x: Array, applied: Any, external: Any, parameters: Array) -> Array:
-    """dx/dt (4n,) at x (4n,) under actuator outputs and external torques (n,) [N m] on the links."""
-    return NumericFunction(plant.dynamics)(x, np.concatenate([applied, external, parameters]))[0]
+def deflection(x: Array) -> Array:
+    """Return the deflections (n,) of the springs at x (4n,)."""
+    return np.diff(x[: len(x) // 2].reshape(2, -1), axis=0)[0]
+
+
+def started(x: Array) -> Array:
+    """Return the state (6n,) at x (4n,) without output of the actuators and without torque of the Maxwell elements."""
+    return np.concatenate([x, np.zeros(len(x) // 4), deflection(x)])
+
+
+def derivative(
+    plant: NonidealPlant, x: Array, applied: Any, external: Any, parameters: Array, sliders: Array | None = None
+) -> Array:
+    """dx/dt (4n,) at x (4n,) under actuator outputs and external torques (n,) [N m] on the links.
+
+    sliders (n,): None where the Maxwell elements carry no torque.
+    """
+    at = deflection(x) if sliders is None else sliders
+    return NumericFunction(plant.dynamics)(x, np.concatenate([applied, external, at, parameters]))[0]
 
 
 def everything(n: int) -> Imperfections:
@@ -49,6 +66,8 @@ def everything(n: int) -> Imperfections:
         stribeck_m=0.3 * k,
         smoothing=0.05 * k,
         cubic=40 * k,
+        hysteresis=0.6 * k,
+        slip=0.3 / k,
         ripple=0.07 * k,
         ripple_periods=7 * k,
         ripple_phase=0.4 * k,
@@ -73,7 +92,7 @@ def test_each_switch_and_no_other_parameter_enables_the_nonideal_plant() -> None
 
 def test_parameter_vector_contains_every_field() -> None:
     assert set(NAMES) == {field.name for field in fields(Imperfections)} - {"n"}
-    assert everything(3).vector.shape == (13 * 3 + 4,)
+    assert everything(3).vector.shape == (15 * 3 + 4,)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "implicit_midpoint"])
@@ -81,24 +100,26 @@ def test_parameter_vector_contains_every_field() -> None:
 def test_step_without_imperfections_is_that_of_the_plant(arm: Arm, integrator: str) -> None:
     p, n = random_point(arm, 1), arm.n
     plant = fjr.Plant(arm.robot, integrator)
-    seen = NonidealPlant(plant).step(np.r_[p.x, np.zeros(n)], p.u, np.zeros(n), Imperfections(n).vector, DT)
+    seen = NonidealPlant(plant).step(started(p.x), p.u, np.zeros(n), Imperfections(n).vector, DT)
     np.testing.assert_allclose(seen[: 4 * n], plant.step(p.x, p.u, DT), rtol=1e-14, atol=1e-16)
-    assert np.array_equal(seen[4 * n :], p.u)
+    assert np.array_equal(seen[4 * n : 5 * n], p.u)
 
 
 @arms
 @seeds
 def test_power_balance_with_all_imperfections(arm: Arm, seed: int) -> None:
-    """dH/dt = power of actuators, external torques and ripple - viscous damping - friction."""
+    """dH/dt = power of actuators, external torques, ripple and Maxwell elements - viscous damping - friction."""
     p, n, i = random_point(arm, seed), arm.n, everything(arm.n)
-    plant, push = plant_of(arm.robot), np.random.default_rng(seed).uniform(-2, 2, n)
-    dx = derivative(plant, p.x, p.u, push, i.vector)
+    plant, rng = plant_of(arm.robot), np.random.default_rng(seed)
+    push, sliders = rng.uniform(-2, 2, n), deflection(p.x) + rng.uniform(-0.5, 0.5, n)
+    dx = derivative(plant, p.x, p.u, push, i.vector, sliders)
     dq_l, dq_m = dx[:n], dx[n : 2 * n]
     dH = stencil(lambda s: plant.hamiltonian(p.x + s * dx, i.vector), 2e-3 / max(1, float(np.max(np.abs(dx)))))
     ripple = i.ripple * np.sin(i.ripple_periods * p.x[n : 2 * n] + i.ripple_phase)
     F_l = friction(dq_l, i.coulomb_l, i.static_l, i.stribeck_l, i.smoothing)
     F_m = friction(dq_m, i.coulomb_m, i.static_m, i.stribeck_m, i.smoothing)
-    supplied = (dq_m @ arm.B_m @ p.u, dq_l @ push, dq_m @ ripple)
+    h = i.hysteresis * np.clip((deflection(p.x) - sliders) / i.slip, -1, 1)
+    supplied = (dq_m @ arm.B_m @ p.u, dq_l @ push, dq_m @ ripple, dq_l @ h, -dq_m @ h)
     lost = (-dq_l @ arm.D_l @ dq_l, -dq_m @ arm.D_m @ dq_m, -dq_l @ F_l, -dq_m @ F_m)
     assert residual(dH, *supplied, *lost) <= TOLERANCE
     assert max(lost) <= 0
@@ -170,7 +191,7 @@ def test_cubic_springs_store_a_quarter_of_the_fourth_power(arm: Arm) -> None:
     plant, zeta = plant_of(arm.robot), x[n : 2 * n] - x[:n]
     energies = [plant.hamiltonian(x, Imperfections(n, cubic=k).vector) for k in (cubic, np.zeros(n))]
     assert energies[0] - energies[1] == pytest.approx(np.sum(cubic * zeta**4) / 4, rel=1e-9)
-    _, spring = plant.measure(x, Imperfections(n, cubic=cubic).vector)
+    _, spring = plant.measure(started(x), Imperfections(n, cubic=cubic).vector)
     np.testing.assert_allclose(spring, arm.K @ zeta + cubic * zeta**3, rtol=1e-13)
 
 
@@ -182,7 +203,7 @@ def test_cubic_springs_and_payload_conserve_energy_without_damping() -> None:
     x0 = plant.state([0.9, -0.6, 1.0, -0.5], [0.5, -1.0, 0.3, 0.8], i)
 
     def drift(steps: int) -> float:
-        state = np.r_[x0, 0, 0]
+        state = started(x0)
         for _ in range(steps):
             state = plant.step(state, [0, 0], [0, 0], i, 0.2 / steps)
         return abs(plant.hamiltonian(state[:8], i) - plant.hamiltonian(x0, i))
@@ -190,6 +211,123 @@ def test_cubic_springs_and_payload_conserve_energy_without_damping() -> None:
     coarse, fine = drift(100), drift(400)
     assert fine < 1e-7
     assert coarse / fine > 4**4 / 2
+
+
+# Hysteresis.
+
+
+class Rheometer:
+    """The joint torque of a single link without stiffness to speak of, along prescribed deflections of its spring."""
+
+    def __init__(self, torque: float, slip: float) -> None:
+        robot = fjr.single_link(stiffness=1e-12)
+        self.plant, self.i = plant_of(robot), Imperfections(1, hysteresis=torque, slip=slip).vector
+        self.state = np.zeros(6)
+
+    def __call__(self, zeta: Array) -> Array:
+        """Return the torque (k,) at the deflections (k,), one after the other."""
+        return np.array([self._moved(each) for each in zeta])
+
+    def _moved(self, zeta: float) -> float:
+        self.state[1] = zeta
+        self.state = self.plant.step(self.state, [0], [0], self.i, 0.0)
+        return float(self.plant.measure(self.state, self.i)[1][0])
+
+
+def work(torque: Array, zeta: Array) -> float:
+    return float(np.trapezoid(torque, zeta))
+
+
+def test_maxwell_element_slips_at_its_torque_and_sticks_after_every_reversal() -> None:
+    """Branches of a full loop are two slip torques apart; a reversal sticks along 2 slip."""
+    h, slip, A = 0.4, 0.01, 0.05
+    of = Rheometer(h, slip)
+    up = np.linspace(0, A, 51)
+    np.testing.assert_allclose(of(up), h * np.minimum(up / slip, 1), rtol=1e-9)
+    down = np.linspace(A, -A, 101)
+    np.testing.assert_allclose(of(down), h * np.maximum(1 - (A - down) / slip, -1), atol=1e-9)
+    assert of(-down)[50] - of(down)[50] == pytest.approx(2 * h, rel=1e-9)
+
+
+@pytest.mark.parametrize("A", [0.004, 0.01, 0.05])
+def test_work_of_a_loop_is_that_of_the_slider(A: float) -> None:
+    """4 h (A - slip) a cycle, nothing below the slip; a path that returns to an inner point encloses its inner loop."""
+    h, slip = 0.4, 0.01
+    of, cycle = Rheometer(h, slip), A * np.sin(np.linspace(0, 2 * np.pi, 4001))
+    of(cycle)
+    assert work(of(cycle), cycle) == pytest.approx(4 * h * max(A - slip, 0), abs=1e-6)
+
+
+@seeds
+def test_no_closed_cycle_yields_work(seed: int) -> None:
+    """A path from rest takes the energy stored at its end and the work of the slider, which never decreases."""
+    h, slip, rng = 0.7, 0.02, np.random.default_rng(seed)
+    corners = np.r_[0.0, rng.uniform(-0.06, 0.06, 30), 0.0]
+    zeta = np.concatenate([np.linspace(a, b, 400) for a, b in zip(corners, corners[1:], strict=False)])
+    torque = Rheometer(h, slip)(zeta)
+    taken = np.r_[0.0, np.cumsum(np.diff(zeta) * (torque[1:] + torque[:-1]) / 2)]
+    lost = taken - torque**2 * slip / (2 * h)
+    assert np.all(np.diff(lost) > -1e-4 * h * slip)
+    assert taken.min() >= 0
+    assert lost[-1] > h * slip
+
+
+def hysteretic(t: float, y: Array, h: float, slip: float) -> Array:
+    """Return d(q_l, q_m, dq_l, dq_m, T)/dt of Table 1's link with a Maxwell element of torque T, in velocities."""
+    q_l, q_m, v_l, v_m, T = y
+    rate = v_m - v_l
+    sticks = abs(T) < h or T * rate < 0
+    tau = 31.0 * (q_m - q_l) + T
+    link = tau - 0.2 * v_l - 0.8 * np.sin(q_l)
+    return np.array(
+        [v_l, v_m, link / 0.031, (0.3 * np.sin(9 * t) - tau - 0.007 * v_m) / 0.004, sticks * h / slip * rate]
+    )
+
+
+@pytest.mark.parametrize(("integrator", "tolerance"), [("rk4", 2e-6), ("implicit_midpoint", 1e-5)])
+def test_motion_with_hysteresis_is_that_of_its_rate_equation(integrator: str, tolerance: float) -> None:
+    """SciPy integrates dT/dt = (h / slip) d zeta/dt while the element sticks, with tight tolerances."""
+    h, slip, dt, end = 0.2, 0.008, 2e-5, 0.4
+    robot = fjr.single_link()
+    plant, i = plant_of(robot, integrator=integrator), Imperfections(1, hysteresis=h, slip=slip).vector
+    start = np.array([0.5, 0.53, 0.4, -0.3])
+    state = started(plant.state(start[:2], start[2:], i))
+    for k in range(round(end / dt)):
+        state = plant.step(state, [0.3 * np.sin(9 * (k + 0.5) * dt)], [0], i, dt)
+    velocity, torque = plant.measure(state, i)
+    exact = solve_ivp(hysteretic, (0, end), [*start, 0], "DOP853", args=(h, slip), rtol=1e-9, atol=1e-11, max_step=1e-4)
+    assert np.r_[state[:2], velocity] == pytest.approx(exact.y[:4, -1], abs=tolerance)
+    assert torque[0] - 31.0 * (state[1] - state[0]) == pytest.approx(exact.y[4, -1], abs=1e-4 * h)
+    assert np.count_nonzero(np.abs(exact.y[4]) >= h) > 100  # it slipped
+
+
+def test_energy_of_a_free_motion_falls_by_the_work_of_the_sliders() -> None:
+    """H and the stored energy h^2 slip / (2 hysteresis) decrease by the sum of hysteresis |ds|, and never increase."""
+    robot = fjr.planar_two_link(link_damping=0.0, motor_damping=0.0)
+    level, slip = np.array([0.3, 0.2]), np.array([0.01, 0.02])
+    plant, i = plant_of(robot), Imperfections(2, hysteresis=level, slip=slip).vector
+    state = started(plant.state([0.9, -0.6, 1.0, -0.5], [0.5, -1.0, 0.3, 0.8], i))
+    energies, slid = [], [state[10:]]
+    for _ in range(4000):
+        stored = slip / (2 * level) * (level * np.clip((deflection(state[:8]) - state[10:]) / slip, -1, 1)) ** 2
+        energies.append(plant.hamiltonian(state[:8], i) + stored.sum())
+        state = plant.step(state, [0, 0], [0, 0], i, 5e-5)
+        slid.append(state[10:])
+    lost = np.cumsum(np.abs(np.diff(slid, axis=0)) @ level)[:-1]
+    assert lost[-1] > 0.1 * (energies[0] - min(energies[0], 0))
+    assert np.diff(energies).max() < 1e-9
+    assert np.r_[energies][1:] == pytest.approx(energies[0] - lost, abs=2e-5 * lost[-1])
+
+
+def test_stuck_rate_is_the_frequency_of_the_sticking_springs() -> None:
+    robot, q_l, i = ARMS[-1].robot, np.array([0.4, -0.9]), Imperfections(2, hysteresis=[0.2, 0.0], slip=1e-3)
+    M_l, stiffness = robot.M_l(q_l), robot.K + np.diag([200.0, 0.0])
+    on = {
+        M: [np.linalg.solve(inertia, s * stiffness) for s in (1, -1)] for M, inertia in (("l", M_l), ("m", robot.M_m))
+    }
+    both = np.block([on["l"], on["m"][::-1]])
+    assert stuck_rate(i, robot.K, M_l, robot.M_m) ** 2 == pytest.approx(np.linalg.eigvals(both).real.max(), rel=1e-12)
+    assert stuck_rate(Imperfections(2), robot.K, M_l, robot.M_m) == 0.0
 
 
 # Ripple.
@@ -227,7 +365,7 @@ def assert_carries(robot: fjr.Robot, links: Any, i: Imperfections, seed: int) ->
     for block in range(4):
         rows = slice(n * block, n * (block + 1))
         np.testing.assert_allclose(seen[rows], wanted[rows], rtol=1e-10, atol=1e-10 * np.max(np.abs(wanted)))
-    np.testing.assert_allclose(plant.measure(x, i.vector)[0], dq, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(plant.measure(started(x), i.vector)[0], dq, rtol=1e-10, atol=1e-12)
     bare = plant.state(np.zeros(2 * n), np.zeros(2 * n), off)
     x = plant.state(q, np.zeros(2 * n), i.vector)
     added = [plant.hamiltonian(y, i.vector) - plant.hamiltonian(y, off) for y in (x, bare)]
@@ -246,7 +384,7 @@ def test_payload_on_the_single_link_equals_a_heavier_link(seed: int) -> None:
     plant, real = plant_of(fjr.single_link()), fjr.Plant(heavier)
     x = plant.state(q, dq, i)
     np.testing.assert_allclose(x, heavier.state(q[:1], q[1:], dq[:1], dq[1:]), rtol=1e-14)
-    seen, wanted = np.r_[x, 0], x
+    seen, wanted = started(x), x
     for _ in range(100):
         seen, wanted = plant.step(seen, u, [0], i, DT), real.step(wanted, u, DT)
     np.testing.assert_allclose(seen[:4], wanted, rtol=1e-11, atol=1e-13)
@@ -298,7 +436,7 @@ def test_payload_is_refused_without_an_end_effector_frame() -> None:
     plant.check(Imperfections(1, coulomb_l=0.1))
     with pytest.raises(fjr.ParameterError, match="payload_mass"):
         plant.check(Imperfections(1, payload_mass=0.1))
-    state = plant.step(np.zeros(5), [0], [0], Imperfections(1).vector, DT)
+    state = plant.step(np.zeros(6), [0], [0], Imperfections(1).vector, DT)
     assert np.isfinite(state).all()
 
 
@@ -319,18 +457,18 @@ def test_external_torque_acts_on_the_links_and_does_work(arm: Arm) -> None:
 def test_actuator_lag_has_the_exact_step_response() -> None:
     T, plant = np.array([0.003, 0.02]), plant_of(fjr.planar_two_link())
     i, u = Imperfections(2, lag=T).vector, np.array([2.0, -1.0])
-    state = np.zeros(10)
+    state = np.zeros(12)
     for k in range(1, 41):
         state = plant.step(state, u, [0, 0], i, DT)
-        np.testing.assert_allclose(state[8:], u * (1 - np.exp(-k * DT / T)), rtol=1e-12)
-    np.testing.assert_allclose(plant.applied(state[8:], u, i), state[8:], rtol=1e-15)
+        np.testing.assert_allclose(state[8:10], u * (1 - np.exp(-k * DT / T)), rtol=1e-12)
+    np.testing.assert_allclose(plant.applied(state[8:10], u, i), state[8:10], rtol=1e-15)
 
 
 @pytest.mark.parametrize(("integrator", "order"), [("rk4", 4), ("implicit_midpoint", 2)])
 def test_actuator_lag_preserves_the_order_of_the_integrator(integrator: str, order: int) -> None:
     """The error of the motion under a(t) = u (1 - exp(-t/T)) has the order of the integrator."""
     plant = plant_of(fjr.single_link(), integrator=integrator)
-    i, start = Imperfections(1, lag=0.02).vector, np.r_[fjr.single_link().state([0.3], [0.2], [0.5], [1.0]), 0.0]
+    i, start = Imperfections(1, lag=0.02).vector, started(fjr.single_link().state([0.3], [0.2], [0.5], [1.0]))
 
     def end(steps: int) -> Array:
         state = start
@@ -346,7 +484,7 @@ def test_actuator_lag_preserves_the_order_of_the_integrator(integrator: str, ord
 @pytest.mark.parametrize("lag", [0.0, 0.01])
 def test_command_is_saturated_exactly_and_before_the_lag(lag: float) -> None:
     plant, i = plant_of(fjr.planar_two_link()), Imperfections(2, effort_limit=(1.5, np.inf), lag=lag).vector
-    inside, beyond = (plant.step(np.zeros(10), u, [0, 0], i, DT) for u in ([-1.5, 7.0], [-99.0, 7.0]))
+    inside, beyond = (plant.step(np.zeros(12), u, [0, 0], i, DT) for u in ([-1.5, 7.0], [-99.0, 7.0]))
     assert np.array_equal(inside, beyond)
     assert np.array_equal(
         plant.applied([0, 0], [-99.0, 7.0], Imperfections(2, effort_limit=(1.5, np.inf)).vector), [-1.5, 7]
@@ -360,7 +498,7 @@ def test_one_function_serves_all_parameters() -> None:
     """Parameters are arguments of the function, so changing them builds nothing."""
     plant = plant_of(fjr.planar_two_link())
     step = plant.step_function
-    x = np.r_[fjr.planar_two_link().state([0.1, 0.2], [0.1, 0.3], [0.4, 0.5], [0.6, 0.7]), 0, 0]
+    x = started(fjr.planar_two_link().state([0.1, 0.2], [0.1, 0.3], [0.4, 0.5], [0.6, 0.7]))
     ends = [plant.step(x, [1, 1], [0, 0], i.vector, DT) for i in (Imperfections(2), everything(2))]
     assert np.max(np.abs(ends[0] - ends[1])) > 1e-6
     assert plant.step_function is step
@@ -371,7 +509,7 @@ def test_compiled_plant_gives_the_same_numbers() -> None:
     rng, i = np.random.default_rng(0), everything(7)
     compiled, interpreted = plant_of(robot, compile=True), plant_of(robot)
     x = interpreted.state(rng.uniform(-1, 1, 14), rng.uniform(-1, 1, 14), i.vector)
-    state, u, push = np.r_[x, rng.normal(size=7)], rng.normal(size=7), rng.normal(size=7)
+    state, u, push = np.r_[x, rng.normal(size=7), rng.uniform(-1, 1, 7)], rng.normal(size=7), rng.normal(size=7)
     seen, wanted = (plant.step(state, u, push, i.vector, DT) for plant in (compiled, interpreted))
     np.testing.assert_allclose(seen, wanted, rtol=1e-10, atol=1e-13)
 
@@ -382,6 +520,8 @@ BAD = {
     "stribeck_l": 0.0,
     "smoothing": -1.0,
     "cubic": [1.0, 2.0, 3.0],
+    "hysteresis": -0.5,
+    "slip": 0.0,
     "effort_limit": -1.0,
     "lag": np.inf,
     "payload_mass": -2.0,

@@ -16,7 +16,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.numerics.symbolic import not_converged
 from fjr_core.runtime.library import CFunction, WorkSpace
-from fjr_core.simulation.imperfections import ChannelErrors, Imperfections, SensorErrors, friction_rate
+from fjr_core.simulation.imperfections import ChannelErrors, Imperfections, SensorErrors, friction_rate, stuck_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_msgs_py.native.program import Program
 
@@ -80,6 +80,8 @@ def _held(name: str, part: Callable[[int], slice], doc: str) -> Any:
 
 STIFFEST_FRICTION = 2.0
 """Largest product of friction rate and inner step; Runge-Kutta of order 4 is stable up to 2.78."""
+STIFFEST_SPRING = 2.7
+"""Largest product of the frequency of springs with hysteresis and inner step; stable up to 8^(1/2)."""
 
 
 class SimulatedRobot:
@@ -92,6 +94,7 @@ class SimulatedRobot:
 
     x = _held("state", lambda n: slice(4 * n), "State (4n,).")
     _output = _held("state", lambda n: slice(4 * n, 5 * n), "Outputs of the actuators behind their lag (n,) [N m].")
+    _sliders = _held("state", lambda n: slice(5 * n, 6 * n), "Sliders of the Maxwell elements (n,) [rad].")
     u = _held("u", slice, "Command (n,) [N m].")
     external = _held("external", slice, "Torques on the links (n,) [N m].")
 
@@ -122,7 +125,7 @@ class SimulatedRobot:
     def _build(self, parameters: int) -> None:
         """Build struct fjr_robot; parameters: their number."""
         n, ffi = self._n, self._program.ffi
-        sizes = {"state": 5 * n, "next": 5 * n, "u": n, "external": n, "parameters": parameters, "measured": 6 * n}
+        sizes = {"state": 6 * n, "next": 6 * n, "u": n, "external": n, "parameters": parameters, "measured": 6 * n}
         self._arrays = {name: np.zeros(size) for name, size in sizes.items()}
         functions = {
             "step": self._plant.step_function,
@@ -149,7 +152,7 @@ class SimulatedRobot:
         self.pointer.time = 0
         for name in ("u", "external", "state"):
             self._arrays[name][:] = 0.0
-        self.x = self._x0
+        self.x, self._sliders = self._x0, self._deflection(self._x0)
         if np.any(self._imperfections.payload_mass):
             self.x = self._with_velocity(np.concatenate(self._plant.robot.velocities(self._x0)))
         self._sensors.reset()
@@ -173,6 +176,7 @@ class SimulatedRobot:
         velocity, output, before = self._velocity(), self._applied(), self._imperfections
         self._use(imperfections)
         self._output = output
+        self._sliders = np.where(np.asarray(before.hysteresis) > 0, self._sliders, self._deflection(self.x))
         if not _same_load(before, imperfections):
             self.x = self._with_velocity(velocity)
         if sensor_errors is not None:
@@ -221,14 +225,28 @@ class SimulatedRobot:
 
     def _use(self, imperfections: Imperfections) -> None:
         self._imperfect.check(imperfections)
-        self._check_friction(imperfections)
+        self._check_step(imperfections)
         self._imperfections, self.pointer.perfect = imperfections, imperfections.off
         self._arrays["parameters"][:] = imperfections.vector
 
-    def _check_friction(self, imperfections: Imperfections) -> None:
+    def _deflection(self, x: Array) -> Array:
+        """Return the deflections (n,) of the springs [rad] at x (4n,)."""
+        return np.asarray(x[self._n : 2 * self._n] - x[: self._n])
+
+    def _check_step(self, imperfections: Imperfections) -> None:
+        """Raise ParameterError for friction or hysteresis too stiff for the explicit integrator."""
+        if self._plant.integrator != "rk4":
+            return
         robot, dt = self._plant.robot, self._inner_step * 1e-9
-        rate = friction_rate(imperfections, robot.M_l(self._x0[: self._n]), robot.M_m)
-        if self._plant.integrator == "rk4" and rate * dt > STIFFEST_FRICTION:
+        M_l = robot.M_l(self._x0[: self._n])
+        rate = stuck_rate(imperfections, robot.K, M_l, robot.M_m)
+        if rate * dt > STIFFEST_SPRING:
+            raise ParameterError(
+                f"springs with hysteresis oscillate at {rate:.4g} rad/s; expected at most {STIFFEST_SPRING / dt:.4g} "
+                "rad/s for inner steps of this length: raise imperfections.hysteresis_deflection or inner_steps"
+            )
+        rate = friction_rate(imperfections, M_l, robot.M_m)
+        if rate * dt > STIFFEST_FRICTION:
             raise ParameterError(
                 f"friction damps with {rate:.4g} 1/s about rest; expected at most {STIFFEST_FRICTION / dt:.4g} 1/s for "
                 "inner steps of this length: raise imperfections.friction_smoothing_velocity or inner_steps"
@@ -236,7 +254,7 @@ class SimulatedRobot:
 
     def _velocity(self) -> Array:
         """Return the exact velocities (2n,)."""
-        return self._imperfect.measure(self.x, self._arrays["parameters"])[0]
+        return self._imperfect.measure(self._arrays["state"], self._arrays["parameters"])[0]
 
     def _applied(self) -> Array:
         """Return the present actuator outputs (n,) [N m]."""

@@ -54,6 +54,7 @@ class Imperfections:
     / stribeck)^2); a static level below the Coulomb level is ignored. coulomb_m, static_m, stribeck_m: friction of the
     motors. smoothing [rad/s]: sign(v) is replaced by tanh(v / smoothing), so that a joint creeps instead of sticking
     and an explicit integrator stays stable; see friction_rate. cubic [N m/rad^3]: spring torque K zeta + cubic zeta^3.
+    hysteresis [N m], slip [rad]: torque and deflection at which a Maxwell element beside the spring slips.
     ripple [N m], ripple_periods [1/turn], ripple_phase [rad]: motor torque ripple sin(periods q_m + phase).
     effort_limit [N m]: saturation of the command, inf: none. lag [s]: time constant of the motor torque after the
     saturation, 0: none. payload_mass [kg], payload_position (3,) [m]: point mass on the last link, in its frame. Raises
@@ -85,6 +86,12 @@ class Imperfections:
         1e-6,
     )
     cubic: ArrayLike = _per_joint(0.0, "cubic_stiffness", "N m/rad^3", "Cubic stiffness of the joints")
+    hysteresis: ArrayLike = _per_joint(
+        0.0, "hysteresis_torque", "N m", "Torque at which the Maxwell element beside a spring slips"
+    )
+    slip: ArrayLike = _per_joint(
+        1e-3, "hysteresis_deflection", "rad", "Deflection at which the Maxwell element beside a spring slips", 1e-9
+    )
     ripple: ArrayLike = _per_joint(0.0, "torque_ripple", "N m", "Amplitude of the motor torque ripple")
     ripple_periods: ArrayLike = _per_joint(
         12.0, "torque_ripple_periods", "1/turn", "Periods of the torque ripple per turn of q_m"
@@ -118,7 +125,7 @@ class Imperfections:
 
 
 NAMES = tuple(field.name for field in fields(Imperfections) if field.name != "n")
-SWITCHES = ("coulomb_l", "static_l", "coulomb_m", "static_m", "cubic", "ripple", "lag", "payload_mass")
+SWITCHES = ("coulomb_l", "static_l", "coulomb_m", "static_m", "cubic", "hysteresis", "ripple", "lag", "payload_mass")
 """If all of these are 0 and there is no effort_limit, the robot equals eq. (36)."""
 
 
@@ -133,6 +140,18 @@ def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) 
     sides = ((M_l, i.coulomb_l, i.static_l), (M_m, i.coulomb_m, i.static_m))
     slopes = [(np.asarray(M), np.maximum(coulomb, static) / i.smoothing) for M, coulomb, static in sides]
     return max(float(np.max(np.linalg.eigvals(np.linalg.solve(M, np.diag(slope))).real)) for M, slope in slopes)
+
+
+def stuck_rate(imperfections: Imperfections, K: Array, M_l: Array, M_m: Array) -> float:
+    """Return the largest frequency [rad/s] of the springs while their Maxwell elements stick, 0 without hysteresis.
+
+    Square root of the largest eigenvalue of (M_l^-1 + M_m^-1) (K + diag(hysteresis / slip)), matrices (n, n).
+    """
+    i = imperfections
+    if not np.any(i.hysteresis):
+        return 0.0
+    stiffness = K + np.diag(i.hysteresis / np.asarray(i.slip))
+    return float(np.sqrt(np.max(np.linalg.eigvals((np.linalg.inv(M_l) + np.linalg.inv(M_m)) @ stiffness).real)))
 
 
 NANOSECONDS = 1e9

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot with friction, cubic springs, torque ripple, saturation and lag of the actuators, payload, external torques.
+"""Robot with friction, cubic springs, hysteresis, torque ripple, saturation and lag, payload, external torques.
 
     dq_l = (M_l + m J'J)^-1 p_l                      dq_m = M_m^-1 p_m
-    dp_l = -dH/dq_l - D_l dq_l - F_l(dq_l) + tau     dp_m = -dH/dq_m - D_m dq_m - F_m(dq_m) + r(q_m) + B_m a
+    dp_l = -dH/dq_l - D_l dq_l - F_l(dq_l) + h + tau
+    dp_m = -dH/dq_m - D_m dq_m - F_m(dq_m) - h + r(q_m) + B_m a
     H    = eq. (36) with the payload + sum cubic zeta^4 / 4
     T da/dt = sat(u) - a                             solved exactly, also in the middle of a step
+    h = hysteresis cut((zeta - s) / slip)            cut to -1 .. 1; s is held in a step, then |zeta - s| <= slip
 
 All imperfections are arguments of one function, so that they can change while the robot moves.
 """
@@ -34,8 +36,9 @@ SHORTEST_LAG = 1e-12  # s
 class NonidealPlant:
     """Plant (36) with imperfections as parameters, as pure functions that are built once.
 
-    The state is (x, a) (5n,): x of eq. (36) with the momenta of the payload in p_l, and the actuator outputs a (n,). A
-    payload is ignored for links without an end-effector frame; `check` refuses it.
+    The state is (x, a, s) (6n,): x of eq. (36) with the momenta of the payload in p_l, the actuator outputs a (n,) and
+    the sliders s (n,) [rad] of the Maxwell elements, the deflections at which they carry no torque. A payload is
+    ignored for links without an end-effector frame; `check` refuses it.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -53,20 +56,23 @@ class NonidealPlant:
                 raise ParameterError(f"{name} is not 0 for a plant in Python; expected 0: it is part of that plant")
 
     def step(self, state: ArrayLike, u: ArrayLike, external: ArrayLike, parameters: ArrayLike, dt: float) -> Array:
-        """Return the state (5n,) after dt [s] under the command u (n,) and external torques (n,) [N m] on the links."""
+        """Return the state (6n,) after dt [s] under the command u (n,) and external torques (n,) [N m] on the links."""
         return self._step(state, u, external, parameters, dt)[0]
 
     def applied(self, a: ArrayLike, u: ArrayLike, parameters: ArrayLike) -> Array:
         """Return the present actuator outputs (n,) for the state a (n,) of the lag and the command u (n,)."""
         return self._applied(a, u, parameters, 0.0)[0]
 
-    def measure(self, x: ArrayLike, parameters: ArrayLike) -> tuple[Array, Array]:
-        """Return velocities (dq_l, dq_m) (2n,) [rad/s] and spring torques (n,) [N m] at x (4n,)."""
-        velocity, spring = self._measure(x, parameters)
+    def measure(self, state: ArrayLike, parameters: ArrayLike) -> tuple[Array, Array]:
+        """Return velocities (dq_l, dq_m) (2n,) [rad/s] and joint torques (n,) [N m], with h, at a state (6n,)."""
+        velocity, spring = self._measure(state, parameters)
         return velocity, spring
 
     def hamiltonian(self, x: ArrayLike, parameters: ArrayLike) -> float:
-        """Return the energy [J] at x (4n,), with the payload and the cubic part of the springs."""
+        """Return the energy [J] at x (4n,), with the payload and the cubic part of the springs.
+
+        A Maxwell element stores h^2 slip / (2 hysteresis) more.
+        """
         return float(self._hamiltonian(x, parameters)[0][0])
 
     def state(self, position: ArrayLike, velocity: ArrayLike, parameters: ArrayLike) -> Array:
@@ -75,17 +81,21 @@ class NonidealPlant:
 
     @cached_property
     def dynamics(self) -> ca.Function:
-        """Return the function (x, inputs) -> dx/dt (4n,); inputs: actuator outputs, external torques, parameters."""
+        """Return the function (x, inputs) -> dx/dt (4n,).
+
+        inputs: actuator outputs, external torques and sliders (n,) each, parameters.
+        """
         n = self.robot.n
-        s = symbols(ca.MX if self.plant.in_python else ca.SX, x=4 * n, inputs=2 * n + layout(n).size)
+        s = symbols(ca.MX if self.plant.in_python else ca.SX, x=4 * n, inputs=3 * n + layout(n).size)
         x, inputs = s.values()
-        applied, external, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
+        applied, external, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, 3 * n, inputs.numel()])
         p, q_m = layout(n).named(parameters), x[n : 2 * n]
         dx, dq_l, dq_m = self._motion(x, applied, p)
         F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
         F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing)
         ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
-        dx += ca.vertcat(ca.DM.zeros(2 * n), external - F_l, ripple - F_m)
+        h = hysteresis(q_m - x[:n], sliders, p)
+        dx += ca.vertcat(ca.DM.zeros(2 * n), external + h - F_l, ripple - h - F_m)
         return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
 
     def _motion(self, x: ca.SX, applied: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -107,8 +117,8 @@ class NonidealPlant:
     def functions_as_c(self) -> dict[str, ca.Function]:
         """Return functions from which C can be generated, by name.
 
-        step: as step_function. measure: (x, parameters) -> velocities, spring torques. applied: (a, u, parameters, t)
-        -> torques of the actuators after t [s], on the motors. state: (position, velocity, parameters) -> x.
+        step: as step_function. measure: (state, parameters) -> velocities, joint torques. applied: (a, u, parameters,
+        t) -> torques of the actuators after t [s], on the motors. state: (position, velocity, parameters) -> x.
         """
         a, u, p, t = self._actuators.sx_in()
         applied = {"a": a, "u": u, "parameters": p, "t": t}, {"torque": self.robot.B_m @ self._actuators(a, u, p, t)}
@@ -121,31 +131,33 @@ class NonidealPlant:
 
     def _step_function(self, as_c: bool) -> ca.Function:
         n = self.robot.n
-        s = symbols(ca.MX, state=5 * n, u=n, external=n, parameters=layout(n).size, dt=1)
+        s = symbols(ca.MX, state=6 * n, u=n, external=n, parameters=layout(n).size, dt=1)
         state, u, external, parameters, dt = s.values()
-        x, a = ca.vertsplit(state, [0, 4 * n, 5 * n])
+        x, a, sliders = ca.vertsplit(state, [0, 4 * n, 5 * n, 6 * n])
         applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
-        start, middle, end = (ca.vertcat(b, external, parameters) for b in applied)
+        start, middle, end = (ca.vertcat(b, external, sliders, parameters) for b in applied)
         x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt, as_c)
-        return dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1])})
+        zeta, slip = x_next[n : 2 * n] - x_next[:n], layout(n).named(parameters).slip
+        sliders_next = ca.fmin(ca.fmax(sliders, zeta - slip), zeta + slip)
+        return dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1], sliders_next)})
 
     @cached_property
     def output_function(self) -> ca.Function:
         """Return the function (state, u, parameters) -> outputs as Plant.output_function; machine code as the step."""
         n = self.robot.n
-        s, p = self._symbols(state=5 * n, u=n)
-        x, a = ca.vertsplit(s["state"], [0, 4 * n, 5 * n])
-        velocities, torques = self._measured(x, p)
-        applied = sparse(self.robot.B_m) @ self._actuators(a, s["u"], s["parameters"], 0)
-        outputs = {"q": x[: 2 * n], "dq": velocities, "torques": ca.vertcat(torques, applied)}
+        s, p = self._symbols(state=6 * n, u=n)
+        velocities, torques = self._measured(s["state"], p)
+        applied = sparse(self.robot.B_m) @ self._actuators(s["state"][4 * n : 5 * n], s["u"], s["parameters"], 0)
+        outputs = {"q": s["state"][: 2 * n], "dq": velocities, "torques": ca.vertcat(torques, applied)}
         function = dense_function("nonideal_outputs", s, outputs)
         return compiled(function) if self.plant.compiles else function
 
-    def _measured(self, x: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
-        """Return velocities (2n,) and spring torques (n,) at x (4n,) as expressions."""
-        q_l, q_m, _, _ = blocks(x, self.robot.n)
-        velocities = ca.vertcat(*self.robot.velocity_expressions(x, self._links(p)))
-        return velocities, springs.torque(self.robot, q_m - q_l, p.cubic)
+    def _measured(self, state: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
+        """Return velocities (2n,) and joint torques (n,) at a state (6n,) as expressions."""
+        n = self.robot.n
+        zeta, sliders = state[n : 2 * n] - state[:n], state[5 * n :]
+        velocities = ca.vertcat(*self.robot.velocity_expressions(state[: 4 * n], self._links(p)))
+        return velocities, springs.torque(self.robot, zeta, p.cubic) + hysteresis(zeta, sliders, p)
 
     def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
         links = self.robot.links
@@ -178,8 +190,8 @@ class NonidealPlant:
 
     @cached_property
     def _measure(self) -> NumericFunction:
-        s, p = self._symbols(x=4 * self.robot.n)
-        velocities, torques = self._measured(s["x"], p)
+        s, p = self._symbols(state=6 * self.robot.n)
+        velocities, torques = self._measured(s["state"], p)
         return numeric("measure", s, {"velocities": velocities, "springs": torques})
 
     @cached_property
@@ -206,6 +218,17 @@ def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing
     """
     level = coulomb + ca.fmax(static - coulomb, 0) * ca.exp(-((v / stribeck) ** 2))
     return level * ca.tanh(v / smoothing)
+
+
+def hysteresis(zeta: ca.SX, sliders: ca.SX, p: SimpleNamespace) -> ca.SX:
+    """Return the torques h (n,) [N m] of the Maxwell elements at deflections zeta of springs (n,) [rad].
+
+    A spring of stiffness hysteresis / slip drags a slider that gives way at the torque `hysteresis` (F. Al-Bender, V.
+    Lampaert, J. Swevers, IEEE Transactions on Automatic Control 50(11), 2005). The work over a closed cycle is that of
+    the slider, the integral of h ds >= 0: between -A and A >= slip it is 4 hysteresis (A - slip), and the two branches
+    are 2 hysteresis apart.
+    """
+    return p.hysteresis * ca.fmin(ca.fmax((zeta - sliders) / p.slip, -1), 1)
 
 
 def layout(n: int) -> PackedVector:

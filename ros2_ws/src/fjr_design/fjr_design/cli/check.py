@@ -39,6 +39,7 @@ from fjr_design.cli.preflight import (
     refuse_unstable,
     start_outside,
 )
+from fjr_design.stability.hard_start import HardStart, hard_start
 from fjr_design.stability.sampled_loop import SampledCheck
 from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
@@ -112,11 +113,14 @@ def check(scenario: Scenario) -> Check:
     found, law = checked(scenario), scenario.law
     rates, numbers = _rates(scenario, law) if isinstance(law, TrackingLaw) else (_other_law(scenario), {})
     lowest, at = found.lowest_stable_rate, as_list(found.configuration)
+    start = hard_start(scenario)
+    diverging = [f"scenario {scenario.name}: {_diverges(scenario, start)}"] if start and start.diverges else []
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_in_the_loop(scenario),
         **rates,
         **_springs(scenario),
+        **_start_error(scenario, start),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {plural(found.configurations, 'configuration')}",
         "    found at q_l": f"{at} {position_unit(scenario)}",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
@@ -136,7 +140,7 @@ def check(scenario: Scenario) -> Check:
         "lowest_stable_rate_hz": lowest,
         "sample_period_s": found.sample_period,
         **{"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None, **numbers},
-        "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings],
+        "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *diverging],
         "refused": refusal or None,
     }
     return Check(rows, values, refusal)
@@ -208,6 +212,33 @@ def _springs(scenario: Scenario) -> dict[str, str]:
     return {
         "springs": f"up to {as_list(most)} % stiffer at rest on the reference; radii are of springs under the weight"
     }
+
+
+def _start_error(scenario: Scenario, start: HardStart | None) -> dict[str, str]:
+    """Return how far the start deflects springs that harden, and whether the loop is stable with such stiff ones."""
+    if start is None:
+        return {}
+    if start.diverges:
+        return {"start error": _diverges(scenario, start)}
+    seen = f"springs deflect up to {as_list(start.deflection)} {position_unit(scenario)}"
+    stiff = f"spectral radius {start.radius:.6f} with springs as stiff as there"
+    if start.radius < 1:
+        return {"start error": f"{seen}; {stiff}"}
+    return {"start error": f"{seen}; the simulated motion returns, but {stiff}; below 1 up to {_inside(start)}"}
+
+
+def _diverges(scenario: Scenario, start: HardStart) -> str:
+    """Return the sentence about a start from which the simulated loop diverges."""
+    error = f"{as_list(start.error)} {position_unit(scenario)}"
+    return (
+        f"the loop diverges as sampled from the start error {error}, which deflects springs that harden too far; "
+        f"expected at most {_inside(start)}"
+    )
+
+
+def _inside(start: HardStart) -> str:
+    """Return the start error with which the loop is stable with springs as stiff as on its way."""
+    return f"{as_list(start.inside * start.error)}, {100 * start.inside:.0f} % of it"
 
 
 def _is_provable(scenario: Scenario) -> bool:

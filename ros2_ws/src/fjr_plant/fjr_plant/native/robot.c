@@ -23,7 +23,7 @@ static int inner_step(struct fjr_robot* r, int ideal) {
     r->arg[2] = r->external, r->arg[3] = r->parameters, r->arg[4] = &r->dt;
   }
   if ((ideal ? r->step : r->nonideal_step)(r->arg, r->res, r->iw, r->w, 0)) return FJR_STEP_FAILED;
-  memcpy(r->state, r->next, (size_t)(ideal ? 4 : 5) * (size_t)r->n * sizeof(double));
+  memcpy(r->state, r->next, (size_t)(ideal ? 4 : 6) * (size_t)r->n * sizeof(double));
   return FJR_NO_FAULT;
 }
 

@@ -38,8 +38,8 @@ struct fjr_robot {
   int32_t perfect;           /* 1: eq. (36) without non-idealities, unless external torques act */
   int64_t time, inner_step;
   double dt;                 /* inner_step [s] */
-  double* state;             /* (5n) x of eq. (36), then the actuator outputs behind their lag [N m] */
-  double* next;              /* (5n) */
+  double* state;             /* (6n) x of eq. (36), actuator outputs behind their lag [N m], sliders [rad] */
+  double* next;              /* (6n) */
   double* u;                 /* (n) command [N m], held */
   double* external;          /* (n) torques on the links [N m], held */
   double* parameters;        /* non-idealities */
