@@ -9,7 +9,7 @@ seven joints are cut into pieces for it: from one rollout of a second, 100 itera
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -28,6 +28,7 @@ from bench.figures import Figure
 from bench.identification_cases import simulated
 from bench.mujoco_arm import mjcf
 from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
@@ -43,7 +44,7 @@ SINGLE = Path(__file__).resolve().parents[1] / "ros2_ws/src/fjr_bringup/scenario
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
-    """Values, low and high ends of 95 % intervals (4, n) in the order of NAMES, and the processor time [s]."""
+    """Values, low and high ends of 95 % intervals (names, n) in the order of a case, and the processor time [s]."""
 
     values: Array
     low: Array
@@ -53,73 +54,74 @@ class Estimated:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A simulated record of a scenario, its true states (k, 4n) and Pinocchio's model of the links."""
+    """A simulated record, the robot, and Pinocchio's model of its links.
 
-    scenario: Scenario
+    motion: true positions and velocities (k, 4n). truth, start: parameters (n,) by name, as they are and as both first
+    believe them.
+    """
+
+    robot: Robot
     model: Any
     record: MotionRecord
-    x: Array
-
-    @property
-    def truth(self) -> Array:
-        """Return the true parameters (4, n)."""
-        robot = self.scenario.robot
-        return np.array([np.diag(each) for each in (robot.K, robot.M_m, robot.D_l, robot.D_m)])
-
-    @property
-    def start(self) -> Array:
-        """Return the parameters (4, n) from which both start."""
-        return self.truth * np.array(list(WRONG.values()))[:, None]
+    motion: Array
+    truth: Mapping[str, Array]
+    start: Mapping[str, Array]
 
 
 def case_of(scenario: Scenario, model: Any, duration: float, seed: int) -> Case:
     """Return a case of `duration` seconds with white noise on all encoders."""
-    return Case(scenario, model, *simulated(scenario, duration, NOISE, seed))
+    robot = scenario.robot
+    truth = dict(zip(NAMES, map(np.diag, (robot.K, robot.M_m, robot.D_l, robot.D_m)), strict=True))
+    start = {name: WRONG[name] * value for name, value in truth.items()}
+    record, states = simulated(scenario, duration, NOISE, seed)
+    motion = np.array([np.concatenate([x[: 2 * robot.n], *robot.velocities(x)]) for x in states])
+    return Case(robot, model, record, motion, truth, start)
 
 
 def ours(case: Case) -> Estimated:
     """Estimate by this project."""
-    prior = Prior.of(case.scenario.robot, dict(zip(NAMES, case.start, strict=True)))
+    prior = Prior.of(case.robot, case.start)
     began = time.process_time()
-    found = identify([case.record], case.scenario.robot, prior, IdentifyOptions(free=NAMES))
+    found = identify([case.record], case.robot, prior, IdentifyOptions(free=NAMES))
     seconds = time.process_time() - began
     ends = np.array([[each.value, each.low, each.high] for each in found.estimates])
     values, low, high = ends.T.reshape(3, len(NAMES), -1)
     return Estimated(values, low, high, seconds)
 
 
-def theirs(case: Case, pieces: int = 1) -> Estimated:
+def theirs(case: Case, pieces: int = 1, substeps: int = 1) -> Estimated:
     """Estimate by mujoco.sysid with its defaults; each parameter is a factor of its start.
 
-    pieces: of the record, each of which is simulated from its true initial state.
+    pieces: of the record, each of which is simulated from its true initial state. substeps: of a sample period.
     """
-    n, robot = case.scenario.robot.n, case.scenario.robot
+    n = case.robot.n
+    on = ["actuation", *(("constraint", "frictionloss") if any("friction" in name for name in case.truth) else ())]
     logging.set_verbosity(logging.ERROR)  # it warns of each piece that the model has no sensors
-    spec = mujoco.MjSpec.from_string(mjcf(case.model, robot, case.record.dt, actuated=True))
+    spec = mujoco.MjSpec.from_string(mjcf(case.model, case.robot, case.record.dt / substeps, on))
     model = spec.compile()
     began = time.process_time()
-    sequences = [_sequences(case, spec, model, pieces)]
+    sequences = [_sequences(case, spec, model, pieces, substeps)]
     residual = sysid.build_residual_fn(models_sequences=sequences, enabled_observations=_observations(model, n))
     with redirect_stdout(StringIO()):
         found, result = sysid.optimize(_factors(case), residual, verbose=False)
     at_end, _, _ = residual(result.x, found)
     half = sysid.calculate_intervals(at_end, result.jac)[1]
     seconds = time.process_time() - began
-    values, half = (np.reshape(each, (len(NAMES), n)) * case.start for each in (result.x, half))
+    values, half = (np.reshape(each, (-1, n)) * list(case.start.values()) for each in (result.x, half))
     return Estimated(values, values - half, values + half, seconds)
 
 
-def _sequences(case: Case, spec: Any, model: Any, pieces: int) -> Any:
+def _sequences(case: Case, spec: Any, model: Any, pieces: int, substeps: int) -> Any:
     """Return the pieces of the record with their true initial states."""
-    record, n = case.record, case.scenario.robot.n
+    record, n = case.record, case.robot.n
     edges = np.round(np.linspace(0, len(record.u) - 1, pieces + 1)).astype(int)
     states, controls, observed = [], [], []
     for first, last in pairwise(edges):
         piece, t = slice(first, last + 1), record.dt * np.arange(last + 1 - first)
-        x, q = case.x[first], np.hstack([record.q_l[piece], record.q_m[piece]])
-        velocities = np.concatenate(case.scenario.robot.velocities(x))
-        states.append(sysid.create_initial_state(model, x[: 2 * n], velocities))
-        controls.append(sysid.TimeSeries(t, record.u[piece]))
+        x, q = case.motion[first], np.hstack([record.q_l[piece], record.q_m[piece]])
+        states.append(sysid.create_initial_state(model, x[: 2 * n], x[2 * n :]))
+        held = np.repeat(record.u[piece], substeps, axis=0)[: (len(t) - 1) * substeps + 1]
+        controls.append(sysid.TimeSeries(np.linspace(0.0, t[-1], len(held)), held))
         observed.append(sysid.TimeSeries(t, q, _positions(model, n)))
     names = [f"piece {k}" for k in range(pieces)]
     return sysid.ModelSequences("arm", spec, names, states, controls, observed, allow_missing_sensors=True)
@@ -139,7 +141,7 @@ def _observations(model: Any, n: int) -> list[tuple[str, Any]]:
 def _factors(case: Case) -> Any:
     """Return the parameters of mujoco.sysid, each with its change of the model."""
     parameters = sysid.ParameterDict()
-    for name, starts in zip(NAMES, case.start, strict=True):
+    for name, starts in case.start.items():
         for i, start in enumerate(starts):
             change = CHANGES[name](i, float(start))
             parameters.add(sysid.Parameter(f"{name} {i}", 1.0, 1 / LARGEST, LARGEST, modifier=change))
@@ -175,14 +177,31 @@ def _damping(side: str) -> Callable[[int, float], Callable[[Any, Any], None]]:
     return of
 
 
-CHANGES = dict(zip(NAMES, (_stiffness, _inertia, _damping("l"), _damping("m")), strict=True))
+def _friction(side: str) -> Callable[[int, float], Callable[[Any, Any], None]]:
+    """Dry friction whose creep ends within the shortest time constant that the solver takes, two steps."""
+
+    def of(i: int, start: float) -> Callable[[Any, Any], None]:
+        def change(spec: Any, parameter: Any) -> None:
+            joint = spec.joint(f"{side}{i}")
+            joint.frictionloss, joint.solref_friction[0] = start * parameter.value[0], 2 * spec.option.timestep
+
+        return change
+
+    return of
+
+
+CHANGES = {
+    **dict(zip(NAMES, (_stiffness, _inertia, _damping("l"), _damping("m")), strict=True)),
+    "link_coulomb_friction": _friction("l"),
+    "motor_coulomb_friction": _friction("m"),
+}
 
 
 def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
     """Return the error of K, the coverage of all parameters, and processor time, of both on the same records."""
     ours(cases[0])  # compiled
     found = {"ours": [ours(each) for each in cases], "sysid": [theirs(each, pieces) for each in cases]}
-    truth = cases[0].truth
+    truth = np.array(list(cases[0].truth.values()))
     error, inside, seconds = {}, {}, {}
     for name, each in found.items():
         error[f"{name} [%]"] = 100 * float(np.median([np.abs(e.values / truth - 1)[0] for e in each]))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import mujoco
@@ -43,10 +44,13 @@ class MujocoArm:
         return np.array(self.data.qacc)
 
 
-def mjcf(model: Any, robot: Robot, dt: float, actuated: bool = False) -> str:
-    """Return the model as XML: links are nested bodies, motors are separate rotors; actuated: efforts are controls."""
-    flags = " ".join(f'{name}="disable"' for name in OFF if not (actuated and name == "actuation"))
-    actuators = "".join(f'<motor name="u{i}" joint="m{i}"/>' for i in range(robot.n)) if actuated else ""
+def mjcf(model: Any, robot: Robot, dt: float, on: Collection[str] = ()) -> str:
+    """Return the model as XML: links are nested bodies, motors are separate rotors.
+
+    on: features that are not disabled; with "actuation" the efforts are controls.
+    """
+    flags = " ".join(f'{name}="disable"' for name in OFF if name not in on)
+    actuators = "".join(f'<motor name="u{i}" joint="m{i}"/>' for i in range(robot.n)) if "actuation" in on else ""
     links = "".join(_link(model, i, robot) for i in range(robot.n)) + "</body>" * robot.n
     motors = "\n".join(_motor(i, robot) for i in range(robot.n))
     springs = "\n".join(_spring(i, robot) for i in range(robot.n))

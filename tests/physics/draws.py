@@ -49,6 +49,7 @@ class Draws:
     skew: Array
     stiffness: Array
     motor_inertia: Array
+    motion: Motion
     records: list[Samples]
 
     def truth(self, i: int) -> dict[str, Array]:
@@ -106,7 +107,7 @@ def drawn(case: Case, joints: int, count: int, seed: int, done: Callable[[float]
     worse = (np.exp(width * random.standard_normal(shape)) for width in (STIFFNESS_ERROR, INERTIA_ERROR))
     stiffness, inertia = (np.clip(factor, 0.4, 2.5) for factor in worse)
     records = sampled(motion, case.dt, skew, case.sensors, seed)
-    return Draws(case, arm, delay, skew, stiffness * arm.stiffness, inertia * arm.motor_inertia, records)
+    return Draws(case, arm, delay, skew, stiffness * arm.stiffness, inertia * arm.motor_inertia, motion, records)
 
 
 def _arm(random: np.random.Generator, shape: tuple[int, int], case: Case) -> Arm:
