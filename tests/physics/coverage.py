@@ -13,10 +13,10 @@ import numpy as np
 import fjr_core as fjr
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.motion_record import record_of_samples
+from fjr_identification.estimation.motion_record import MotionRecord, record_of_samples
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.record_checks import findings
-from fjr_identification.robot_file import nominal_robot
+from fjr_identification.robot_file import NominalRobot, nominal_robot
 
 from . import laws
 from .draws import Case, Draws, drawn
@@ -99,7 +99,22 @@ def of_batch(job: tuple[str, int, int, int]) -> list[list[Interval] | None]:
 
 def identified(draws: Draws, i: int, options: IdentifyOptions) -> list[Interval] | None:
     """Return the intervals of draw i, None if its record is refused."""
-    truth, samples = draws.truth(i), draws.records[i]
+    record, nominal = read(draws, i)
+    if findings(record, nominal.robot):
+        return None
+    try:
+        found = identify([record], nominal.robot, Prior.of(nominal.robot), options)
+    except fjr.FjrError:
+        return None
+    truth, secants = draws.truth(i), draws.secants(i)
+    known = [each for each in found.estimates if each.name in truth]
+    joints = [nominal.joints.index(each.joint) for each in known]
+    return [_interval(each, float(truth[each.name][j]), *secants[j]) for each, j in zip(known, joints, strict=True)]
+
+
+def read(draws: Draws, i: int) -> tuple[MotionRecord, NominalRobot]:
+    """Return the record of draw i and the robot of its robot file."""
+    samples = draws.records[i]
     names = [f"joint{j}" for j in range(samples.u.shape[1])]
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "arm.urdf").write_text(draws.urdf(i), encoding="utf-8")
@@ -110,15 +125,7 @@ def identified(draws: Draws, i: int, options: IdentifyOptions) -> list[Interval]
         nominal = nominal_robot(Path(folder, "robot.yaml"))
     unmeasured = np.full_like(samples.u, np.nan)
     record, _ = record_of_samples("physics", nominal.joints, samples.t, samples.q_l, samples.q_m, samples.u, unmeasured)
-    if findings(record, nominal.robot):
-        return None
-    try:
-        found = identify([record], nominal.robot, Prior.of(nominal.robot), options)
-    except fjr.FjrError:
-        return None
-    secants, known = draws.secants(i), [each for each in found.estimates if each.name in truth]
-    joints = [names.index(each.joint) for each in known]
-    return [_interval(each, float(truth[each.name][j]), *secants[j]) for each, j in zip(known, joints, strict=True)]
+    return record, nominal
 
 
 def _interval(estimate: Estimate, true: float, softest: float, stiffest: float) -> Interval:
@@ -154,11 +161,12 @@ def head() -> str:
     return "\n".join(["| " + " | ".join(columns) + " |", "| --- " + "| ---: " * (len(columns) - 1) + "|"])
 
 
-def line(name: str, results: Sequence[list[Interval] | None]) -> str:
-    """Return a row of the table: how many intervals contain the truth, by kind of parameter.
+def line(name: str, of_number: Sequence[Sequence[list[Interval] | None]]) -> str:
+    """Return a row of the table from the draws of each number of joints: how many intervals contain the truth.
 
     named: stiffnesses with the right cause; where the model lacks nothing that changes K, with any cause.
     """
+    results = [result for of_n in of_number for result in of_n]
     intervals = [each for result in results if result is not None for each in result if each.verdict != UNKNOWN]
     K = [each for each in intervals if each.kind == "joint_stiffness"]
     sure = [each for each in K if each.verdict == IDENTIFIED]

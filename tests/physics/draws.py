@@ -72,15 +72,26 @@ class Draws:
 
     def secants(self, i: int) -> Array:
         """Return the least and the largest stiffness (n, 2) between two deflections that draw i drove."""
-        samples, spring, ranges = self.records[i], self.arm.spring, []
-        for j, late in enumerate(self.skew[i]):
-            q_l = np.interp(samples.t, samples.t + late, samples.q_l[:, j])
-            ends = np.quantile(samples.q_m[:, j] - q_l - self.arm.offset[i, j], (0.01, 0.99))
+        spring, ranges = self.arm.spring, []
+        for j, deflection in enumerate(self.deflections(i)):
+            ends = np.quantile(deflection, (0.01, 0.99))
             zeta, (a, b) = np.linspace(*ends, CHORDS), np.triu_indices(CHORDS, CHORDS // 5)
             tau = spring.torque(self.arm.stiffness[i, j], zeta)
             slopes = (tau[b] - tau[a]) / (zeta[b] - zeta[a])
             ranges.append((slopes.min(), spring.stiffest * slopes.max()))
         return np.array(ranges)
+
+    def deflections(self, i: int) -> Array:
+        """Return the deflections (n, k) that draw i drove, as measured, without skew and offset."""
+        samples = self.records[i]
+        late = [np.interp(samples.t, samples.t + skew, q) for skew, q in zip(self.skew[i], samples.q_l.T, strict=True)]
+        return np.asarray((samples.q_m - self.arm.offset[i]).T - late)
+
+    def changes_sign(self, i: int, share: float) -> NDArray[np.bool_]:
+        """Return whether at least this share of the torques (n,) of draw i has either sign."""
+        ends = np.quantile(self.deflections(i), (share, 1 - share), axis=1)
+        low, high = (self.arm.spring.torque(self.arm.stiffness[i], end) for end in ends)
+        return np.asarray((low < 0) & (high > 0))
 
     def urdf(self, i: int) -> str:
         """Return the URDF of draw i without its tip mass and tilt; joints turn about y, links hang at 0."""

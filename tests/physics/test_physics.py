@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN
 from fjr_identification.estimation.parameters import IdentifyOptions
-from physics import laws
+from physics import laws, named
 from physics.arm import Arm, Array, G, Motion, simulated
 from physics.coverage import Interval, head, identified, line
 from physics.draws import Case, Draws, drawn
@@ -223,7 +223,24 @@ def test_a_row_of_the_table_counts_what_is_inside() -> None:
         Interval("joint_stiffness", away, 0.01, "identified", why, meets=not why, width=0.02)
         for away, why in whys.items()
     ]
-    row = line("a case", [intervals, None])
+    row = line("a case", [[intervals, None]])
     assert len(row.split("|")) == len(head().splitlines()[0].split("|"))
     assert row.startswith("| a case | 2 (1 refused) | 50.0% | 1/2 |")
     assert row.endswith("| 3.0 | 2 of 2 | 1 of 2 | 0.01 | 0.02 | 1/2 |")
+
+
+def test_a_row_of_causes_counts_what_is_named_of_joints_that_pass_the_dead_zone() -> None:
+    said = "backlash of about 0.5 mrad: the deflection jumps where the torque changes sign"
+    one, two = [[(said, True)], [("", False)]], [[(said, True), ("hysteresis, loop of about 1 mrad", True)], None]
+    row = named.line("backlash 0.5 mrad", [one, two])
+    assert row == "| backlash 0.5 mrad | 1 of 2 | 1 of 2 | 2 of 3 | 1 hysteresis, 1 records refused |"
+    assert len(row.split("|")) == len(named.head([1, 2]).splitlines()[0].split("|"))
+
+
+@pytest.mark.parametrize(("shift", "changes"), [(0.0, True), (0.02, False)])
+def test_a_torque_changes_its_sign_if_both_ends_of_its_deflections_do(shift: float, changes: bool) -> None:
+    draws = one_joint_of(LOOSE)
+    samples = draws.records[0]
+    q_l = samples.q_m - draws.arm.offset[0] - shift - 5e-3 * np.sin(40.0 * samples.t)[:, None]
+    still = replace(draws, records=[replace(samples, q_l=q_l)], skew=0.0 * draws.skew)
+    assert still.changes_sign(0, 0.05).tolist() == [changes]

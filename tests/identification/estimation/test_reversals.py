@@ -8,7 +8,7 @@ import pytest
 
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.multiple_shooting import Segment
-from fjr_identification.estimation.reversals import Reversals
+from fjr_identification.estimation.reversals import LATER, Reversals
 from identification.estimation.test_optimise import problem_at_truth
 
 WIDTH = np.array([1e-4, 1e-4, 1e-2, 1e-2])
@@ -34,7 +34,9 @@ def test_a_jump_changes_the_signals_as_a_new_integration_from_it(reversing: tupl
     reversals, segment, X, S, p, J = reversing
     N, states = reversals.responses(segment, X, S, p, J)
     velocity = X[segment.pad : segment.pad + segment.count + 1, 2:]
-    at = 1 + np.repeat(np.nonzero(np.diff(np.sign(velocity), axis=0))[0], 2)
+    first = np.nonzero(np.diff(np.sign(velocity), axis=0))[0]
+    at = np.concatenate([first, first + round(LATER / segment.record.dt)])
+    at = 1 + np.repeat(at[at < segment.count], 2)
     for column, (k, state) in enumerate(zip(at.tolist(), states, strict=True)):
         e, step = segment.pad + k, 1e-3 * WIDTH[state] * np.eye(4)[state]
         first, samples = segment.first - segment.pad + e, segment.pad + segment.count - e
@@ -46,12 +48,17 @@ def test_a_jump_changes_the_signals_as_a_new_integration_from_it(reversing: tupl
 
 def test_eliminated_jumps_are_generalised_least_squares(reversing: tuple) -> None:
     reversals, segment, X, S, p, J = reversing
-    J, r = J / 1e-4, np.random.default_rng(0).standard_normal(J.shape[:2])
-    reduction = reversals.reduction(segment, X, S, p, J, r)
+    noise = np.array([1e-4, 2e-4])
+    J, r = J / noise[:, None, None], np.random.default_rng(0).standard_normal(J.shape[:2])
+    white_J, white_r, whitening = reversals.whitened(segment, X, S, p, J, r, noise)
     N = reversals.responses(segment, X, S, p, J)[0].reshape(r.size, -1)
-    W, columns = np.linalg.inv(np.eye(r.size) + N @ N.T), J.reshape(r.size, -1)
-    np.testing.assert_allclose(columns.T @ columns - reduction.H, columns.T @ W @ columns, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(columns.T @ r.ravel() - reduction.g, columns.T @ W @ r.ravel(), rtol=1e-6, atol=1e-6)
-    left = r - reduction.explained
-    assert np.sum(left**2) + reduction.penalty == pytest.approx(r.ravel() @ W @ r.ravel())
-    assert reduction.counts.sum() == N.shape[1]
+    W, columns, white = np.linalg.inv(np.eye(r.size) + N @ N.T), J.reshape(r.size, -1), white_J.reshape(r.size, -1)
+    np.testing.assert_allclose(white.T @ white, columns.T @ W @ columns, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(white.T @ white_r.ravel(), columns.T @ W @ r.ravel(), rtol=1e-6, atol=1e-6)
+    left = r - whitening.explained
+    assert np.sum(left**2) + whitening.penalty == pytest.approx(r.ravel() @ W @ r.ravel())
+    assert whitening.counts.sum() == N.shape[1]
+    covariance = np.linalg.inv(np.eye(N.shape[1]) + N.T @ N)
+    jumps = covariance @ N.T @ r.ravel()
+    expected = np.sum((jumps**2 + np.diag(covariance)) * WIDTH[reversals.responses(segment, X, S, p, J)[1]] ** 2)
+    assert whitening.squares.sum() == pytest.approx(expected)

@@ -39,7 +39,7 @@ from .intervals import spurious_information
 from .lack_of_fit import causes, withheld
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
-from .optimise import optimise, refine
+from .optimise import optimise, parameter_step, refine
 from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
 from .reversals import with_reversals
 from .validation import deflection_error, deflections, simulated_fits
@@ -74,10 +74,10 @@ def identify(
     done and its share. Raises StateError for records that do not fit the robot, CompilerError without a C compiler.
     """
     _check(records, robot)
-    setup, joints = Estimation(list(records), robot, prior, options), records[0].joints
+    setup = Estimation(list(records), robot, prior, options)
     progress("filtered least squares", 0.0)
     z = filtered_fit(setup, setup.coordinates.mean)
-    wrong = causes(setup, z)
+    joints, wrong = setup.records[0].joints, causes(setup, z)
     filtered = withheld(filtered_estimates(setup, z), wrong)
     z_start = _start_of_simulation(setup, z)
     if z_start is None:
@@ -135,11 +135,12 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
     if set(fixed) != held:
         near = fitted_at_prior(best, fixed) or best
         z = np.where(np.isin(np.arange(len(near.z)), fixed), setup.coordinates.mean, near.z)
-        step = lambda share: progress("prediction error again", share)  # noqa: E731
+        again = lambda share: progress("prediction error again", share)  # noqa: E731
         problem = replace(setup.problem(start, fixed), reversals=best.problem.reversals)
-        last, converged = refine(problem, z, near.x0, best.noise, step)
+        last, converged = refine(problem, z, near.x0, best.noise, again)
     doubt = "" if converged else NOT_CONVERGED
-    estimates = estimates_at(setup, best.projected, spurious, fixed, last.z, doubt)
+    step = None if converged else parameter_step(last, 0.0)
+    estimates = estimates_at(setup, best.projected, spurious, fixed, last.z, doubt, step)
     return Simulation(best, estimates, simulated_fits(last, last.noise), converged)
 
 
@@ -147,7 +148,8 @@ def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) 
     """Return the most likely parameters, and whether the search has converged.
 
     The velocity over which the friction of a joint turns over is free once all others are near, and if that friction
-    is not 0 by chance: else it only changes what is within the noise, and keeps its prior.
+    is not 0 by chance: else it only changes what is within the noise, and keeps its prior. It does so, too, if the
+    search reaches a minimum without it only: then friction has another shape, which jumps at reversals average out.
     """
     free = setup.coordinates.free
     turning = [k for k, (name, _) in enumerate(free) if name == SMOOTHING]
@@ -164,7 +166,8 @@ def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) 
     if len(still) == len(turning):
         return near, converged
     step = lambda share: progress("friction at reversals", share)  # noqa: E731
-    return refine(setup.problem(start, still), near.z, near.x0, near.noise, step)
+    turned, reached = refine(setup.problem(start, still), near.z, near.x0, near.noise, step)
+    return (near, converged) if converged and not reached else (turned, reached)
 
 
 def _start_of_simulation(setup: Estimation, z: Array) -> Array | None:

@@ -82,15 +82,12 @@ class NormalEquations:
 
 
 @dataclass(frozen=True, eq=False)
-class Reduction:
-    """What random jumps take from the normal equations of a segment: H and g, and what they explain of the residuals.
+class Whitening:
+    """What random jumps explain of the residuals of a segment, (signals, count), in units of the noise.
 
-    explained (signals, count), in units of the noise; penalty: of their prior. squares, counts (4n,): of the jumps of
-    each state, and their number.
+    penalty: of their prior. squares, counts (4n,): of the jumps of each state, and their number.
     """
 
-    H: Array
-    g: Array
     explained: Array
     penalty: float
     squares: Array
@@ -113,7 +110,7 @@ class Comparison:
     g: Array
     penalty: float = 0.0
     unsettled: float = 0.0
-    reduction: Reduction | None = None
+    whitening: Whitening | None = None
 
     def projected(self, size: int) -> NormalEquations:
         """Return the normal equations of z, without the initial state (size,)."""
@@ -175,17 +172,15 @@ def compare(
         residual[~known], J[~known] = 0.0, 0.0
     H, g = np.zeros((4 * n + len(z),) * 2), np.zeros(4 * n + len(z))
     places = np.concatenate([np.arange(4 * n), 4 * n + np.array(moving, dtype=int)])
-    weighted = residual / noise[:, None]
+    weighted, whitening = residual / noise[:, None], None
+    if reversals:
+        J, weighted, whitening = reversals.whitened(segment, *motion, p, J, weighted, noise)
+        residual = residual - whitening.explained * noise[:, None]
     H[np.ix_(places, places)], g[places] = shooting.normal_equations(J.reshape(-1, J.shape[2]), weighted.ravel())
-    reduction = reversals.reduction(segment, *motion, p, J, weighted) if reversals else None
-    if reduction:
-        H[np.ix_(places, places)] -= reduction.H
-        g[places] -= reduction.g
-        residual = residual - reduction.explained * noise[:, None]
     scale = np.concatenate([np.ones(4 * n), coordinates.scale(z)])
     squares, counts = np.sum(residual**2, axis=1), known.sum(axis=1)
-    penalty = reduction.penalty if reduction else 0.0
-    return Comparison(predicted, squares, counts, H * np.outer(scale, scale), g * scale, penalty, reduction=reduction)
+    penalty = whitening.penalty if whitening else 0.0
+    return Comparison(predicted, squares, counts, H * np.outer(scale, scale), g * scale, penalty, whitening=whitening)
 
 
 def _output(segment: Segment, signal: str, joint: int, p: Mapping[str, Array], X: Array, S: Array) -> tuple[Array, ...]:

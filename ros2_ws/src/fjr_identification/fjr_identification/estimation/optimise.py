@@ -24,6 +24,7 @@ NEAR, CONVERGED = 1.0, 0.1  # standard deviations from the minimum that the norm
 NEGLIGIBLE = 1e-5  # of the prior's width; a smaller step is rounding, in records without noise
 SIMILAR = 0.1  # of the logarithm of noise levels
 ROUGHLY, LEAST_DECREASE = 0.5, 1e-2  # of -log L; a descent ends with a step that gains less
+STALLED, PATIENCE = 0.01, 3  # share of the decrease that the normal equations predict, and steps in a row below it
 HARDEST = 1e3  # damping at which no step is found
 
 Progress = Callable[[float], None]
@@ -85,10 +86,11 @@ def descended(
 ) -> tuple[PredictedSegments, bool]:
     """Return the end of the descent, and whether it is at the minimum; noise (signals,): expected.
 
-    It ends within `near` standard deviations of the minimum, or after a step that lowers -log L by less than `least`.
+    It ends within `near` standard deviations of the minimum, or after a step that lowers -log L by less than `least`,
+    or after some that gain next to nothing of what the normal equations predict: the model has a kink there.
     Raises StateError if the prediction of the start is not finite.
     """
-    at, damping = _start(problem, z, x0, noise), SOFT
+    at, damping, stalled = _start(problem, z, x0, noise), SOFT, 0
     for iteration in range(MOST_ITERATIONS):
         away = distance(at)
         progress(iteration / (iteration + np.log1p(away)) if iteration else 0.0)
@@ -96,7 +98,8 @@ def descended(
         if step is None:
             break
         before, (at, damping) = at.cost, step
-        if before - at.cost < least:
+        stalled = stalled + 1 if before - at.cost < STALLED * away**2 / 2 else 0
+        if before - at.cost < least or stalled == PATIENCE:
             break
     negligible = np.max(np.abs(parameter_step(at, 0.0)) / problem.coordinates.width) < NEGLIGIBLE
     return at, bool(distance(at) < NEAR or negligible)

@@ -124,15 +124,19 @@ def estimates_at(
     fixed: Sequence[int],
     z: Array,
     doubt: str = "",
+    step: Array | None = None,
 ) -> Estimates:
     """Return the estimates at z (p,) from normal equations of segments or blocks and their spurious information (p, p).
 
-    fixed: entries that are not identifiable. doubt: why no parameter is better than weakly identified; "": none.
+    fixed: entries that are not identifiable. doubt: why no parameter is better than weakly identified; "": none. step
+    (p,): by which z is away from the minimum, if it was not reached; it counts as an error.
     """
     coordinates, width, joints = setup.coordinates, setup.coordinates.width, setup.records[0].joints
     distribution = posterior(parts, spurious, width, fixed)
     partners = _partners(setup, posterior(parts, spurious, width).covariance)
-    sd = np.where(np.isfinite(distribution.from_records), np.sqrt(np.diag(distribution.covariance)), width)
+    away = np.zeros(len(z)) if step is None else np.minimum(np.abs(step), width)
+    covariance = distribution.covariance + np.diag(away**2)
+    sd = np.where(np.isfinite(distribution.from_records), np.sqrt(np.diag(covariance)), width)
     mean = z.copy()
     mean[list(fixed)] = coordinates.mean[list(fixed)]
     estimates = []
@@ -148,7 +152,7 @@ def estimates_at(
         why = doubt if doubt and verdict != UNKNOWN else why
         joint = "" if name in PAYLOAD else joints[j]
         estimates.append(Estimate(name, joint, _unit(setup, name, j), value, low, high, prior, verdict, why))
-    return Estimates(tuple(estimates), mean, distribution.covariance)
+    return Estimates(tuple(estimates), mean, covariance)
 
 
 def _partners(setup: Estimation, covariance: Array) -> Mapping[int, str]:

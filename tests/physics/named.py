@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which cause the lack of fit of a filtered motion is given, and the table of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from fjr_identification.estimation.estimation_problem import Estimation
+from fjr_identification.estimation.filtered_fit import filtered_fit
+from fjr_identification.estimation.lack_of_fit import causes
+from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.record_checks import findings
+
+from .coverage import CASES, CAUSES, read
+from .draws import Draws, drawn
+
+PASSED = 0.05
+"""Share of the samples on either side of a dead zone from which on it counts as passed."""
+
+Named = list[tuple[str, bool]]
+"""Of each joint of a record: the cause that is named, and whether its torque changes its sign."""
+
+
+def of_batch(job: tuple[str, int, int, int]) -> list[Named | None]:
+    """Return what is named in each draw of a batch: name of the case, number of joints, of draws, and seed."""
+    name, joints, count, seed = job
+    draws = drawn(CASES[name], joints, count, seed)
+    return [named(draws, i) for i in range(count)]
+
+
+def named(draws: Draws, i: int) -> Named | None:
+    """Return what is named of each joint of draw i, None if its record is refused."""
+    record, nominal = read(draws, i)
+    if findings(record, nominal.robot):
+        return None
+    setup = Estimation([record], nominal.robot, Prior.of(nominal.robot), IdentifyOptions(threads=1))
+    found = causes(setup, filtered_fit(setup, setup.coordinates.mean))
+    passed = draws.changes_sign(i, PASSED).tolist()
+    return [(found.get(joint, ""), each) for joint, each in zip(record.joints, passed, strict=True)]
+
+
+def head(joints: Sequence[int]) -> str:
+    """Return the first lines of the table."""
+    columns = ["physics", *(f"named, joints of {n}" for n in joints), "where the torque changes its sign", "else"]
+    return "\n".join(["| " + " | ".join(columns) + " |", "| --- " + "| ---: " * (len(columns) - 2) + "| --- |"])
+
+
+def line(name: str, results: Sequence[Sequence[Named | None]]) -> str:
+    """Return a row of the table, from the draws of each number of joints. Cases without a cause expect none."""
+    of_number = [[joint for each in of_n if each is not None for joint in each] for of_n in results]
+    every, cause = sum(of_number, []), CASES[name].cause
+    right = [[cause in said if cause else bool(said) for said, _ in joints] for joints in of_number]
+    passed = [cause in said for said, changes in every if changes] if cause == "backlash" else []
+    others = Counter(kind(said) for said, _ in every if said and not (cause and cause in said))
+    refused = sum(each is None for of_n in results for each in of_n)
+    others.update({"records refused": refused} if refused else {})
+    cells = [
+        *(f"{sum(each)} of {len(each)}" for each in (*right, *([passed] if passed else []))),
+        *([] if passed else [""]),
+        ", ".join(f"{count} {what}" for what, count in others.most_common()),
+    ]
+    return "| " + " | ".join([name, *cells]) + " |"
+
+
+def kind(sentence: str) -> str:
+    """Return the words of a sentence that name its cause."""
+    return next((words for words in CAUSES if words in sentence), sentence)
