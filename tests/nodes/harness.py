@@ -216,7 +216,13 @@ class Peer(Listener):
 
     def meet_controller(self) -> None:
         """Wait until controller and peer are connected in both directions."""
-        heard = ("effort_controller/commands", "joint_commands", "fjr_controller/reference", "diagnostics")
+        heard = (
+            "effort_controller/commands",
+            "joint_commands",
+            "fjr_controller/reference",
+            "fjr_controller/tracking_error",
+            "diagnostics",
+        )
         self._ros.until(
             lambda: self._ros.matched(self.state_publisher, 2) and all(self.heard(topic) for topic in heard),
             "the controller",

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 from rosgraph_msgs.msg import Clock
@@ -76,9 +77,13 @@ def test_new_owner_with_commands_ends_only_if_the_other_time_is_ahead(
     node = peer.plant(lockstep=True)
     CommandLoop(peer).listen()
     ros.until(lambda: node._time_base._robot.time > 0, "motion")
-    checks: list[bool] = []
-    heard = ConflictingPublishers.heard
-    monkeypatch.setattr(ConflictingPublishers, "heard", lambda self: (heard(self), checks.append(True))[0])
+    heard, read = ConflictingPublishers.heard, []
+
+    def noted(self: ConflictingPublishers) -> tuple[str, Any] | None:
+        read.extend(filter(None, [found := heard(self)]))
+        return found
+
+    monkeypatch.setattr(ConflictingPublishers, "heard", noted)
     with other_clock(ros, peer, seconds):
-        ros.until(lambda: node.ended or len(checks) > 1, "the checks")
+        ros.until(lambda: node.ended or len(read) > 1, "the other time")
         assert isinstance(node.ended, ClockError) is ends
