@@ -246,6 +246,8 @@ def test_sample_rate_bounds_the_motor_damping_of_v_dpbc() -> None:
         gains = two_scale_gains(robot, np.zeros(1), 10.0, 0.3, sample_period)
         rate = float(np.asarray(gains.K_md)[0, 0] + 0.01) / 0.2
         assert rate == pytest.approx(min(0.6 * np.sqrt(3000.0 / 0.2), FASTEST_RATE / sample_period))
+    with pytest.raises(fjr.GainsError, match=r"D_m damps the motors more than the damping ratio 0.3"):
+        two_scale_gains(fjr.single_link(stiffness=31.0, motor_damping=50.0), np.zeros(1), 10.0, 0.3)
 
 
 # --- parameters

@@ -6,12 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
 from fjr_core.config import law
-from fjr_core.config.controller import file_warnings, measurement, motion_limits, observer, safety
+from fjr_core.config.controller import effort_limits, file_warnings, measurement, motion_limits, observer, safety
 from fjr_core.config.law import control_law, robust_action
 from fjr_core.config.law import gains as build_gains
 from fjr_core.config.law import robust as build_robust
@@ -21,7 +20,6 @@ from fjr_core.config.reference import reference as build_reference
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot import robot_name
 from fjr_core.motions.motion_limits import check_motion
-from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import ControlStep
 from fjr_monitor.diagnosis.thresholds import Axes
 from fjr_msgs_py.messages.trajectories import follow_messages
@@ -71,7 +69,7 @@ class Control:
         )
         self._apply_motion_limits()
         self._action = self._create_action(node, allowed)
-        self._certificate = self._create_certificate(node, np.asarray(settings.effort))
+        self._certificate = self._create_certificate(node)
 
     def start(self, since: float) -> None:
         """Start tracking at the first state from `since` [s, steady clock] on, with the reference of the parameters.
@@ -122,7 +120,7 @@ class Control:
             self.step.apply(settings)
             self._apply_motion_limits()
         if self._certificate is not None and isinstance(self._law, TrackingLaw):
-            self._certificate.use(self._law, np.asarray(settings.effort))
+            self._certificate.use(self._law, effort_limits(values, self._robot))
         self.reports.publish_events()
 
     def _read_motion(self, node: Node) -> None:
@@ -143,7 +141,7 @@ class Control:
         values, limits = self._values, motion_limits(self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
-    def _create_certificate(self, node: Node, limit: Array) -> LiveCertificate | None:
+    def _create_certificate(self, node: Node) -> LiveCertificate | None:
         """Return the certificate, if it is enabled and the law has a certificate."""
         if not self._values["certificate"]:
             return None
@@ -151,7 +149,7 @@ class Control:
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
         robust, joint_axes = build_robust(self._values, self._robot.n), Axes.of(self._values, self._robot)
-        loop = self._command_loop
+        loop, limit = self._command_loop, effort_limits(self._values, self._robot)
         certificate = LiveCertificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
         loop.certify(certificate)
         self.reports.add_status(certificate.status)

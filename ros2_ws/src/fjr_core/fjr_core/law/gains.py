@@ -211,15 +211,18 @@ def two_scale_gains(robot: Robot, q_0: Array, omega: float, zeta: float, sample_
 
     The motor errors oscillate at the elastic modes of (M_m, Pi_m), which are much faster than omega on a stiff arm.
     K_md = omega M_m would leave these modes almost undamped, and measurement noise would excite them. Their damping is
-    therefore set by zeta, and bounded by the sample rate; sample_period [s].
+    therefore set by zeta, and bounded by the sample rate; sample_period [s]. Raises GainsError if D_m alone exceeds it.
     """
     M_l, damping = robot.M_l(q_0), zeta * critical_damping(robot.M_m, robot.K)
     fastest = float(relative_eigenvalues(damping, robot.M_m)[-1]) * sample_period
+    K_md = damping * min(1.0, FASTEST_RATE / fastest) - robot.D_m
+    if np.linalg.eigvalsh((K_md + K_md.T) / 2)[0] <= 0:
+        raise GainsError(f"D_m damps the motors more than the damping ratio {zeta:g}; expected a larger ratio")
     return Gains(
         Lambda_l=omega,
         Pi_l=omega**2 * M_l,
         K_ld=omega * M_l,
         Lambda_m=omega,
         Pi_m=robot.K,
-        K_md=damping * min(1.0, FASTEST_RATE / fastest) - robot.D_m,
+        K_md=K_md,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's tracking law u(x_v, x, t), eqs. (30)-(33) and (38)-(43), with its storage V and exact dissipation."""
+"""The tracking law u(x_v, x, t), eqs. (30), (31), (33), (39), (40) and (42), with its storage V and its rate (43)."""
 
 from __future__ import annotations
 
@@ -76,9 +76,8 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
         u_mi = M_m @ flow.momentum_jvp(v_mr, load.gain @ (slope @ gains.Pi_m @ q_tilde_m))
     u = np.linalg.inv(robot.B_m) @ (u_mff + u_mfb + u_mi)
 
-    V_l = ca.dot(q_tilde_l, gains.Pi_l @ q_tilde_l) + ca.dot(s_l, sigma_l)
-    V_m = ca.dot(q_tilde_m, gains.Pi_m @ q_tilde_m) + ca.dot(s_m, sigma_m)
-    V = (V_l + V_m) / 2  # (43), integrated
+    V_l = (ca.dot(q_tilde_l, gains.Pi_l @ q_tilde_l) + ca.dot(s_l, sigma_l)) / 2  # (46), integrated
+    V_m = (ca.dot(q_tilde_m, gains.Pi_m @ q_tilde_m) + ca.dot(s_m, sigma_m)) / 2  # (48), integrated
     d_l = ca.dot(q_tilde_l, gains.Pi_l @ gains.phi_l(q_tilde_l)) + ca.dot(s_l, (D_l + gains.K_ld) @ s_l)
     d_m = ca.dot(q_tilde_m, gains.Pi_m @ gains.phi_m(q_tilde_m))
     dissipation = d_l + d_m + ca.dot(s_m, (D_m + gains.K_md) @ s_m)  # -dV/dt for omega = 0
@@ -92,7 +91,7 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
         "sigma_m": sigma_m,
         "s_m": s_m,
         "port_l": port_l,
-        "V": V,
+        "V": V_l + V_m,  # (43), integrated
         "dissipation": dissipation,
         "dV": -dissipation + ca.dot(s_m, omega),
     }

@@ -46,7 +46,7 @@ class ArmDynamics:
     inertial_torque: (q_l, v, w, a) -> M_l(q_l) a + C(q_l, v) w (n,), by one recursion where there is one.
     grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v constant.
     M_l_vertices: matrices whose convex hull contains M_l(q_l) for every q_l, or None if unknown. A rate that holds at
-    the vertices holds everywhere, because rates are convex in M_l.
+    the vertices holds everywhere, because its condition D_l + K_ld - beta M_l >= 0 is linear in M_l.
     end_effector: end-effector frame for a payload, or None.
     bodies: of the serial chain from base to tip, with joint axes z; empty if unknown. order (n,): joint k of the robot
     is joint order[k] of the chain.

@@ -35,9 +35,9 @@ class Robot:
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
-    Raises RobotError when M_l, M_m or K is not symmetric positive definite, D_l or D_m not symmetric
-    positive semidefinite, B_m not invertible, or anything is not finite or of the wrong shape, or where a cubic
-    stiffness is negative or comes with a matrix K that is not diagonal.
+    Raises RobotError when M_l (at its vertices if known, else at q_l = 0), M_m or K is not symmetric positive definite,
+    D_l or D_m not symmetric positive semidefinite, B_m not invertible, or anything is not finite or of the wrong shape,
+    or where a cubic stiffness is negative or comes with a matrix K that is not diagonal.
     """
 
     links: ArmDynamics
@@ -101,7 +101,7 @@ class Robot:
         return self.links.C(*vectors).full().ravel()
 
     def hamiltonian(self, x: ArrayLike) -> float:
-        """Return the total energy H(x) [J], eq. (36), at x (4n,)."""
+        """Return the total energy H(x) [J], eq. (35), at x (4n,)."""
         return float(self._hamiltonian(checks.vector("x", x, 4 * self.n, StateError))[0][0])
 
     def state(self, q_l: ArrayLike, q_m: ArrayLike, dq_l: ArrayLike, dq_m: ArrayLike) -> Array:
@@ -123,7 +123,7 @@ class Robot:
         return ca.DM(springs.deflection(self, ca.DM(vector))).full().ravel()
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
-        """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eqs. (35), (36).
+        """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eq. (35).
 
         With a cubic stiffness k the springs store sum k zeta^4 / 4 more.
         links: replaces the rigid arm of the robot, e.g. with a payload.

@@ -4,9 +4,9 @@
     dV/dt = -dissipation + s_m' B_m (u - u_law(x))      for any applied effort u
     dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m
 
-The first is (50) with omega = B_m (u - u_law) in (42): a held, delayed, saturated or lost effort is an external input
-of the virtual system. Both hold along trajectories of the plant (36), so their residual measures the model error. So
-does the residual of `Prediction`, which predicts the next measurement by the model under the held effort.
+The first is the rate of (43) with omega = B_m (u - u_law) in (42): a held, delayed, saturated or lost effort is an
+external input of the virtual system. Both hold along trajectories of the plant (36), so their residual measures the
+model error. So does that of `Prediction`, which predicts the next measurement by the model under the held effort.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class CertificateSeries:
     """Certificate at k instants.
 
     V (k,) [J]: storage of the law, (43). dV (k,) [W]: its rate under the applied effort. H (k,) [J]: energy of the
-    robot, (36). supplied, dissipated (k,) [W]: dH/dt = supplied - dissipated. u_law (k, n) [N m]: effort of the law.
+    robot, (35). supplied, dissipated (k,) [W]: dH/dt = supplied - dissipated. u_law (k, n) [N m]: effort of the law.
     slope (k, 4n): dV/d(position, velocity) [N m, N m s] at a constant reference. drive (k, n) [rad/s]: B_m' s_m.
     dissipation (k,) [W]: -dV/dt under the effort of the law.
     """
@@ -142,7 +142,7 @@ class Certificate:
         return dense_function("certificate", inputs, {name: values[name] for name in OUTPUTS}, cse=True)
 
     def _energy(self, position: ca.SX, velocity: ca.SX) -> ca.SX:
-        """Return H of eq. (36) from velocities."""
+        """Return H of eq. (35) from velocities."""
         robot = self.law.robot
         (q_l, q_m), (dq_l, dq_m) = ca.vertsplit(position, robot.n), ca.vertsplit(velocity, robot.n)
         kinetic = (ca.dot(dq_l, robot.links.M_l(q_l) @ dq_l) + ca.dot(dq_m, robot.M_m @ dq_m)) / 2

@@ -26,7 +26,7 @@ static void select_effort(const struct fjr_model* m, struct fjr_controller* c, c
 }
 
 /* Pass the effort through transfer and limits; the bound on V continues only if it is the law's own. */
-static void send_effort(const struct fjr_model* m, struct fjr_controller* c, double* u, double V, int64_t stamp) {
+static void blend_and_limit(const struct fjr_model* m, struct fjr_controller* c, double* u, double V, int64_t stamp) {
   struct fjr_supervisor* s = &c->supervisor;
   const int blended = apply_transfer(m, c, u, stamp), limited = limit_effort(c, u, stamp);
   if (blended || limited || !isfinite(V))
@@ -52,7 +52,7 @@ static int without_effort(const struct fjr_model* m, struct fjr_controller* c, i
   forget_observer(c);
   forget_law(c);
   standing_effort(m, c, command->u);
-  send_effort(m, c, command->u, NAN, stamp);
+  blend_and_limit(m, c, command->u, NAN, stamp);
   active_jets(&c->supervisor.reference, stamp, command->jets);
   write_command(c, command, NAN, 0);
   return 1;
@@ -102,7 +102,7 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   watch_wiring(m, c, order, stamp);
   if (!attempt(m, c, order, stamp, command)) return without_effort(m, c, stamp, command);
   remember_position(c);
-  send_effort(m, c, command->u, command->V, stamp);
+  blend_and_limit(m, c, command->u, command->V, stamp);
   accept_law(c);
   const int64_t elapsed = accept_stamp(&c->stamps, stamp, arrival);
   if (c->supervisor.stopped) c->stopped_time += elapsed;

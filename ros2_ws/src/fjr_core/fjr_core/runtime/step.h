@@ -4,7 +4,7 @@
  *   sample -> order of the stamps -> measured state -> supervisor (wiring, reference, limits of the state)
  *          -> law or stop policy -> bumpless transfer -> effort limits -> rate limits -> u, then wiring check
  *
- * Every host calls this text: the nodes, the campaigns, the exported C and the ros2_control controller. C99 without
+ * Every host calls this text: the nodes, the studies, the exported C and the ros2_control controller. C99 without
  * allocation, locks and static memory: a controller is one struct fjr_controller, which may be copied. Not thread-safe:
  * one thread calls all functions of a controller.
  *

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation of the closed loop, of non-ideal plants and of batches of runs."""
+"""Simulation of the closed loop and of non-ideal plants."""

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded run in parts: joint motion, storage function of the law, energy of the robot, send times.
 
-Only positions, velocities, efforts and times are read from the bag; all else is computed from the scenario. A run is
+Positions, velocities, efforts and times are read from the bag, all else is computed from the scenario; but where the
+recorded reference differs from the scenario's, it counts, and diagnostics and events tell of gaps and stops. A run is
 read several times rather than held in memory: once to find its states, then part by part.
 """
 
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.controller import safety
+from fjr_core.config.controller import effort_limits
 from fjr_core.config.scenario import Scenario
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
@@ -156,9 +157,7 @@ class Recording:
         self.bag, self.scenario, self._size, self._duration = bag, scenario, size, duration
         self.joints, self.units = scenario.joints, scenario.robot.units
         self.lockstep = bool(scenario.plant_values["lockstep"])
-        limits = [np.asarray(safety(scenario.controller_values, scenario.robot).effort)]
-        limits += [] if scenario.robot.limits is None else [np.asarray(scenario.robot.limits.effort)]
-        self.effort_limit: Array = np.minimum.reduce([np.full(scenario.robot.n, np.inf), *limits])
+        self.effort_limit = effort_limits(scenario.controller_values, scenario.robot)
         self.reference_mismatch = float("nan")
         self.stop: ControllerStop | None = None
         self.counters: dict[str, dict[str, str]] = {}
