@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 import yaml
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -39,6 +40,16 @@ def answer(read: Callable[[], object]) -> str:
     except FjrError as error:
         sentence = str(error) or "(nothing)"
     assert len(sentence) < LONGEST_SENTENCE, sentence[:500]
+    return sentence
+
+
+def refused(error: type[FjrError], call: Callable[[], object], *words: str) -> str:
+    """Return the one line with which a call raises `error`; check that it has these words."""
+    with pytest.raises(error) as caught:
+        call()
+    sentence = str(caught.value)
+    assert all(word in sentence for word in words), sentence
+    assert "\n" not in sentence
     return sentence
 
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import KINDS
-from fjr_core.runtime.library import StepLibrary
+from fjr_core.runtime.library import Model, StepLibrary, settings_struct
 from fjr_core.runtime.reference import ReferenceStruct
-from fjr_core.runtime.structs import Model, settings_struct
 from fjr_design.batch.program import BatchProgram
 from fjr_design.exports.step_code import loop_of
 from hosts.inputs import Kind, Sequence

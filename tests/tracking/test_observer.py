@@ -40,7 +40,7 @@ class Recorder(PythonFunction):
     bandwidth = 150.0
 
     def __init__(self) -> None:
-        self.velocity, self.updates = [0.1, 0.2], []  # type: ignore[var-annotated]
+        self.velocity, self.updates = [0.1, 0.2], []
         inputs = {"x_hat": (4,), "y": (2,), "u": (1,), "dt": (1,), "gain": (2,)}
         super().__init__("recorder", self._estimate, inputs, {"x_next": (4,)})
 
@@ -64,7 +64,6 @@ def test_observer_receives_the_sent_effort() -> None:
     sent = [0.0]
     for k in range(OBSERVED + 3):
         command = tracker.command(bare_sample(k * MS), k * MS)
-        assert command is not None
         np.testing.assert_array_equal(command.velocity, [0.1, 0.2] if k else [0.0, 0.0])
         sent.append(float(command.u[0]))
     assert recorder.updates == [(1e-3, sent[k]) for k in range(1, OBSERVED + 3)]
@@ -82,17 +81,14 @@ def test_an_observer_is_reset_after_a_gap_and_settles_before_its_velocities_are_
         tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
         assert is_reset(tracker) == (k == 0)
     stop = tracker.silence(SECOND)
-    assert stop is not None
     for k in range(OBSERVED):
         stamp = 2 * SECOND + k * MS
         command = tracker.command(sample(stamp, 0.5, 0.5), stamp)
-        assert command is not None
         np.testing.assert_array_equal(command.u, stop)
         assert np.isnan(command.V)
         assert is_reset(tracker) == (k == 0)
     stamp = 2 * SECOND + OBSERVED * MS
     command = tracker.command(sample(stamp, 0.5, 0.5), stamp)
-    assert command is not None
     assert np.isfinite(command.V)
     np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)
 
@@ -104,15 +100,14 @@ def test_with_an_observer_a_start_sends_the_stop_effort_until_velocities_settle(
         tracker.command(bare_sample(beginning), 2 * SECOND)  # a jump is unconfirmed at first
         for k in range(1, OBSERVED + 1):
             command = tracker.command(bare_sample(beginning + k * MS), 2 * SECOND)
-            assert command is not None
             if k < OBSERVED:
                 np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([0.5]) if policy != "zero" else 0.0)
                 assert command.state is State.JOINING
                 assert np.isnan(command.V)
         if beginning == 0:
             command = tracker.command(bare_sample((OBSERVED + 1) * MS), 2 * SECOND)
-        assert np.isfinite(command.V)  # type: ignore[union-attr]
-        np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)  # type: ignore[union-attr]
+        assert np.isfinite(command.V)
+        np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)
 
 
 def test_a_repeated_state_does_not_update_the_observer() -> None:
@@ -120,8 +115,8 @@ def test_a_repeated_state_does_not_update_the_observer() -> None:
     for k in range(OBSERVED):
         for _ in range(3):
             command = tracker.command(bare_sample(k * MS), k * MS)
-            assert not command.u.any()  # type: ignore[union-attr]
-    assert tracker.command(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()  # type: ignore[union-attr]
+            assert not command.u.any()
+    assert tracker.command(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()
 
 
 @pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper"])
@@ -187,7 +182,6 @@ def test_the_law_never_uses_velocities_that_have_not_settled() -> None:
         for k in range(30):
             velocity = np.concatenate(LAW.robot.velocities(loop.x))
             command = loop.step()
-            assert command is not None
             if np.isfinite(command.V):
                 np.testing.assert_allclose(command.velocity, velocity, atol=0.05)
             assert np.isfinite(command.V) == (k >= OBSERVED)

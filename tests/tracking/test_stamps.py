@@ -17,8 +17,6 @@ def test_older_sample_has_no_command_and_a_repeated_one_the_same_command() -> No
     newest = tracker.command(sample(300 * MS, 0.4, 0.5), 300 * MS)
     assert tracker.command(sample(200 * MS, 0.4, 0.5), 301 * MS) is None
     again = tracker.command(sample(300 * MS, 0.4, 0.5), 302 * MS)
-    assert newest is not None
-    assert again is not None
     assert newest.u == again.u
     assert tracker.counters == {"states older than the last": 1, "states repeated": 2}
 
@@ -33,10 +31,9 @@ def test_another_time_line_starts_the_reference_again(before: int | None, stamp:
     if before is not None:
         assert tracker.command(sample(before, 0.5, 0.5), arrival - MS) is None
     again = tracker.command(sample(stamp, 0.5, 0.5), arrival)
-    assert again is not None
     assert again.restarted
     np.testing.assert_array_equal(again.jets, SINE.jets(0.0))
-    np.testing.assert_array_equal(again.u, tracker_at(0).command(sample(0, 0.5, 0.5), 0).u)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(again.u, tracker_at(0).command(sample(0, 0.5, 0.5), 0).u)
     doubted = {} if before is None else {"jumps doubted": 1}
     assert tracker.counters == {"reference restarts": 1, **doubted}
 
@@ -50,8 +47,8 @@ def test_single_wrong_stamp_changes_nothing(jump: int) -> None:
             assert tracker.command(sample(stamp + jump, 0.4, 0.5), stamp) is None
             continue
         commands = [t.command(sample(stamp, 0.5, 0.5), stamp) for t in (tracker, twin)]
-        np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
-        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(commands[0].u, commands[1].u)
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)
     assert tracker.counters == {"jumps doubted": 2}
 
 
@@ -68,7 +65,7 @@ def test_jump_is_confirmed_at_once_in_simulated_time() -> None:
     tracker = ControlStep(LAW, SINE, settings(), simulated=True)
     tracker.command(sample(20 * SECOND, 0.5, 0.5), 0)
     assert tracker.command(sample(30 * SECOND, 0.5, 0.5), MS) is not None
-    assert tracker.command(sample(0, 0.5, 0.5), 2 * MS).restarted  # type: ignore[union-attr]
+    assert tracker.command(sample(0, 0.5, 0.5), 2 * MS).restarted
     assert tracker.counters == {"forward jumps": 1, "recoveries": 1, "reference restarts": 1}
 
 
@@ -78,7 +75,7 @@ def test_in_simulated_time_a_pause_is_no_silence_and_a_short_jump_back_is_a_rest
         assert tracker.command(sample(k * MS, 0.5, 0.5), 10 * k * SECOND) is not None
     assert not tracker.counters["recoveries"]
     assert tracker.command(sample(0, 0.5, 0.5), 20 * SECOND) is None
-    assert tracker.command(sample(0, 0.5, 0.5), 21 * SECOND).restarted  # type: ignore[union-attr]
+    assert tracker.command(sample(0, 0.5, 0.5), 21 * SECOND).restarted
     assert tracker.silence(400 * MS) is None
     assert tracker.silence(501 * MS) is not None
 

@@ -33,7 +33,6 @@ def test_start_discards_a_stop_and_starts_the_reference_again() -> None:
     tracker.start()
     assert tracker.state is State.WAITING
     command = tracker.command(sample(SECOND, 0.5, 0.5), SECOND)
-    assert command is not None
     np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
     assert command.state is State.TRACKING
 
@@ -53,18 +52,18 @@ def test_a_start_discards_pending_requests(requested: str) -> None:
     for k in range(5):
         stamp = SECOND + 400 * k * MS
         commands = [t.command(sample(stamp, 2.0, 2.0), stamp) for t in (tracker, birth)]
-        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
-        np.testing.assert_array_equal(commands[0].u, commands[1].u)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)
+        np.testing.assert_array_equal(commands[0].u, commands[1].u)
 
 
 def test_a_start_with_another_reference_checks_it() -> None:
     tracker = tracker_at(0, link_velocity=1.0, start_error=0.4)
     tracker.start(Hold([0.3]))
     command = tracker.command(sample(SECOND, 0.5, 0.5), SECOND)
-    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
+    np.testing.assert_array_equal(command.jets, standing([0.3]))
     tracker.start()
     command = tracker.command(sample(2 * SECOND, 0.8, 0.8), SECOND)
-    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
+    np.testing.assert_array_equal(command.jets, standing([0.3]))
     assert "start refused" in tracker.reason
 
 
@@ -74,7 +73,6 @@ def test_the_ramp_goes_from_the_effort_of_a_stop_to_that_of_the_law_as_a_smooths
     weight = LAW.robot.grad_P_l([0.5]) if policy == "gravity_hold" else 0.0
     for k in range(150):
         command = tracker.command(sample(k * MS, 0.5, 0.5), k * MS)
-        assert command is not None
         u, _ = LAW.measured_command(np.full(2, 0.5), np.zeros(2), command.jets)
         t = min(k / 100, 1.0)
         s = 3 * t**2 - 2 * t**3
@@ -86,7 +84,6 @@ def test_a_start_too_far_from_the_reference_is_refused() -> None:
     for far, q in ((False, 0.5), (True, float(np.nextafter(0.5, 1)))):
         tracker = ControlStep(LAW, SINE, settings(start_error=0.5, on_stop="gravity_hold"))
         command = tracker.command(sample(0, q, 0.5), 0)
-        assert command is not None
         assert (tracker.state is State.STOPPED) == far
         if far:
             np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([q]), rtol=1e-12)
@@ -115,7 +112,6 @@ def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
     assert tracker.state is State.STOPPED
     tracker.resume()
     command = tracker.command(sample(2 * MS, 0.05, 0.05), 2 * MS)
-    assert command is not None
     assert command.state is State.TRACKING
     np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
 
@@ -125,7 +121,6 @@ def test_a_start_begins_with_a_transition_from_the_first_state() -> None:
     x0 = LAW.robot.state(1.0, 1.0 + 0.8 * np.sin(1.0) / 31, 0.0, 0.0)
     loop = Loop(LAW, SINE, given, x0)
     first = loop.step()
-    assert first is not None
     np.testing.assert_allclose(first.jets[:2, 0], [1.0, 0.0], atol=1e-9)
     loop.run_through_transition()
     assert loop.tracker.state is State.TRACKING
@@ -143,14 +138,12 @@ def test_tracking_recovers_from_a_silence_without_a_step(arm: str, policy: str, 
     assert loop.tracker.silence(loop.now + 48 * MS) is None
     loop.run(0.05, answered=False)
     stop = loop.tracker.silence(loop.now)
-    assert stop is not None
     weight = np.linalg.solve(law.robot.B_m, law.robot.grad_P_l(loop.states[999][: law.robot.n]))
     np.testing.assert_allclose(stop, weight if policy == "gravity_hold" else 0.0, rtol=1e-12)
     assert loop.tracker.silence(loop.now + SECOND) is None
     loop.u = stop.copy()
     loop.run(quiet - 0.05, answered=False)
     first = loop.step()
-    assert first is not None
     assert first.state is State.JOINING
     np.testing.assert_allclose(first.u, stop, atol=1e-12)
     before = len(loop.efforts) - 1
@@ -177,8 +170,6 @@ def test_forward_jump_of_the_stamps_is_a_recovery() -> None:
     last = tracker.command(sample(2 * MS, 0.5, 0.5), 2 * MS)
     assert tracker.command(sample(5 * SECOND - MS, 0.4, 0.5), 3 * MS) is None
     command = tracker.command(sample(5 * SECOND, 0.4, 0.5), 4 * MS)
-    assert last is not None
-    assert command is not None
     assert command.state is State.JOINING
     np.testing.assert_allclose(command.u, last.u, atol=1e-12)
     np.testing.assert_allclose(command.jets[:2, 0], [0.4, 0.0], atol=1e-12)
@@ -190,9 +181,7 @@ def test_in_simulated_time_a_silence_ends_with_a_recovery(ahead: int) -> None:
     tracker = ControlStep(LAW, SINE, settings(), simulated=True)
     tracker.command(sample(SECOND, 0.5, 0.5), 0)
     stop = tracker.silence(2 * SECOND)
-    assert stop is not None
     command = tracker.command(sample(SECOND + ahead, 0.5, 0.5), MS)
-    assert command is not None
     np.testing.assert_allclose(command.u, stop, atol=1e-12)
     assert command.state is State.JOINING
     assert tracker.counters == {"silences": 1, "recoveries": 1}
@@ -202,13 +191,12 @@ def test_a_recovery_does_not_begin_outside_the_limits() -> None:
     tracker = tracker_at(0, link_position_upper=1.0)
     command = tracker.command(sample(SECOND, 1.1, 1.1), SECOND)
     assert "stopped: link position of joint1" in tracker.reason
-    np.testing.assert_allclose(command.jets, SINE.jets(1.0), rtol=1e-12)  # type: ignore[union-attr]
+    np.testing.assert_allclose(command.jets, SINE.jets(1.0), rtol=1e-12)
     assert "recoveries" not in tracker.counters
 
 
 def test_tracking_continues_at_once_without_a_join_time() -> None:
     tracker = tracker_at(0, recovery_join_time=0.0)
     command = tracker.command(sample(SECOND, 0.4, 0.5), SECOND)
-    assert command is not None
     np.testing.assert_array_equal(command.jets, SINE.jets(1.0))
     assert command.state is State.TRACKING

@@ -36,7 +36,6 @@ def test_a_stop_stays_under_its_policy_and_resumes_with_the_last_effort(policy: 
     assert tracker.counters == {"states repeated": 1, "stops": 1, "stops: link velocity": 1}
     for k in range(3, 6):
         command = tracker.command(sample(k * MS, 0.2, 0.2, 0.1, 0.1), k * MS)
-        assert command is not None
         expected = 0.8 * np.sin(0.2) - 0.3 * 0.1 if policy == "gravity_hold" else 0.0
         np.testing.assert_allclose(command.u, expected, rtol=1e-12)
         assert np.isnan(command.V)
@@ -44,7 +43,6 @@ def test_a_stop_stays_under_its_policy_and_resumes_with_the_last_effort(policy: 
     assert tracker.seconds["stopped"] == pytest.approx(4e-3, rel=1e-9)
     tracker.resume()
     resumed = tracker.command(sample(6 * MS, 0.2, 0.2, 0.1, 0.1), 6 * MS)
-    assert resumed is not None
     assert resumed.state is State.JOINING
     np.testing.assert_allclose(resumed.u, command.u, atol=1e-12)
 
@@ -89,14 +87,13 @@ def test_a_request_waits_for_a_state_with_a_finite_effort(requested: str, bad: f
         t.events.clear()
     before, counters = (tracker.state, tracker.reason), dict(tracker.counters)
     wild = tracker.command(sample(102 * MS, bad, 0.5), 102 * MS)
-    assert wild is not None
     assert not wild.u.any()
     assert (tracker.state, tracker.reason) == before
     assert tracker.counters == {**counters, "efforts not finite": 1}
     assert kinds(tracker) == ["efforts not finite"]
     for k in (103, 300):
         commands = [t.command(sample(k * MS, 0.5, 0.5), k * MS) for t in trackers]
-        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)  # type: ignore[union-attr]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)
         assert not tracker.reason
 
 
@@ -105,7 +102,6 @@ def test_a_recovery_waits_for_a_state_with_a_finite_effort() -> None:
     tracker.command(sample(SECOND, 1e153, 0.5), SECOND)
     assert tracker.state is State.TRACKING
     command = tracker.command(sample(SECOND + MS, 0.5, 0.5), SECOND + MS)
-    assert command is not None
     np.testing.assert_allclose(command.jets[:2, 0], [0.5, 0.0], atol=1e-12)
     assert tracker.counters == {"efforts not finite": 1, "recoveries": 1}
 
@@ -121,7 +117,7 @@ def test_a_stop_is_not_resumed_outside_the_limits(name: str) -> None:
     command = tracker.command(sample(2 * MS, *state(0.5)), 2 * MS)
     assert f"{kind} of joint1" in tracker.reason
     assert "0.5" in tracker.reason
-    np.testing.assert_array_equal(command.jets, standing([0.0]))  # type: ignore[union-attr]
+    np.testing.assert_array_equal(command.jets, standing([0.0]))
     assert tracker.counters == {"stops": 3, f"stops: {kind}": 3}
     tracker.command(sample(3 * MS, *state(0.2)), 3 * MS)
     assert tracker.state is State.STOPPED
@@ -134,7 +130,6 @@ def test_resume_without_a_stop_does_nothing() -> None:
     tracker = tracker_at(0)
     tracker.resume()
     command = tracker.command(sample(MS, 0.5, 0.5), MS)
-    assert command is not None
     assert command.state is State.TRACKING
     assert not tracker.counters
 

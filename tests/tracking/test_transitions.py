@@ -148,8 +148,8 @@ def test_a_reference_is_followed_after_the_brake_and_can_be_replaced_in_it() -> 
     stamp = SECOND + round(0.1 * 1e9)
     here = tracker.jets_at(stamp)
     tracker.hold()
-    command = tracker.command(sample(stamp, here[0], here[0], here[1], here[1]), stamp)  # type: ignore[index]
-    np.testing.assert_allclose(command.jets, here, rtol=1e-9, atol=1e-9)  # type: ignore[union-attr]
+    command = tracker.command(sample(stamp, here[0], here[0], here[1], here[1]), stamp)
+    np.testing.assert_allclose(command.jets, here, rtol=1e-9, atol=1e-9)
     assert not braking(tracker)
 
 
@@ -170,9 +170,9 @@ def test_a_transition_is_of_class_c4_and_ends_in_the_reference(arm: str) -> None
     np.testing.assert_allclose(tracker.jets_at(end + MS), reference.jets(duration + 1e-3), rtol=1e-9, atol=1e-12)
     stamps = SECOND + np.arange(0, round(duration * 1e3), 7) * MS
     for stamp in stamps.tolist():
-        slope = (tracker.jets_at(stamp + 10_000)[:-1] - tracker.jets_at(stamp - 10_000)[:-1]) / 2e-5  # type: ignore[index]
+        slope = (tracker.jets_at(stamp + 10_000)[:-1] - tracker.jets_at(stamp - 10_000)[:-1]) / 2e-5
         if stamp > SECOND:
-            np.testing.assert_allclose(slope, tracker.jets_at(stamp)[1:], rtol=1e-3, atol=1e-2)  # type: ignore[index]
+            np.testing.assert_allclose(slope, tracker.jets_at(stamp)[1:], rtol=1e-3, atol=1e-2)
 
 
 def test_after_a_short_gap_the_arm_follows_its_reference_almost_unchanged() -> None:
@@ -196,7 +196,6 @@ def test_after_a_short_gap_the_arm_follows_its_reference_almost_unchanged() -> N
 def test_a_start_within_the_start_error_has_no_transition(q: float, dq: float, joins: bool) -> None:
     tracker = ControlStep(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0))
     command = tracker.command(sample(0, q, q, dq, dq), 0)
-    assert command is not None
     assert command.state is (State.JOINING if joins else State.TRACKING)
     assert command.jets[0, 0] == pytest.approx(q if joins else 0.0, abs=1e-12)
 
@@ -250,7 +249,6 @@ def test_a_matched_reference_takes_over_without_a_step(arm: str, ahead: int | No
     usual = largest_step(loop.efforts[1900:])
     start = loop.now + (ahead or 0) * MS
     jets = loop.tracker.jets_at(start)
-    assert jets is not None
     spline = Spline([1.0], [np.full(law.robot.n, 0.2)], start=jets)
     loop.tracker.follow(spline, None if ahead is None else start)
     before = len(loop.efforts)
@@ -275,7 +273,6 @@ def test_a_reference_that_does_not_match_is_reached_by_a_transition(arm: str) ->
     start = loop.now
     before = len(loop.efforts)
     command = loop.step()
-    assert command is not None
     np.testing.assert_allclose(command.jets, reference.jets(2.0), rtol=1e-9, atol=1e-9)
     assert command.state is State.JOINING
     loop.run_through_transition()
@@ -306,7 +303,6 @@ def test_hold_before_the_first_sample_holds_the_present_position() -> None:
     tracker = ControlStep(LAW, SINE, settings(start_error=0.1))
     tracker.hold()
     command = tracker.command(sample(0, 0.7, 0.7), 0)
-    assert command is not None
     np.testing.assert_array_equal(command.jets, standing([0.7]))
     assert command.state is State.TRACKING
 
@@ -319,7 +315,7 @@ def test_hold_while_stopped_holds_the_position_at_resume() -> None:
     tracker.resume()
     for k in (3, 400, 800, 1200, 1500):
         command = tracker.command(sample(k * MS, 0.6, 0.6), k * MS)
-        np.testing.assert_allclose(command.jets, standing([0.6]), atol=1e-12)  # type: ignore[union-attr]
+        np.testing.assert_allclose(command.jets, standing([0.6]), atol=1e-12)
 
 
 def test_a_reference_given_before_the_first_sample_begins_there() -> None:
@@ -327,4 +323,4 @@ def test_a_reference_given_before_the_first_sample_begins_there() -> None:
     assert tracker.jets_at(0) is None
     tracker.follow(Hold([0.3]))
     command = tracker.command(sample(SECOND, 0.5, 0.5), 0)
-    np.testing.assert_array_equal(command.jets, standing([0.3]))  # type: ignore[union-attr]
+    np.testing.assert_array_equal(command.jets, standing([0.3]))

@@ -63,7 +63,6 @@ class Loop:
         command = None
         if answered:
             command = self.tracker.command(self.sample(), self.now)
-            assert command is not None
             self.u = command.u.copy()
             self.commands.append(command)
         self.efforts.append(self.u)

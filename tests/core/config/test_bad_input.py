@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fuzzing import refused
 
 NAN, INF = float("nan"), float("inf")
 PAPER = {"Lambda_l": 10.0, "Pi_l": 20.0, "K_ld": 0.6, "Lambda_m": 15.0, "Pi_m": 60.0, "K_md": 0.3}
@@ -22,14 +23,6 @@ def test_all_errors_derive_from_fjr_error() -> None:
     assert all(issubclass(getattr(fjr, name), fjr.FjrError) for name in names)
 
 
-def refused(error: type[fjr.FjrError], call: Callable[[], object], *words: str) -> None:
-    with pytest.raises(error) as caught:
-        call()
-    message = str(caught.value)
-    assert all(word in message for word in words), message
-    assert "\n" not in message
-
-
 def run(**overrides: object) -> fjr.Trajectory:
     values = {
         "plant": fjr.Plant(ROBOT),
@@ -39,7 +32,7 @@ def run(**overrides: object) -> fjr.Trajectory:
         "duration": 0.01,
         "sample_period": 1e-3,
     }
-    return fjr.simulate(**{**values, **overrides})  # type: ignore[arg-type]
+    return fjr.simulate(**{**values, **overrides})
 
 
 MAKE: dict[str, tuple[type[fjr.FjrError], Callable[..., object]]] = {
@@ -63,10 +56,7 @@ VALUES = [
     ("planar_two_link", {"stiffness": [1.0, 2.0, 3.0]}, "K", "(3,)", "(2,)"),
     ("planar_two_link", {"stiffness": np.eye(3)}, "K", "(3, 3)", "(2, 2)"),
     ("planar_two_link", {"stiffness": [[30, 1], [2, 20]]}, "K", "symmetric"),
-    ("planar_two_link", {"stiffness": [[1, 2], [2, 1]]}, "K", "-1", "positive definite"),
-    ("planar_two_link", {"motor_inertia": [[0.02, 0.001], [0, 0.01]]}, "M_m", "symmetric"),
     ("planar_two_link", {"link_damping": [[0.1, 0.2], [0.2, 0.1]]}, "D_l", "-0.1", "semidefinite"),
-    ("planar_two_link", {"link_damping": [[0.1, 0.05], [0, 0.1]]}, "D_l", "symmetric"),
     ("planar_two_link", {"input_gain": [[1, 2], [2, 4]]}, "B_m", "invertible"),
     ("planar_two_link", {"link_mass": (1.0, -0.1)}, "link_mass", "-0.1", "positive"),
     ("planar_two_link", {"link_length": (1.0, 1.0, 1.0)}, "link_length", "(3,)", "(2,)"),
@@ -79,23 +69,14 @@ VALUES = [
     ("gains", {"Lambda_m": -15.0}, "Lambda_m", "-15", "(41)", "positive definite"),
     ("gains", {"Gamma_l": -1.0}, "Gamma_l", "-20", "(32)", "nonnegative"),
     ("gains", {"Gamma_m": -1.0}, "Gamma_m", "-60", "(41)", "nonnegative"),
-    ("gains", {"Pi_l": NAN}, "Pi_l", "nan", "finite"),
     ("gains", {"Lambda_m": INF}, "Lambda_m", "inf", "finite"),
-    ("gains", {"Lambda_l": "fast"}, "Lambda_l", "fast", "numbers"),
-    ("gains", {"K_md": [0.3, 0.3, 0.3]}, "K_md", "(3,)", "(2,)"),
-    ("gains", {"Pi_m": np.eye(3)}, "Pi_m", "(3, 3)", "(2, 2)"),
     ("gains", {"Pi_m": [[60, 1], [0, 60]]}, "Pi_m", "symmetric"),
-    ("gains", {"K_ld": [[1, 2], [2, 1]]}, "K_ld", "-1", "positive definite"),
     ("simulation", {"x0": X[:4]}, "x0", "(4,)", "(8,)"),
     ("simulation", {"x0": np.full(8, NAN)}, "x0", "nan", "finite"),
     ("simulation", {"duration": 0.0}, "duration", "0.0", "positive"),
-    ("simulation", {"duration": NAN}, "duration", "nan", "positive"),
-    ("simulation", {"sample_period": 0.0}, "period", "0.0", "positive"),
     ("simulation", {"sample_period": INF}, "period", "inf", "positive"),
-    ("simulation", {"inner_step": -1e-4}, "-0.0001", "positive"),
     ("simulation", {"inner_step": NAN}, "nan", "positive"),
     ("simulation", {"inner_step": -1e-4, "sample_period": None}, "-0.0001", "positive"),
-    ("simulation", {"delay": -1e-3}, "delay", "-0.001", "0 or more"),
     ("simulation", {"delay": NAN}, "delay", "nan", "0 or more"),
     ("simulation", {"delay": 1e-3, "sample_period": None}, "delay", "0.001", "continuous"),
     ("simulation", {"reference": fjr.Sine(1.0, 1.0)}, "joints", "2", "1"),
@@ -145,28 +126,18 @@ def test_rounding_of_the_product_is_tolerated(first: float, second: float) -> No
 
 SHAPES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "effort-x_v": (lambda: LAW.effort(np.zeros(7), X, JETS), ("x_v", "(7,)", "(8,)")),
-    "effort-x": (lambda: LAW.effort(X, np.zeros((2, 4)), JETS), ("x ", "(2, 4)", "(8,)")),
     "effort-jets-transposed": (lambda: LAW.effort(X, X, JETS.T), ("jets", "(2, 5)", "(5, 2)")),
-    "effort-jets-of-order-three": (lambda: LAW.effort(X, X, JETS[:4]), ("jets", "(4, 2)", "(5, 2)")),
     "effort-omega": (lambda: LAW.effort(X, X, JETS, np.zeros(3)), ("omega", "(3,)", "(2,)")),
     "effort-scalar-state": (lambda: LAW.effort(0.0, X, JETS), ("x_v", "()", "(8,)")),
-    "effort-scalar-jets": (lambda: LAW.effort(X, X, 0.0), ("jets", "()", "(5, 2)")),
     "effort-ragged-jets": (lambda: LAW.effort(X, X, [[0.0], [0.0, 0.0]]), ("jets",)),
     "effort-text": (lambda: LAW.effort("here", X, JETS), ("x_v",)),
     "evaluate-x": (lambda: LAW.evaluate(X, X[:4], JETS), ("x ", "(4,)", "(8,)")),
     "rate": (lambda: LAW.rate(np.zeros((3, 5))), ("configurations", "(3, 5)", "2")),
     "rate-nan": (lambda: LAW.rate([[NAN, 0.0]]), ("configurations", "nan", "finite")),
-    "derivative-x": (lambda: fjr.Plant(ROBOT).derivative(X[:4], U), ("x ", "(4,)", "(8,)")),
     "derivative-u": (lambda: fjr.Plant(ROBOT).derivative(X, np.zeros(3)), ("u ", "(3,)", "(2,)")),
-    "derivative-scalar-state": (lambda: fjr.Plant(ROBOT).derivative(0.0, U), ("x ", "()", "(8,)")),
-    "step-x": (lambda: fjr.Plant(ROBOT).step(X[:4], U, 1e-3), ("x ", "(4,)", "(8,)")),
     "step-dt": (lambda: fjr.Plant(ROBOT).step(X, U, [1e-3, 1e-3]), ("dt", "(2,)")),
     "gradient-x": (lambda: fjr.Plant(ROBOT).gradient(X[:4]), ("x ", "(4,)", "(8,)")),
-    "virtual-x_v": (lambda: fjr.VirtualSystem(ROBOT).derivative(X[:4], X, U), ("x_v", "(4,)", "(8,)")),
-    "variational": (
-        lambda: fjr.VirtualSystem(ROBOT).variational(X, X, X[:4], U),
-        ("delta_x_v", "(4,)", "(8,)"),
-    ),
+    "variational": (lambda: fjr.VirtualSystem(ROBOT).variational(X, X, X[:4], U), ("delta_x_v", "(4,)", "(8,)")),
     "hamiltonian": (lambda: ROBOT.hamiltonian(X[:4]), ("x ", "(4,)", "(8,)")),
     "hamiltonian-nan": (lambda: ROBOT.hamiltonian(np.full(8, NAN)), ("x ", "nan", "finite")),
     "state-q_l": (lambda: ROBOT.state([0, 0, 0], [0, 0], [0, 0], [0, 0]), ("q_l", "(3,)", "(2,)")),

@@ -126,7 +126,7 @@ def test_json_that_is_no_object_raises_value_error(folder: Path) -> None:
 
 
 def build(urdf: object) -> str:
-    return answer(lambda: fjr.robot_from_urdf(urdf, JOINTS, STIFFNESS, MOTOR_INERTIA))  # type: ignore[arg-type]
+    return answer(lambda: fjr.robot_from_urdf(urdf, JOINTS, STIFFNESS, MOTOR_INERTIA))
 
 
 WORDS = ["0", "-1", "1e308", "nan", "inf", "", "1_0", "0x10", "a", "1 2", "prismatic", "floating", "\u0661", "x" * 999]

@@ -19,6 +19,7 @@ from fjr_core.config.parameter import MATRIX, POINT, ROWS, VECTOR, complete, rea
 from fjr_core.config.plant import plant_parameters
 from fjr_core.config.scenario import load_scenario, parse_scenario
 from fjr_core.numerics.parameter_field import declared, parameter_field
+from fuzzing import refused
 
 MODELS: dict[str, dict[str, Any]] = {
     "single_link": {},
@@ -91,7 +92,7 @@ FILE = f"""
 
 def test_options_of_a_file_for_both_nodes_reach_law_and_plant() -> None:
     scenario = parse_scenario("mine", FILE)
-    law, plant = scenario.law.own, scenario.plant.own  # type: ignore[attr-defined]
+    law, plant = scenario.law.own, scenario.plant.own
     assert (law.K_p, law.K_d, law.gravity, law.note, plant.damping) == (30.0, 2.0, True, "", 0.5)
     np.testing.assert_array_equal(law.weights, [2.0])
     assert scenario.controller_values["law.options.weights"] == (2.0,)
@@ -119,10 +120,7 @@ REFUSED: dict[str, tuple[str, str, str]] = {
 
 @pytest.mark.parametrize(("old", "new", "sentence"), REFUSED.values(), ids=REFUSED)
 def test_an_invalid_value_is_refused_in_one_sentence(old: str, new: str, sentence: str) -> None:
-    with pytest.raises(fjr.ParameterError) as found:
-        parse_scenario("mine", FILE.replace(old, new))
-    assert sentence in str(found.value)
-    assert "\n" not in str(found.value)
+    refused(fjr.ParameterError, lambda: parse_scenario("mine", FILE.replace(old, new)), sentence)
 
 
 def test_a_report_reads_a_scenario_without_importing_the_code_that_it_names(tmp_path: Path) -> None:
@@ -156,9 +154,9 @@ def test_arrays_and_lists_of_numbers_are_lists_of_floats() -> None:
         def __init__(self, robot: Any, a: Any = INTEGERS, b: Any = (1, 2.5), c: Any = ("x", "y")) -> None:
             super().__init__(robot)
 
-    own_code.Lists = Lists  # type: ignore[attr-defined]
+    own_code.Lists = Lists
     try:
         values = parse_scenario("m", FILE.replace(LAW, 'type: "own_code:Lists"')).controller_values
         assert [values[f"law.options.{name}"] for name in "abc"] == [(1.0, 2.0), (1.0, 2.5), ("x", "y")]
     finally:
-        del own_code.Lists  # type: ignore[attr-defined]
+        del own_code.Lists

@@ -19,6 +19,7 @@ from fjr_core.config.reference import reference as build_reference
 from fjr_core.config.reference import reference_parameters
 from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
 from fjr_core.motions.reference import Reference
+from fuzzing import refused
 
 T = np.array([0.3, 1.3, 2.2, 7.7])
 OFFSET = {"offset": (0.4, -0.3)}
@@ -120,10 +121,7 @@ BAD: dict[str, tuple[int, dict[str, Any], tuple[str, ...]]] = {
 
 @pytest.mark.parametrize(("n", "given", "words"), BAD.values(), ids=BAD)
 def test_invalid_values_are_rejected_in_one_sentence(n: int, given: dict[str, Any], words: tuple[str, ...]) -> None:
-    with pytest.raises(fjr.ParameterError) as caught:
-        made(n, **given)
-    assert all(word in str(caught.value) for word in words), caught.value
-    assert "\n" not in str(caught.value)
+    refused(fjr.ParameterError, lambda: made(n, **given), *words)
 
 
 AT = np.arange(5001) / 1000  # s: 5 s at 1 kHz
@@ -239,6 +237,4 @@ def test_a_file_that_is_no_motion_is_refused_in_one_sentence(load: Load, tmp_pat
     load(np.sin(AT))
     text = (tmp_path / "own.yaml").read_text().replace("motion.csv", path or "''")
     (tmp_path / "own.yaml").write_text(text)
-    with pytest.raises(fjr.ParameterError, match="parameter 'reference.file.path'") as caught:
-        load_scenario(tmp_path / "own.yaml")
-    assert words in str(caught.value)
+    refused(fjr.ParameterError, lambda: load_scenario(tmp_path / "own.yaml"), "parameter 'reference.file.path'", words)

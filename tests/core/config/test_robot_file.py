@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,6 +20,7 @@ from fjr_core.config.robot import description
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import inlined, located
 from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
+from fuzzing import refused
 from two_link_urdf import JOINTS, LINK_DAMPING, MOTOR_DAMPING, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 ROBOT = f"""
@@ -125,15 +125,7 @@ def test_an_invalid_robot_file_is_one_sentence_with_the_parameter(workspace: Pat
     head = "/**:\n  ros__parameters:\n"
     (workspace / "robots" / "gains.yaml").write_text(f"{head}    gains:\n      K_ld: [1.0]\n")
     (workspace / "robots" / "chain.yaml").write_text(f"{head}    robot:\n      file: two_link.yaml\n")
-    refuse(lambda: load_scenario(scenario(workspace, robot)), *words)
-
-
-def refuse(call: Callable[[], object], *words: str) -> None:
-    with pytest.raises(fjr.ParameterError) as caught:
-        call()
-    message = str(caught.value)
-    assert all(word in message for word in words), message
-    assert "\n" not in message
+    refused(fjr.ParameterError, lambda: load_scenario(scenario(workspace, robot)), *words)
 
 
 def urdf_values(**changes: object) -> dict[str, object]:
@@ -173,11 +165,16 @@ BAD_VALUES = [
 
 @pytest.mark.parametrize(("changes", "words"), [(changes, words) for changes, *words in BAD_VALUES])
 def test_an_invalid_urdf_robot_is_one_sentence_with_the_parameter(changes: dict[str, object], words: list[str]) -> None:
-    refuse(lambda: urdf_robot(**changes), *words)
+    refused(fjr.ParameterError, lambda: urdf_robot(**changes), *words)
 
 
 def test_urdf_robot_requires_joint_names() -> None:
-    refuse(lambda: all_parameters(controller_parameters, {"robot.model": "urdf"}), "'joints' is not given", "urdf")
+    refused(
+        fjr.ParameterError,
+        lambda: all_parameters(controller_parameters, {"robot.model": "urdf"}),
+        "'joints' is not given",
+        "urdf",
+    )
 
 
 def test_motor_inertia_is_reflected_unless_a_gear_ratio_is_given() -> None:

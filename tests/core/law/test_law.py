@@ -15,45 +15,48 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.cases import LOOP_NAMES, LOOPS, POINTS, Arm, GainSet, Point, planar, random_point, single
-from core.oracles.chains import arm7, chain_point, scaled_gains, two_joints
+from core.oracles.chains import arm7, scaled_gains, two_joints
 from core.oracles.oracle import LiteralLaw
 from core.oracles.properties import (
     TOLERANCE,
     Loop,
+    block_diagonal,
     error_dynamics,
+    generator,
     loop_of,
+    metric,
+    metric_residual,
     on_reference,
     residual,
     storage_rate,
     storage_terms,
+    sym,
 )
 
 EXACT = 1e-11
 """Tolerance for URDF arms: residuals are relative to the largest torques, so this checks the wrist to six digits."""
 URDF_ARMS = {"two_joints": two_joints, "arm7": arm7}
+URDF_LOOPS = [f"{name}-{kind}" for name in URDF_ARMS for kind in ("linear", "cubic")]
 loops = pytest.mark.parametrize(("arm", "gains"), LOOPS, ids=LOOP_NAMES)
-all_loops = pytest.mark.parametrize(
-    "name", [*LOOP_NAMES, *(f"{name}-{kind}" for name in URDF_ARMS for kind in ("linear", "cubic"))]
-)
+all_loops = pytest.mark.parametrize("name", [*LOOP_NAMES, *URDF_LOOPS])
 points = pytest.mark.parametrize(
     "place", POINTS, ids=lambda p: f"{p[0]}-{'same' if p[1] else 'apart'}-{'omega' if p[2] else 'free'}"
 )
 
 
 @cache
-def urdf_loop(name: str, cubic: bool) -> Loop:
-    arm = URDF_ARMS[name]()
-    return loop_of(arm, scaled_gains(arm, cubic=cubic))
+def loop_named(name: str) -> Loop:
+    if name in LOOP_NAMES:
+        return loop_of(*LOOPS[LOOP_NAMES.index(name)])
+    which, _, kind = name.partition("-")
+    arm = URDF_ARMS[which]()
+    return loop_of(arm, scaled_gains(arm, cubic=kind == "cubic"))
 
 
 def at(name: str, *place: Any) -> tuple[Loop, Point, float]:
     """Return a loop by its name, a random point of it and the tolerance of its residuals."""
-    if name in LOOP_NAMES:
-        loop = loop_of(*LOOPS[LOOP_NAMES.index(name)])
-        return loop, random_point(loop.arm, *place), TOLERANCE
-    arm, _, kind = name.partition("-")
-    loop = urdf_loop(arm, kind == "cubic")
-    return loop, chain_point(loop.arm, *place), EXACT
+    loop = loop_named(name)
+    return loop, random_point(loop.arm, *place), TOLERANCE if name in LOOP_NAMES else EXACT
 
 
 def relative(seen: np.ndarray, wanted: np.ndarray) -> float:
@@ -114,11 +117,28 @@ def test_storage_is_positive_and_decays_at_least_at_rate_beta(name: str) -> None
         assert e.dV <= -2 * beta * e.V * (1 - (1e-12 if name in LOOP_NAMES else 1e-10))
 
 
+@pytest.mark.parametrize("name", URDF_LOOPS)
+@pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
+def test_differential_storage_decays_by_the_dissipation(name: str, same: bool) -> None:
+    """(P A + A' P + dP)/2 = -diag(sym(Pi_l dphi_l), sym(Pi_m dphi_m), M_l^-1 (D_l + K_ld) M_l^-1, ..)."""
+    closed, p, _ = at(name, 0, same)
+    arm, gains = closed.arm, closed.gains
+    e_l, e_m, *_ = np.split(closed.errors(p.x_v, p.x, p.jets), 4)
+    W_l, W_m = np.linalg.inv(arm.links.M(p.x[: arm.n])), np.linalg.inv(arm.M_m)
+    dissipated = block_diagonal(
+        sym(gains.Pi_l @ gains.dphi_l(e_l)),
+        sym(gains.Pi_m @ gains.dphi_m(e_m)),
+        W_l @ (arm.D_l + gains.K_ld) @ W_l,
+        W_m @ (arm.D_m + gains.K_md) @ W_m,
+    )
+    A, (P, dP) = generator(closed, p), metric(closed, p)
+    assert metric_residual(P, -dissipated, P @ A / 2, A.T @ P / 2, dP / 2) <= EXACT
+
+
 def test_identities_detect_a_relative_error_of_1e_6() -> None:
     """A relative error of 1e-6 in the damping of the wrist breaks the identities by more than the tolerance."""
-    right = urdf_loop("arm7", False)
+    right, p, _ = at("arm7-linear", 0, True, False)
     wrong = replace(right.gains, K_ld=right.gains.K_ld * (1 + 1e-6 * (np.arange(7) == 6)))
-    p = chain_point(arm7(), 0, same=True, pushed=False)
     assert error_dynamics(replace(right, gains=wrong), p)["sigma_l"] > 10 * EXACT
     assert storage_rate(replace(right, gains=wrong), p) > 10 * EXACT
 

@@ -35,6 +35,6 @@ def test_half_of_the_configurations_of_a_loop_align_axes() -> None:
 
 def test_a_side_without_a_limit_is_pi_or_pi_beyond_the_other() -> None:
     limits = SimpleNamespace(lower=np.array([-np.inf, 1.0, -np.inf, -1.0]), upper=np.array([-2.0, np.inf, np.inf, 2.0]))
-    lower, upper = bounds_of(SimpleNamespace(n=4, limits=limits))  # type: ignore[arg-type]
+    lower, upper = bounds_of(SimpleNamespace(n=4, limits=limits))
     np.testing.assert_allclose(lower, [-2 - np.pi, 1, -np.pi, -1])
     np.testing.assert_allclose(upper, [-2, 1 + np.pi, np.pi, 2])

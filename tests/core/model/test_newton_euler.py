@@ -7,11 +7,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import fjr_core as fjr
-from core.oracles.cases import PLANAR, Array
+from core.oracles.cases import Array
 from core.oracles.chains import Chain, random_chain
 from fjr_core.model.rigid_arm import z_aligned
 
@@ -68,15 +67,6 @@ def test_the_recursions_agree_with_pinocchio(chain: tuple[int, int]) -> None:
 
 
 @all_chains
-def test_forward_dynamics_agrees_with_the_articulated_body_algorithm(chain: tuple[int, int]) -> None:
-    c = random_chain(*chain)
-    q, dq, tau = numbers(c, 3)
-    M, bias = c.links.M_l(q).full(), value(c.links.C(q, dq, dq) + c.links.grad_P_l(q))
-    aba = pin.aba(c.pinocchio.model, c.pinocchio.data, q, dq, tau)
-    assert relative(np.linalg.solve(M, tau - bias.ravel()), aba) < 1e-10
-
-
-@all_chains
 def test_inertia_rate_minus_twice_coriolis_is_skew_and_workless_forces_sum_to_minus_it(chain: tuple[int, int]) -> None:
     c = random_chain(*chain)
     q, v = numbers(c, 2)
@@ -84,34 +74,6 @@ def test_inertia_rate_minus_twice_coriolis_is_skew_and_workless_forces_sum_to_mi
     S, E = dM - 2 * C, C - dM
     assert relative(S + S.T, 0 * S, float(np.max(np.abs(dM)))) < 1e-12
     assert relative(E + E.T, -dM) < 1e-12
-
-
-@pytest.mark.parametrize("n", [3, 7])
-def test_coriolis_product_is_bilinear_and_symmetric_in_both_velocities(n: int) -> None:
-    links = random_chain(n, 0).links
-    q, v, w = numbers(random_chain(n, 0), 3)
-    twice = links.C(q, v + w, v + w) - links.C(q, v - w, v - w)
-    assert relative(links.C(q, v, w), value(twice) / 4) < 1e-12
-    assert relative(links.C(q, v, w), value(links.C(q, w, v))) < 1e-12
-
-
-def planar_bodies(m: Any, l1: float, c: Any, inertia: Any) -> list[fjr.Body]:
-    """Return two links that hang along -z and rotate about y."""
-    places, thin = ((0, 0, 0), (0, 0, -l1)), np.diag([0.0, 1.0, 0.0])
-    return [fjr.Body(np.eye(3), places[i], (0, 1, 0), m[i], (0, 0, -c[i]), inertia[i] * thin) for i in range(2)]
-
-
-def test_two_bodies_in_a_plane_match_the_closed_form() -> None:
-    closed = fjr.planar_two_link(**PLANAR).links
-    bodies = planar_bodies(PLANAR["link_mass"], 0.3, PLANAR["link_com"], PLANAR["link_inertia"])
-    chain = fjr.serial_chain(bodies)
-    q, v, w = np.random.default_rng(1).uniform(-2, 2, (3, 2))
-    assert relative(chain.M_l(q), closed.M_l(q).full()) < 1e-14
-    assert relative(chain.grad_P_l(q), value(closed.grad_P_l(q))) < 1e-14
-    for name in ("C", "dM"):
-        assert relative(getattr(chain, name)(q, v, w), value(getattr(closed, name)(q, v, w))) < 1e-13
-    assert relative(chain.grad_T(q, v), value(closed.grad_T(q, v))) < 1e-13
-    assert relative(chain.P_l(q) - chain.P_l(0 * q), (closed.P_l(q) - closed.P_l(0 * q)).full()) < 1e-13
 
 
 def test_point_mass_on_a_prismatic_joint_loads_it_along_its_axis() -> None:
@@ -136,14 +98,12 @@ GOOD: dict[str, Any] = {
     ("name", "wrong", "sentence"),
     [
         ("mass", -1.0, "mass is -1.0 kg; expected 0 or more"),
-        ("mass", "heavy", "mass is 'heavy'; expected numbers"),
         ("rotation", np.diag([1.0, 1.0, -1.0]), "expected a rotation matrix"),
         ("mass", np.nan, "mass is nan"),
         ("axis", (0, 0, 0), "axis is zero; expected a direction"),
         ("axis", (0, 1), r"axis has shape \(2,\)"),
         ("com", (0, np.inf, 0), "com is .*; expected finite numbers"),
         ("translation", "here", "translation is 'here'; expected numbers"),
-        ("rotation", 2 * np.eye(3), "expected a rotation matrix"),
         ("rotation", np.eye(2), r"rotation has shape \(2, 2\)"),
         ("inertia", np.diag([1.0, 1.0, -0.1]), "inertia has smallest eigenvalue -0.1"),
         ("inertia", [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "inertia is not symmetric"),

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.cases import ARMS, Arm, random_point
+from core.oracles.cases import ARMS, HARD, Arm, random_point
+from core.oracles.chains import arm7, two_joints
 from core.oracles.oracle import LiteralPlant, exact, jacobian, stencil
 from core.oracles.properties import TOLERANCE, residual
 
-arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+arms = pytest.mark.parametrize("arm", ARMS + HARD, ids=lambda arm: arm.name)
+URDF_ARMS = two_joints(), arm7()
 seeds = pytest.mark.parametrize("seed", range(4))
 
 
@@ -59,14 +61,29 @@ def test_derivative_agrees_with_the_literal_plant(arm: Arm, seed: int) -> None:
     assert fjr.Plant(arm.robot).derivative(p.x, p.u) == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 
 
-@arms
+@pytest.mark.parametrize("arm", URDF_ARMS, ids=lambda arm: arm.name)
+@seeds
+def test_plant_satisfies_the_equation_of_motion_of_pinocchio(arm: Arm, seed: int) -> None:
+    """dp_l = d/dt (M_l dq_l) with M_l ddq_l = K zeta - C dq_l - D_l dq_l - grad P_l."""
+    p = random_point(arm, seed)
+    q_l, q_m, p_l, p_m = np.split(p.x, 4)
+    dq_l, dq_m = np.linalg.solve(arm.links.M(q_l), p_l), np.linalg.solve(arm.M_m, p_m)
+    C, spring = arm.links.C(q_l, dq_l), arm.K @ (q_m - q_l)
+    Mddq_l = spring - C @ dq_l - arm.D_l @ dq_l - arm.links.grad_P(q_l)
+    dp = np.concatenate([Mddq_l + (C + C.T) @ dq_l, arm.B_m @ p.u - spring - arm.D_m @ dq_m])
+    seen = fjr.Plant(arm.robot).derivative(p.x, p.u)
+    assert residual(seen[2 * arm.n :], dp) <= TOLERANCE
+    assert residual(seen[: 2 * arm.n], np.concatenate([dq_l, dq_m])) <= TOLERANCE
+
+
+@pytest.mark.parametrize("arm", [*ARMS, *HARD, *URDF_ARMS], ids=lambda arm: arm.name)
 @seeds
 def test_power_balance(arm: Arm, seed: int) -> None:
     """dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m."""
     p = random_point(arm, seed)
     dx = fjr.Plant(arm.robot).derivative(p.x, p.u)
     dq_l, dq_m = dx[: arm.n], dx[arm.n : 2 * arm.n]
-    dH = stencil(lambda s: arm.robot.hamiltonian(p.x + s * dx), 0.004)
+    dH = stencil(lambda s: arm.robot.hamiltonian(p.x + s * dx), 1e-3)
     assert residual(dH, dq_m @ arm.B_m @ p.u, -dq_l @ arm.D_l @ dq_l, -dq_m @ arm.D_m @ dq_m) <= TOLERANCE
 
 
@@ -75,6 +92,6 @@ def test_equilibrium_under_gravity_is_at_rest(arm: Arm) -> None:
     """The springs balance gravity and the motors balance the springs, so the derivative vanishes."""
     q_l = np.linspace(0.4, -0.7, arm.n)
     torque = arm.links.grad_P(q_l)
-    x = arm.robot.state(q_l, q_l + np.linalg.solve(arm.K, torque), np.zeros(arm.n), np.zeros(arm.n))
+    x = arm.robot.state(q_l, q_l + arm.robot.deflection(torque), np.zeros(arm.n), np.zeros(arm.n))
     dx = fjr.Plant(arm.robot).derivative(x, np.linalg.solve(arm.B_m, torque))
     assert dx == pytest.approx(np.zeros(4 * arm.n), abs=1e-13)

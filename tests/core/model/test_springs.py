@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Springs that harden: their curve and its inverse, and the plant, law and linearisation of a robot that has them.
+"""Springs that harden: their curve and its inverse, and the inverse dynamics and linearisation of a robot with them.
 
-The identities of the law on such robots are in tests/core/law/test_law.py.
+Identities of plant and law on such robots are in test_port_hamiltonian.py, test_virtual_system.py and law/test_law.py.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import fjr_core as fjr
-from core.oracles.cases import HARD, Arm, Array, GainSet, cubic, hardened, linear, planar, random_point, random_state
-from core.oracles.oracle import STEP, LiteralLaw, exact, jacobian, mp
+from core.oracles.cases import HARD, Arm, Array, hardened, linear, planar
+from core.oracles.oracle import jacobian
 from core.oracles.properties import loop_of, residual
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.law.linearized import equilibria_at, error_dynamics, error_matrices, feedback, plant_matrices
@@ -67,63 +66,6 @@ def test_secant_joins_two_points_and_the_tangent_one(arm: Arm) -> None:
         assert np.diag(tangent) == pytest.approx(np.array(slope, dtype=float), rel=EXACT)
         same = ca.DM(springs.secant(arm.robot, ca.DM(a), ca.DM(a))).full()
         assert same == pytest.approx(tangent, rel=1e-14)
-
-
-@arms
-@pytest.mark.parametrize("gains", [linear, cubic], ids=["linear", "cubic"])
-@pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
-def test_rate_of_the_storage_is_exact_to_twelve_digits(arm: Arm, gains: object, same: bool) -> None:
-    """The oracle differentiates V along the closed loop in 80 digits; the right side is that of the law."""
-    gain_set: GainSet = gains(arm.n)  # type: ignore[operator]
-    law, literal, p = loop_of(arm, gain_set).law, LiteralLaw(arm, gain_set), random_point(arm, 11, same)
-    oracle = literal.along_reference(p.jets)
-    oracle.omega = exact(p.omega)
-    z = np.concatenate([exact(p.x_v), exact(p.x), [mp.mpf(0)]])
-    virtual = oracle.plant.virtual(exact(p.x_v), exact(p.x), oracle.u(z))
-    dz = np.concatenate([virtual, oracle.plant.derivative(exact(p.x), exact(p.u)), [mp.mpf(1)]])
-    dV = (oracle.V(z + STEP * dz) - oracle.V(z - STEP * dz)) / (2 * STEP)
-    e = law.evaluate(p.x_v, p.x, p.jets, p.omega)
-    supplied = np.linalg.solve(arm.M_m, e.sigma_m) @ p.omega
-    assert residual(float(dV), -e.dissipation, supplied) <= EXACT
-    assert residual(e.dV, -e.dissipation, supplied) <= EXACT
-    wanted = literal.evaluate(p.x_v, p.x, p.jets, p.omega)
-    for name in ("u", "u_l", "q_md", "sigma_l", "sigma_m", "V"):
-        seen, literally = np.asarray(getattr(e, name)), getattr(wanted, name)
-        assert np.max(np.abs(seen - literally)) <= EXACT * np.max(np.abs(literally)), name
-
-
-def written_anew(arm: Arm, u: Array, t: float, x: Array) -> Array:
-    """Return dx/dt of the plant in velocities, from the closed forms of the arm."""
-    q_l, q_m, dq_l, dq_m = np.split(x, 4)
-    tau = np.diag(arm.K) * (q_m - q_l) + arm.cubic * (q_m - q_l) ** 3
-    links = tau - arm.links.C(q_l, dq_l) @ dq_l - arm.links.grad_P(q_l) - arm.D_l @ dq_l
-    motors = arm.B_m @ u - tau - arm.D_m @ dq_m
-    return np.concatenate([dq_l, dq_m, np.linalg.solve(arm.links.M(q_l), links), np.linalg.solve(arm.M_m, motors)])
-
-
-@arms
-def test_plant_moves_as_its_equations_written_anew(arm: Arm) -> None:
-    x, u, n = random_state(arm, np.random.default_rng(5)), np.linspace(0.5, -0.3, arm.n), arm.n
-    plant = fjr.Plant(arm.robot)
-    start = np.concatenate([x[: 2 * n], *arm.robot.velocities(x)])
-    for _ in range(400):
-        x = plant.step(x, u, 1e-4)
-    wanted = solve_ivp(lambda t, y: written_anew(arm, u, t, y), (0, 0.04), start, "DOP853", rtol=1e-12, atol=1e-12)
-    assert np.concatenate([x[: 2 * n], *arm.robot.velocities(x)]) == pytest.approx(wanted.y[:, -1], abs=1e-5)
-
-
-@arms
-def test_energy_is_kept_without_damping_and_stored_in_the_springs(arm: Arm) -> None:
-    zero = np.zeros((arm.n, arm.n))
-    robot = replace(arm.robot, D_l=zero, D_m=zero)
-    x, plant = random_state(arm, np.random.default_rng(6)), fjr.Plant(robot)
-    zeta = x[arm.n : 2 * arm.n] - x[: arm.n]
-    straight = replace(robot, cubic=None)
-    assert robot.hamiltonian(x) - straight.hamiltonian(x) == pytest.approx(arm.cubic @ zeta**4 / 4, rel=1e-9)
-    H = robot.hamiltonian(x)
-    for _ in range(2000):
-        x = plant.step(x, np.zeros(arm.n), 2e-5)
-    assert robot.hamiltonian(x) == pytest.approx(H, rel=1e-8)
 
 
 @arms

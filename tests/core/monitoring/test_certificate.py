@@ -106,34 +106,6 @@ def test_mean_rate_of_V_over_a_step_is_of_third_order(of_the_law: bool) -> None:
     assert error(2e-4) / error(1e-4) == pytest.approx(8.0, rel=0.1)
 
 
-def test_batch_evaluation_equals_single_evaluations() -> None:
-    arm = planar("31", 31.0)
-    law = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS)
-    points = [random_point(arm, seed) for seed in range(5)]
-    position, velocity = map(np.array, zip(*(measured(arm, p.x) for p in points), strict=True))
-    u = np.array([p.u for p in points])
-    u[3] = np.nan
-    jets, balance = np.array([p.jets for p in points]), Certificate(law)
-    series = balance.along(position, velocity, jets, u)
-    for k in range(5):
-        one = at(balance, position[k], velocity[k], jets[k], None if k == 3 else u[k])
-        for name in ("V", "dV", "H", "supplied", "dissipated"):
-            assert getattr(series, name)[k] == getattr(one, name), name
-        assert np.array_equal(series.u_law[k], one.u_law)
-        assert np.array_equal(series.slope[k], one.slope)
-
-
-def test_compiled_certificate_gives_the_same_numbers() -> None:
-    arm = planar("31", 31.0)
-    p = random_point(arm, 45)
-    samples = [
-        at(Certificate(fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS, compile=c)), *measured(arm, p.x), p.jets, p.u)
-        for c in (False, True)
-    ]
-    for name in ("V", "dV", "H", "supplied", "dissipated"):
-        assert getattr(samples[0], name) == pytest.approx(getattr(samples[1], name), rel=1e-11)
-
-
 def test_certificate_of_other_gains_is_theirs() -> None:
     arm, p = planar("31", 31.0), random_point(planar("31", 31.0), 46)
     other = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS).with_gains(fjr.Gains(12.0, 25.0, 0.7, 14.0, 50.0, 0.4))

@@ -78,22 +78,12 @@ def test_configurations_lie_on_the_reference(reference: Reference) -> None:
     assert np.all(reach >= 0.9 * (e.upper[0] - e.lower[0]))
 
 
-def test_paper_reference_starts_at_zero_with_unit_velocity() -> None:
-    assert fjr.Sine(1.0, 1.0).jets(0.0)[:, 0] == pytest.approx([0, 1, 0, -1, 0], abs=1e-15)
-
-
 def test_a_multi_sine_is_the_sum_of_its_sines() -> None:
     a, w, p = np.random.default_rng(1).normal(size=(3, 4, 2))
     whole = fjr.MultiSine(a, w, p, (0.5, -0.5))
     each = [fjr.Sine(*rows) for rows in zip(a, w, (0.0,) * 4, p, strict=True)]
     expected = sum(sine.jets(1.3) for sine in each) + fjr.standing((0.5, -0.5))
     np.testing.assert_allclose(whole.jets(1.3), expected, rtol=1e-13, atol=1e-13)
-
-
-def test_one_row_of_sines_is_the_sine() -> None:
-    one, same = fjr.MultiSine([[1.0, 0.3]], [[2.0, 3.0]], 0.4, 0.1), fjr.Sine((1.0, 0.3), (2.0, 3.0), 0.1, 0.4)
-    np.testing.assert_allclose(one.jets(0.7), same.jets(0.7), rtol=1e-14)
-    np.testing.assert_array_equal(one.configurations(20), same.configurations(20))
 
 
 def test_point_to_point_is_the_smoothstep_of_degree_nine() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_identification.excitation import RestingSeries
+from fuzzing import refused
 
 TIMES = np.array([0.3, 1.0, 1.4, 2.5])
 POSITIONS, VELOCITIES, ACCELERATIONS = np.random.default_rng(4).normal(size=(3, 4, 3))
@@ -23,13 +24,10 @@ BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "sine-lengths": (lambda: fjr.Sine((1.0, 2.0), (1.0, 2.0, 3.0)), ("(2,)", "(3,)")),
     "sine-nan": (lambda: fjr.Sine(np.nan, 1.0), ("amplitude", "nan", "finite")),
     "sine-word": (lambda: fjr.Sine(1.0, "slow"), ("frequency", "slow", "numbers")),
-    "sine-rows": (lambda: fjr.Sine(np.ones((1, 2)), 1.0), ("amplitude", "(1, 2)")),
     "multi-vector": (lambda: fjr.MultiSine([1.0], 1.0), ("amplitude", "(1,)", "(m, n)")),
     "multi-shape": (lambda: fjr.MultiSine([[1.0, 2.0]], [[1.0]]), ("frequency", "(1, 1)", "(1, 2)")),
-    "multi-nan": (lambda: fjr.MultiSine([[1.0, 2.0]], 1.0, np.nan), ("phase", "nan", "finite")),
     "multi-offset": (lambda: fjr.MultiSine([[1.0, 2.0]], 1.0, 0.0, (1, 2, 3)), ("offset", "(3,)", "(2,)")),
     "points": (lambda: fjr.PointToPoint((0, 0), (1, 1, 1), 1.0), ("q1", "(3,)", "(2,)")),
-    "points-nan": (lambda: fjr.PointToPoint((0, np.inf), (1, 1), 1.0), ("q0", "inf", "finite")),
     "points-scalar": (lambda: fjr.PointToPoint(0.0, 1.0, 1.0), ("q0", "()", "(n,)")),
     "duration": (lambda: fjr.PointToPoint((0,), (1,), 0.0), ("duration", "0.0 s", "positive")),
     "dwell": (lambda: fjr.PointToPoint((0,), (1,), 1.0, -1.0), ("dwell", "-1.0 s", "0 or more")),
@@ -37,7 +35,6 @@ BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "circle-radius": (lambda: fjr.Circle((0.0, 0.0), np.nan, 1.0), ("radius", "nan", "finite")),
     "circle-ramp": (lambda: fjr.Circle((0.0, 0.0), 0.5, 1.0, ramp=0.0), ("ramp", "0.0 s", "positive")),
     "hold": (lambda: fjr.Hold([[1.0]]), ("q", "(1, 1)", "(n,)")),
-    "hold-word": (lambda: fjr.Hold("here"), ("q", "here", "numbers")),
     "standing": (lambda: fjr.standing((1.0, 2.0), (1.0, 2.0, 3.0)), ("dq", "(3,)", "(2,)")),
     # splines
     "times stall": (
@@ -59,14 +56,8 @@ BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "no points": (lambda: fjr.Spline(TIMES[:0], POSITIONS[:0]), ("positions", "(0, 3)", "(k, n)")),
     "flat": (lambda: fjr.Spline(TIMES, POSITIONS[:, 0]), ("positions", "(4,)", "(k, n)")),
     "nan": (lambda: fjr.Spline(TIMES, NAN), ("positions", "nan", "point 2", "joint 1", "finite")),
-    "words": (lambda: fjr.Spline(TIMES, "there"), ("positions", "there", "numbers")),
     "ragged": (lambda: fjr.Spline(TIMES, [[1.0, 2.0], [1.0]]), ("positions", "numbers")),
     "velocities": (lambda: fjr.Spline(TIMES, POSITIONS, VELOCITIES[1:]), ("velocities", "(3, 3)", "(4, 3)")),
-    "accelerations": (
-        lambda: fjr.Spline(TIMES, POSITIONS, accelerations=ACCELERATIONS[:, :2]),
-        ("accelerations", "(4, 2)", "(4, 3)"),
-    ),
-    "velocities nan": (lambda: fjr.Spline(TIMES, POSITIONS, NAN), ("velocities", "nan", "point 2", "joint 1")),
     "moving end": (
         lambda: fjr.Spline(TIMES, POSITIONS, VELOCITIES + 1.0),
         ("velocities", "1.0", "zeros at the last point"),
@@ -75,11 +66,9 @@ BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "start nan": (lambda: fjr.Spline(TIMES, POSITIONS, start=START * np.inf), ("start", "inf", "finite")),
     # samples
     "tolerance": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], -1.0), ("tolerance is -1.0; expected 0 or more",)),
-    "tolerance nan": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], np.nan), ("tolerance is nan; expected 0 or more",)),
     "tolerances": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], [1, 1]), ("tolerance has 2 entries; expected 1",)),
     # transitions
     "at once": (lambda: fjr.transition(JETS, 0.0, RUNNING, 0.0), ("duration", "0.0 s", "positive")),
-    "backwards": (lambda: fjr.transition(JETS, 0.0, RUNNING, -1.0), ("duration", "-1.0 s", "positive")),
     "endless": (lambda: fjr.transition(JETS, 0.0, RUNNING, np.inf), ("duration", "inf", "finite")),
     "no time": (lambda: fjr.transition(JETS, 1e9, RUNNING, 1e-9), ("duration", "1e-09", "longer")),
     "never": (lambda: fjr.transition(JETS, np.nan, RUNNING, 1.0), ("t0", "nan", "finite")),
@@ -103,7 +92,4 @@ BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
 @pytest.mark.parametrize("what", BAD)
 def test_what_cannot_be_is_refused_in_one_sentence(what: str) -> None:
     make, words = BAD[what]
-    with pytest.raises(fjr.TrajectoryError) as caught:
-        make()
-    assert all(word in str(caught.value) for word in words), caught.value
-    assert "\n" not in str(caught.value)
+    refused(fjr.TrajectoryError, make, *words)

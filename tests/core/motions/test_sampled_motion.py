@@ -10,7 +10,7 @@ import pytest
 import fjr_core as fjr
 from fjr_core.motions.inverse_dynamics import effort_demand, inverse_dynamics
 from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
-from fjr_core.motions.sampled_motion import least_squares_fit, waypoints
+from fjr_core.motions.sampled_motion import waypoints
 
 T = np.arange(10_001) / 1000  # s: 10 s at 1 kHz
 RNG = np.random.default_rng(3)
@@ -78,11 +78,6 @@ def test_rounding_of_samples_does_not_reach_the_effort(decimals: int) -> None:
     assert smooth.peak == pytest.approx([0.69], rel=0.05)
 
 
-def test_interpolating_rounded_samples_asks_for_hundreds_of_newton_metres() -> None:
-    raw = effort_demand(LINK, sampled(np.sin(T), tolerance=0.0), 1.0, 9.0)
-    assert raw.peak[0] > 100.0
-
-
 def test_a_reference_is_recovered_from_its_rounded_samples() -> None:
     motion = fjr.PointToPoint((0.0,), (1.0,), 2.0, 0.5)
     found = sampled(motion.jets(T[:3500])[:, 0])
@@ -111,15 +106,6 @@ def test_waypoints_are_interpolated_with_their_velocities() -> None:
     jets = motion.jets(motion.times)
     np.testing.assert_allclose(jets[:, 0], motion.positions, atol=1e-14)
     np.testing.assert_allclose(jets[:, 1], np.asarray(motion.velocities), atol=1e-13)
-
-
-def test_a_jump_is_not_smoothed() -> None:
-    assert least_squares_fit(T, (np.sin(T) + (T > 2.0))[:, None], 1e-2) is None
-
-
-def test_motion_limits_see_a_sampled_motion() -> None:
-    with pytest.raises(fjr.TrajectoryError, match=r"joint 0 would reach .* rad at .* s; its limit is -?0.5 rad"):
-        fjr.check_motion(MOTIONS["rounded sine"], fjr.MotionLimits([-0.5], [0.5]))
 
 
 def test_each_joint_has_a_tolerance_of_its_own() -> None:

@@ -249,9 +249,3 @@ def test_splines_are_invariant_to_the_unit_of_time() -> None:
     slow, quick = fjr.Spline(3600 * TIMES, POSITIONS), fjr.Spline(TIMES / 1e3, POSITIONS)
     t = np.linspace(0.3, 5.0, 50)
     np.testing.assert_allclose(slow.jets(3600 * t)[:, 0], quick.jets(t / 1e3)[:, 0], atol=1e-9)
-
-
-def test_configurations_span_the_first_to_the_last_point() -> None:
-    q = fjr.Spline(TIMES, POSITIONS, start=START).configurations(11)
-    assert q.shape == (11, N)
-    np.testing.assert_allclose(q[[0, -1]], [START[0], POSITIONS[-1]])

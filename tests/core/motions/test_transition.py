@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.motions.cases import DURATION, RUNNING, T0, T1, TARGETS, VIA
+from core.motions.cases import DURATION, RUNNING, T0, T1, TARGETS
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.transition import Transition
 
 targets = pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS)
-LAW = fjr.TrackingLaw(fjr.planar_two_link(), fjr.PAPER_GAINS)
-X = LAW.robot.state((0.2, -0.1), (0.25, -0.12), (0.3, 0.1), (0.2, 0.15))
 
 
 def nearly(t: float) -> float:
@@ -28,31 +26,6 @@ def test_transitions_are_exact_at_both_ends(target: Reference) -> None:
     np.testing.assert_allclose(joined.jets(nearly(T1)), target.jets(T1), rtol=1e-12, atol=1e-10)
     for t in (T1, 2.9, 40.0):
         np.testing.assert_array_equal(joined.jets(t), target.jets(t))
-
-
-@targets
-def test_the_effort_is_continuous_when_the_reference_is_replaced(target: Reference) -> None:
-    joined = fjr.transition(RUNNING.jets(T0), T0, target, DURATION)
-    for old, new, t in ((RUNNING, joined, T0), (joined, target, T1)):
-        before = LAW.command(X, old.jets(nearly(t)))
-        np.testing.assert_allclose(LAW.command(X, new.jets(t)), before, rtol=1e-9, atol=1e-9)
-
-
-def test_without_a_transition_the_effort_jumps() -> None:
-    """This jump is what the tests above would detect."""
-    u = [LAW.command(X, reference.jets(T0)) for reference in (RUNNING, TARGETS["circle"])]
-    assert np.abs(u[0] - u[1]).max() > 1.0
-
-
-@pytest.mark.parametrize("velocities", [None, np.zeros((4, 2))], ids=["positions", "velocities"])
-def test_the_effort_is_continuous_when_a_trajectory_replaces_a_moving_reference(velocities: np.ndarray | None) -> None:
-    points = [[0.1, 0.2], [0.3, -0.1], [0.5, 0.4], [0.0, 0.0]]
-    trajectory = fjr.time_shifted(fjr.Spline(VIA, points, velocities, start=RUNNING.jets(T0)), T0)
-    before = LAW.command(X, RUNNING.jets(nearly(T0)))
-    np.testing.assert_allclose(LAW.command(X, trajectory.jets(T0)), before, rtol=1e-9, atol=1e-9)
-    for t in T0 + VIA:
-        before, after = (LAW.command(X, trajectory.jets(s)) for s in (nearly(t), t))
-        np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
 
 
 def test_repeated_transitions_keep_one_target() -> None:

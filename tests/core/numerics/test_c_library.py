@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from cffi import FFI
 
-from fjr_core.numerics.c_library import ffi_of
+from core.numerics.processes import output, started
+from fjr_core.numerics.jit import ffi_of
 from fjr_core.runtime.library import HEADER, declarations, text
 
 pytestmark = pytest.mark.usefixtures("cache")
@@ -19,7 +17,7 @@ STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
 STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")
 READ = """
 import sys
-from fjr_core.numerics.c_library import ffi_of
+from fjr_core.numerics.jit import ffi_of
 assert ffi_of("struct point { double x, y; };").sizeof("struct point") == 16
 print("pycparser" in sys.modules)
 """
@@ -43,10 +41,7 @@ def test_kept_types_are_those_that_cffi_parses() -> None:
 
 
 def test_second_process_does_not_parse() -> None:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-c", READ]
-    said = [subprocess.check_output(command, env=environment, text=True).strip() for _ in range(2)]
-    assert said == ["True", "False"]
+    assert [output(started(READ)).strip() for _ in range(2)] == ["True", "False"]
 
 
 def test_changed_code_is_not_executed(cache: Path) -> None:

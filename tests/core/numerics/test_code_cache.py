@@ -12,11 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 import pytest
 
-import fjr_core as fjr
-from fjr_core.monitoring.certificate import Certificate
+from core.numerics.processes import COMPILED, CUBES, output, started
 from fjr_core.numerics import code_cache
 from fjr_core.numerics import jit as compiling
 
@@ -56,20 +54,6 @@ def library_file(cache: Path, name: str = "cubes") -> Path:
     return found
 
 
-def in_another_process(code: str) -> str:
-    """Run code in a new Python process and return its output."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    return result.stdout + result.stderr
-
-
-COMPILE = """
-import casadi as ca
-from fjr_core.numerics.jit import compiled
-x = ca.SX.sym("x", 3)
-f = compiled(ca.Function("cubes", [x], [x**3]))
-print(f.class_name(), f([1, 2, 3]).full().ravel().tolist())
-"""
 CERTIFICATE = """
 import numpy as np, fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
@@ -78,19 +62,17 @@ print(certificate.along([[0.1, 0.2]], [[0.0, 0.0]], np.zeros((1, 5, 1))).V[0] > 
 """
 
 
-def test_planted_library_of_equal_name_and_size_is_not_run(cache: Path, tmp_path: Path) -> None:
-    assert_compiled()
-    plant_library(library_file(cache), tmp_path / "marker")
-    assert "External [1.0, 8.0, 27.0]" in in_another_process(COMPILE)
-    assert not (tmp_path / "marker").exists()
-
-
-def test_planted_library_is_not_loaded_from_the_cache(cache: Path, tmp_path: Path) -> None:
-    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
-    wanted = Certificate(law).along([[0.1, 0.2]], [[0.0, 0.0]], np.zeros((1, 5, 1))).V[0]
-    assert wanted > 0
-    plant_library(library_file(cache, "certificate"), tmp_path / "marker")
-    assert "True" in in_another_process(CERTIFICATE)
+@pytest.mark.parametrize(
+    ("name", "code", "says"),
+    [("cubes", CUBES, COMPILED), ("certificate", CERTIFICATE, "True")],
+    ids=["content", "inputs"],
+)
+def test_a_planted_library_of_equal_name_and_size_is_not_run(
+    name: str, code: str, says: str, cache: Path, tmp_path: Path
+) -> None:
+    assert says in output(started(code))
+    plant_library(library_file(cache, name), tmp_path / "marker")
+    assert says in output(started(code))
     assert not (tmp_path / "marker").exists()
 
 
@@ -175,19 +157,18 @@ def test_folder_replaced_after_the_check_is_not_read(cache: Path, tmp_path: Path
 @as_root
 def test_read_only_folder_is_read_and_new_code_goes_to_a_temporary_folder(cache: Path, tmp_path: Path) -> None:
     """The code runs as an unprivileged user, to whom file modes apply."""
-    said = as_nobody(tmp_path, cache, COMPILE + "import os\nos.chmod(os.environ['XDG_CACHE_HOME'] + '/fjr', 0o500)")
-    assert said == "External [1.0, 8.0, 27.0]\n"
-    assert as_nobody(tmp_path, cache, COMPILE) == "External [1.0, 8.0, 27.0]\n"
-    said = as_nobody(tmp_path, cache, COMPILE.replace("cubes", "others"))
-    assert "External [1.0, 8.0, 27.0]" in said
+    said = as_nobody(tmp_path, cache, CUBES + "import os\nos.chmod(os.environ['XDG_CACHE_HOME'] + '/fjr', 0o500)")
+    assert said == as_nobody(tmp_path, cache, CUBES) == f"{COMPILED}\n"
+    said = as_nobody(tmp_path, cache, CUBES.replace("cubes", "others"))
+    assert COMPILED in said
     assert said.count("cannot write to") == 1
 
 
 @as_root
 @pytest.mark.parametrize("variables", [{}, {"HOME": "/nonexistent"}], ids=["no HOME", "HOME that is not there"])
 def test_without_a_home_a_temporary_folder_is_used(variables: dict[str, str], cache: Path, tmp_path: Path) -> None:
-    said = as_nobody(tmp_path, cache, COMPILE, {"XDG_CACHE_HOME": "", **variables})
-    assert "External [1.0, 8.0, 27.0]" in said
+    said = as_nobody(tmp_path, cache, CUBES, {"XDG_CACHE_HOME": "", **variables})
+    assert COMPILED in said
     assert said.count("compiled code is kept in") == 1
     assert not list((tmp_path / "tmp").iterdir())  # removed at the end
 

@@ -6,20 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 import fjr_core as fjr
 from core.oracles.cases import PLANAR
 
 ORDERS = {"rk4": 4, "implicit_midpoint": 2}
 DURATION = 0.2
-
-
-def linear_joint() -> tuple[fjr.Robot, np.ndarray]:
-    """Return the paper's joint without gravity and the matrix of its linear dynamics."""
-    M, m, D, d, k = 0.031, 0.004, 0.2, 0.007, 31.0
-    rows = [[0, 0, 1 / M, 0], [0, 0, 0, 1 / m], [-k, k, -D / M, 0], [k, -k, 0, -d / m]]
-    return fjr.single_link(stiffness=k, gravity_torque=0.0), np.array(rows)
 
 
 def walk(plant: fjr.Plant, x: np.ndarray, u: np.ndarray, steps: int) -> np.ndarray:
@@ -32,17 +24,6 @@ def measured_order(plant: fjr.Plant, x: np.ndarray, u: np.ndarray, exact: np.nda
     steps = np.array([160, 320, 640])
     errors = [np.max(np.abs(walk(plant, x, u, k) - exact)) for k in steps]
     return -np.diff(np.log2(errors))
-
-
-@pytest.mark.parametrize("integrator", ORDERS)
-def test_order_of_convergence_against_the_closed_form_of_a_linear_joint(integrator: str) -> None:
-    robot, A = linear_joint()
-    x, u = robot.state(0.5, 0.7, -1, 2), np.array([0.4])
-    augmented = np.zeros((5, 5))  # A is singular (the joint rotates freely), so the constant u is a fifth state
-    augmented[:4, :4], augmented[3, 4] = A, u[0]
-    exact = (expm(augmented * DURATION) @ np.append(x, 1.0))[:4]
-    orders = measured_order(fjr.Plant(robot, integrator), x, u, exact)
-    assert orders == pytest.approx(ORDERS[integrator], abs=0.1)
 
 
 @pytest.mark.parametrize("integrator", ORDERS)

@@ -30,7 +30,7 @@ def member(mid: float, rad: float, at: int) -> Any:
 
 
 def interval(mid: float, rad: float) -> Interval:
-    return Interval(np.float64(mid), np.float64(rad))  # type: ignore[arg-type]
+    return Interval(np.float64(mid), np.float64(rad))
 
 
 @pytest.mark.parametrize("operation", [lambda a, b: a + b, lambda a, b: a - b, lambda a, b: a * b])

@@ -6,7 +6,6 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from core.numerics.processes import COMPILED, CUBES, output, started
 from fjr_core.errors import CompilerError
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.numerics import jit as compiling
@@ -24,7 +24,6 @@ from fjr_core.numerics.jit import machine_code
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import step_library
 from fjr_core.runtime.safety_settings import Settings
-from time_limits import HANG
 
 pytestmark = pytest.mark.usefixtures("cache")
 with_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine")
@@ -69,23 +68,10 @@ def test_each_function_is_built_once(
     assert (tmp_path / "builds").read_text().split() == ["built", "built"]
 
 
-BUILD = """
-import casadi as ca
-from fjr_core.numerics.jit import compiled
-x = ca.SX.sym("x", 3)
-f = compiled(ca.Function("cubes", [x], [x**3]))
-assert f.class_name() == "External", f.class_name()
-print(f([1, 2, 3]).full().ravel().tolist())
-"""
-
-
 @with_a_compiler
 def test_concurrent_processes_build_once(tmp_path: Path) -> None:
-    environment = {**os.environ, "CC": str(logging_compiler(tmp_path)), "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-c", BUILD]
-    processes = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
-    said = [process.communicate(timeout=HANG)[0].strip() for process in processes]
-    assert said == ["[1.0, 8.0, 27.0]"] * 4
+    processes = [started(CUBES, CC=str(logging_compiler(tmp_path))) for _ in range(4)]
+    assert [output(process).strip() for process in processes] == [COMPILED] * 4
     assert (tmp_path / "builds").read_text().split() == ["built"]
 
 

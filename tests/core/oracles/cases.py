@@ -81,10 +81,15 @@ class Arm:
     D_m: Array
     B_m: Array
     cubic: Array
+    load: float = 0.0
+    """Largest torque [N m] of the springs at random points; 0: they deflect by up to 0.3 rad."""
 
     @property
     def n(self) -> int:
         return self.links.n
+
+    def deflection(self, share: Array) -> Array:
+        return np.linalg.solve(self.K, self.load * share) if self.load else 0.3 * share
 
     @property
     def grain(self) -> float:
@@ -233,7 +238,7 @@ class Point:
 def random_state(arm: Arm, rng: np.random.Generator, spread: float = 1.5) -> Array:
     """Return a state with positions and velocities of order one; momenta use the closed form of M_l."""
     q_l = rng.uniform(-spread, spread, arm.n)
-    q_m = q_l + rng.uniform(-0.3, 0.3, arm.n)
+    q_m = q_l + arm.deflection(rng.uniform(-1, 1, arm.n))
     dq_l, dq_m = rng.uniform(-2, 2, (2, arm.n))
     return np.concatenate([q_l, q_m, arm.links.M(q_l) @ dq_l, arm.M_m @ dq_m])
 

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 import fjr_core as fjr
-from core.oracles.cases import PLANAR, Arm, Array, GainSet, Point, gain_set, square
+from core.oracles.cases import PLANAR, Arm, Array, GainSet, gain_set, square
 from fjr_core.model.rigid_arm import ArmDynamics
 
 ROBOTS = Path(__file__).parents[3] / "ros2_ws/src/fjr_bringup/robots"
@@ -194,7 +194,7 @@ def urdf_arm(name: str, urdf: Any, joints: tuple[str, ...], **values: Any) -> Ar
     keys = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
     matrices = (square(values[key], len(joints)) for key in keys)
     straight = np.zeros(len(joints))
-    return Arm(name, robot, PinocchioLinks(model, joints), *matrices, straight)  # type: ignore[arg-type]
+    return Arm(name, robot, PinocchioLinks(model, joints), *matrices, straight, load=10.0)
 
 
 @cache
@@ -245,19 +245,3 @@ def two_joints() -> Arm:
         motor_damping=np.array([[0.02, -0.004], [-0.004, 0.01]]),
         input_gain=np.array([[1.2, 0.1], [-0.2, 0.8]]),
     )
-
-
-def chain_state(arm: Arm, rng: np.random.Generator) -> Array:
-    """Return a state with positions and velocities of order one and spring torques up to 10 N m."""
-    q_l, dq_l, dq_m = rng.uniform(-1.5, 1.5, (3, arm.n))
-    q_m = q_l + np.linalg.solve(arm.K, rng.uniform(-10, 10, arm.n))
-    return np.concatenate([q_l, q_m, arm.links.M(q_l) @ dq_l, arm.M_m @ dq_m])
-
-
-def chain_point(arm: Arm, seed: int, same: bool = False, pushed: bool = True) -> Point:
-    """Return a random point as cases.random_point does, with states of chain_state."""
-    rng = np.random.default_rng(seed)
-    x, x_v = chain_state(arm, rng), chain_state(arm, rng)
-    jets = rng.uniform(-1, 1, (6, arm.n))
-    omega, u = rng.uniform(-5, 5, (2, arm.n))
-    return Point(x.copy() if same else x_v, x, jets[:5], jets[1:], omega if pushed else 0 * omega, u)

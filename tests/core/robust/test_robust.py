@@ -399,11 +399,11 @@ class Other:
 
 
 def test_every_law_supports_prediction_but_only_v_dpbc_compensates_torques() -> None:
-    one, other = (RobustLaw(law, Robust(delay=1e-3)).step_function for law in (Other(), JOINT))  # type: ignore[arg-type]
+    one, other = (RobustLaw(law, Robust(delay=1e-3)).step_function for law in (Other(), JOINT))
     values = [np.full(2, 0.1), np.full(2, 0.1), np.ones((1, 5)), JOINT.gain_values, np.full(4, 0.1), 0.2, 1e-3]
     np.testing.assert_array_equal(one(*values)[0].full(), other(*values)[0].full())
     with pytest.raises(GainsError, match="enabled for a Other; expected it for the law v_dpbc only"):
-        RobustLaw(Other(), Robust(residual_gain=1.0))  # type: ignore[arg-type]
+        RobustLaw(Other(), Robust(residual_gain=1.0))
 
 
 def test_law_with_a_controller_state_requires_a_sample_period() -> None:

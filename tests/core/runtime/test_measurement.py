@@ -11,6 +11,7 @@ from fjr_core.config.controller import BANDWIDTH, measurement, measurement_param
 from fjr_core.config.parameter import Values, complete
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.safety_settings import Settings
+from fuzzing import refused
 from tracking.tracked import two_link_law
 
 LAW = two_link_law()
@@ -90,33 +91,32 @@ def test_options_reach_measurement_and_observer() -> None:
 
 
 REFUSED = {
-    "torque without observer": ({"motor": "torque"}, "measurement.velocity is 'measured'.* expected 'observer'"),
+    "torque without observer": ({"motor": "torque"}, ("measurement.velocity is 'measured'", "expected 'observer'")),
     "torque behind a gear": (
         {"motor": "torque", "velocity": "observer", "gear_ratio": [2.0, 1.0]},
-        r"measurement.gear_ratio is \[2.0, 1.0\].* expected 1",
+        ("measurement.gear_ratio is [2.0, 1.0]", "expected 1"),
     ),
-    "no ratio": ({"gear_ratio": [0.0, 1.0]}, r"measurement.gear_ratio is \[0.0, 1.0\]; expected no zeros"),
-    "a ratio too many": ({"gear_ratio": [1.0, 1.0, 1.0]}, "has 3 entries; expected 2"),
-    "an unknown word": ({"velocity": "guessed"}, "expected one of measured, observer"),
-    "another one": ({"motor": "none"}, "expected one of position, torque"),
-    "no bandwidth": ({"observer_bandwidth": 0.0}, "expected 1.0 to 10000.0"),
+    "no ratio": ({"gear_ratio": [0.0, 1.0]}, ("measurement.gear_ratio is [0.0, 1.0]; expected no zeros",)),
+    "a ratio too many": ({"gear_ratio": [1.0, 1.0, 1.0]}, ("has 3 entries; expected 2",)),
+    "an unknown word": ({"velocity": "guessed"}, ("expected one of measured, observer",)),
+    "another one": ({"motor": "none"}, ("expected one of position, torque",)),
+    "no bandwidth": ({"observer_bandwidth": 0.0}, ("expected 1.0 to 10000.0",)),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_inconsistent_measurement_options_are_refused_in_one_sentence(case: str) -> None:
     given, words = REFUSED[case]
-    with pytest.raises(fjr.ParameterError, match=words) as caught:
-        measurement(values(**given), ROBOT)
-    assert "\n" not in str(caught.value)
+    refused(fjr.ParameterError, lambda: measurement(values(**given), ROBOT), *words)
 
 
-@pytest.mark.parametrize("given", [{"velocity": "some"}, {"motor": "some"}])
-def test_unknown_options_are_refused_on_construction(given: dict[str, str]) -> None:
-    with pytest.raises(fjr.ParameterError, match="expected one of"):
-        fjr.Measurement(1, **given)
-
-
-def test_torque_measurement_requires_a_stiffness() -> None:
-    with pytest.raises(fjr.ParameterError, match="expected the joint stiffness"):
-        fjr.Measurement(1, "observer", "torque")
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"velocity": "some"}, "velocity is 'some'; expected one of"),
+        ({"motor": "some"}, "motor is 'some'; expected one of"),
+        ({"velocity": "observer", "motor": "torque"}, "expected the joint stiffness"),
+    ],
+)
+def test_inconsistent_options_are_refused_on_construction(given: dict[str, str], words: str) -> None:
+    refused(fjr.ParameterError, lambda: fjr.Measurement(1, **given), words)

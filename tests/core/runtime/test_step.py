@@ -15,14 +15,12 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.cases import LOOPS
-from core.oracles.chains import arm7, scaled_gains
 from design.exports.c_program import C99, built, program_output
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.numerics.jit import OPTIONS, SAME_BITS
 from fjr_core.robust.law import Robust
 from fjr_core.runtime import velocity_observer
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.events import NEVER
 from fjr_core.runtime.library import HEADER, c_text, constant, text
 from fjr_core.runtime.safety_settings import Settings
 
@@ -47,8 +45,6 @@ CALLED = {
 }
 ENTRIES = set(re.findall(r"^\w[\w ]*?\b(fjr_\w+)\(", text(HEADER), re.MULTILINE))
 TWO, TWO_GAINS = LOOPS[-1]
-SEVEN = arm7()
-PAIRS = {"two_link": (TWO, TWO_GAINS), "arm7": (SEVEN, scaled_gains(SEVEN))}
 TWO_SINES = fjr.Sine([0.1, 0.2], [2.0, 3.0])
 MS = 1_000_000  # ns
 
@@ -120,21 +116,6 @@ def test_a_copied_controller_continues_with_the_same_bits() -> None:
         assert bytes(ffi.buffer(step.controller)) == bytes(ffi.buffer(copied))
 
 
-@pytest.mark.parametrize("name", PAIRS)
-def test_machine_code_and_virtual_machine_of_a_law_agree_to_rounding(name: str) -> None:
-    arm, gains = PAIRS[name]
-    settings = Settings(tuple(f"joint{i + 1}" for i in range(arm.n)), wiring_check=False)  # random states
-    laws = [fjr.TrackingLaw(arm.robot, gains.gains, compile=flag) for flag in (True, False)]
-    steps = [ControlStep(law, Hold(np.zeros(arm.n)), settings) for law in laws]
-    rng = np.random.default_rng(1)
-    for k in range(50):
-        q_l, q_m, dq_l, dq_m = rng.uniform(-1, 1, (4, arm.n))
-        for step in steps:
-            assert step.step(k * MS, k * MS, q_l, q_m, dq_l, dq_m)
-        np.testing.assert_allclose(steps[0].u, steps[1].u, rtol=0, atol=1e-12 * np.abs(steps[1].u).max())
-        assert pytest.approx(steps[1].command_struct.V, rel=1e-12) == steps[0].command_struct.V
-
-
 @pytest.mark.parametrize("dt", [MS, MS // 3, 10 * MS, 99 * MS, 101 * MS])
 def test_the_observer_of_the_step_is_the_velocity_observer(dt: int) -> None:
     """The class estimates where there is no controller, e.g. from bags; both give the same bits."""
@@ -152,9 +133,3 @@ def test_the_observer_of_the_step_is_the_velocity_observer(dt: int) -> None:
 @pytest.mark.parametrize("name", ["LONGEST_CALL", "LONGEST_GAP"])
 def test_the_constants_of_the_observer_are_those_of_the_class(name: str) -> None:
     assert constant(name) == getattr(velocity_observer, name)
-
-
-def test_a_new_controller_has_no_stamps() -> None:
-    law = fjr.TrackingLaw(TWO.robot, TWO_GAINS.gains)
-    controller = ControlStep(law, TWO_SINES, Settings(("joint1", "joint2"))).controller
-    assert controller.stamps.last == controller.measured.stamp == controller.limits.stamp == NEVER

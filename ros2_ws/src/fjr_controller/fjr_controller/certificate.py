@@ -18,8 +18,7 @@ from std_msgs.msg import Float64MultiArray
 from fjr_core import TrackingLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust
-from fjr_core.runtime.library import StepLibrary
-from fjr_core.runtime.structs import CertificateStruct
+from fjr_core.runtime.library import CertificateStruct, StepLibrary
 from fjr_monitor.diagnosis.diagnosis import unknown
 from fjr_monitor.diagnosis.online_diagnosis import Latency, OnlineCertificate, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import LONGEST, Axes

@@ -6,9 +6,8 @@ A motion of a file is read once, and compared with the efforts that the robot ca
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,48 +21,45 @@ from ..motions.reference import Reference
 from ..motions.sampled_motion import SampledMotion
 from ..motions.sine import MultiSine, Sine
 from ..numerics.checks import Array
-from .parameter import ROWS, SCALAR, VECTOR, Parameter, Values, names, read
+from .parameter import ROWS, VECTOR, Parameter, Values, names, read
 
-
-def _own(
-    name: str,
-    default: float | bool,
-    description: str,
-    unit: str = "",
-    minimum: float = -math.inf,
-    shape: str = SCALAR,
-) -> Parameter:
-    return Parameter(f"reference.{name}", default, description, unit, minimum, dynamic=True, shape=shape)
-
-
-_OFFSET = _own("offset", 0.0, "Offset of the sines, centre of the circle, position of hold", "rad", shape=VECTOR)
+_dynamic = partial(Parameter, dynamic=True)
+_OFFSET = _dynamic(
+    "reference.offset", 0.0, "Offset of the sines, centre of the circle, position of hold", "rad", shape=VECTOR
+)
 _SINE = {
-    "amplitude": _own("amplitude", 1.0, "Amplitude of the sine", "rad", shape=VECTOR),
-    "frequency": _own("frequency", 1.0, "Angular frequency of the sine", "rad/s", 0.0, VECTOR),
+    "amplitude": _dynamic("reference.amplitude", 1.0, "Amplitude of the sine", "rad", shape=VECTOR),
+    "frequency": _dynamic("reference.frequency", 1.0, "Angular frequency of the sine", "rad/s", 0.0, shape=VECTOR),
     "offset": _OFFSET,
-    "phase": _own("phase", 0.0, "Phase of the sine", "rad", shape=VECTOR),
+    "phase": _dynamic("reference.phase", 0.0, "Phase of the sine", "rad", shape=VECTOR),
 }
 _MULTI_SINE = {
-    "amplitude": _own("multi_sine.amplitude", 1.0, "Amplitudes of the sines", "rad", shape=ROWS),
-    "frequency": _own("multi_sine.frequency", 1.0, "Angular frequencies of the sines", "rad/s", 0.0, ROWS),
-    "phase": _own("multi_sine.phase", 0.0, "Phases of the sines", "rad", shape=ROWS),
+    "amplitude": _dynamic("reference.multi_sine.amplitude", 1.0, "Amplitudes of the sines", "rad", shape=ROWS),
+    "frequency": _dynamic(
+        "reference.multi_sine.frequency", 1.0, "Angular frequencies of the sines", "rad/s", 0.0, shape=ROWS
+    ),
+    "phase": _dynamic("reference.multi_sine.phase", 0.0, "Phases of the sines", "rad", shape=ROWS),
     "offset": _OFFSET,
 }
 _POINT_TO_POINT = {
-    "q0": _own("point_to_point.start", 0.0, "Start position", "rad", shape=VECTOR),
-    "q1": _own("point_to_point.goal", 1.0, "Goal position", "rad", shape=VECTOR),
-    "duration": _own("point_to_point.duration", 2.0, "Duration of the motion", "s", 1e-3),
-    "dwell": _own("point_to_point.dwell", 0.5, "Dwell time at the goal, and at the start if it returns", "s", 0.0),
-    "returns": _own("point_to_point.returns", True, "true: repeat back and forth; false: move once"),
+    "q0": _dynamic("reference.point_to_point.start", 0.0, "Start position", "rad", shape=VECTOR),
+    "q1": _dynamic("reference.point_to_point.goal", 1.0, "Goal position", "rad", shape=VECTOR),
+    "duration": _dynamic("reference.point_to_point.duration", 2.0, "Duration of the motion", "s", 1e-3),
+    "dwell": _dynamic(
+        "reference.point_to_point.dwell", 0.5, "Dwell time at the goal, and at the start if it returns", "s", 0.0
+    ),
+    "returns": _dynamic("reference.point_to_point.returns", True, "true: repeat back and forth; false: move once"),
 }
 _CIRCLE = {
     "centre": _OFFSET,
-    "radius": _own("circle.radius", 0.5, "Radius of the circle in the plane of the first two joints", "rad", 0.0),
-    "frequency": _own(
-        "circle.frequency", 1.0, "Angular frequency on the circle; negative: opposite direction", "rad/s"
+    "radius": _dynamic(
+        "reference.circle.radius", 0.5, "Radius of the circle in the plane of the first two joints", "rad", 0.0
     ),
-    "phase": _own("circle.phase", 0.0, "Initial angle on the circle", "rad"),
-    "ramp": _own("circle.ramp", 1.0, "Acceleration time from rest to the angular frequency", "s", 1e-3),
+    "frequency": _dynamic(
+        "reference.circle.frequency", 1.0, "Angular frequency on the circle; negative: opposite direction", "rad/s"
+    ),
+    "phase": _dynamic("reference.circle.phase", 0.0, "Initial angle on the circle", "rad"),
+    "ramp": _dynamic("reference.circle.ramp", 1.0, "Acceleration time from rest to the angular frequency", "s", 1e-3),
 }
 FILE_PATH = Parameter(
     "reference.file.path",
@@ -130,7 +126,7 @@ _TYPES: dict[str, tuple[Callable[..., Reference], Mapping[str, Parameter]]] = {
     "hold": (Hold, {"q": _OFFSET}),
     "file": (motion_of_file, {"path": FILE_PATH, "tolerance": TOLERANCE}),
 }
-_TYPE = Parameter("reference.type", "sine", "Type of the reference trajectory", choices=tuple(_TYPES), dynamic=True)
+_TYPE = _dynamic("reference.type", "sine", "Type of the reference trajectory", choices=tuple(_TYPES))
 
 MOTION = (
     Parameter("allow_partial_joints", False, "Accept a trajectory of some joints; the other joints hold", dynamic=True),
@@ -256,7 +252,7 @@ class _Demands:
 
     def of_start(self) -> str:
         """Compare a start at speed with the effort to reach it from rest within the first samples."""
-        speed, first = self.motion.initial_velocity, self.t[min(len(self.t) - 1, FIRST)]
+        speed, first = self.motion.pieces.knots[0, 1], self.t[min(len(self.t) - 1, FIRST)]
         start = effort_demand(self.robot, self.raw, 0.0, first)
         j = int(np.argmax(np.abs(speed)))
         if abs(speed[j]) * first <= self.motion.deviation[j] or start.peak[j] <= NOTABLE * self.demand.peak[j]:

@@ -159,11 +159,6 @@ class GainTerms(SimpleNamespace):
         return self.Lambda_m @ q_tilde_m + self.Gamma_m @ q_tilde_m**3
 
 
-def terms(gains: CheckedGains) -> GainTerms:
-    """Return the gains as constants."""
-    return GainTerms(**{name: ca.sparsify(ca.DM(array)) for name, array in gains.arrays().items()})
-
-
 class ArraySymbols:
     """Symbols for named arrays, so that one function serves all values with this sparsity pattern.
 

@@ -94,7 +94,7 @@ class StaticLaw(ABC):
         """Return the arguments of measured_function, and outputs in the symbols of f as expressions of them."""
         n = self.robot.n
         position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
-        values = f.at_velocities(ca.vertcat(position, velocity), *outputs.values())
+        values = f.at_velocities([ca.vertcat(position, velocity)], *outputs.values())
         inputs = {"position": position, "velocity": velocity, "jets": f.jets, "gains": self.symbols.vector}
         return inputs, dict(zip(outputs, values, strict=True))
 

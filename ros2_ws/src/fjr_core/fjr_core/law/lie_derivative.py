@@ -143,17 +143,14 @@ class Flow:
         states = [ca.vertcat(x[:positions], *robot.velocity_expressions(x))]
         if len(self._motions) == 2:
             states.insert(0, ca.vertcat(x_v[:positions], *virtual_system.velocities(robot, x_v, x)))
-        return self._evaluated(expressions, states)
+        return self.at_velocities(states, *expressions)
 
-    def at_velocities(self, measured: ca.SX, *expressions: ca.SX) -> list[ca.SX]:
-        """Return the expressions at x_v = x as functions of positions and velocities (4n,) and of the jets."""
-        return self._evaluated(expressions, [measured])
-
-    def _evaluated(self, expressions: Sequence[ca.SX], inputs: list[ca.SX]) -> list[ca.SX]:
+    def at_velocities(self, states: Sequence[ca.SX], *expressions: ca.SX) -> list[ca.SX]:
+        """Return the expressions as functions of positions and velocities (4n,) of each motion, and of the jets."""
         motions = self._motions
         accelerations = [symbolic.solve(self.M_l, self._force(motion)) for motion in motions]
         values = ca.substitute(list(expressions), [motion.ddq_l for motion in motions], accelerations)
-        return ca.substitute(values, [motion.inputs for motion in motions], inputs)
+        return ca.substitute(values, [motion.inputs for motion in motions], list(states))
 
     @property
     def _motions(self) -> list[Motion]:

@@ -19,7 +19,7 @@ from ..numerics.checks import Array
 from ..numerics.jit import compiled_from_inputs
 from ..numerics.one_line import one_line
 from ..numerics.symbolic import NumericFunction, dense_function
-from .gains import Gains, GainTerms, terms
+from .gains import Gains, GainTerms
 from .interfaces import StaticLaw
 from .lie_derivative import Flow, flow
 from .rate import Rate, rate
@@ -217,7 +217,8 @@ class TrackingLaw(StaticLaw):
         n = self.robot.n
         f, omega = flow(self.robot, diagonal), ca.SX.zeros(n) if diagonal else ca.SX.sym("omega", n)
         x_v, x = ca.SX.sym("x_v", 4 * n), ca.SX.sym("x", 4 * n)
-        outputs = {key: value for key, value in law_expressions(f, terms(self.gains), omega).items() if key in names}
+        gains = GainTerms(**{key: ca.sparsify(ca.DM(array)) for key, array in self.gains.arrays().items()})
+        outputs = {key: value for key, value in law_expressions(f, gains, omega).items() if key in names}
         values = f.at(x_v, x, *outputs.values())
         inputs = {"x": x, "jets": f.jets} if diagonal else {"x_v": x_v, "x": x, "jets": f.jets, "omega": omega}
         return dense_function(name, inputs, dict(zip(outputs, values, strict=True)), cse=True)

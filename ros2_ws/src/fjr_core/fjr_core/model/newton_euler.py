@@ -23,23 +23,27 @@ from ..numerics.symbolic import sparse
 from .rigid_arm import ArmDynamics, Body, EndEffector, rotation_to, z_aligned
 
 
-def serial_chain(bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81)) -> ArmDynamics:
+def serial_chain(
+    bodies: Sequence[Body], gravity: ArrayLike = (0.0, 0.0, -9.81), order: Sequence[int] | None = None
+) -> ArmDynamics:
     """Return the links of a serial chain from base to tip, derived once for equal chains; raise RobotError.
 
-    gravity (3,) [m/s^2] in the base frame.
+    gravity (3,) [m/s^2] in the base frame. order (n,): joint k of the result is joint order[k] of the chain.
     """
     g, chain = checks.vector("gravity", gravity, 3, RobotError), z_aligned(bodies)
     if not chain:
         raise RobotError("a chain without bodies; expected at least one")
-    return _derived(pickle.dumps((chain, rotation_to(np.asarray(bodies[-1].axis)), g)))
+    order = list(range(len(chain)) if order is None else order)
+    return _derived(pickle.dumps((chain, order, rotation_to(np.asarray(bodies[-1].axis)), g)))
 
 
 @lru_cache(maxsize=8)  # plant and controller have the same links, and so have variants of a scenario
 def _derived(content: bytes) -> ArmDynamics:
-    """Return the links; content: pickled bodies, rotation from the last body to its aligned frame, gravity (3,)."""
-    bodies, turn, gravity = pickle.loads(content)
+    """Return the links; content: pickled bodies, order, rotation of the last body to its aligned frame, gravity."""
+    bodies, order, turn, gravity = pickle.loads(content)
     n = len(bodies)
-    q, v, w, a = (ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a"))
+    named = [ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a")]
+    q, v, w, a = (vector[[order.index(i) for i in range(n)]] for vector in named)  # along the chain
     chain = ChainAt(bodies, [mass_of(body) for body in bodies], gravity, q)
     r = ca.SX.sym("r", 3)  # in the frame of the last body, before its axis was aligned
     point = sparse(turn.T) @ r
@@ -47,15 +51,15 @@ def _derived(content: bytes) -> ArmDynamics:
         point = frame.r + frame.R @ point
     return ArmDynamics(
         n=n,
-        M_l=ca.Function("M_l", [q], [chain.inertia()]),
-        P_l=ca.Function("P_l", [q], [chain.potential_energy()]),
-        grad_P_l=ca.Function("grad_P_l", [q], [chain.gravity_torque()]),
-        C=ca.Function("C", [q, v, w], [chain.inertial_torque(v, w, ca.SX.zeros(n))]),
-        inertial_torque=ca.Function("inertial_torque", [q, v, w, a], [chain.inertial_torque(v, w, a)]),
-        grad_T=ca.Function("grad_T", [q, v], [chain.kinetic_gradient(v)]),
-        end_effector=EndEffector(ca.Function("position", [q, r], [point]), gravity),
+        M_l=ca.Function("M_l", named[:1], [chain.inertia()[order, order]]),
+        P_l=ca.Function("P_l", named[:1], [chain.potential_energy()]),
+        grad_P_l=ca.Function("grad_P_l", named[:1], [chain.gravity_torque()[order]]),
+        C=ca.Function("C", named[:3], [chain.inertial_torque(v, w, ca.SX.zeros(n))[order]]),
+        inertial_torque=ca.Function("inertial_torque", named, [chain.inertial_torque(v, w, a)[order]]),
+        grad_T=ca.Function("grad_T", named[:2], [chain.kinetic_gradient(v)[order]]),
+        end_effector=EndEffector(ca.Function("position", [named[0], r], [point]), gravity),
         bodies=tuple(bodies),
-        order=tuple(range(n)),
+        order=tuple(order),
     )
 
 

@@ -16,9 +16,10 @@ from ..numerics.symbolic import NumericFunction, dense_function, numeric
 from . import springs
 from .rigid_arm import RigidArm
 from .robot import Robot
+from .springs import Springs
 
 
-class Elastic(Protocol):
+class Elastic(Springs, Protocol):
     """Robot parameters of eq. (36), numeric (Robot) or symbolic (fjr_design.batch.parametric_robot)."""
 
     @property
@@ -28,14 +29,6 @@ class Elastic(Protocol):
     @property
     def links(self) -> RigidArm:
         """Rigid arm on the link side."""
-
-    @property
-    def K(self) -> ca.SX:
-        """Joint stiffness (n, n) [N m/rad]."""
-
-    @property
-    def cubic(self) -> ca.SX | None:
-        """Cubic stiffness (n,) [N m/rad^3], or None for straight springs."""
 
     @property
     def D_l(self) -> ca.SX:

@@ -101,23 +101,18 @@ class Certificate:
             return CertificateSeries(*(nothing,) * 5, u_law=efforts, slope=slopes, drive=efforts, dissipation=nothing)
         columns = jets.transpose(2, 0, 1).reshape(n, k * JETS)
         found = self.function(position.T, velocity.T, columns, self.law.gain_values)
-        rows = (result.full().T for result in found)
-        return self._series(velocity, u, dict(zip(OUTPUTS, rows, strict=True)))
-
-    def _series(self, velocity: Array, u: Array, values: dict[str, Array]) -> CertificateSeries:
-        """Return the series from the OUTPUTS by name, one row per instant, under efforts u (k, n)."""
-        robot, u_law, dissipation = self.law.robot, values["u_law"], values["dissipation"][:, 0]
+        V, H, dissipation, dissipated, u_law, drive, slope = (result.full().T for result in found)
         u = np.where(np.isnan(u), u_law, u)
         return CertificateSeries(
-            V=values["V"][:, 0],
-            dV=_rate(values["drive"], u - u_law, dissipation),
-            H=values["H"][:, 0],
-            supplied=(velocity[:, robot.n :] * (u @ robot.B_m.T)).sum(axis=1),
-            dissipated=values["dissipated"][:, 0],
+            V=V[:, 0],
+            dV=_rate(drive, u - u_law, dissipation[:, 0]),
+            H=H[:, 0],
+            supplied=(velocity[:, n:] * (u @ self.law.robot.B_m.T)).sum(axis=1),
+            dissipated=dissipated[:, 0],
             u_law=u_law,
-            slope=values["slope"],
-            drive=values["drive"],
-            dissipation=dissipation,
+            slope=slope,
+            drive=drive,
+            dissipation=dissipation[:, 0],
         )
 
     @cached_property
@@ -128,11 +123,11 @@ class Certificate:
     def _derived(self) -> ca.Function:
         robot = self.law.robot
         inputs, e = self.law.measured_expressions(slope=True)
-        position, velocity = inputs["position"], inputs["velocity"]
-        dq_l, dq_m = ca.vertsplit(velocity, robot.n)
+        (q_l, q_m), (dq_l, dq_m) = (ca.vertsplit(inputs[name], robot.n) for name in ("position", "velocity"))
+        kinetic = (ca.dot(dq_l, robot.links.M_l(q_l) @ dq_l) + ca.dot(dq_m, robot.M_m @ dq_m)) / 2
         values = {
             "V": e["V"],
-            "H": self._energy(position, velocity),
+            "H": kinetic + robot.links.P_l(q_l) + springs.energy(robot, q_m - q_l),  # (36) in velocities
             "dissipation": e["dissipation"],
             "dissipated": ca.dot(dq_l, robot.D_l @ dq_l) + ca.dot(dq_m, robot.D_m @ dq_m),
             "u_law": e["u"],
@@ -140,13 +135,6 @@ class Certificate:
             "slope": e["slope"],
         }
         return dense_function("certificate", inputs, {name: values[name] for name in OUTPUTS}, cse=True)
-
-    def _energy(self, position: ca.SX, velocity: ca.SX) -> ca.SX:
-        """Return H of eq. (35) from velocities."""
-        robot = self.law.robot
-        (q_l, q_m), (dq_l, dq_m) = ca.vertsplit(position, robot.n), ca.vertsplit(velocity, robot.n)
-        kinetic = (ca.dot(dq_l, robot.links.M_l(q_l) @ dq_l) + ca.dot(dq_m, robot.M_m @ dq_m)) / 2
-        return kinetic + robot.links.P_l(q_l) + springs.energy(robot, q_m - q_l)
 
 
 def _rate(drive: Array, excess: Array, dissipation: Array) -> Array:

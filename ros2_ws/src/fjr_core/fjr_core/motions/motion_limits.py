@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..model.robot import REVOLUTE, JointLimits, Units
-from ..numerics.checks import Array, floats, freeze
+from ..numerics.checks import Array, freeze, limits
 from ..numerics.one_line import one_line
 from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
 from .reference import Reference, check_reference
@@ -40,7 +40,7 @@ class MotionLimits:
     def __post_init__(self) -> None:
         n = max(int(np.size(getattr(self, name))) for name in _NUMBERS)
         for name in _NUMBERS:
-            freeze(self, name, _limit(name, getattr(self, name), n))
+            freeze(self, name, limits(f"{name} limit", getattr(self, name), n, TrajectoryError))
         object.__setattr__(self, "units", self.units or (REVOLUTE,) * n)
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         if not np.all(lower <= upper):
@@ -149,12 +149,3 @@ def _message(values: Array, limits: MotionLimits, row: int, joint: int, when: st
 
 def _name(joints: Sequence[str], joint: int) -> str:
     return f"'{joints[joint]}'" if len(joints) else str(joint)
-
-
-def _limit(name: str, value: ArrayLike, n: int) -> Array:
-    array = floats(f"{name} limit", value, TrajectoryError)
-    if array.shape not in ((), (n,)) or np.any(np.isnan(array)):
-        raise TrajectoryError(
-            f"{name} limit is {array.tolist()}; expected a number or {n}, one per joint, infinite for none"
-        )
-    return np.array(np.broadcast_to(array, n))

@@ -7,7 +7,7 @@ Derivatives at the knots that are free minimise the jerk, and are reduced where 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 
@@ -65,15 +65,21 @@ class PiecewisePolynomial:
     times: Array
     knots: Array
     continues: bool = False
-    _edges: Array = field(init=False, repr=False)
-    _origins: Array = field(init=False, repr=False)
-    _rates: Array = field(init=False, repr=False)
-    _tables: Array = field(init=False, repr=False)
 
     def __repr__(self) -> str:
         return f"PiecewisePolynomial({joints(self.n)}, {len(self.times) - 1} pieces, {span(self.times)})"
 
-    def __post_init__(self) -> None:
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.knots.shape[2])
+
+    @cached_property
+    def table(self) -> tuple[Array, Array, Array, Array]:
+        """Edges (m,), origins, rates (m + 1,) and coefficients (m + 1, 10, 5, n) of the jets in s = (t - origin) rate.
+
+        Entry i = 0 .. m applies from edge i - 1 up to, but not including, edge i.
+        """
         h = np.diff(self.times)
         halves = np.stack([h, -h], axis=1).ravel()  # from each knot forwards, then from the next knot backwards
         near = self.knots.repeat(2, axis=0)[1:-1]
@@ -90,39 +96,23 @@ class PiecewisePolynomial:
                 slopes = _SLOPES[order:, order, None] * c[:, order:]
                 tables[:, : DEGREE + 1 - order, order] = slopes * rates[:, None, None] ** order
         edges = np.stack([self.times[:-1], self.times[:-1] + h / 2], axis=1).ravel()
-        object.__setattr__(self, "_edges", np.append(edges, np.nextafter(self.times[-1], inf)))
-        object.__setattr__(self, "_origins", self.times.repeat(2))
-        object.__setattr__(self, "_rates", rates)
-        object.__setattr__(self, "_tables", tables.reshape(len(c), DEGREE + 1, -1))
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(self.knots.shape[2])
-
-    @property
-    def table(self) -> tuple[Array, Array, Array, Array]:
-        """Edges (m,), origins, rates (m + 1,) and coefficients (m + 1, 10, 5, n) of the jets in s = (t - origin) rate.
-
-        Entry i = 0 .. m applies from edge i - 1 up to, but not including, edge i.
-        """
-        shape = (-1, DEGREE + 1, JETS, self.n)
-        return self._edges, self._origins, self._rates, self._tables.reshape(shape)
+        return np.append(edges, np.nextafter(self.times[-1], inf)), self.times.repeat(2), rates, tables
 
     @property
     def finite(self) -> bool:
         """True if all coefficients are finite; too short segments overflow."""
-        return bool(np.isfinite(self._tables).all() and np.isfinite(self._rates).all())
+        _, _, rates, tables = self.table
+        return bool(np.isfinite(tables).all() and np.isfinite(rates).all())
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        t = np.asarray(t, dtype=float)
-        place = np.searchsorted(self._edges, t, side="right")
-        s = ((t - self._origins[place]) * self._rates[place])[..., None]
-        value = self._tables[place, -1]
+        t, (edges, origins, rates, tables) = np.asarray(t, dtype=float), self.table
+        place = np.searchsorted(edges, t, side="right")
+        s = ((t - origins[place]) * rates[place])[..., None, None]
+        value = tables[place, -1]
         for power in range(DEGREE - 1, -1, -1):
-            value = value * s + self._tables[place, power]
-        return value.reshape(*t.shape, JETS, self.n)
+            value = value * s + tables[place, power]
+        return np.asarray(value)
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
@@ -156,8 +146,8 @@ class PiecewisePolynomial:
     @cached_property
     def _hulls(self) -> tuple[Array, Array]:
         """Bounds (k - 1, 3, n) of position, velocity and acceleration per segment, from its Bezier points."""
-        halves = self._tables[1:-1].reshape(-1, DEGREE + 1, JETS, self.n)[:, :, 0]
-        rates = self._rates[1:-1, None]
+        _, _, rates, tables = self.table
+        halves, rates = tables[1:-1, :, 0], rates[1:-1, None]
         points = (_HALVED @ halves.swapaxes(0, 1).reshape(DEGREE + 1, -1)).reshape(-1, *halves[:, 0].shape)
         rows = [points]
         for degree in (DEGREE, DEGREE - 1):

@@ -76,11 +76,6 @@ class SampledMotion(PolynomialReference):
         object.__setattr__(self, "smoothed", fit is not None)
         freeze(self, "deviation", np.zeros(q.shape[1]) if fit is None else fit.deviation)
 
-    @property
-    def initial_velocity(self) -> Array:
-        """Velocity (n,) [rad/s] at t = 0."""
-        return self.pieces.knots[0, 1]
-
     @cached_property
     def velocity_error(self) -> Array:
         """Largest difference (n,) [rad/s] from the given velocities; zero if there are none."""

@@ -53,6 +53,15 @@ def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     return array
 
 
+def limits(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
+    """Return limits (n,), infinite for none; a scalar stands for n equal ones. Raises `error`, also for nan."""
+    array = floats(name, value, error)
+    if array.shape not in ((), (n,)) or np.any(np.isnan(array)):
+        expected = f"a number or {n}, one per joint, infinite for none"
+        raise error(f"{name} is {array.tolist()}; expected {expected}")
+    return np.array(np.broadcast_to(array, n))
+
+
 def joint_names(where: str, value: object, error: type[FjrError]) -> tuple[str, ...]:
     """Return names of joints as a tuple. where: they stand, for the message.
 

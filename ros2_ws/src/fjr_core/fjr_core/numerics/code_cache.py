@@ -30,10 +30,6 @@ _opened: dict[tuple[int, int], int] = {}
 _log = logging.getLogger("fjr_core.numerics.jit")
 
 
-class NotPrivateError(Exception):
-    """A folder that is a link, belongs to another user or can be written by others."""
-
-
 @dataclass(frozen=True)
 class PrivateFolder:
     """An open folder, created by `open_private`. path: its name in messages."""
@@ -81,15 +77,16 @@ class PrivateFolder:
 
 
 def open_private(path: Path) -> PrivateFolder:
-    """Open a folder, created if missing; raises NotPrivateError, OSError.
+    """Open a folder, created if missing.
 
-    One descriptor per folder stays open, because the dynamic linker treats files of equal path as the same file.
+    Raises OSError, also for a folder that is a link, belongs to another user or can be written by others. One
+    descriptor per folder stays open, because the dynamic linker treats files of equal path as the same file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):
         path.mkdir(mode=MODE)
     if path.is_symlink():
-        raise NotPrivateError(f"{path} is a symbolic link; expected a folder")
+        raise OSError(f"{path} is a symbolic link; expected a folder")
     descriptor = os.open(path, _FOLDER)
     status = os.fstat(descriptor)
     if not _is_ours(status):
@@ -97,7 +94,7 @@ def open_private(path: Path) -> PrivateFolder:
         found = f"belongs to user {status.st_uid}; expected a folder of user {os.geteuid()}"
         if status.st_uid == os.geteuid():
             found = f"has the mode {stat.S_IMODE(status.st_mode):03o}; expected that only its owner can write there"
-        raise NotPrivateError(f"{path} {found}")
+        raise OSError(f"{path} {found}")
     known = _opened.setdefault((status.st_dev, status.st_ino), descriptor)
     if known != descriptor:
         os.close(descriptor)
@@ -121,7 +118,7 @@ def code_folder() -> PrivateFolder:
     """Open the cache folder, or a temporary folder if it is not private. Raises OSError."""
     try:
         return open_private(cache_folder())
-    except (NotPrivateError, OSError) as error:
+    except OSError as error:
         return temporary_folder(str(error))
 
 

@@ -34,14 +34,7 @@ OUTPUTS = ("u", "V", "dissipation", "port_m", "port_l")
 
 @dataclass(frozen=True, eq=False)
 class Robust:
-    """Options of the robust action (docs/robust.md); each gain is a scalar or (n,), 0 (off) to FASTEST.
-
-    residual_gain [1/s]: bandwidth L of the estimate of the link disturbance, which is fed forward.
-    motor_residual_gain [1/s]: bandwidth of the estimate of the motor disturbance. integral_gain [1/s]: rate at which
-    the integral compensates a link torque. motor_integral_gain [1/s]: rate for a motor torque.
-    delay [s]: loop delay over which the state is predicted; 0 disables the prediction. hold [s]: hold period of the
-    effort, equal to the sample period; half of it is added to the prediction.
-    """
+    """Options of the robust action (docs/robust.md); each gain is a scalar or (n,), 0 (off) to FASTEST."""
 
     residual_gain: ArrayLike = _gain_field("Bandwidth of the link disturbance observer (feedforward); 0: off")
     motor_residual_gain: ArrayLike = _gain_field("Bandwidth of the motor disturbance observer (feedforward); 0: off")

@@ -17,11 +17,10 @@ from ..numerics.checks import Array
 from ..numerics.symbolic import NumericFunction
 from ..robust.law import Robust, RobustLaw, sampled_law
 from .events import NEVER, STATES, Event, Journal, State
-from .library import step_library
+from .library import Model, law_function, model_functions, settings_struct, step_library
 from .measurement_model import JointSample, Measurement
 from .reference import ReferenceStruct
 from .safety_settings import Settings
-from .structs import Model, law_function, model_functions, settings_struct
 from .velocity_observer import VelocityObserver
 
 

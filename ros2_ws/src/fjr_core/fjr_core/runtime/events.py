@@ -192,7 +192,11 @@ class Journal:
         if not math.isnan(found.value):
             values |= {"value": found.value, "limit": found.limit}
         if kind == STARTS_REFUSED:
-            return _refusal(found, joint, settings), values
+            unit = settings.units[found.joint].position
+            return (
+                f"start refused: |q_l - q_ld| of {joint} is {found.value:.6g} {unit}; "
+                f"expected at most {found.limit:.6g} {unit}, or a start.join_time above 0"
+            ), values
         cause = KINDS[found.detail].removeprefix("stops: ")
         if cause == "wiring":
             fault = WiringFault.of(self._step.controller.journal.wiring)
@@ -223,11 +227,3 @@ def _violation(cause: str, found: Any, joint: str, settings: Settings) -> str:
     symbol, quantity = LIMITED[cause]
     unit, side = getattr(settings.units[found.joint], quantity), "at least" if found.below else "at most"
     return f"{cause} of {joint}: {symbol} = {found.value:.6g} {unit}; expected {side} {found.limit:.6g} {unit}"
-
-
-def _refusal(found: Any, joint: str, settings: Settings) -> str:
-    unit = settings.units[found.joint].position
-    return (
-        f"start refused: |q_l - q_ld| of {joint} is {found.value:.6g} {unit}; "
-        f"expected at most {found.limit:.6g} {unit}, or a start.join_time above 0"
-    )

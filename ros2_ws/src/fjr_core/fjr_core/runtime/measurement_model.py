@@ -54,8 +54,9 @@ class Measurement:
     __repr__ = one_line
 
     def __post_init__(self) -> None:
-        _one_of("measurement.velocity", self.velocity, MEASURED, OBSERVER)
-        _one_of("measurement.motor", self.motor, POSITION, TORQUE)
+        for name, options in (("velocity", (MEASURED, OBSERVER)), ("motor", (POSITION, TORQUE))):
+            if (value := getattr(self, name)) not in options:
+                raise ParameterError(f"measurement.{name} is {value!r}; expected one of {', '.join(options)}")
         ratio = checks.vector("measurement.gear_ratio", self.gear_ratio, self.n, ParameterError)
         if not np.all(ratio):
             raise ParameterError(f"measurement.gear_ratio is {ratio.tolist()}; expected no zeros")
@@ -106,8 +107,3 @@ class JointSample(NamedTuple):
     q_m: Array
     dq_l: Array | None = None
     dq_m: Array | None = None
-
-
-def _one_of(name: str, value: str, *options: str) -> None:
-    if value not in options:
-        raise ParameterError(f"{name} is {value!r}; expected one of {', '.join(options)}")

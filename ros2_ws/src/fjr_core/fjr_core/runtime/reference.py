@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import singledispatch
 from math import inf
 from typing import Any
 
@@ -19,6 +18,10 @@ from ..motions.reference import JETS, Reference, check_reference
 from ..motions.sine import Sines
 from ..motions.transition import TimeShifted, Transition
 from ..numerics.checks import Array
+
+_NUMBERS = ("shift", "end", "period", "radius", "until")
+_SINES = ("amplitude", "frequency", "phase")
+_POLYNOMIALS = ("edge", "origin", "rate", "coefficients")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,76 +49,42 @@ class ReferenceTable:
         return len(self.position)
 
 
-def reference_table(reference: Reference) -> ReferenceTable:
+def reference_table(reference: Any) -> ReferenceTable:
     """Return the table of a reference; raises TrajectoryError for an object that is none.
 
-    The class that defines `jets` decides: a subclass of a built-in reference with its own `jets` is a function.
+    The class that defines `jets` decides: a subclass of a built-in reference with its own `jets` is a function, which
+    is evaluated in Python.
     """
     check_reference(reference)
     owner = next((each for each in type(reference).__mro__ if "jets" in vars(each)), object)
-    return _table.registry.get(owner, _table.registry[object])(reference)
-
-
-@singledispatch
-def _table(reference: Any) -> ReferenceTable:
-    """Return the table of a reference of the user, which is evaluated in Python."""
+    if owner is Sines:
+        arrays = dict(zip(_SINES, reference.rows, strict=True))
+        return ReferenceTable("FJR_SINES", np.asarray(reference.offset), reference.end, arrays)
+    if owner is Hold:
+        return ReferenceTable("FJR_HOLD", np.asarray(reference.q), reference.end, {})
+    if owner is Circle:
+        arrays = dict(zip(_POLYNOMIALS, reference.angle.table, strict=True))
+        centre = np.asarray(reference.centre)
+        return ReferenceTable("FJR_CIRCLE", centre, reference.end, arrays, radius=reference.radius)
+    if owner is PiecewisePolynomial:
+        end = inf if reference.continues else float(reference.times[-1])
+        arrays = dict(zip(_POLYNOMIALS, reference.table, strict=True))
+        return ReferenceTable("FJR_POLYNOMIALS", np.zeros(reference.n), end, arrays)
+    if owner is PolynomialReference:
+        return reference_table(reference.pieces)
+    if owner is PointToPoint:
+        period = reference.period if reference.returns else 0.0
+        return replace(reference_table(reference.pieces), end=reference.end, period=period)
+    if owner is Transition:
+        then, until = reference_table(reference.target), reference.transition_end
+        return replace(
+            reference_table(reference.segment), end=max(until, then.end + then.shift), until=until, then=then
+        )
+    if owner is TimeShifted:
+        table = reference_table(reference.reference)
+        return replace(table, shift=table.shift + reference.t0)
     end = float(getattr(reference, "end", inf))
     return ReferenceTable("FJR_FUNCTION", np.zeros(reference.n), end, {}, function=reference)
-
-
-@_table.register
-def _(reference: Sines) -> ReferenceTable:
-    arrays = dict(zip(("amplitude", "frequency", "phase"), reference.rows, strict=True))
-    return ReferenceTable("FJR_SINES", np.asarray(reference.offset), reference.end, arrays)
-
-
-@_table.register
-def _(reference: Hold) -> ReferenceTable:
-    return ReferenceTable("FJR_HOLD", np.asarray(reference.q), reference.end, {})
-
-
-@_table.register
-def _pieces(reference: PiecewisePolynomial) -> ReferenceTable:
-    end = inf if reference.continues else float(reference.times[-1])
-    return ReferenceTable("FJR_POLYNOMIALS", np.zeros(reference.n), end, _polynomials(reference))
-
-
-@_table.register
-def _(reference: PolynomialReference) -> ReferenceTable:
-    return _pieces(reference.pieces)
-
-
-@_table.register
-def _(reference: PointToPoint) -> ReferenceTable:
-    period = reference.period if reference.returns else 0.0
-    return replace(_pieces(reference.pieces), end=reference.end, period=period)
-
-
-@_table.register
-def _(reference: Circle) -> ReferenceTable:
-    arrays = _polynomials(reference.angle)
-    return ReferenceTable("FJR_CIRCLE", np.asarray(reference.centre), reference.end, arrays, radius=reference.radius)
-
-
-@_table.register
-def _(reference: Transition) -> ReferenceTable:
-    then, until = reference_table(reference.target), reference.transition_end
-    return replace(_pieces(reference.segment), end=max(until, then.end + then.shift), until=until, then=then)
-
-
-@_table.register
-def _(reference: TimeShifted) -> ReferenceTable:
-    table = reference_table(reference.reference)
-    return replace(table, shift=table.shift + reference.t0)
-
-
-def _polynomials(pieces: PiecewisePolynomial) -> dict[str, Array]:
-    return dict(zip(("edge", "origin", "rate", "coefficients"), pieces.table, strict=True))
-
-
-_NUMBERS = ("shift", "end", "period", "radius", "until")
-_SINES = ("amplitude", "frequency", "phase")
-_POLYNOMIALS = ("edge", "origin", "rate", "coefficients")
 
 
 class ReferenceStruct:
@@ -173,17 +142,13 @@ class ReferenceStruct:
                 found[:] = checked(f"jets of {type(reference).__name__}", reference.jets(t), shape)
             except BaseException as error:  # nothing may pass through C, not even Ctrl-C
                 found.fill(np.nan)
-                self._failure = self._failure or _failure(reference, error)
+                if isinstance(error, Exception) and not isinstance(error, FjrError):
+                    title = type(reference).__name__
+                    error = UserCodeError(f"jets of {title} raises {described(error)}; expected a value")
+                self._failure = self._failure or error
 
         return self._ffi.callback("void(void *, double, double *)", jets)
 
     def _kept(self, owned: Any) -> Any:
         self._owned.append(owned)
         return owned
-
-
-def _failure(reference: Reference, error: BaseException) -> BaseException:
-    """Return what raise_failure raises for an exception of a user's reference."""
-    if isinstance(error, FjrError) or not isinstance(error, Exception):
-        return error
-    return UserCodeError(f"jets of {type(reference).__name__} raises {described(error)}; expected a value")

@@ -122,12 +122,20 @@ class Settings:
         object.__setattr__(self, "joints", joint_names("joints", self.joints, ParameterError))
         object.__setattr__(self, "units", self.units or (REVOLUTE,) * self.n)
         for field, parameter in declared(Settings).items():
+            value = getattr(self, field)
             if parameter.shape == VECTOR:
-                freeze(self, field, _bounds(parameter, getattr(self, field), self.n))
-            elif parameter.constraint == _DURATION:
-                _check_duration(parameter, getattr(self, field))
-        for side in ("link", "motor"):
-            self._check_order(f"{side}_position")
+                freeze(self, field, _bounds(parameter, value, self.n))
+            elif parameter.constraint == _DURATION and not (value == 0 or value >= SHORTEST):
+                expected = f"0 for none, or at least {SHORTEST} s"
+                raise ParameterError(f"parameter '{parameter.name}' is {value} s; expected {expected}")
+        for limit in ("link_position", "motor_position"):
+            bounds = getattr(self, f"{limit}_lower"), getattr(self, f"{limit}_upper")
+            for joint, unit, lower, upper in zip(self.joints, self.units, *bounds, strict=True):
+                if lower > upper:
+                    raise ParameterError(
+                        f"parameter 'limits.{limit}_upper' of {joint} is {upper:g} {unit.position}; "
+                        f"expected at least its 'limits.{limit}_lower', {lower:g} {unit.position}"
+                    )
 
     @property
     def n(self) -> int:
@@ -144,15 +152,6 @@ class Settings:
             link_position_upper=np.minimum(self.link_position_upper, limits.upper),
         )
 
-    def _check_order(self, limit: str) -> None:
-        bounds = getattr(self, f"{limit}_lower"), getattr(self, f"{limit}_upper")
-        for joint, unit, lower, upper in zip(self.joints, self.units, *bounds, strict=True):
-            if lower > upper:
-                raise ParameterError(
-                    f"parameter 'limits.{limit}_upper' of {joint} is {upper:g} {unit.position}; "
-                    f"expected at least its 'limits.{limit}_lower', {lower:g} {unit.position}"
-                )
-
 
 def _bounds(parameter: Parameter, value: ArrayLike, n: int) -> Array:
     array = np.array(np.broadcast_to(value, (n,)) if np.ndim(value) == 0 else value, dtype=float)
@@ -164,10 +163,3 @@ def _bounds(parameter: Parameter, value: ArrayLike, n: int) -> Array:
             f"parameter '{parameter.name}' is {array.tolist()}; expected {kind}, infinite for no limit"
         )
     return array
-
-
-def _check_duration(parameter: Parameter, value: float) -> None:
-    if not (value == 0 or value >= SHORTEST):
-        raise ParameterError(
-            f"parameter '{parameter.name}' is {value} s; expected 0 for none, or at least {SHORTEST} s"
-        )

@@ -99,7 +99,16 @@ class VelocityObserver:
         x_hat (4n,) as `state`; y (2n,) [rad]: positions measured after dt [s]; u (n,) [N m]: held effort;
         gain (2,): g and h / dt, zero for prediction only.
         """
-        function = _observer_function(self.robot, steps_of(self.robot))
+        n, robot, steps = self._n, self.robot, steps_of(self.robot)
+        s = symbols(ca.MX, x_hat=4 * n, y=2 * n, u=n, dt=1, gain=2)
+        x_hat, y, u, dt, gain = s.values()
+        step, x = Plant(robot).step_function, robot.to_state(x_hat[: 2 * n], x_hat[2 * n :])
+        for _ in range(steps):
+            x = step(x, u, dt / steps)
+        q, dq = x[: 2 * n], robot.to_velocity(x)
+        e = y - q
+        x_next = ca.vertcat(q + gain[0] * e, dq + gain[1] * e)
+        function = ca.Function("observer", list(s.values()), [x_next], list(s), ["x_next"])
         return compiled(function) if self._compile else function
 
     def reset(self) -> None:
@@ -144,20 +153,6 @@ class VelocityObserver:
         return bind(self.function, [self._x_hat, self._y, self._u, self._dt, self._gain], [self._x_next])
 
 
-def _observer_function(robot: Robot, steps: int) -> ca.Function:
-    n = robot.n
-    s = symbols(ca.MX, x_hat=4 * n, y=2 * n, u=n, dt=1, gain=2)
-    x_hat, y, u, dt, gain = s.values()
-    step = Plant(robot).step_function
-    x = robot.to_state(x_hat[: 2 * n], x_hat[2 * n :])
-    for _ in range(steps):
-        x = step(x, u, dt / steps)
-    q, dq = x[: 2 * n], robot.to_velocity(x)
-    e = y - q
-    x_next = ca.vertcat(q + gain[0] * e, dq + gain[1] * e)
-    return ca.Function("observer", list(s.values()), [x_next], list(s), ["x_next"])
-
-
 def steps_of(robot: Robot) -> int:
     """Return the number of Runge-Kutta steps in one call, sufficient for the fastest mode of the robot."""
     points = equilibria_at(robot, checked_configurations(robot, None, CONFIGURATIONS))
@@ -168,27 +163,23 @@ def steps_of(robot: Robot) -> int:
 def error_radii(robot: Robot, bandwidth: float, sample_period: float, configurations: ArrayLike | None = None) -> Array:
     """Return the spectral radii (k,) of the sampled error dynamics about equilibria at configurations (k, n) [rad].
 
-    Below 1, a small estimation error decays by this factor per sample. The result includes the integrator of the
-    observer. configurations: 64 sampled ones by default. sample_period [s]: at most LONGEST_GAP.
+    Below 1, a small estimation error decays by this factor per sample. The Jacobian of the observer in x_hat also
+    governs the error, because plant and model steps agree; it includes the integrator. configurations: 64 sampled
+    ones by default. sample_period [s]: at most LONGEST_GAP.
     Raises StateError for wrong shapes or numbers, ParameterError for the bandwidth.
     """
     if not 0 < sample_period <= LONGEST_GAP:
         raise StateError(f"sample_period is {sample_period} s; expected more than 0 and at most {LONGEST_GAP}")
     points = equilibria_at(robot, checked_configurations(robot, configurations, CONFIGURATIONS))
-    jacobian_function = _error_jacobian(VelocityObserver(robot, bandwidth).function)
+    function = VelocityObserver(robot, bandwidth).function
+    arguments = function.mx_in()
+    jacobian = ca.Function("error_slope", arguments, [ca.densify(ca.jacobian(function(*arguments), arguments[0]))])
     g, h = corrections(bandwidth, sample_period)
     calls = math.ceil(sample_period / LONGEST_CALL)
     dt, gain = sample_period / calls, [g, h / sample_period]
     radii = []
     for x, u in zip(points.x, points.u, strict=True):
-        predicted, corrected = (jacobian_function(x, x[: 2 * robot.n], u, dt, by).full() for by in ([0.0, 0.0], gain))
+        predicted, corrected = (jacobian(x, x[: 2 * robot.n], u, dt, by).full() for by in ([0.0, 0.0], gain))
         error = corrected @ np.linalg.matrix_power(predicted, calls - 1)
         radii.append(np.abs(np.linalg.eigvals(error)).max())
     return np.array(radii)
-
-
-def _error_jacobian(function: ca.Function) -> ca.Function:
-    """Return the Jacobian of the observer in x_hat; it also governs the error, because plant and model steps agree."""
-    arguments = function.mx_in()
-    jacobian = ca.jacobian(function(*arguments), arguments[0])
-    return ca.Function("error_slope", arguments, [ca.densify(jacobian)])

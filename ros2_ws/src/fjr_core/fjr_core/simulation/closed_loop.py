@@ -24,40 +24,11 @@ from ..numerics.one_line import brief, joints, span
 from ..numerics.symbolic import NumericFunction, bind, dense_function, not_converged
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
 CONTINUOUS_STEP = 1e-4  # s; output step of a continuous-time run
 STEPS = 500  # of an integration in continuous time in one call of CasADi
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Closed-loop run at k instants: t (k,), x (k, 4n), u (k, n), jets (k, 5, n), V (k,); SI units.
-
-    units: of each joint, rad and N m or m and N.
-    """
-
-    t: Array
-    x: Array
-    u: Array
-    jets: Array
-    V: Array
-    units: tuple[Units, ...]
-
-    def __repr__(self) -> str:
-        effort, V = np.max(np.abs(self.u), initial=0.0), brief(self.V[[0, -1]])
-        return (
-            f"Trajectory({joints(self.u.shape[1])}, {len(self.t)} instants, {span(self.t)}, |u| <= {effort:.4g}, V={V})"
-        )
-
-    def plot(self) -> Figure:
-        """Draw positions, tracking errors, efforts and V over time; return the Matplotlib figure.
-
-        Raises PlotError if Matplotlib is not installed.
-        """
-        return draw(self)
 
 
 def simulate(
@@ -196,15 +167,16 @@ def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, 
 
 
 def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
-    step, run = _closed_loop_step(plant, law), _empty_trajectory(plant.robot, t, reference.jets(t))
+    step, run = _closed_loop_step(plant, law, dt), _empty_trajectory(plant.robot, t, reference.jets(t))
     run.x[0] = x0
     stages = np.stack([reference.jets(instant) for instant in (t[:-1], t[:-1] + dt / 2, t[1:])])
     most = 1 if plant.in_python or law.in_python else STEPS
-    several = cache(lambda count: _steps(step, count, dt))  # the last ones are fewer
+    several = cache(lambda count: NumericFunction(step.mapaccum(count)))  # the last ones are fewer
     for k in range(0, len(t) - 1, most):
         now = stages[:, k : k + most]
         count = now.shape[1]
-        found = run.x[k + 1 : k + 1 + count] = several(count)(run.x[k], now)
+        (states,) = several(count)(run.x[k], *now.reshape(3, -1, plant.robot.n))
+        found = run.x[k + 1 : k + 1 + count] = states.reshape(count, -1)
         if not np.isfinite(found).all():
             raise _diverged(t[k + 1 + int(np.argmin(np.isfinite(found).all(axis=1)))])
     x, u, V = np.zeros_like(x0), np.zeros(plant.robot.n), np.zeros(1)
@@ -216,35 +188,17 @@ def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t
     return run
 
 
-def _steps(step: ca.Function, count: int, dt: float) -> Callable[[Array, Array], Array]:
-    """Bind `count` Runge-Kutta steps of dt [s]: x (4n,), jets (3, count, 5, n) at start, middle, end -> (count, 4n)."""
-    n, jets = step.size_in("start")
-    start, stages, found = np.zeros(4 * n), np.zeros((3, count, jets, n)), np.zeros((count, 4 * n))
-    evaluate = bind(step.mapaccum(count), [start, *stages, np.full(count, dt)], [found])
-
-    def states(x: Array, now: Array) -> Array:
-        start[...], stages[...] = x, now
-        try:
-            evaluate()
-        except RuntimeError:
-            raise not_converged(step) from None
-        return found
-
-    return states
-
-
-def _closed_loop_step(plant: Plant, law: StaticLaw) -> ca.Function:
-    """Build one Runge-Kutta step of dx/dt = f(x) + G u(x, x, t), with the reference at its three instants."""
+def _closed_loop_step(plant: Plant, law: StaticLaw, dt: float) -> ca.Function:
+    """Build the Runge-Kutta step over dt [s] of dx/dt = f(x) + G u(x, x, t): x, jets at start, middle, end -> x."""
     n = plant.robot.n
-    x, dt = ca.MX.sym("x", 4 * n), ca.MX.sym("dt")
-    start, middle, end = (ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
+    x, *stages = ca.MX.sym("x", 4 * n), *(ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
     view = law_view(plant.robot, law.robot)
 
     def f(x: ca.MX, jets: ca.MX) -> ca.MX:
         return plant.dynamics(x, law.command_function(view(x) if view else x, jets)[0])
 
-    inputs = {"x": x, "start": start, "middle": middle, "end": end, "dt": dt}
-    return dense_function("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, (start, middle, end), dt)})
+    inputs = {"x": x, **{each.name(): each for each in stages}}
+    return dense_function("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, tuple(stages), dt)})
 
 
 def _diverged(t: float) -> StateError:
@@ -260,39 +214,59 @@ class PlotError(FjrError):
     """Matplotlib is not installed."""
 
 
-def draw(run: Trajectory) -> Figure:
-    """Return a figure of positions, tracking errors q_l - q_ld, efforts and V over time, a colour for each joint.
+@dataclass(frozen=True)
+class Trajectory:
+    """Closed-loop run at k instants: t (k,), x (k, 4n), u (k, n), jets (k, 5, n), V (k,); SI units.
 
-    Raises PlotError if Matplotlib cannot be imported.
+    units: of each joint, rad and N m or m and N.
     """
-    try:
-        from matplotlib import pyplot
-    except ImportError as error:
-        raise PlotError(f"Matplotlib cannot be imported ({error}); expected it from: pip install matplotlib") from None
-    figure, ((position, effort), (deviation, storage)) = pyplot.subplots(
-        2, 2, sharex=True, figsize=(9, 5), layout="constrained"
-    )
-    n = run.u.shape[1]
-    q_l, q_ld = run.x[:, :n], run.jets[:, 0]
-    length, force = (joined(getattr(each, name) for each in run.units) for name in ("position", "effort"))
-    _lines(position, f"q_l [{length}]", run.t, q_l)
-    for joint, line in enumerate(position.lines[:]):
-        position.plot(run.t, q_ld[:, joint], "--", color=line.get_color(), alpha=0.6)
-    _lines(deviation, f"q_l - q_ld [{length}]", run.t, q_l - q_ld)
-    _lines(effort, f"u [{force}]", run.t, run.u)
-    _lines(storage, "V [J]", run.t, run.V[:, None])
-    if np.any(run.V > 0):
-        storage.set_yscale("log")
-    for axes in (deviation, storage):
-        axes.set_xlabel("t [s]")
-    position.set_title("links (dashed: reference)", fontsize="medium")
-    if n > 1:
-        figure.legend(effort.lines, [f"joint {i + 1}" for i in range(n)], loc="outside right upper", fontsize="small")
-    return figure
 
+    t: Array
+    x: Array
+    u: Array
+    jets: Array
+    V: Array
+    units: tuple[Units, ...]
 
-def _lines(axes: Axes, label: str, t: Array, values: Array) -> None:
-    """Plot the columns of values (k, n)."""
-    axes.plot(t, values)
-    axes.set_ylabel(label)
-    axes.grid(alpha=0.3)
+    def __repr__(self) -> str:
+        effort, V = np.max(np.abs(self.u), initial=0.0), brief(self.V[[0, -1]])
+        return (
+            f"Trajectory({joints(self.u.shape[1])}, {len(self.t)} instants, {span(self.t)}, |u| <= {effort:.4g}, V={V})"
+        )
+
+    def plot(self) -> Figure:
+        """Draw positions, tracking errors, efforts and V over time; return the Matplotlib figure.
+
+        Each joint has a colour. Raises PlotError if Matplotlib cannot be imported.
+        """
+        try:
+            from matplotlib import pyplot
+        except ImportError as error:
+            sentence = f"Matplotlib cannot be imported ({error}); expected it from: pip install matplotlib"
+            raise PlotError(sentence) from None
+        figure, ((position, effort), (deviation, storage)) = pyplot.subplots(
+            2, 2, sharex=True, figsize=(9, 5), layout="constrained"
+        )
+        n = self.u.shape[1]
+        q_l, q_ld = self.x[:, :n], self.jets[:, 0]
+        length, force = (joined(getattr(each, name) for each in self.units) for name in ("position", "effort"))
+        for axes, label, values in (
+            (position, f"q_l [{length}]", q_l),
+            (deviation, f"q_l - q_ld [{length}]", q_l - q_ld),
+            (effort, f"u [{force}]", self.u),
+            (storage, "V [J]", self.V[:, None]),
+        ):
+            axes.plot(self.t, values)
+            axes.set_ylabel(label)
+            axes.grid(alpha=0.3)
+        for joint, line in enumerate(position.lines[:]):
+            position.plot(self.t, q_ld[:, joint], "--", color=line.get_color(), alpha=0.6)
+        if np.any(self.V > 0):
+            storage.set_yscale("log")
+        for axes in (deviation, storage):
+            axes.set_xlabel("t [s]")
+        position.set_title("links (dashed: reference)", fontsize="medium")
+        if n > 1:
+            names = [f"joint {i + 1}" for i in range(n)]
+            figure.legend(effort.lines, names, loc="outside right upper", fontsize="small")
+        return figure

@@ -50,15 +50,10 @@ _channel = partial(parameter_field, 0.0, minimum=0.0, dynamic=True)
 class Imperfections:
     """Imperfections of n joints; each field except n is a scalar or (n,), stored as (n,). All are off by default.
 
-    coulomb_l, static_l [N m], stribeck_l [rad/s]: friction of the links, of level coulomb + (static - coulomb) exp(-(v
-    / stribeck)^2); a static level below the Coulomb level is ignored. coulomb_m, static_m, stribeck_m: friction of the
-    motors. smoothing [rad/s]: sign(v) is replaced by tanh(v / smoothing), so that a joint creeps instead of sticking
-    and an explicit integrator stays stable; see friction_rate. cubic [N m/rad^3]: spring torque K zeta + cubic zeta^3.
-    hysteresis [N m], slip [rad]: torque and deflection at which a Maxwell element beside the spring slips.
-    ripple [N m], ripple_periods [1/turn], ripple_phase [rad]: motor torque ripple sin(periods q_m + phase).
-    effort_limit [N m]: saturation of the command, inf: none. lag [s]: time constant of the motor torque after the
-    saturation, 0: none. payload_mass [kg], payload_position (3,) [m]: point mass on the last link, in its frame. Raises
-    ParameterError.
+    The fields declare units, ranges and descriptions. Friction of links (_l) and motors (_m) has the level
+    coulomb + (static - coulomb) exp(-(v / stribeck)^2). With tanh(v / smoothing) in place of sign(v), a joint creeps
+    instead of sticking and an explicit integrator stays stable; see friction_rate. The motor torque lags after the
+    saturation of the command. payload_position (3,) is in the frame of the last link. Raises ParameterError.
     """
 
     n: int
@@ -163,10 +158,8 @@ MOST_BITS = 48.0
 class SensorErrors:
     """Errors of the sensors of n joints; fields are scalars or (n,), stored as (n,).
 
-    bits_l, bits_m: encoder bits per turn of q_l and of q_m, 0: no quantisation. They need not be integers: a motor
-    encoder with gear ratio r has log2 r additional bits per turn of q_m. position_l, position_m [rad], velocity_l,
-    velocity_m [rad/s]: standard deviations of white noise before quantisation. velocities: whether velocities are
-    measured. Raises ParameterError.
+    White noise is added before quantisation. Bits per turn need not be integers: a motor encoder with gear ratio r has
+    log2 r additional bits per turn of q_m. Raises ParameterError.
     """
 
     n: int

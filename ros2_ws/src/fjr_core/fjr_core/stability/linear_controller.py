@@ -47,11 +47,6 @@ class Controller:
         """Return m, the size of the controller state."""
         return int(self.H.shape[1])
 
-    @property
-    def reads_sent(self) -> bool:
-        """Return whether the controller reads the last effort sent."""
-        return bool(self.S.any() or self.J.any())
-
     def seeing(self, measured: Array) -> Controller:
         """Return the controller whose measurement is `measured` (4n, 4n), or (k, 4n, 4n), times y."""
         return replace(self, F=self.F @ measured, G=self.G @ measured)

@@ -186,7 +186,7 @@ def held_maps(A: Array, B: Array, T: float) -> tuple[Array, Array]:
 def map_of_held(Phi: Array, inputs: dict[int, Array], law: Controller) -> Array:
     """Return the map of (z, c, earlier efforts): z+ = Phi z + sum of inputs[i] u(i samples ago), u by the law."""
     (k, n, N), m = law.F.shape, law.states
-    past = max(*inputs, int(law.reads_sent))
+    past = max(*inputs, int(law.S.any() or law.J.any()))
     start = N + m  # of the efforts
     u = np.zeros((k, n, start + n * past))
     u[:, :, :N], u[:, :, N:start] = law.F, law.C

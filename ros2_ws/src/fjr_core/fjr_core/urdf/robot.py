@@ -8,13 +8,12 @@ import os
 from collections.abc import Mapping, Sequence
 from functools import cache
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..model.newton_euler import serial_chain
-from ..model.rigid_arm import ArmDynamics, Body, EndEffector
+from ..model.rigid_arm import ArmDynamics, Body
 from ..model.robot import JointLimits, Robot
 from ..numerics import checks
 from ..numerics.checks import Array
@@ -67,7 +66,7 @@ def robot_from_urdf(
     _check_links(tree, joints)
     bodies = reduced_bodies(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
     chain = list(bodies)
-    links = serial_chain(list(bodies.values()), gravity)
+    links = serial_chain(list(bodies.values()), gravity, [chain.index(name) for name in joints])
     _check_inertia(links, chain)
     names = ("stiffness", "motor_inertia", "link_damping", "motor_damping", "input_gain")
     values = (stiffness, motor_inertia, link_damping, motor_damping, input_gain)
@@ -80,7 +79,7 @@ def robot_from_urdf(
         M_m = np.diag(ratio) @ M_m @ np.diag(ratio)
     limits = JointLimits(*np.array([joint.limits for joint in named]).T)
     prismatic = tuple(joint.kind == "prismatic" for joint in named)
-    return Robot(_in_order(links, [chain.index(name) for name in joints]), M_m, K, D_l, D_m, B_m, limits, prismatic)
+    return Robot(links, M_m, K, D_l, D_m, B_m, limits, prismatic)
 
 
 def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
@@ -181,32 +180,9 @@ def _body(joint: UrdfJoint, pose: Array, parts: Sequence[LinkInertia]) -> Body:
 
 def _check_inertia(links: ArmDynamics, chain: list[str]) -> None:
     """Raise MasslessJointError with the outermost joint if the inertia is singular in one of a few configurations."""
-    for q_l in (np.zeros(links.n), np.linspace(0.3, 1.4, links.n), np.linspace(-1.2, 0.7, links.n)):
-        M_l = links.M_l(q_l).full()
+    place = np.argsort(links.order)  # of each joint of the chain among the named ones
+    for q in (np.zeros(links.n), np.linspace(0.3, 1.4, links.n), np.linspace(-1.2, 0.7, links.n)):
+        M_l = links.M_l(q).full()[np.ix_(place, place)]
         for i in reversed(range(links.n)):
             if not np.linalg.eigvalsh(M_l[i:, i:])[0] > 1e-14 * np.max(M_l[i:, i:]):
                 raise MasslessJointError(chain[i])
-
-
-def _in_order(links: ArmDynamics, order: list[int]) -> ArmDynamics:
-    """Return the links with joint k equal to joint order[k] of the chain."""
-    if order == list(range(links.n)):
-        return links
-    named = [ca.SX.sym(name, links.n) for name in ("q_l", "v", "w", "a")]
-    q, v, w, a = (vector[[order.index(i) for i in range(links.n)]] for vector in named)
-    assert links.end_effector is not None  # every serial chain has one
-    r = ca.SX.sym("r", 3)
-    return ArmDynamics(
-        n=links.n,
-        M_l=ca.Function("M_l", named[:1], [links.M_l(q)[order, order]]),
-        P_l=ca.Function("P_l", named[:1], [links.P_l(q)]),
-        grad_P_l=ca.Function("grad_P_l", named[:1], [links.grad_P_l(q)[order]]),
-        C=ca.Function("C", named[:3], [links.C(q, v, w)[order]]),
-        inertial_torque=ca.Function("inertial_torque", named, [links.inertial_torque(q, v, w, a)[order]]),
-        grad_T=ca.Function("grad_T", named[:2], [links.grad_T(q, v)[order]]),
-        end_effector=EndEffector(
-            ca.Function("position", [named[0], r], [links.end_effector.position(q, r)]), links.end_effector.gravity
-        ),
-        bodies=links.bodies,
-        order=tuple(order),
-    )

@@ -14,7 +14,7 @@ joints of the Franka FR3 (Drake, manipulation/models/franka_description/README.m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,8 +33,7 @@ THINNEST = 1e-3  # m; least radius of gyration of real links about their joint; 
 CHECKED_CONFIGURATIONS = 64
 
 
-@dataclass(frozen=True, eq=False)
-class TypicalJoints:
+class TypicalJoints(NamedTuple):
     """Guessed stiffness [N m/rad] and reflected motor inertia [kg m^2], (n,) each; prismatic joints: N/m and kg."""
 
     stiffness: Array
@@ -46,17 +45,12 @@ def typical_joints(robot: Robot) -> TypicalJoints:
     where = sample_configurations(robot, CONFIGURATIONS)
     M_l = np.array([robot.M_l(q_l) for q_l in where])
     deflection = np.array([LARGEST_DEFLECTION[slides] for slides in robot.prismatic or (False,) * robot.n])
-    by_effort = effort_sizes(robot, where, np.diag(M_l.mean(axis=0))) / deflection
-    stiffness = np.minimum(by_effort, FASTEST_LINK**2 * least_free_inertia(M_l))
-    return TypicalJoints(_rounded(stiffness), _rounded(stiffness / MOTOR_FREQUENCY**2))
-
-
-def effort_sizes(robot: Robot, where: Array, inertia: Array) -> Array:
-    """Return the effort limit of each joint (n,) [N m]; where there is none, the effort that the arm's motion needs."""
     weight = np.max([np.abs(robot.grad_P_l(q_l)) for q_l in where], axis=0)
-    needed = 2 * weight + ACCELERATION * inertia
+    needed = 2 * weight + ACCELERATION * np.diag(M_l.mean(axis=0))
     limits = np.full(robot.n, np.inf) if robot.limits is None else robot.limits.effort
-    return np.where(np.isfinite(limits), limits, needed)
+    effort = np.where(np.isfinite(limits), limits, needed)
+    stiffness = np.minimum(effort / deflection, FASTEST_LINK**2 * least_free_inertia(M_l))
+    return TypicalJoints(_rounded(stiffness), _rounded(stiffness / MOTOR_FREQUENCY**2))
 
 
 def _rounded(values: Array) -> Array:

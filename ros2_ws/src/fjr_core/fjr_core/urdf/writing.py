@@ -7,12 +7,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 from ..model.closed_form_arms import STANDARD_GRAVITY
 
 SMALLEST_LOAD = 1e-9  # N m, smallest gravity torque that is modelled
 WEIGHTLESS_LENGTH = 0.3  # m, of a single link without gravity
-LIGHT, DARK = "0.85 0.85 0.88 1", "0.30 0.33 0.38 1"
+COLOURS = {"light": "0.85 0.85 0.88 1", "dark": "0.30 0.33 0.38 1"}
 
 
 @dataclass(frozen=True)
@@ -44,45 +45,35 @@ def urdf_of_rods(name: str, joints: Sequence[str], rods: Sequence[Rod]) -> str:
 
     Each joint axis is -y, so that a hanging link moves towards x for an increasing joint angle.
     """
-    robot = ElementTree.Element("robot", name=name)
-    for colour, rgba in (("light", LIGHT), ("dark", DARK)):
-        ElementTree.SubElement(ElementTree.SubElement(robot, "material", name=colour), "color", rgba=rgba)
-    base = ElementTree.SubElement(robot, "link", name="base_link")
-    _cylinder(base, 0.02, 0.08, "0 0 0", "dark", across=True)
+    colours = (f'<material name="{each}"><color rgba="{rgba}"/></material>' for each, rgba in COLOURS.items())
+    parts = [*colours, f'<link name="base_link">{_cylinder(0.02, 0.08, 0.0, "dark", across=True)}</link>']
     parent, height = "base_link", 0.0
     for i, (joint, rod) in enumerate(zip(joints, rods, strict=True), start=1):
-        _joint(robot, joint, parent, f"link{i}", height)
-        _link(ElementTree.SubElement(robot, "link", name=f"link{i}"), rod)
+        parts.append(
+            f'<joint name={quoteattr(joint)} type="continuous"><parent link="{parent}"/><child link="link{i}"/>'
+            f'<origin xyz="0 0 {height!r}"/><axis xyz="0 -1 0"/></joint>'
+            f'<link name="link{i}">{_inside(rod)}</link>'
+        )
         parent, height = f"link{i}", -rod.length
+    robot = ElementTree.fromstring(f"<robot name={quoteattr(name)}>{''.join(parts)}</robot>")
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def _joint(robot: ElementTree.Element, name: str, parent: str, child: str, height: float) -> None:
-    joint = ElementTree.SubElement(robot, "joint", name=name, type="continuous")
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
-    ElementTree.SubElement(joint, "origin", xyz=f"0 0 {height!r}")
-    ElementTree.SubElement(joint, "axis", xyz="0 -1 0")
-
-
-def _link(link: ElementTree.Element, rod: Rod) -> None:
+def _inside(rod: Rod) -> str:
+    """Return inertia and looks of a rod: a thin cylinder along it, and one across at its joint."""
     radius = min(0.02, abs(rod.length) / 8)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=f"0 0 {-rod.com!r}")
-    ElementTree.SubElement(inertial, "mass", value=repr(rod.mass))
-    across, along = repr(rod.inertia), repr(min(rod.inertia, rod.mass * radius**2 / 2))
-    moments = {"ixx": across, "iyy": across, "izz": along, "ixy": "0", "ixz": "0", "iyz": "0"}
-    ElementTree.SubElement(inertial, "inertia", moments)
-    _cylinder(link, radius, abs(rod.length), f"0 0 {-rod.length / 2!r}", "light")
-    _cylinder(link, 1.4 * radius, 3 * radius, "0 0 0", "dark", across=True)
+    across, along = rod.inertia, min(rod.inertia, rod.mass * radius**2 / 2)
+    return (
+        f'<inertial><origin xyz="0 0 {-rod.com!r}"/><mass value="{rod.mass!r}"/>'
+        f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{along!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        + _cylinder(radius, abs(rod.length), -rod.length / 2, "light")
+        + _cylinder(1.4 * radius, 3 * radius, 0.0, "dark", across=True)
+    )
 
 
-def _cylinder(
-    link: ElementTree.Element, radius: float, length: float, xyz: str, colour: str, across: bool = False
-) -> None:
-    visual = ElementTree.SubElement(link, "visual")
-    ElementTree.SubElement(visual, "origin", xyz=xyz, rpy=f"{math.pi / 2 if across else 0.0!r} 0 0")
-    geometry = ElementTree.SubElement(visual, "geometry")
-    ElementTree.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(length))
-    ElementTree.SubElement(visual, "material", name=colour)
+def _cylinder(radius: float, length: float, z: float, colour: str, across: bool = False) -> str:
+    return (
+        f'<visual><origin xyz="0 0 {z!r}" rpy="{math.pi / 2 if across else 0.0!r} 0 0"/><geometry>'
+        f'<cylinder radius="{radius!r}" length="{length!r}"/></geometry><material name="{colour}"/></visual>'
+    )

@@ -21,13 +21,21 @@ from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics import jit
-from fjr_core.numerics.c_library import ffi_of
-from fjr_core.numerics.jit import program_digest
-from fjr_core.runtime.library import HEADER, CFunction, StepLibrary, c_text, declarations, text
+from fjr_core.numerics.jit import ffi_of, program_digest
+from fjr_core.runtime.library import (
+    HEADER,
+    CFunction,
+    Model,
+    StepLibrary,
+    c_text,
+    declarations,
+    model_functions,
+    settings_struct,
+    text,
+)
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.runtime.structs import Model, model_functions, settings_struct
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from .parametric_robot import ParametricPlant

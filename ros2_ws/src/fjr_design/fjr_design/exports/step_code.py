@@ -30,11 +30,10 @@ from fjr_core.numerics.checks import Array, joint_names
 from fjr_core.numerics.symbolic import dense_function
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.library import HEADER, SOURCES, text
+from fjr_core.runtime.library import HEADER, SOURCES, model_functions, text
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.reference import ReferenceTable, reference_table
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.runtime.structs import model_functions
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from .c_code import casadi_code, comment, filled, number, numbers, quoted, work_sizes

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from fjr_core.numerics import jit
-from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import c_library
 
 from .elastic_arm import ElasticArm, packed
 from .parameters import SMOOTHING

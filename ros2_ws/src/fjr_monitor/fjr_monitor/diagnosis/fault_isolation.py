@@ -19,8 +19,7 @@ from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
-from fjr_core.runtime.library import CFunction, WorkSpace, step_library
-from fjr_core.runtime.structs import rigid_arm_functions, write_robot
+from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
 from .delay_estimation import acting, effort_delay
 from .hypotheses import Finding, Hypothesis, hypotheses

@@ -17,11 +17,10 @@ from fjr_core.errors import StateError
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.motions.reference import JETS
-from fjr_core.numerics.c_library import record_type
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import record_type
 from fjr_core.runtime.events import NEVER
-from fjr_core.runtime.library import StepLibrary, step_library
-from fjr_core.runtime.structs import CertificateStruct
+from fjr_core.runtime.library import CertificateStruct, StepLibrary, step_library
 from fjr_monitor.diagnosis.causes import (
     EMPTY,
     CauseErrors,

@@ -19,7 +19,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.type_support import check_is_valid_msg_type
 
-from fjr_core.numerics.c_library import record_type
+from fjr_core.numerics.jit import record_type
 
 from ..messages.cdr import HEADER, Form
 from .program import NativeError, Program

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.errors import CompilerError
-from fjr_core.numerics.c_library import ffi_of
-from fjr_core.numerics.jit import shared_object
+from fjr_core.numerics.jit import ffi_of, shared_object
 from fjr_core.runtime.library import declarations
 
 PORTABLE, COMMON = ("clock", "ring", "cdr"), ("clock", "ring", "cdr", "loop")

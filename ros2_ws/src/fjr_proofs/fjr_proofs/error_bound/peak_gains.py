@@ -21,8 +21,8 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.law.linearized import Indices
-from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import c_library
 from fjr_core.stability.linearization import held_maps
 
 from .cells import Cells

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError, StateError
 from fjr_core.motions.sine import Sines
-from fjr_core.numerics.c_library import c_library
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import c_library
 
 UP = 1 + 2.0**-43
 """Factor that covers the rounding of a sum of up to 500 terms."""
