@@ -118,7 +118,7 @@ def test_a_primitive_keeps_size_origin_and_colour_and_a_bone_leads_to_the_joint(
 
 def test_joints_keep_their_axes_and_where_they_are_locked() -> None:
     (joint,) = scene(arm(), {"turn": 0.7})["joints"]
-    assert (joint["parent"], joint["child"], joint["xyz"], joint["axis"]) == ("base", "tip", [0, 0, 0.5], [0, 1, 0])
+    assert (joint["parent"], joint["child"], joint["xyz"], joint["axis"]) == ("base", "tip", (0, 0, 0.5), (0, 1, 0))
     assert joint["position"] == 0.7
 
 
@@ -218,7 +218,7 @@ def test_an_invalid_colour_and_a_far_joint_do_not_keep_the_arm_from_being_drawn(
     found = scene(arm(visual('<box size="1 1 1"/>'), material).replace("0 0 0.5", "0 0 5e8"))
     (box,) = (each for each in found["links"]["base"] if each["kind"] == "box")
     assert box["colour"] is None
-    assert found["joints"][0]["xyz"] == [0, 0, 5e8]
+    assert found["joints"][0]["xyz"] == (0, 0, 5e8)
 
 
 def test_all_meshes_together_stay_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

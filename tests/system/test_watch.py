@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr watch` with running nodes: a pseudo-terminal, the page of a real browser, a client with Foxglove's protocol."""
+"""`fjr watch` with running nodes: a pseudo-terminal, and the page of a real browser."""
 
 from __future__ import annotations
 
-import json
 import os
 import pty
 import select
@@ -11,7 +10,6 @@ import signal
 import socket
 import struct
 import subprocess
-import sys
 import termios
 import threading
 from collections.abc import Callable, Iterator
@@ -19,25 +17,17 @@ from contextlib import suppress
 from fcntl import ioctl
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
-from xml.etree import ElementTree
 
 import pyte
 import pytest
 from ament_index_python.packages import get_package_prefix
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-from websockets.sync.client import ClientConnection, connect
 
 from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
-from fjr_monitor.scene import UrdfFrames
 from fjr_monitor.watch.browser import BrowserPage
-from fjr_monitor.watch.foxglove import FoxgloveError, FoxgloveServer, frame_transforms
 from system.browser import Browser
-from system.executables import TIME_LIMIT, Executable, fjr, fjr_here, lockstep_loop, scenario, wait_for
+from system.executables import TIME_LIMIT, Executable, fjr, fjr_here, lockstep_loop, scenario
 from time_limits import HANG, Limit
 
 pytestmark = pytest.mark.system
@@ -164,74 +154,6 @@ def view(*joints: dict[str, object]) -> dict[str, object]:
     return {"joints": list(joints), "silence": 0.0, "timing": None, "health": []}
 
 
-MESSAGE = struct.Struct("<BIQ")  # opcode 1, subscription, time [ns]; then the payload
-STATES, DESCRIPTION, TRANSFORMS = "/left/joint_states", "/left/robot_description", "/tf"
-STATE, ARRAY, STATUS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray", "diagnostic_msgs/msg/Diagnostic"
-TYPES = {
-    STATES: STATE,
-    "/left/joint_commands": STATE,
-    "/left/effort_controller/commands": ARRAY,
-    "/left/fjr_controller/reference": STATE,
-    "/left/fjr_controller/tracking_error": STATE,
-    "/left/fjr_controller/certificate": ARRAY,
-    DESCRIPTION: "std_msgs/msg/String",
-    "/diagnostics": f"{STATUS}Array",
-    "/left/fjr_controller/events": f"{STATUS}Status",
-    TRANSFORMS: "foxglove.FrameTransforms",
-}
-SPORADIC = "/left/fjr_controller/events"
-
-
-class Client:
-    """A client that subscribes to everything; `heard`: payloads by topic and time [ns]."""
-
-    def __init__(self, address: str) -> None:
-        self._socket: ClientConnection = connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None)
-        self.channels: dict[int, dict[str, Any]] = {}
-        self.heard: dict[str, dict[int, bytes]] = {}
-
-    def until_heard(self, *topics: str) -> None:
-        limit = Limit(TIME_LIMIT)
-        while not set(topics) <= set(self.heard):
-            assert not limit.passed(), set(topics) - set(self.heard)
-            self._receive()
-
-    def time_of(self, *topics: str) -> int:
-        """Return a time at which all of these topics were heard: the topics are not subscribed to at one instant."""
-        limit = Limit(TIME_LIMIT)
-        while not (common := set.intersection(*(set(self.heard.get(topic, {})) for topic in topics))):
-            assert not limit.passed(), topics
-            self._receive()
-        return min(common)
-
-    def _receive(self) -> None:
-        message = self._socket.recv(timeout=TIME_LIMIT)
-        if isinstance(message, bytes):
-            _, channel, time = MESSAGE.unpack_from(message)
-            self.heard.setdefault(self.channels[channel]["topic"], {})[time] = message[MESSAGE.size :]
-            return
-        for channel in json.loads(message).get("channels", []):
-            self.channels[channel["id"]] = channel
-            wish = {"id": channel["id"], "channelId": channel["id"]}
-            self._socket.send(json.dumps({"op": "subscribe", "subscriptions": [wish]}))
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-@pytest.fixture(scope="module")
-def watch(loop: None) -> Iterator[Executable]:
-    """`fjr watch --foxglove` next to the two nodes."""
-    shown = Executable("fjr_bringup", "fjr", "watch", "--namespace", "left", "--foxglove", "--port", "0")
-    yield shown
-    shown.kill()
-
-
-def address(watch: Executable) -> str:
-    wait_for(lambda: "ws://" in watch.said_so_far(), "the address")
-    return next(word for word in watch.said_so_far().split() if word.startswith("ws://"))
-
-
 def test_missing_nodes_are_reported_until_ctrl_c(terminal: Callable[..., Terminal]) -> None:
     watch = terminal("watch", "--remap", "joint_states:=/robot/states")
     screen = watch.until(lambda text: "waiting for joint states" in text and "no publisher of" in text)
@@ -302,29 +224,14 @@ def test_a_used_port_is_refused_in_one_sentence(page: BrowserPage) -> None:
     assert "cannot be used" in said
 
 
-def test_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(FoxgloveError, match=r"is not installed; expected it from: pip install foxglove-sdk$"):
-        FoxgloveServer(None, "fjr_controller", {}, 0)
-
-
-def test_port_in_use_is_one_sentence() -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        with pytest.raises(FoxgloveError, match=rf"port {taken.getsockname()[1]} cannot be used .*expected a free one"):
-            FoxgloveServer(None, "fjr_controller", {}, taken.getsockname()[1])
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--foxglove", "--once"], "--foxglove shows the loop until Ctrl-C; expected it without --once"),
-        (["--foxglove", "--json"], "--foxglove shows the loop until Ctrl-C; expected it without --json"),
         (["--browser", "--once"], "--browser shows the loop until Ctrl-C; expected it without --once"),
-        (["--foxglove", "--browser"], "--browser shows the loop until Ctrl-C; expected it without --foxglove"),
-        (["--port", "9000"], "--port is given without --browser or --foxglove"),
-        (["--foxglove", "--port", "70000"], "expected 0 to 65535"),
+        (["--browser", "--json"], "--browser shows the loop until Ctrl-C; expected it without --json"),
+        (["--foxglove"], "--foxglove is served by foxglove_bridge now; expected: ros2 launch foxglove_bridge"),
+        (["--port", "9000"], "--port is given without --browser"),
+        (["--browser", "--port", "70000"], "expected 0 to 65535"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(arguments: list[str], words: str) -> None:
@@ -382,30 +289,3 @@ def test_the_arm_of_a_running_loop_moves_in_the_browser(browser: Browser) -> Non
     finally:
         watch.kill()
         watch.communicate()
-
-
-def test_client_receives_states_transforms_and_description_of_the_running_loop(watch: Executable) -> None:
-    client = Client(address(watch))
-    client.until_heard(*(set(TYPES) - {SPORADIC}))
-    assert {each["topic"]: each["schemaName"] for each in client.channels.values()} == TYPES
-    states = next(each for each in client.channels.values() if each["topic"] == STATES)
-    assert (states["encoding"], states["schemaEncoding"]) == ("cdr", "ros2msg")
-    assert "float64[] position" in states["schema"]
-    urdf = deserialize_message(next(iter(client.heard[DESCRIPTION].values())), String).data
-    assert {link.get("name") for link in ElementTree.fromstring(urdf).iter("link")} > {"base_link"}
-    time = client.time_of(STATES, TRANSFORMS)
-    transforms, state = client.heard[TRANSFORMS][time], deserialize_message(client.heard[STATES][time], JointState)
-    assert state.name == ["shoulder", "elbow", "shoulder_motor", "elbow_motor"]
-    positions = dict(zip(state.name, state.position, strict=True))
-    assert transforms == frame_transforms(UrdfFrames(urdf).at(positions), time).encode()
-    client.close()
-
-
-def test_late_client_receives_the_description_and_ctrl_c_ends(watch: Executable) -> None:
-    client = Client(address(watch))
-    client.until_heard(DESCRIPTION)
-    client.close()
-    watch.signal(signal.SIGINT)
-    code, said = watch.end()
-    assert code == 0
-    assert len(said.splitlines()) == 1, said

@@ -13,7 +13,7 @@ LEVELS = {
     "run": ("run", "tables", "colcon"),
     "bench": ("run", "tables", "colcon", "bench"),
     "docs": ("run", "tables", "colcon", "docs"),
-    "test": ("run", "tables", "colcon", "bench", "docs", "cluster", "foxglove", "plot", "test"),
+    "test": ("run", "tables", "colcon", "bench", "docs", "cluster", "plot", "test"),
 }
 """Levels of the environment and the files in requirements/ they take."""
 FILES_ONLY = "pages.txt"

@@ -11,9 +11,9 @@ import pytest
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.runtime.library import step_library
-from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate
 from fjr_monitor.diagnosis.record import Record, innovations
 from fjr_monitor.diagnosis.thresholds import LONGEST
+from monitor.diagnosis.loops import Certified
 
 MS = 1_000_000  # ns
 ROBOT = fjr.planar_two_link()
@@ -24,9 +24,9 @@ POSITION, VELOCITY, JETS, U = (RNG.uniform(-1, 1, shape) for shape in ((9, 4), (
 VALUES = ("V", "dV", "H", "supplied", "dissipated")
 
 
-def taken(law: fjr.TrackingLaw) -> tuple[OnlineCertificate, np.ndarray]:
+def taken(law: fjr.TrackingLaw) -> tuple[Certified, np.ndarray]:
     """Take the states above, 1 ms apart; return the certificate and the values of each."""
-    online, rows = OnlineCertificate(law), []
+    online, rows = Certified(law), []
     for k in range(len(U)):
         found = online.take((k + 5) * MS, POSITION[k], VELOCITY[k], JETS[k], U[k])
         rows.append([getattr(found, name) for name in VALUES])
@@ -51,7 +51,7 @@ def test_machine_code_and_evaluation_in_python_agree_to_rounding() -> None:
 
 @pytest.mark.parametrize("break_", [{"restarted": True}, {"stamp": 5 * MS}, {"stamp": 6 * MS + round(LONGEST * 1e9)}])
 def test_state_after_a_break_follows_no_other(break_: dict[str, Any]) -> None:
-    online, state = OnlineCertificate(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
+    online, state = Certified(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
     assert not online.certify(5 * MS, *state).follows
     assert online.certify(6 * MS, *state).valid
     assert not online.certify(break_.pop("stamp", 7 * MS), *state, **break_).follows
@@ -60,18 +60,20 @@ def test_state_after_a_break_follows_no_other(break_: dict[str, Any]) -> None:
 
 
 def test_bound_decays_from_V_at_its_first_sample_and_there_is_none_without_it() -> None:
-    online, state = OnlineCertificate(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
+    online, state = Certified(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
     online.struct.pointer.beta = 10.0
-    first = online.certify(5 * MS, *state, 5 * MS).V
-    assert online.certify(8 * MS, *state, 5 * MS).bound == pytest.approx(first * np.exp(-2 * 10.0 * 3e-3), rel=1e-12)
-    assert online.certify(9 * MS, *state, None).bound == -1
-    assert online.certify(10 * MS, *state, 10 * MS).bound == first
+    first = online.certify(5 * MS, *state, bound_start=5 * MS).V
+    assert online.certify(8 * MS, *state, bound_start=5 * MS).bound == pytest.approx(
+        first * np.exp(-2 * 10.0 * 3e-3), rel=1e-12
+    )
+    assert online.certify(9 * MS, *state).bound == -1
+    assert online.certify(10 * MS, *state, bound_start=10 * MS).bound == first
     online.struct.pointer.bounded = False
-    assert online.certify(11 * MS, *state, 10 * MS).bound == -1
+    assert online.certify(11 * MS, *state, bound_start=10 * MS).bound == -1
 
 
 def test_value_that_is_not_finite_is_not_valid_and_has_no_successor() -> None:
-    online, state = OnlineCertificate(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
+    online, state = Certified(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
     online.certify(5 * MS, *state)
     assert not online.certify(6 * MS, POSITION[0], VELOCITY[0] * np.inf, JETS[0], U[0]).valid
     assert not online.certify(7 * MS, *state).follows

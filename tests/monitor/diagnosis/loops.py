@@ -1,16 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of sampled loops with faults of sensors, efforts and robot that the law does not know."""
+"""Records of sampled loops with faults of sensors, efforts and robot, and the certificate in C of such loops."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 import fjr_core as fjr
+from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.motions.reference import Reference
+from fjr_core.numerics.c_library import record_type
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import NEVER
+from fjr_core.runtime.library import step_library
+from fjr_core.runtime.structs import CertificateStruct
+from fjr_monitor.diagnosis.online_diagnosis import LatestIntervals
 from fjr_monitor.diagnosis.record import Record
+from fjr_monitor.diagnosis.thresholds import LONGEST
 
 PERIOD = 1e-3
 LARGEST = 1e3  # rad; a robot beyond this position has diverged
@@ -52,3 +60,47 @@ def recorded(
             break
     t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
     return Record(t, position, velocity, jets, u, None, None, None, PERIOD, np.full(real.n, limit))
+
+
+class Certified(LatestIntervals):
+    """Intervals certified by fjr_certify of step.h, one state after the other, as in the hosts."""
+
+    def __init__(self, law: fjr.TrackingLaw) -> None:
+        library = step_library(law.robot.n)
+        super().__init__(law.robot.n, library)
+        certificate, prediction = Certificate(law).function, Prediction(law).function
+        functions = {"certify": certificate, "predict": prediction, "law": law.measured_function}
+        ffi, self._lib = library.ffi, library.lib
+        self.struct = CertificateStruct(ffi, functions, law, LONGEST)
+        self.struct.pointer.gains = self.struct.keep(law)
+        kinds = {name: f"struct fjr_{name}" for name in ("certified", "command")}
+        self._records = {name: np.zeros(1, record_type(ffi, ffi.typeof(kind))) for name, kind in kinds.items()}
+        self._pointers = {
+            name: ffi.from_buffer(f"{kinds[name]}[]", made.view(np.uint8)) for name, made in self._records.items()
+        }
+        self.restart()
+
+    def restart(self) -> None:
+        """Let the next state have no predecessor, and start the bound on V again."""
+        self._lib.fjr_certificate_restart(self.struct.pointer)
+
+    def certify(
+        self,
+        stamp: int,
+        *state: Array,
+        bound_start: int | None = None,
+        restarted: bool = False,
+    ) -> Any:
+        """Return struct fjr_certified of the state: position, velocity, jets and u at a stamp [ns]."""
+        for name, values in zip(("position", "velocity", "jets", "u"), state, strict=True):
+            self._records["command"][name][0] = np.ravel(values)
+        command, found = self._pointers["command"][0], self._pointers["certified"]
+        command.bound_start, command.restarted = NEVER if bound_start is None else bound_start, restarted
+        assert self._lib.fjr_certify(self.struct.pointer, self._pointers["command"], stamp, found)
+        return found[0]
+
+    def take(self, stamp: int, *state: Array, latency: float = 0.0) -> Any:
+        """Certify the next state and append it; latency [s]: delay of its command, 0: not known."""
+        found = self.certify(stamp, *state)
+        self.append(**self._records, latency=np.array([latency]))
+        return found

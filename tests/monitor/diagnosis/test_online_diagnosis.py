@@ -8,8 +8,9 @@ import pytest
 
 import fjr_core as fjr
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
-from fjr_monitor.diagnosis.online_diagnosis import WINDOW, Latency, OnlineCertificate, OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import WINDOW, Latency, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import Axes
+from monitor.diagnosis.loops import Certified
 
 PERIOD, BETA = 1e-3, 10.0
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
@@ -20,17 +21,15 @@ def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e
     """Diagnose once per second; `known`: latency of each command is known; `late`: additional delay in samples."""
     real = fjr.single_link(**robot)
     plant, x = fjr.Plant(real), real.state(0.5, 0.5, 0.0, 0.0)
-    online_certificate = OnlineCertificate(LAW)
-    running = OnlineDiagnosis(
-        LAW, np.array([np.inf]), online_certificate, Axes(("joint1",), ("rad",), np.array([tolerance]))
-    )
+    certified = Certified(LAW)
+    running = OnlineDiagnosis(LAW, np.array([np.inf]), certified, Axes(("joint1",), ("rad",), np.array([tolerance])))
     latencies = np.random.default_rng(7).uniform(0.15e-3, 0.5e-3, int(seconds / PERIOD))
     efforts, verdicts = [np.zeros(1)] * (late + 2), []
     for k, latency in enumerate(latencies):
         velocity, jets = np.concatenate(real.velocities(x)), REFERENCE.jets(k * PERIOD)
         u, _ = LAW.measured_command(x[:2], velocity, jets)
         efforts.append(u)
-        online_certificate.take(k * 1_000_000, x[:2], velocity, jets, u, latency if known else 0.0)
+        certified.take(k * 1_000_000, x[:2], velocity, jets, u, latency=latency if known else 0.0)
         if k:
             running.look(BETA)
         x = plant.step(x, efforts[-2 - late], latency)

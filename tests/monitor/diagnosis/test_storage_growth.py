@@ -17,10 +17,10 @@ from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
 from fjr_monitor.diagnosis.diagnosis import Judged, diagnose
-from fjr_monitor.diagnosis.online_diagnosis import OnlineCertificate, OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, Axes
-from monitor.diagnosis.loops import recorded
+from monitor.diagnosis.loops import Certified, recorded
 
 ROBOT = fjr.planar_two_link()
 GAINS = fjr.Gains(
@@ -69,11 +69,11 @@ def growth(seen: Record) -> float:
 
 def live(seen: Record) -> list[str]:
     """Return the kinds of the online diagnosis, one every 20 samples."""
-    online_certificate = OnlineCertificate(LAW)
-    running, kinds = OnlineDiagnosis(LAW, seen.effort_limit, online_certificate), []
+    certified = Certified(LAW)
+    running, kinds = OnlineDiagnosis(LAW, seen.effort_limit, certified), []
     for k in range(len(seen.t)):
-        online_certificate.take(k * 1_000_000, seen.position[k], seen.velocity[k], seen.jets[k], seen.u[k])
-        if online_certificate.count:
+        certified.take(k * 1_000_000, seen.position[k], seen.velocity[k], seen.jets[k], seen.u[k])
+        if certified.count:
             running.look(5.0)
         if k % 20 == 19:
             kinds.append(running.verdict().kind)

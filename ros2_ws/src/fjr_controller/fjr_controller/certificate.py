@@ -16,11 +16,12 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
 from fjr_core import TrackingLaw
+from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import CertificateStruct, StepLibrary
 from fjr_monitor.diagnosis.diagnosis import unknown
-from fjr_monitor.diagnosis.online_diagnosis import Latency, OnlineCertificate, OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import Latency, LatestIntervals, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import LONGEST, Axes
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array
@@ -54,12 +55,14 @@ class LiveCertificate:
         self._node, self._ffi, self._law = node, program.ffi, law
         self._why_not = ESTIMATES if robust.estimates or robust.integrates else PREDICTS if robust.predicts else ""
         self._simulated = bool(node.get_parameter("use_sim_time").value)
-        self._online = OnlineCertificate(law, library)
-        self._diagnosis = OnlineDiagnosis(law, limit, self._online, axes)
+        self._intervals = LatestIntervals(law.robot.n, library)
+        self._diagnosis = OnlineDiagnosis(law, limit, self._intervals, axes)
         self._latency, self._name = Latency(), f"{names.full_name(node)}: certificate"
         self.publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.sample_qos(node))
         self._message = NativeMessage(program, float_array(",".join(LABELS), len(LABELS)), (len(LABELS),))
-        self._struct = CertificateStruct(program.ffi, self._online.functions, law, LONGEST)
+        certificate, prediction = Certificate(law).function, Prediction(law).function
+        functions = {"certify": certificate, "predict": prediction, "law": law.measured_function}
+        self._struct = CertificateStruct(program.ffi, functions, law, LONGEST)
         self.pointer, self.message = self._struct.pointer, self._message.pointer
         self.pointer.bounded, self.pointer.beta = not self._why_not, self._rate()
         self.recertify: Callable[[Any, Any], None] = lambda gains, beta: None
@@ -69,7 +72,7 @@ class LiveCertificate:
         """Replace the law by one made by `with_gains`, and the effort limits (n,) [N m]; the bound starts again."""
         if law is not self._law:
             self._law = law
-            self._online.use(law)
+            self._intervals.forget()
         self._diagnosis.use(law, limit)
         self.restart()
 
@@ -90,7 +93,7 @@ class LiveCertificate:
             batch = records[start : start + BATCH]
             columns = (batch["sample"]["stamp"], batch["arrival"], batch["sent"], batch["certified"]["follows"])
             latency = [self._latency_of(*row) for row in zip(*(each.tolist() for each in columns), strict=True)]
-            count = self._online.append(batch["certified"], batch["command"], np.array(latency))
+            count = self._intervals.append(batch["certified"], batch["command"], np.array(latency))
             if not self._why_not:
                 self._diagnosis.look(self.pointer.beta, count)
 
@@ -107,4 +110,4 @@ class LiveCertificate:
     def _rate(self) -> float:
         """Return beta [1/s]: proven if the inertia is known in closed form, else at the present configuration."""
         proven = self._law.robot.links.M_l_vertices is not None
-        return self._law.rate(None if proven else self._online.position[None, : self._law.robot.n]).beta
+        return self._law.rate(None if proven else self._intervals.position[None, : self._law.robot.n]).beta

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scene of a URDF as values for arm.js, which poses it in the browser: joints, and shapes, meshes, bones of links.
-
-The relative poses of all links are for viewers that pose them by messages.
-"""
+"""Scene of a URDF as values for arm.js, which poses it in the browser: joints, and shapes, meshes, bones of links."""
 
 from __future__ import annotations
 
@@ -20,8 +17,7 @@ from numpy.typing import NDArray
 
 from fjr_core.config.robot_file import resolve
 from fjr_core.errors import FjrError
-from fjr_core.numerics.checks import Array
-from fjr_core.urdf.tree import MOVING, UrdfJoint, parse_xml, read_urdf
+from fjr_core.urdf.tree import parse_xml, read_urdf
 
 LARGEST = 64 * 2**20  # bytes of a file
 MOST_NODES = 10_000  # of a COLLADA scene; nodes that instance each other in two places multiply
@@ -67,7 +63,11 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     """
     tree = read_urdf(urdf)
     root = parse_xml(urdf.lstrip("\ufeff").strip())
-    joints = [_joint(each, (locked or {}).get(each.name, 0.0)) for each in tree.joints.values()]
+    joints = [
+        {name: getattr(each, name) for name in ("name", "kind", "parent", "child", "axis", "xyz", "rpy", "mimics")}
+        | {"position": (locked or {}).get(each.name, 0.0)}
+        for each in tree.joints.values()
+    ]
     elements = {each.get("name", ""): each for each in root.findall("link")}
     drawn = _Shapes(root)
     links = {name: drawn.of(element) for name, element in elements.items()}
@@ -81,20 +81,6 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     base = next(name for name in elements if name not in children)
     meshes = [decimated(mesh, TRIANGLES // len(drawn.meshes)).packed() for mesh in drawn.meshes.values()]
     return {"root": base, "joints": joints, "links": links, "meshes": meshes, "notes": drawn.notes}
-
-
-def _joint(joint: UrdfJoint, position: float) -> dict[str, Any]:
-    return {
-        "name": joint.name,
-        "kind": joint.kind,
-        "parent": joint.parent,
-        "child": joint.child,
-        "axis": list(joint.axis),
-        "xyz": list(joint.xyz),
-        "rpy": list(joint.rpy),
-        "position": position,
-        "mimics": joint.mimics,
-    }
 
 
 class _Shapes:
@@ -269,39 +255,3 @@ def _clustered(mesh: Mesh, cells: int) -> Mesh:
 
 def _text(numbers: NDArray[Any]) -> str:
     return base64.b64encode(numbers.tobytes()).decode()
-
-
-@dataclass(frozen=True, eq=False)
-class LinkPose:
-    """Pose of the frame of link `child` in that of link `parent`: translation (3,) [m], quaternion (4,) x, y, z, w."""
-
-    parent: str
-    child: str
-    translation: Array
-    quaternion: Array
-
-
-class UrdfFrames:
-    """Relative poses of all links of a URDF. Raises RobotError for an invalid URDF."""
-
-    def __init__(self, urdf: str) -> None:
-        """urdf: XML text. Raises RobotError, also for a joint that mimics itself or one that is not there."""
-        self._tree = read_urdf(urdf)
-        for joint in self._tree.joints.values():
-            self._tree.position(joint, {})
-
-    def at(self, positions: Mapping[str, float]) -> list[LinkPose]:
-        """Return the pose of each child link, in the order of the joints.
-
-        positions [rad, m] by joint; 0 for joints without one, other names are ignored.
-        """
-        from scipy.spatial.transform import Rotation  # loaded on use: no node needs it
-
-        joints = list(self._tree.joints.values())
-        moved = [self._tree.position(joint, positions) if joint.kind in MOVING else 0.0 for joint in joints]
-        poses = np.array([joint.pose(position) for joint, position in zip(joints, moved, strict=True)])
-        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-        return [
-            LinkPose(joint.parent, joint.child, translation, quaternion)
-            for joint, translation, quaternion in zip(joints, poses[:, :3, 3], quaternions, strict=True)
-        ]

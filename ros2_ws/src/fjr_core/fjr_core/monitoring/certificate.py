@@ -127,7 +127,7 @@ class Certificate:
         kinetic = (ca.dot(dq_l, robot.links.M_l(q_l) @ dq_l) + ca.dot(dq_m, robot.M_m @ dq_m)) / 2
         values = {
             "V": e["V"],
-            "H": kinetic + robot.links.P_l(q_l) + springs.energy(robot, q_m - q_l),  # (36) in velocities
+            "H": kinetic + robot.links.P_l(q_l) + springs.energy(robot, q_m - q_l),  # (35) in velocities
             "dissipation": e["dissipation"],
             "dissipated": ca.dot(dq_l, robot.D_l @ dq_l) + ca.dot(dq_m, robot.D_m @ dq_m),
             "u_law": e["u"],

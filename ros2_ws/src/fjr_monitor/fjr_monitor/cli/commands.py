@@ -103,16 +103,11 @@ def play(**given: Any) -> Any:
     help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
 )
 @click.option("--browser", is_flag=True, help="Show the arm in 3D on a page of this computer.")
-@click.option("--foxglove", is_flag=True, help="Serve Foxglove on this computer; needs foxglove-sdk.")
-@click.option(
-    "--port",
-    type=options.PORT,
-    metavar="N",
-    help="Port of the page or of Foxglove; 0: any free one. [default: page: 0, Foxglove: 8765]",
-)
+@click.option("--foxglove", is_flag=True, hidden=True)
+@click.option("--port", type=options.PORT, metavar="N", help="Port of the page; 0: any free one. [default: 0]")
 @json_lines
 def watch(**given: Any) -> Any:
-    """Watch a running loop in terminal, browser or Foxglove.
+    """Watch a running loop in terminal or browser.
 
     The displayed effort limits are those of SCENARIO, by default those of the URDF on /robot_description. So is the arm
     of --browser.

@@ -13,14 +13,11 @@ import numpy as np
 import numpy.ma  # np.median would load it while the robot moves
 from numpy.typing import NDArray
 
-from fjr_core.errors import StateError
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import record_type
-from fjr_core.runtime.events import NEVER
-from fjr_core.runtime.library import CertificateStruct, StepLibrary, step_library
+from fjr_core.runtime.library import StepLibrary
 from fjr_monitor.diagnosis.causes import (
     EMPTY,
     CauseErrors,
@@ -35,7 +32,7 @@ from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_d
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, Judged, unknown
 from fjr_monitor.diagnosis.record import Innovations, needed
 
-from .thresholds import BLOCK, LONGEST, OLDEST, Axes
+from .thresholds import BLOCK, OLDEST, Axes
 
 _FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
 """Fields of Innovations, with the names of struct fjr_certified."""
@@ -48,79 +45,23 @@ IN_REAL_TIME = 3 * BLOCK  # intervals for the delay in real time, where latency 
 FORGETTING = 0.9  # factor per diagnosis on the largest change of effort so far
 
 
-class OnlineCertificate:
-    """Certificate of the latest state and innovations of the latest intervals; not thread-safe.
+class LatestIntervals:
+    """Innovations of the latest intervals, as certified by the control step; not thread-safe.
 
-    `certify` evaluates fjr_certify of step.h, as the hosts in C do; without machine code of the law it calls Python.
-    position (2n,) [rad], jets (5, n): latest state and reference. records: certified, command (1,), the structures of
-    the latest state, by their names. Raises CompilerError without a C compiler.
+    position (2n,) [rad], jets (5, n): latest state and reference. count: number of intervals.
     """
 
-    def __init__(self, law: TrackingLaw, library: StepLibrary | None = None) -> None:
-        """library: the control step of the law with its robust action; None: that without."""
-        self._n, self._library = law.robot.n, library or step_library(law.robot.n)
-        certificate, prediction = Certificate(law), Prediction(law)
-        self.functions = {
-            "certify": certificate.function,
-            "predict": prediction.function,
-            "law": law.measured_function,
-        }
-        """Functions of struct fjr_certificate by name."""
-        ffi = self._library.ffi
-        self.struct = CertificateStruct(ffi, self.functions, law, LONGEST)
-        self._pointers, self.records = {}, {}
-        for name in ("certified", "command"):
-            self.records[name] = made = np.zeros(1, record_type(ffi, ffi.typeof(f"struct fjr_{name}")))
-            self._pointers[name] = ffi.from_buffer(f"struct fjr_{name}[]", made.view(np.uint8))
-        command = self.records["command"]
-        self.position, self._velocity, self._u = (command[name][0] for name in ("position", "velocity", "u"))
-        self.jets = command["jets"].reshape(JETS, self._n)
-        self._kept: NDArray[Any] = np.zeros(CAPACITY, self.records["certified"].dtype)
-        self._latencies, self._tracking, self._latency = np.zeros(CAPACITY), np.zeros((CAPACITY, self._n)), 0.0
-        self.use(law)
-
-    def use(self, law: TrackingLaw) -> None:
-        """Use a law made by `with_gains`; discard the intervals and start the bound on V again."""
-        self.struct.pointer.gains = self.struct.keep(law)
+    def __init__(self, n: int, library: StepLibrary) -> None:
+        """library: the control step of n joints, which defines struct fjr_certified."""
+        ffi = library.ffi
+        self._n, self.position, self.jets = n, np.zeros(2 * n), np.zeros((JETS, n))
+        self._kept: NDArray[Any] = np.zeros(CAPACITY, record_type(ffi, ffi.typeof("struct fjr_certified")))
+        self._latencies, self._tracking, self._latency = np.zeros(CAPACITY), np.zeros((CAPACITY, n)), 0.0
         self.forget()
 
     def forget(self) -> None:
-        """Discard the intervals; the next state has no predecessor."""
+        """Discard the intervals."""
         self.count = 0
-        self.restart()
-
-    def restart(self) -> None:
-        """Let the next state have no predecessor, and start the bound on V again."""
-        self._library.lib.fjr_certificate_restart(self.struct.pointer)
-
-    def certify(
-        self,
-        stamp: int,
-        position: Array,
-        velocity: Array,
-        jets: Array,
-        u: Array,
-        bound_start: int | None = None,
-        restarted: bool = False,
-    ) -> Any:
-        """Evaluate the certificate of the next state, its reference and its command; return struct fjr_certified.
-
-        stamp [ns]; position, velocity (2n,), jets (5, n), u (n,) [N m]. bound_start [ns]: stamp from which the bound on
-        V holds; None: no bound. restarted: it has no predecessor. The result is valid until the next state. Raises
-        StateError if a function has no result.
-        """
-        self.position[:], self._velocity[:], self.jets[:], self._u[:] = position, velocity, jets, u
-        command, found = self._pointers["command"][0], self._pointers["certified"]
-        command.bound_start, command.restarted = NEVER if bound_start is None else bound_start, restarted
-        if not self._library.lib.fjr_certify(self.struct.pointer, self._pointers["command"], stamp, found):
-            raise StateError(f"the certificate of the state at {stamp} ns cannot be evaluated; expected a finite state")
-        return found[0]
-
-    def take(self, stamp: int, position: Array, velocity: Array, jets: Array, u: Array, latency: float = 0.0) -> Any:
-        """Certify the next state and append it; latency [s]: delay of its command, 0: not known."""
-        found = self.certify(stamp, position, velocity, jets, u)
-        self.append(**self.records, latency=np.array([latency]))
-        return found
 
     def append(self, certified: NDArray[Any], command: NDArray[Any], latency: Array) -> int:
         """Append the intervals that end at k states, at most CAPACITY / 2; return the number of intervals.
@@ -160,13 +101,11 @@ class OnlineCertificate:
 
 
 class OnlineDiagnosis:
-    """Diagnosis of the intervals of an online certificate, one block at a time."""
+    """Diagnosis of the latest intervals, one block at a time."""
 
-    def __init__(
-        self, law: TrackingLaw, limit: Array, online_certificate: OnlineCertificate, axes: Axes | None = None
-    ) -> None:
+    def __init__(self, law: TrackingLaw, limit: Array, intervals: LatestIntervals, axes: Axes | None = None) -> None:
         """Start without blocks; limit (n,) [N m]: effort limits, inf for none; axes: joints, None: Axes.plain."""
-        self._law, self._limit, self._online_certificate = law, limit, online_certificate
+        self._law, self._limit, self._intervals = law, limit, intervals
         self._axes = axes or Axes.plain(law.robot.n)
         self._blocks: deque[tuple[StorageBudget, CauseErrors, Array]] = deque()
         self._age = EffortDelay()
@@ -201,7 +140,7 @@ class OnlineDiagnosis:
             return self._concluded()
 
     def _concluded(self) -> Diagnosis:
-        seen = self._online_certificate.last(DELAY_WINDOW)
+        seen = self._intervals.last(DELAY_WINDOW)
         self._period, self._change = _usual(seen.dt), FORGETTING * self._change
         if not seen.latency.any():
             self._age = effort_delay(seen, self._law.robot)
@@ -222,7 +161,7 @@ class OnlineDiagnosis:
         """
         self._new -= count * BLOCK
         with np.errstate(all="ignore"):  # as in the offline diagnosis
-            seen = self._online_certificate.last(IN_REAL_TIME, self._new)
+            seen = self._intervals.last(IN_REAL_TIME, self._new)
             if seen.latency.any():
                 change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())
                 if change > self._change:
@@ -233,13 +172,13 @@ class OnlineDiagnosis:
 
     def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
-        seen = self._online_certificate.last(size + OLDEST, self._new)
+        seen = self._intervals.last(size + OLDEST, self._new)
         acted = acting(seen, self._age, needed(seen, self._law.robot)).rows(slice(-size, None))
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)
         if not len(self._propagation.loops):
-            self._propagation.loops = closed_loop(self._law, self._online_certificate.jets[None, 0], self._period)
+            self._propagation.loops = closed_loop(self._law, self._intervals.jets[None, 0], self._period)
         robot, limit = self._law.robot, self._limit
         risen = rises(seen, limit, self._lowest)[:, -size:]
         self._lowest = float(risen[1, -1])

@@ -29,7 +29,7 @@ PART = 8192
 """States of a part: what one pass over a record holds in memory."""
 SERIES = ("t", "position", "velocity", "jets", "u", "u_applied", "sent", "answered")
 HUGE = 1e30
-"""Positions and velocities below which V does not overflow."""
+"""Positions and velocities of a diverged robot, at which V may overflow."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,12 @@ class Record:
         kept: dict[str, Any] = {name: None if each is None else each[rows] for name, each in taken.items()}
         return replace(self, begin=begin, **kept)
 
+    def followed_by(self, later: Record) -> Record:
+        """Return these states and later ones."""
+        known = [name for name in SERIES if getattr(self, name) is not None]
+        joined: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(later, name)]) for name in known}
+        return replace(self, **joined)
+
     def parts(self, size: int = PART) -> Iterator[Record]:
         """Yield the record in parts of `size` states, each with the last LEAD states of the one before."""
         for start in range(0, len(self.t), size):
@@ -89,33 +95,21 @@ class Ends:
     """The first and the last states of a record that comes in parts; most: how many of each."""
 
     def __init__(self, most: int) -> None:
-        self._most, self._first, self._last = most, 0, 0
-        self._parts: list[Record] = []
-        self._tail: list[Record] = []
+        self._most = most
+        self._ends: tuple[Record, Record] | None = None
 
     def add(self, part: Record) -> None:
         """Add the new states of a part."""
-        k, plain = len(part.t), Record(**{f.name: getattr(part, f.name) for f in fields(Record)})
-        split = min(k, part.begin + self._most - self._first)
-        if split > part.begin:
-            self._parts.append(plain.rows(slice(part.begin, split)))
-            self._first += split - part.begin
-        if k > split:
-            self._tail.append(plain.rows(slice(split, k)))
-            self._last += k - split
-        while self._tail and self._last - len(self._tail[0].t) >= self._most:
-            self._last -= len(self._tail.pop(0).t)
+        new = Record(**{f.name: getattr(part, f.name) for f in fields(Record)}).rows(slice(part.begin, None))
+        first, last = self._ends or (new.rows(slice(0)), new.rows(slice(0)))
+        room = self._most - len(first.t)
+        first, last = first.followed_by(new.rows(slice(room))), last.followed_by(new.rows(slice(room, None)))
+        self._ends = first, last.rows(slice(-self._most, None))
 
     def record(self) -> Record:
         """Return these states as one record."""
-        every = [*self._parts, *self._tail]
-        series = {name: [getattr(each, name) for each in every] for name in SERIES}
-        joined: dict[str, Any] = {
-            name: None if each[0] is None else np.concatenate(each) for name, each in series.items()
-        }
-        whole: Record = replace(every[0], **joined)
-        excess = max(0, self._last - self._most)
-        return whole.rows(np.r_[: self._first, self._first + excess : len(whole.t)]) if excess else whole
+        assert self._ends is not None  # a record has a part
+        return self._ends[0].followed_by(self._ends[1])
 
 
 @dataclass(frozen=True)
@@ -178,7 +172,7 @@ def innovations(
     if series is None and valued:
         series = balance.along(record.position, record.velocity, record.jets)
     sent, dt = held(record.u, before), np.diff(record.t)
-    first = consecutive(record, np.isfinite(series.V) if series else _has_storage(record, balance), before)
+    first = consecutive(record, before)
     older = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
@@ -204,28 +198,17 @@ def innovations(
     )
 
 
-def consecutive(
-    record: Record, known: NDArray[np.bool_] | None = None, before: Array | None = None
-) -> NDArray[np.intp]:
-    """Return the rows with two measured consecutive states, without a gap and with a known effort.
+def consecutive(record: Record, before: Array | None = None) -> NDArray[np.intp]:
+    """Return the rows with two measured consecutive states, without a gap, with a reference and a known effort.
 
-    known (k,): further condition on each state. before: as of `innovations`. A gap is longer than LONGEST_GAP sample
-    periods.
+    before: as of `innovations`. A gap is longer than LONGEST_GAP sample periods.
     """
-    finite = np.isfinite(np.hstack([record.position, record.velocity])).all(axis=1)
-    good = np.asarray(finite if known is None else finite & known)
+    measured = (np.abs(np.hstack([record.position, record.velocity])) < HUGE).all(axis=1)
+    good = np.asarray(measured & np.isfinite(record.jets).all(axis=(1, 2)))
     dt, answered = np.diff(record.t), np.asarray(np.isfinite(held(record.u, before)).all(axis=1))
     pairs = good[:-1] & good[1:] & answered[:-1]
     pairs[: max(record.begin - 1, 0)] = False
     return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
-
-
-def _has_storage(record: Record, balance: Certificate) -> NDArray[np.bool_]:
-    """Return at which states (k,) V is finite, if the state is; only at huge ones it may overflow."""
-    huge = (np.abs(np.hstack([record.position, record.velocity])) > HUGE).any(axis=1)
-    known: NDArray[np.bool_] = ~np.asarray(huge)
-    known[huge] = np.isfinite(balance.along(record.position[huge], record.velocity[huge], record.jets[huge]).V)
-    return known
 
 
 def latency(record: Record) -> Array:

@@ -85,8 +85,8 @@ def residuals(record: Record, law: TrackingLaw, found: Innovations, acted: Actin
 
     found: innovations of the record. acted: deviations of the acting effort, from the measured torque if available.
     """
-    robot, first = law.robot, consecutive(record, np.asarray(np.isfinite(record.jets).all(axis=(1, 2))))
-    if len(first) != len(found) or len(first) < FEWEST_BLOCKS:
+    robot, first = law.robot, consecutive(record)
+    if len(first) < FEWEST_BLOCKS:
         return None
     block = int(np.clip(len(first) // (2 * FEWEST_BLOCKS), 1, BLOCK))
     kept = np.flatnonzero(~(acted.cut != 0).any(axis=1))

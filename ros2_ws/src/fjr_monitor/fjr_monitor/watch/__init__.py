@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live display of `fjr watch`, and its server for Foxglove."""
+"""The live display of `fjr watch`."""

@@ -49,6 +49,7 @@ FRAME = 0.04  # s between updates of a browser
 PLAIN_PERIOD = 1.0  # s between updates of other outputs
 LOOK = 1.0  # s between queries of the ROS graph
 PATIENCE = 2.0  # s until a notice that it is waiting
+FOXGLOVE = "ros2 launch foxglove_bridge foxglove_bridge_launch.xml"
 
 
 def watch(
@@ -63,31 +64,30 @@ def watch(
     port: int | None,
     as_json: bool,
 ) -> None:
-    """Display a running control loop until Ctrl-C, or serve Foxglove.
+    """Display a running control loop until Ctrl-C.
 
     scenario: source of effort limits and of the arm in 3D; None: the robot description. once: show one view, after at
-    most `timeout` [s], or raise TopicError. port: of browser or Foxglove; None or 0: any free one, or Foxglove's own.
+    most `timeout` [s], or raise TopicError. port: of the page in the browser; None or 0: any free one.
     """
-    _refuse_conflicts({"--browser": browser, "--foxglove": foxglove}, {"--once": once, "--json": as_json}, port)
+    if foxglove:
+        raise UsageError(f"--foxglove is served by foxglove_bridge now; expected: {FOXGLOVE}")
+    if browser and (once or as_json):
+        raise UsageError(f"--browser shows the loop until Ctrl-C; expected it without {'--once' if once else '--json'}")
+    if port is not None and not browser:
+        raise UsageError("--port is given without --browser; expected both")
     limits, urdf, locked = _known(scenario) if scenario else ({}, "", {})
     discover_quickly()
     rules = [f"__ns:=/{namespace.strip('/')}"] if namespace.strip("/") else []
     arguments = [part for rule in (*rules, *remaps) for part in ("-r", rule)]
-    with stoppable() as stop:
-        if foxglove:
-            from fjr_monitor.watch import foxglove as server  # SciPy, which other displays do not need
-
-            server.serve(arguments, controller, locked, server.PORT if port is None else port, stop)
-            return
-        watched = Watched(f"fjr watch {namespace}", limits)
-        with own_node("fjr_watch", arguments) as node:
-            display = _Display(FjrWatch(node, watched, controller), watched, stop)
-            if once:
-                display.once(node, timeout, as_json)
-            elif browser:
-                display.in_browser(port or 0, urdf, locked)
-            else:
-                display.in_terminal(as_json)
+    watched = Watched(f"fjr watch {namespace}", limits)
+    with stoppable() as stop, own_node("fjr_watch", arguments) as node:
+        display = _Display(FjrWatch(node, watched, controller), watched, stop)
+        if once:
+            display.once(node, timeout, as_json)
+        elif browser:
+            display.in_browser(port or 0, urdf, locked)
+        else:
+            display.in_terminal(as_json)
 
 
 def _known(scenario: str) -> tuple[dict[str, float], str, Mapping[str, float]]:
@@ -100,18 +100,6 @@ def _known(scenario: str) -> tuple[dict[str, float], str, Mapping[str, float]]:
         description(values),
         locked_positions(values),
     )
-
-
-def _refuse_conflicts(displays: dict[str, bool], terminal: dict[str, bool], port: int | None) -> None:
-    """Raise UsageError for two displays, for options of the terminal with one, and for a port without one.
-
-    displays, terminal: whether each option is given.
-    """
-    chosen = [option for option, given in (displays | terminal).items() if given]
-    if any(displays.values()) and len(chosen) > 1:
-        raise UsageError(f"{chosen[0]} shows the loop until Ctrl-C; expected it without {chosen[1]}")
-    if port is not None and not any(displays.values()):
-        raise UsageError(f"--port is given without {' or '.join(displays)}; expected one of them")
 
 
 class _Display:
