@@ -130,7 +130,7 @@ def read(draws: Draws, i: int) -> tuple[MotionRecord, NominalRobot]:
 
 def _interval(estimate: Estimate, true: float, softest: float, stiffest: float) -> Interval:
     """Return where the truth is in an interval; that of a positive parameter has a logarithmic scale."""
-    meets = estimate.name != "joint_stiffness" or (estimate.low <= stiffest and estimate.high >= softest)
+    meets = estimate.name != "joint_stiffness" or bool(estimate.low <= stiffest and estimate.high >= softest)
     values = np.array([estimate.low, estimate.value, estimate.high, true])
     if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity"):
         values = np.log(values)
@@ -141,10 +141,11 @@ def _interval(estimate: Estimate, true: float, softest: float, stiffest: float) 
     away = abs(truth - value) / side if side > 0 else np.inf
     error = abs(estimate.value - true) / (abs(true) or 1.0)
     width = (estimate.high - estimate.low) / (abs(true) or 1.0)
-    return Interval(estimate.name, float(away), float(error), estimate.verdict, estimate.reason, meets, width)
+    verdict, reason = estimate.verdict, estimate.reason
+    return Interval(estimate.name, float(away), float(error), verdict, reason, meets, float(width))
 
 
-def head() -> str:
+def head(_: Sequence[int] = ()) -> str:
     """Return the first lines of the table."""
     columns = [
         "physics",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Foreign records for `fjr identify` and for mujoco.sysid, side by side: `python -m tests.physics.sysid [WORD ...]`.
+"""Foreign records for `fjr identify` and for mujoco.sysid, side by side.
 
 mujoco.sysid estimates stiffness, rotor inertia, damping and dry friction. It is told what it does not estimate and
 `fjr identify` does: the effort's delay, the link encoder's skew, the offset, and the state every half second.
@@ -7,70 +7,57 @@ mujoco.sysid estimates stiffness, rotor inertia, damping and dry friction. It is
 
 from __future__ import annotations
 
-import argparse
-import os
-import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
 
-import numpy as np  # noqa: E402
-import pinocchio as pin  # noqa: E402
-from scipy.interpolate import CubicSpline  # noqa: E402
+import fjr_core as fjr
+from bench.identification_peers import CHANGES, Case, Estimated, theirs
+from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.parameters import IdentifyOptions
 
-import fjr_core as fjr  # noqa: E402
-from bench.identification_peers import CHANGES, Case, Estimated, theirs  # noqa: E402
-from fjr_identification.estimation.motion_record import MotionRecord  # noqa: E402
-from fjr_identification.estimation.parameters import IdentifyOptions  # noqa: E402
-from fjr_msgs_py.console.output import progress_bar  # noqa: E402
-from physics.coverage import CASES, Interval, identified  # noqa: E402
-from physics.draws import Draws, drawn  # noqa: E402
-from physics.sensors import EDGE  # noqa: E402
+from .coverage import CASES, Interval, identified
+from .draws import Draws, drawn
+from .sensors import EDGE
 
 PIECE = 0.5  # s; from one known state to the next
 SUBSTEPS = 4  # of MuJoCo in a sample period; larger steps soften its dry friction
 HEADINGS = ("physics", "records", "by", "error of K", "95 % intervals with the truth", "of K", "processor time")
 
 
-def main(words: Sequence[str]) -> int:
-    """Print the table; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m tests.physics.sysid")
-    parser.add_argument("--draws", type=int, default=20, help="records of each case")
-    parser.add_argument("--joints", type=int, default=1)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("words", nargs="*", metavar="WORD", help="only cases whose name contains one of these")
-    given = parser.parse_args(words)
-    names = [name for name in CASES if not given.words or any(word in name for word in given.words)]
-    print("\n".join([f"| {' | '.join(HEADINGS)} |", f"| --- {'| ---: ' * (len(HEADINGS) - 1)}|"]), flush=True)
-    with progress_bar("identifying", "{desc}: {percentage:3.0f}% |{bar}| {elapsed}", total=len(names)) as bar:
-        for name in names:
-            bar.set_description(name)
-            print("\n".join(rows(name, drawn(CASES[name], given.joints, given.draws, given.seed))), flush=True)
-            bar.update()
-    return 0
+Both = dict[str, tuple[float, list[Interval]]]
+"""Processor time [s] and intervals of a draw, by who estimates them."""
 
 
-def rows(name: str, draws: Draws) -> list[str]:
+def of_batch(job: tuple[str, int, int, int]) -> list[Both]:
+    """Return the intervals of each draw of a batch: name of the case, number of joints, of draws, and seed."""
+    name, joints, count, seed = job
+    draws = drawn(CASES[name], joints, count, seed)
+    return [{"`fjr identify`": _ours(draws, i), "`mujoco.sysid`": _theirs(draws, i)} for i in range(count)]
+
+
+def head(_: Sequence[int]) -> str:
+    """Return the first lines of the table."""
+    return "\n".join([f"| {' | '.join(HEADINGS)} |", f"| --- {'| ---: ' * (len(HEADINGS) - 1)}|"])
+
+
+def line(name: str, of_number: Sequence[Sequence[Both]]) -> str:
     """Return the rows of a case: median error of K, coverage, and median processor time of both."""
-    errors: dict[str, list[float]] = {"`fjr identify`": [], "`mujoco.sysid`": []}
-    inside: dict[str, list[tuple[bool, bool]]] = {by: [] for by in errors}
-    seconds: dict[str, list[float]] = {by: [] for by in errors}
-    for i in range(len(draws.records)):
-        for by, found in zip(errors, (_ours(draws, i), _theirs(draws, i)), strict=True):
-            seconds[by].append(found[0])
-            inside[by] += [(each.inside, each.kind == "joint_stiffness") for each in found[1]]
-            errors[by] += [each.error for each in found[1] if each.kind == "joint_stiffness"]
-    return [
-        f"| {name} | {len(draws.records)} | {by} | {np.median(errors[by]):.2g} "
-        f"| {np.mean([held for held, _ in inside[by]]):.1%} of {len(inside[by])} "
-        f"| {sum(held for held, of_K in inside[by] if of_K)} of {len(errors[by])} | {np.median(seconds[by]):.2f} s |"
-        for by in errors
-    ]
+    results = [result for of_n in of_number for result in of_n]
+    rows = []
+    for by in results[0]:
+        intervals = [each for result in results for each in result[by][1]]
+        of_K = [each for each in intervals if each.kind == "joint_stiffness"]
+        rows.append(
+            f"| {name} | {len(results)} | {by} | {np.median([each.error for each in of_K]):.2g} "
+            f"| {np.mean([each.inside for each in intervals]):.1%} of {len(intervals)} "
+            f"| {sum(each.inside for each in of_K)} of {len(of_K)} "
+            f"| {np.median([result[by][0] for result in results]):.2f} s |"
+        )
+    return "\n".join(rows)
 
 
 def _ours(draws: Draws, i: int) -> tuple[float, list[Interval]]:
@@ -116,7 +103,3 @@ def intervals(case: Case, found: Estimated) -> list[Interval]:
         for name, *ends in zip(case.truth, found.values, found.high, case.truth.values(), strict=True)
         for value, high, true in zip(*ends, strict=True)
     ]
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

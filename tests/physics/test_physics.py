@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN
 from fjr_identification.estimation.parameters import IdentifyOptions
-from physics import laws, named
+from physics import causes, laws
 from physics.arm import Arm, Array, G, Motion, simulated
 from physics.coverage import Interval, head, identified, line
 from physics.draws import Case, Draws, drawn
@@ -231,10 +231,11 @@ def test_a_row_of_the_table_counts_what_is_inside() -> None:
 
 def test_a_row_of_causes_counts_what_is_named_of_joints_that_pass_the_dead_zone() -> None:
     said = "backlash of about 0.5 mrad: the deflection jumps where the torque changes sign"
-    one, two = [[(said, True)], [("", False)]], [[(said, True), ("hysteresis, loop of about 1 mrad", True)], None]
-    row = named.line("backlash 0.5 mrad", [one, two])
-    assert row == "| backlash 0.5 mrad | 1 of 2 | 1 of 2 | 2 of 3 | 1 hysteresis, 1 records refused |"
-    assert len(row.split("|")) == len(named.head([1, 2]).splitlines()[0].split("|"))
+    right, missed = (said, True, False, False), ("", False, True, True)
+    two = [right, ("hysteresis, loop of about 1 mrad", True, False, False)]
+    row = causes.line("backlash 0.5 mrad", [[[right], [missed]], [two, None]])
+    assert row == "| backlash 0.5 mrad | 1 of 2 | 1 of 2 | 2 of 3 | 1 | 1 | 1 hysteresis, 1 records refused |"
+    assert len(row.split("|")) == len(causes.head([1, 2]).splitlines()[0].split("|"))
 
 
 @pytest.mark.parametrize(("shift", "changes"), [(0.0, True), (0.02, False)])
