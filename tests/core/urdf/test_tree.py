@@ -11,7 +11,7 @@ import fjr_core as fjr
 from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, random_urdf
 from fjr_core.urdf.tree import read_urdf
-from fjr_design.scaffold.chains import chains
+from fjr_design.scaffold.arm import chains
 from fjr_monitor.scene import UrdfFrames
 
 MIMIC = """<robot name="hand"><link name="palm"/><link name="a"/><link name="b"/>
@@ -101,7 +101,7 @@ NAMES = tuple(f"j{i}" for i in range(1, 6))
 
 
 def found(text: str) -> list[tuple[str, ...]]:
-    return [chain.joints for chain in chains(read_urdf(text))]
+    return chains(read_urdf(text))
 
 
 def test_a_chain_runs_from_the_base_to_the_tip_across_fixed_joints() -> None:
