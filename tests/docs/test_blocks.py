@@ -151,7 +151,7 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
     file = folder / block.marks["file"]
     if sweep_file.is_one(ros_yaml.parse(block.text)):
         file.write_text(block.text, encoding="utf-8")
-        assert sweep_file.read(ros_yaml.parse(block.text)).vary
+        assert sweep_file.read(ros_yaml.parse(block.text))["vary"]
         return said
     if block.marks.get("for") == "compare":
         file.write_text(block.text, encoding="utf-8")

@@ -180,9 +180,6 @@ def of_twelve_joints(content: Certificate) -> Certificate:
 
 MASSLESS = {"mass": 0.0, "inertia": np.zeros((3, 3)).tolist()}
 CHANGES: dict[str, tuple[list[Any], Callable[[Any], Any]]] = {
-    "a higher beta": (["beta"], times(1.02)),
-    "beta as text": (["beta"], str),
-    "beta true": (["beta"], bool),
     "a box less": (["boxes"], lambda boxes: [box for i, box in enumerate(boxes) if i != boxes.index(0)]),
     "one box": (["boxes"], lambda boxes: [0]),
     "a box more": (["boxes"], lambda boxes: [*boxes, 0]),
@@ -227,19 +224,6 @@ def test_changed_certificates_are_refused_by_digest_and_proof(change: str) -> No
         checked(content)
 
 
-@pytest.mark.parametrize("value", [None, "text", [], {}, [None], -1.0, [[0.5, 0.1]], [[1.0, 0.1], 0, 0]])
-def test_values_of_a_wrong_kind_are_refused(value: object) -> None:
-    for name in certificate():
-        with pytest.raises(RefusedError):
-            checked(sealed(certificate() | {name: value}) if name != "sha256" else certificate() | {name: value})
-    for name in certificate()["bodies"][0]:
-        content = certificate()
-        if value is not content["bodies"][0][name]:
-            content["bodies"][0][name] = value
-            with pytest.raises(RefusedError):
-                checked(sealed(content))
-
-
 def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Yield the paths to all values in nested lists and objects."""
     for key in value if isinstance(value, dict) else range(len(value) if isinstance(value, list) else 0):
@@ -252,7 +236,7 @@ def test_no_value_of_another_type_is_accepted_and_every_refusal_is_one_line(data
     content = certificate(2, 1)
     *path, last = data.draw(st.sampled_from([path for path in places(content) if path[0] != "sha256"]))
     owner = reduce(lambda value, key: value[key], path, content)
-    others = [True, None, "1.0", "\x1b[2J", [], {}, float("nan"), float("inf"), -(10**400), [[1.0]], {"a": 1.0}]
+    others = [True, None, "1.0", "\x1b[2J", [], {}, float("nan"), float("inf"), -(10**400), [None], [[1.0]], {"a": 1.0}]
     value = data.draw(
         st.sampled_from([other for other in others if type(other) is not type(owner[last]) or other != other])
     )

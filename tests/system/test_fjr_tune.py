@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -87,16 +86,6 @@ def test_the_scenario_has_the_tuned_gains(folder: Path, said: str) -> None:
 
 def test_a_picture_shows_the_fronts(folder: Path, said: str) -> None:
     assert matplotlib.image.imread(folder / "joint_v_dpbc" / "overview.png")[..., :3].std() > 0.05
-
-
-def test_without_matplotlib_the_picture_is_named_as_left_out(
-    folder: Path, study: Path, said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    again = fjr_here("tune", str(study), "--output", str(folder))
-    assert "overview.png is left out: Matplotlib is not installed" in again
-    assert "picture:" in said
-    assert "picture:" not in again
 
 
 def test_no_point_beats_one_on_the_front_and_all_others_are_beaten() -> None:

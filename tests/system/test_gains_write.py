@@ -89,8 +89,3 @@ def test_the_written_gains_are_those_that_are_printed_and_load(tmp_path: Path) -
     comments = [line.partition("#")[2] for line in text.splitlines() if "#" in line]
     assert [line.partition("#")[2] for line in path.read_text(encoding="utf-8").splitlines() if "#" in line] == comments
     assert load_scenario(path).law.rate().beta >= 5
-
-
-def test_an_installed_scenario_is_not_overwritten() -> None:
-    said = fjr_here("gains", "paper_k31", "--beta", "5", "--write", code=2)
-    assert "'paper_k31' is an installed scenario; expected a file of your own for --write" in said

@@ -90,7 +90,7 @@ def test_sweep_of_an_impossible_path_is_refused(name: str, folder: Path) -> None
 
 def plan() -> Sweep:
     text = "/**: {ros__parameters: {compile: false}}"
-    return Sweep("small", text, 20, usual("small", 1e-3).vary, duration=0.1)
+    return Sweep("small", text, 20, usual(1e-3), duration=0.1)
 
 
 COLUMNS = {"run": np.arange(10), "success": np.ones(10, bool)}

@@ -173,25 +173,6 @@ def test_a_locked_joint_stays_within_its_range(tmp_path: Path) -> None:
     assert arm.locked == {"wrist": 0.2}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (
-            ("--joints", "elbow_joint,elbw_joint"),
-            "ur5e.urdf: the URDF has no joint 'elbw_joint'; did you mean 'elbow_joint'?",
-        ),
-        (
-            ("--chain", "2"),
-            "the URDF has no chain 2; expected 1 to 1: 1: 6 joints, shoulder_pan_joint to wrist_3_joint",
-        ),
-        (("--chain", "0"), "'0' is not a chain; expected its number, 1 or more"),
-    ],
-)
-def test_a_wrong_choice_is_one_sentence(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    assert said in fjr_here("new", str(UR5E), *arguments, "--output", str(tmp_path), code=2)
-    assert "cannot be read (No such file or directory)" in fjr_here("new", str(tmp_path / "none.urdf"), code=2)
-
-
 def test_published_data_replace_guesses() -> None:
     data = published(("panda_joint2", "panda_joint1"))
     assert data["motor_inertia"][data["joints"].index("panda_joint1")] == 0.605721456

@@ -8,7 +8,7 @@ setup(
     version="0.1.0",
     packages=find_packages(),
     package_data={
-        package_name: ["py.typed", "batch/*.[ch]", "exports/templates/*", "exports/ros2_control/templates/*"]
+        package_name: ["py.typed", "batch/*.[ch]", "exports/*/*.in", "exports/*/*/*.in", "exports/*/*/*/*.in"]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),

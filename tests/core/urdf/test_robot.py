@@ -17,7 +17,7 @@ from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, PinocchioLinks, random_urdf
 from fjr_core.urdf.robot import reduced_bodies
 from fjr_core.urdf.tree import MOVING, read_urdf
-from fjr_design.scaffold.chains import chains
+from fjr_design.scaffold.arm import chains
 
 CASES = [(n, seed) for n in (1, 2, 3, 5, 7) for seed in range(3)]
 all_cases = pytest.mark.parametrize("case", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CASES])
@@ -88,7 +88,7 @@ def test_bodies_equal_those_of_the_reduced_model_of_pinocchio(name: str, seed: i
     """All joints of the longest chain are named, then some, with the others locked at random."""
     source, rng = URDFS[name], np.random.default_rng(seed)
     tree = read_urdf(source)
-    chain = chains(tree)[0].joints
+    chain = chains(tree)[0]
     joints = [joint for joint in chain if seed == 0 or rng.random() < 0.6] or [chain[-1]]
     moving = [joint.name for joint in tree.joints.values() if joint.kind in MOVING and joint.name not in joints]
     locked = dict(zip(moving, rng.uniform(-2, 2, len(moving)), strict=True))

@@ -11,7 +11,7 @@ import fjr_core as fjr
 from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, random_urdf
 from fjr_core.urdf.tree import read_urdf
-from fjr_design.scaffold.chains import chains
+from fjr_design.scaffold.arm import chains
 
 MIMIC = """<robot name="hand"><link name="palm"/><link name="a"/><link name="b"/>
 <joint name="one" type="prismatic"><parent link="palm"/><child link="a"/><axis xyz="0 2 0"/>
@@ -90,7 +90,7 @@ NAMES = tuple(f"j{i}" for i in range(1, 6))
 
 
 def found(text: str) -> list[tuple[str, ...]]:
-    return [chain.joints for chain in chains(read_urdf(text))]
+    return chains(read_urdf(text))
 
 
 def test_a_chain_runs_from_the_base_to_the_tip_across_fixed_joints() -> None:

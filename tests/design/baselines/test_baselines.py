@@ -152,16 +152,3 @@ def test_weights_without_a_riccati_solution_are_refused() -> None:
     weights = LqrGains(Q=1e200 * np.eye(4), R=1.0, configuration=0.0)
     with pytest.raises(fjr.GainsError, match="Q and R give a Riccati equation without a solution"):
         weights.arrays(ARMS[0].robot)
-
-
-def test_full_gain_matrix_is_refused_by_a_law_built_for_diagonal_ones() -> None:
-    arm = ARMS[2]
-    law = LAWS["pd_gravity"].make(arm.robot, PdGains(K_p=60.0, K_d=1.0))
-    with pytest.raises(fjr.GainsError, match="off the diagonal"):
-        law.with_gains(PdGains(K_p=[[60.0, 5.0], [5.0, 60.0]], K_d=1.0))
-
-
-def test_wrong_shapes_are_refused() -> None:
-    law = standard_law("lqr", ARMS[0])
-    with pytest.raises(fjr.StateError, match="position has shape"):
-        law.measured_command(np.zeros(3), np.zeros(2), np.zeros((5, 1)))

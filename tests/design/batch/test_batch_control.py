@@ -12,8 +12,6 @@ import pytest
 
 import fjr_core as fjr
 from design.batch.test_batch import normals
-from fjr_core.config.controller import safety
-from fjr_core.config.scenario import load_scenario
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
@@ -22,8 +20,6 @@ from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.safety_settings import Settings
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, Recorded
 from fjr_design.batch.parametric_robot import NAMES, ParametricPlant, vector
-from fjr_design.studies.sweep import scenario_loop
-from fjr_msgs_py.scenarios import installed
 
 ARM = fjr.planar_two_link()
 PERIOD, DURATION = 1e-3, 0.25
@@ -112,18 +108,6 @@ def test_the_samples_of_a_run_give_the_control_step_the_same_efforts_to_the_last
     happened = {kind for kind, count in zip(KINDS, counts, strict=True) if count}
     assert happened >= {"stops: link velocity", "stops: tracking error", "stops: deflection", "starts refused",
                         "efforts saturated", "efforts rate limited"}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
-def test_the_samples_of_an_installed_scenario_give_its_controller_the_same_efforts(name: str) -> None:
-    scenario = load_scenario(installed("scenarios")[name])
-    values, robot = scenario.controller_values, scenario.robot
-    loop = scenario_loop(scenario, scenario.sampled_law, 0.3, settle_after=0.1)
-    _, recorded = loop.recorded(Draws(1, position_noise=1e-6, velocity_noise=1e-3, external=0.3, delay=0.5e-3))
-    step = ControlStep(scenario.law, scenario.reference, safety(values, robot), None, True)
-    for k, sample in enumerate(recorded.measured[0]):
-        assert step.step(k * 1_000_000, k * 1_000_000, *np.split(sample, 4))
-        assert step.u.tobytes() == recorded.u[0, k].tobytes()
 
 
 def expected_samples(x: Any, velocity: Any, draws: Draws, i: int) -> Any:

@@ -3,19 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import pytest
 from scipy.linalg import polar
 from scipy.signal import cont2discrete
-from scipy.stats import qmc
 
 import fjr_core as fjr
 from core.oracles.chains import arm7
 from fjr_core.law.linearized import equilibria_at, plant_matrices
-from fjr_core.model.configuration_sampling import loop_configurations, sample_configurations
+from fjr_core.model.configuration_sampling import sample_configurations
 from fjr_core.stability.linearization import closed_form, linearize, spectral_radius
 from fjr_design.stability.sampled_loop import check
 
@@ -123,17 +121,6 @@ def test_radius_of_a_linear_loop_matches_the_hand_written_loop(stiffness: float,
     law, values = linear_joint(stiffness)
     (radius,) = spectral_radius(law, period, tenths / 10 * period, [[0.3]])
     assert radius == pytest.approx(hand_written_radius(values, period, 10, tenths), rel=1e-8)
-
-
-@pytest.mark.parametrize(("period", "delay"), [(0.02, 0.0), (0.016, 0.004), (0.01, 0.012), (0.004, 0.02)])
-def test_radius_of_a_linear_loop_is_the_growth_rate_of_its_simulation(period: float, delay: float) -> None:
-    law, _ = linear_joint(31.0)
-    (radius,) = spectral_radius(law, period, delay, [[0.0]])
-    start, reference = [1e-3, 0, 0, 0], fjr.Sine(0.0, 1.0)
-    run = fjr.simulate(fjr.Plant(law.robot), law, reference, start, 200 * period, period, 2e-4, delay)
-    q_l = run.x[120:, 0]  # only the slowest pair of modes remains: q_l(k+2) = a q_l(k+1) + b q_l(k)
-    a, b = np.linalg.lstsq(np.stack([q_l[1:-1], q_l[:-2]], axis=1), q_l[2:])[0]
-    assert np.abs(np.roots([1, -a, -b])).max() == pytest.approx(radius, rel=1e-4)
 
 
 # Any robot: linearisation and coordinates.
@@ -248,46 +235,6 @@ def test_radius_of_a_law_with_another_inertia_is_that_of_its_simulation(name: st
 # The nonlinear loop.
 
 
-@dataclass(frozen=True)
-class Draw:
-    law: fjr.TrackingLaw
-    q_l: np.ndarray
-    period: float
-    delay: float
-
-    @property
-    def radius(self) -> float:
-        return float(spectral_radius(self.law, self.period, self.delay, [self.q_l])[0])
-
-
-def drawn(seed: int) -> Draw:
-    """Draw a robot, gains, a sample period of the order of its elastic modes, and a delay."""
-    rng = np.random.default_rng(100 + seed)
-    c = rng.uniform(0.5, 2, 4)
-    robot = (
-        lambda: fjr.single_link(31 * c[0], 0.031 * c[1], 0.8 * c[2], 0.004 * c[3]),
-        lambda: fjr.planar_two_link((40 * c[0], 25 * c[1]), motor_inertia=(0.02 * c[2], 0.01 * c[3])),
-        lambda: chain3(rng),
-        lambda: fjr.single_link(300 * c[0], 0.5 * c[1], 2 * c[2], 0.2 * c[3], link_damping=0.1),
-        lambda: arm7().robot,
-    )[seed % 5]()
-    q_l = rng.uniform(-1, 1, robot.n)
-    period = rng.uniform(0.15, 0.9) / np.median(elastic_modes(robot, q_l))
-    gains = fjr.PAPER_GAINS if seed % 10 == 0 else scaled(robot, q_l, rng)
-    return Draw(fjr.TrackingLaw(robot, gains), q_l, period, period * rng.choice([0, 1, rng.uniform(0, 2)]))
-
-
-def test_check_and_simulation_agree_on_stability() -> None:
-    draws = [drawn(seed) for seed in range(30)]
-    judged = [(draw, draw.radius) for draw in draws if abs(draw.radius - 1) >= 0.02]
-    stable = sum(radius < 1 for _, radius in judged)
-    assert len(judged) >= max(20, 3 / 4 * len(draws))
-    assert stable >= 8
-    assert len(judged) - stable >= 8
-    for draw, radius in judged:
-        assert loop_converges(draw.law, draw.q_l, draw.period, draw.delay) == (radius < 1), (draw, radius)
-
-
 @pytest.mark.parametrize("stiffness", [31.0, 3.1])
 def test_margins_of_the_paper_scenarios_agree_with_simulation(stiffness: float) -> None:
     """The loop converges 10 % inside both margins and does not 10 % outside."""
@@ -357,50 +304,6 @@ def test_margins_are_those_of_the_worst_configurations(delay: float) -> None:
         assert found.spectral_radius == pytest.approx(radii.max(), rel=1e-12)
         inside, outside = ((found.delay_margin + side) * 1e-3 for side in (-0.025, 0.025))
         assert spectral_radius(law, 1e-3, inside, q_l).max() < 1 <= spectral_radius(law, 1e-3, outside, q_l).max()
-
-
-# Configurations and bad input.
-
-
-@dataclass(frozen=True)
-class Limited:
-    """The attributes of a robot that sample_configurations reads."""
-
-    n: int
-    limits: fjr.JointLimits | None
-
-
-def test_configurations_fill_the_limits_and_begin_with_zero() -> None:
-    infinite = np.full(3, np.inf)
-    lower, upper = np.array([-2.0, -np.inf, 4.0]), np.array([-0.5, np.inf, np.inf])
-    limits = fjr.JointLimits(lower, upper, infinite, infinite)
-    q_l = sample_configurations(Limited(3, limits), 400)  # type: ignore[arg-type]
-    assert q_l.shape == (400, 3)
-    np.testing.assert_allclose(q_l[0], [-0.5, 0.0, 4.0])
-    assert np.all(q_l >= lower)
-    assert np.all(q_l <= upper)
-    np.testing.assert_allclose(q_l[1:].min(axis=0), [-2, -np.pi, 4], atol=0.05)
-    np.testing.assert_allclose(q_l[1:].max(axis=0), [-0.5, np.pi, 4 + np.pi], atol=0.05)
-
-
-def test_loop_configurations_extend_those_of_rates_by_aligned_axes() -> None:
-    infinite = np.full(3, np.inf)
-    limits = fjr.JointLimits(np.array([-2.0, -1.0, 4.0]), np.array([-0.5, 2.0, 5.0]), infinite, infinite)
-    arm = Limited(3, limits)
-    q_l = loop_configurations(arm)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(q_l[:512], sample_configurations(arm, 512))  # type: ignore[arg-type]
-    assert np.all((q_l >= limits.lower) & (q_l <= limits.upper))
-    at_zero = q_l[512:] == [-0.5, 0.0, 4.0]
-    assert len(np.unique(at_zero, axis=0)) == 8
-    np.testing.assert_allclose(at_zero.mean(axis=0), 0.5, atol=0.1)
-
-
-def test_configurations_without_limits_are_the_halton_sequence_and_nested() -> None:
-    robot = Limited(7, None)
-    many = sample_configurations(robot, 100)  # type: ignore[arg-type]
-    halton = qmc.Halton(7, scramble=False).random(100)[1:]
-    np.testing.assert_allclose(many[1:], np.pi * (2 * halton - 1), atol=1e-12)
-    np.testing.assert_array_equal(sample_configurations(robot, 10), many[:10])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

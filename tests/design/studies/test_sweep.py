@@ -175,15 +175,6 @@ def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.Mo
     assert asked == []
 
 
-def test_truncated_part_is_run_again(tmp_path: Path) -> None:
-    plan = sweep_of()
-    (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "000000000-000000010.parquet.part").write_bytes(b"half")
-    table = done(tmp_path, plan)
-    assert table == done(tmp_path / "other", plan)
-    assert list((tmp_path / "parts").iterdir()) == []
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

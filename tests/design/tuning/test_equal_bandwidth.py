@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 import fjr_core as fjr
 from core.oracles.cases import Arm, planar
 from core.oracles.chains import arm7
-from fjr_core.config.law import control_law
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
@@ -155,13 +154,10 @@ def test_the_target_is_v_dpbc_with_the_given_gains() -> None:
     assert t.same_bandwidth
     assert t.same_peak
     assert t.peak == pytest.approx(26.203, abs=1e-3)
+    assert y.effort_limit == pytest.approx([26.203], abs=1e-3)  # of all commands
     assert isinstance(t.law, TrackingLaw)
     np.testing.assert_array_equal(t.law.gains.Pi_m, [[60.0]])
     assert t.sentence == "tuning target, with the gains of the scenario"
-
-
-def test_all_commands_are_saturated_at_the_target_peak() -> None:
-    assert joint().effort_limit == pytest.approx([26.203], abs=1e-3)
 
 
 def test_effort_limit_without_initial_error_exceeds_the_demand_of_the_reference() -> None:
@@ -309,13 +305,6 @@ def test_invalid_parameters_are_refused_in_one_sentence(law: str, words: str) ->
     with pytest.raises(fjr.ParameterError, match=words.replace("[", r"\[")) as error:
         scenario(law)
     assert "\n" not in str(error.value)
-
-
-def test_v_dpbc_is_the_default() -> None:
-    made = scenario("{}")
-    assert isinstance(made.law, TrackingLaw)
-    assert made.tracking_law is made.law
-    assert isinstance(control_law(made.controller_values, made.robot), TrackingLaw)
 
 
 def test_a_target_without_effort_causes_no_division_by_zero() -> None:

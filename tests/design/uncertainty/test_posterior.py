@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from fjr_design.uncertainty.posterior import (
     Estimate,
     Identification,
     parsed_identification,
-    read_identification,
 )
 
 SCENARIO = """
@@ -112,10 +112,12 @@ def test_a_posterior_that_does_not_fit_is_refused(given: dict[str, Any], message
         Sweep("mine", SCENARIO, 10, duration=0.1, **values)
 
 
-def test_a_sweep_file_names_the_posterior(tmp_path: Any) -> None:
-    file = sweep_file.read({"scenario": "paper_k31", "posterior": "identification.json"})
-    (tmp_path / file.posterior).write_text(json.dumps(identification().as_dict()), encoding="utf-8")
-    assert read_identification(tmp_path / file.posterior).as_dict() == identification().as_dict()
+def test_a_sweep_file_names_the_posterior(tmp_path: Path) -> None:
+    (tmp_path / "identification.json").write_text(json.dumps(identification().as_dict()), encoding="utf-8")
+    (tmp_path / "joint.yaml").write_text(SCENARIO)
+    document = {"scenario": "joint.yaml", "posterior": "identification.json"}
+    found, _ = sweep_file.described(tmp_path / "mine.yaml", document, sweep_file.Options(1, None, tmp_path, {}, {}))
+    assert found.posterior == identification().as_dict()
     with pytest.raises(ParameterError, match="expected 'posterior', or 'vary'"):
         sweep_file.read({"scenario": "paper_k31"})
 

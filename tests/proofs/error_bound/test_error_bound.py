@@ -78,24 +78,6 @@ def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    ("law", "reference", "errors"),
-    [
-        (joint, SWING, {"payload": 0.2}),
-        (joint, SWING, {"payload": 0.2, "stiffness": 0.1, "link_damping": 0.3}),
-        (two_link, TWO_LINK_SWING, {"payload": 0.2}),
-    ],
-)
-def test_ten_thousand_runs_stay_within_the_bound(law, reference, errors) -> None:
-    made = law()
-    bound = bound_errors(made, reference, T, T, errors)
-    seen = largest_errors(made, reference, (T, T), errors, 10_000, Observed(1.0, 7.5)).max(axis=0)
-    assert bound.proven
-    assert np.all(seen <= bound.position)
-    assert np.all(bound.position <= 2 * seen)
-
-
-@pytest.mark.full
 @pytest.mark.parametrize("errors", [{}, {"payload": 0.01}])
 def test_runs_of_seven_joints_stay_within_the_proven_bound(errors: dict[str, float]) -> None:
     made = load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")

@@ -34,16 +34,17 @@ COMMON = {
 
 
 @dataclass(frozen=True)
-class BoundRow:
-    """Bound of the tracking error as a sentence and as plain values."""
+class ProofRows:
+    """What `fjr check` prints of a proof, its JSON values, and whether the proof was asked for and not found."""
 
-    sentence: str
+    rows: Mapping[str, str]
     values: Mapping[str, Any]
+    failed: bool = False
 
 
 def errors_bounded(
     scenario: Scenario, errors: Mapping[str, float], delay: float | None, prove: bool | None = None
-) -> BoundRow:
+) -> ProofRows:
     """Return the bound for model errors and a delay [samples], by default that of the scenario.
 
     prove: see `bound_errors`. Raises ParameterError for an unknown error, and for a scenario that the bound does not
@@ -77,7 +78,7 @@ def errors_bounded(
         "proven": bound.proven,
         "parts": bound.parts,
     }
-    return BoundRow(_sentence(scenario, bound, hint), values)
+    return ProofRows({"error bound": _sentence(scenario, bound, hint)}, values)
 
 
 def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
@@ -111,67 +112,48 @@ def _by_joint(scenario: Scenario, sizes: Array) -> dict[str, float | None]:
     return {joint: float(size) if finite else None for joint, size in zip(scenario.joints, sizes, strict=True)}
 
 
-@dataclass(frozen=True)
-class ContractionRows:
-    """The proof that the sampled loop contracts, or why there is none."""
-
-    found: SampledContraction | None
-    reason: str = ""
-    unit: str = "rad"
-
-    @property
-    def rows(self) -> dict[str, str]:
-        """Return the rows of `fjr check`."""
-        if self.found is None:
-            return {"sampled loop": f"NOT proven: {self.reason}"}
-        tube, offset = 1e3 * float(self.found.tube.min()), 1e3 * float(self.found.offset.max())
-        decay = f"contracts at {at_least(self.found.rate)} 1/s within {at_least(tube)} m{self.unit} of the reference"
-        return {
-            "sampled loop, proven": f"{decay}, {_delays(self.found.least_delay, self.found.longest_delay)}",
-            "    remaining error": f"at most {at_most(offset, 2)} m{self.unit} of a link",
-        }
-
-    @property
-    def values(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        if self.found is None:
-            return {"proven": False, "reason": self.reason}
-        return {
-            "proven": True,
-            "rate": self.found.rate,
-            "tube": self.found.tube.tolist(),
-            "offset": self.found.offset.tolist(),
-            "delay_samples": [self.found.least_delay, self.found.longest_delay],
-            "sample_period_s": self.found.sample_period,
-        }
-
-
-def sampled_proof(scenario: Scenario, delay: float | None) -> ContractionRows:
+def sampled_proof(scenario: Scenario, delay: float | None) -> ProofRows:
     """Prove contraction of the loop of a scenario with all delays up to `delay` samples; None: with its own delay."""
-    robust, sensing, law = getattr(scenario.sampled_law, "robust", Robust()), scenario.sensing, scenario.law
-    kind = scenario.controller_values["law.type"]
-    causes = {
-        f"law.type is {kind}; expected v_dpbc": not isinstance(law, TrackingLaw),
-        "robust.* gives the law a state; expected a law without one": robust.estimates
-        or robust.integrates
-        or robust.predicts,
-        "measurement.* adds an observer or torque sensors; expected measured states": not sensing.plain,
-        "plant and law have different robots; expected equal ones": not scenario.plant_is_the_model,
-    }
-    reason = next((sentence for sentence, applies in causes.items() if applies), "")
-    if reason or not isinstance(law, TrackingLaw):
-        return ContractionRows(None, reason)
-    period = scenario.sample_period
-    constant = scenario.loop_delay / period
+    constant = scenario.loop_delay / scenario.sample_period
     delays = (constant, constant) if delay is None else (0.0, delay)
     try:
-        with progress_bar("proving contraction of the sampled loop", PROGRESS, total=1.0, desc="proof") as bar:
-            loop = law, scenario.reference, period, delays
-            found = sampled_contraction(*loop, lambda share: bar.update(share - bar.n))
+        found, reason = _contraction(scenario, delays), f"no tube found about the reference, {_delays(*delays)}"
     except FjrError as error:
-        return ContractionRows(None, str(error))
+        found, reason = None, str(error)
+    if found is None:
+        return ProofRows({"sampled loop": f"NOT proven: {reason}"}, {"proven": False, "reason": reason}, failed=True)
     unit = " or m".join(dict.fromkeys(joint.position for joint in scenario.robot.units))
-    return ContractionRows(found, f"no tube found about the reference, {_delays(*delays)}", unit)
+    tube, offset = 1e3 * float(found.tube.min()), 1e3 * float(found.offset.max())
+    decay = f"contracts at {at_least(found.rate)} 1/s within {at_least(tube)} m{unit} of the reference"
+    rows = {
+        "sampled loop, proven": f"{decay}, {_delays(found.least_delay, found.longest_delay)}",
+        "    remaining error": f"at most {at_most(offset, 2)} m{unit} of a link",
+    }
+    values = {
+        "proven": True,
+        "rate": found.rate,
+        "tube": found.tube.tolist(),
+        "offset": found.offset.tolist(),
+        "delay_samples": [found.least_delay, found.longest_delay],
+        "sample_period_s": found.sample_period,
+    }
+    return ProofRows(rows, values)
+
+
+def _contraction(scenario: Scenario, delays: tuple[float, float]) -> SampledContraction | None:
+    """Return the contraction with delays from .. to [samples]; raise FjrError for a loop that it does not cover."""
+    robust, law = getattr(scenario.sampled_law, "robust", Robust()), scenario.law
+    if not isinstance(law, TrackingLaw):
+        raise ParameterError(f"law.type is {scenario.controller_values['law.type']}; expected v_dpbc")
+    if robust.estimates or robust.integrates or robust.predicts:
+        raise ParameterError("robust.* gives the law a state; expected a law without one")
+    if not scenario.sensing.plain:
+        raise ParameterError("measurement.* adds an observer or torque sensors; expected measured states")
+    if not scenario.plant_is_the_model:
+        raise ParameterError("plant and law have different robots; expected equal ones")
+    with progress_bar("proving contraction of the sampled loop", PROGRESS, total=1.0, desc="proof") as bar:
+        loop = law, scenario.reference, scenario.sample_period, delays
+        return sampled_contraction(*loop, lambda share: bar.update(share - bar.n))
 
 
 def _delays(least: float, longest: float) -> str:

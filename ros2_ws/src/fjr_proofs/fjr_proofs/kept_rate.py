@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import sys
 import time
 from contextlib import suppress
-from dataclasses import dataclass, fields
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +22,12 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import bounds_of, sample_configurations
 from fjr_core.motions.domain import GOAL, Domain, tube
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.code_cache import code_folder
+from fjr_core.numerics.code_cache import code_folder, is_intact
 from fjr_core.numerics.jit import program_digest
 from fjr_core.numerics.one_line import at_least
 from fjr_msgs_py.console.output import heartbeat
 
-from .rate import digest, proof_of_rate, rate_certificate
+from .rate import proof_of_rate, rate_certificate
 from .verification.inertia_bounds import is_provable
 
 PACKAGE = Path(__file__).parent
@@ -84,15 +82,16 @@ def cached_rate(scenario: Scenario) -> ProvenRate | None:
         return None
     if not content:
         return None
-    try:
-        return _read(content, name, scenario.robot.n)
-    except (ValueError, RecursionError) as error:
-        with suppress(OSError):
-            folder.write(name, b"")
-        seen = error if isinstance(error, _DamagedError) else "no JSON text"
-        sentence = f"the kept proof {folder.path / name} is {seen}; expected it as written: --certificate proves again"
-        print(f"fjr: {sentence}", file=sys.stderr)
-        return None
+    if is_intact(folder, name):
+        return ProvenRate(**json.loads(content))
+    with suppress(OSError):
+        folder.write(name, b"")
+    print(
+        f"fjr: the kept proof {folder.path / name} is changed or damaged; expected it as written: --certificate proves "
+        "again",
+        file=sys.stderr,
+    )
+    return None
 
 
 def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
@@ -106,8 +105,9 @@ def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
         return known
     rate = _proven_within(scenario, law, seconds)
     with suppress(OSError):
-        name = _name(scenario)
-        code_folder().write(name, json.dumps(_sealed({"inputs": name, **vars(rate)})).encode())
+        folder, name, content = code_folder(), _name(scenario), json.dumps(vars(rate)).encode()
+        folder.write(name, content)
+        folder.write(f"{name}.sha256", hashlib.sha256(content).hexdigest().encode())
     return rate
 
 
@@ -144,43 +144,6 @@ def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> Prov
         complete=proof.rate.beta >= GOAL * (1 - 1e-6) * attained,
         certificate=rate_certificate(robot, law.gains, proof, scenario.joints),
     )
-
-
-class _DamagedError(ValueError):
-    """What a kept proof is instead of what was written."""
-
-
-def _sealed(content: dict[str, Any]) -> dict[str, Any]:
-    return {**content, "sha256": digest(content)}
-
-
-def _is_sealed(content: Any) -> bool:
-    """Return whether a value is an object with the digest of its other entries."""
-    return isinstance(content, dict) and content == _sealed({k: v for k, v in content.items() if k != "sha256"})
-
-
-def _read(content: bytes, name: str, n: int) -> ProvenRate:
-    """Return the proof of n joints that a file of this name holds. Raises ValueError if it is another or changed."""
-    values = json.loads(content)
-    if not _is_sealed(values):
-        raise _DamagedError("changed or damaged")
-    del values["sha256"]
-    if values.pop("inputs", None) != name:
-        raise _DamagedError("that of another robot or law")
-    if set(values) != {field.name for field in fields(ProvenRate)} or not _has_kinds(values, n):
-        raise _DamagedError("not of the kind that this program writes")
-    return ProvenRate(**values)
-
-
-def _has_kinds(values: dict[str, Any], n: int) -> bool:
-    """Return whether the values of a ProvenRate of n joints are of the right kinds, finite and in their order."""
-    at, rates = values["at"], [values[name] for name in ("beta_paper", "beta", "attained")]
-    numbers = [*rates, *(at if isinstance(at, list) else [])]
-    if len(numbers) != 3 + n or not all(type(value) is float and math.isfinite(value) for value in numbers):
-        return False
-    ordered = all(0 < low <= high * (1 + 1e-9) for low, high in pairwise(rates))
-    kinds = type(values["boxes"]) is int and type(values["complete"]) is bool
-    return ordered and kinds and _is_sealed(values["certificate"])
 
 
 def _name(scenario: Scenario) -> str:

@@ -19,14 +19,10 @@ from fjr_design.exports.ros2_control.package import export_package, package_name
 
 PACKAGE = "two_link_ros2_control"
 MORE = {
-    "paper_k31": "{}",
-    "observer": "{measurement.velocity: observer, limits.effort: [20.0]}",
     "torque": "{measurement.velocity: observer, measurement.motor: torque}",
-    "robust": "{robust.residual_gain: [20.0], robust.integral_gain: [2.0], robust.delay: 0.001, robust.hold: 0.001}",
-    "geared": "{measurement.gear_ratio: [-100.0]}",
     "transition": "{start.join_time: 0.1, start.ramp_time: 0.05, limits.effort_rate: [500.0], on_stop: gravity_hold}",
 }
-"""Parameters of scenarios by name that use several parts of the step; test_export_c.py has all scenarios."""
+"""Parameters of scenarios by name for parts of the step that the scenarios of test_export_c.py do not use."""
 
 
 @pytest.mark.parametrize("name", MORE)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from fjr_core.errors import GainsError
 from fjr_core.law.lie_derivative import Flow
-from fjr_core.law.linearized import Equilibria, equilibria_at, plant_matrices
+from fjr_core.law.linearized import equilibria_at, plant_matrices
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.numerics import checks
@@ -92,11 +92,6 @@ def velocity_matrices(robot: Robot, q_0: Array) -> tuple[Array, Array]:
     """Return A (4n, 4n), B (4n, n) about the equilibrium at q_0 (n,) [rad], in coordinates (q, theta, dq, dtheta)."""
     points = equilibria_at(robot, q_0[None])
     A, B = plant_matrices(points)
-    T = velocity_transformation(points)
+    one = np.eye(robot.n)
+    T = points.block_diagonal(one, one, np.linalg.inv(points.M_l), np.linalg.inv(robot.M_m))  # (q, .., dtheta) = T x
     return (T @ A @ np.linalg.inv(T))[0], (T @ B)[0]
-
-
-def velocity_transformation(points: Equilibria) -> Array:
-    """Return T (k, 4n, 4n) with (q, theta, dq, dtheta) = T x, linearised at the equilibria."""
-    one = np.eye(points.robot.n)
-    return points.block_diagonal(one, one, np.linalg.inv(points.M_l), np.linalg.inv(points.robot.M_m))

@@ -56,15 +56,13 @@ def link_equilibrium(robot: Robot) -> ca.Function:
     return ca.Function("link_equilibrium", [theta], [ca.densify(q)], {"cse": True})
 
 
-def contraction_factor(robot: Robot) -> float:
-    """Return the contraction factor of the iteration in the metric K, the maximum over sampled configurations."""
-    half = np.linalg.inv(np.linalg.cholesky(robot.K))
-    return float(np.abs(np.linalg.eigvalsh(half @ gravity_hessians(robot) @ half.T)).max())
-
-
 def _iterations(robot: Robot) -> int:
-    """Return the number of steps after which the error is at rounding level."""
-    factor = contraction_factor(robot)
+    """Return the number of steps after which the error is at rounding level.
+
+    The contraction factor in the metric K is the maximum over sampled configurations.
+    """
+    half = np.linalg.inv(np.linalg.cholesky(robot.K))
+    factor = float(np.abs(np.linalg.eigvalsh(half @ gravity_hessians(robot) @ half.T)).max())
     steps = 2 + np.log(ROUNDING) / np.log(factor) if 0 < factor < 1 else 2.0 if factor == 0 else np.inf
     if not steps <= MOST_ITERATIONS:
         raise GainsError(

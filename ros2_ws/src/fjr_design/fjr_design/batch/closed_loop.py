@@ -192,7 +192,8 @@ class ClosedLoop:
         n, samples = self.robot.n, self._samples
         trace = np.full((draws.runs, samples + 1, 9 * n), np.nan)
         outcomes = Outcomes.of(self._run(draws, trace), n)
-        return outcomes, Recorded(self._t, *np.split(trace, [4 * n, 5 * n], axis=2))
+        t = self.sample_period * np.arange(samples + 1)
+        return outcomes, Recorded(np.asarray(t), *np.split(trace, [4 * n, 5 * n], axis=2))
 
     def _run(self, draws: Draws, trace: Array | None) -> Array:
         rows = np.empty((draws.runs, row_width(self.robot.n)))
@@ -228,10 +229,6 @@ class ClosedLoop:
     def _first(self) -> int:
         """Return the first sample whose error counts."""
         return int(np.ceil(self.settle_after / self.sample_period - 1e-9))
-
-    @cached_property
-    def _t(self) -> Array:
-        return np.asarray(self.sample_period * np.arange(self._samples + 1))
 
     @cached_property
     def _constants(self) -> dict[str, Any]:

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import sys
-import time
+import timeit
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +29,12 @@ from fjr_core.model.robot import joined
 from fjr_core.numerics.one_line import at_least
 from fjr_core.robust.law import Robust
 from fjr_design.cli.preflight import (
-    StartError,
     UnstableError,
     as_list,
     checked,
     position_unit,
     ranges,
     refuse_coarse_steps,
-    refuse_start_outside,
     refuse_unstable,
     start_outside,
 )
@@ -79,25 +78,26 @@ def check_scenario(
     error, which is made for errors, for a delay alone and for prove_error. Raises MissingPackageError for a proof
     without the package of the proofs.
     """
-    loaded, rows, values, failed = library.load(scenario, assignments), {}, {}, False
+    loaded, proofs = library.load(scenario, assignments), {}
     if errors or prove_error or (delay is not None and not prove_sampled):
         bounds = importing.module("fjr_proofs.check_rows")
-        bound = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None)
-        rows["error bound"], values["error_bound"] = bound.sentence, bound.values
+        proofs["error_bound"] = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None)
     if certificate is not None:
         prover = importing.module("fjr_proofs.kept_rate")
         prover.write_certificate(prover.proven_rate(loaded, seconds), certificate)
     found = check(loaded)
     if prove_sampled:
-        proof = importing.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
-        rows, values["sampled_proof"], failed = rows | proof.rows, proof.values, not proof.found
-    rows = found.rows | rows
+        proofs["sampled_proof"] = importing.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
     for sentence in [*found.values["warnings"], *([found.refusal] if found.refusal else [])]:
         print(f"fjr: {sentence}", file=sys.stderr)
+    rows, failed = dict(found.rows), bool(found.refusal)
+    for proof in proofs.values():
+        rows, failed = rows | proof.rows, failed or proof.failed
     width = max(map(len, rows))
     text = "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
-    values = {**found.values, "rows": {name.strip(): text for name, text in rows.items()}, **values}
-    return Result(text, values, Exit.FAILED if found.refusal or failed else Exit.DONE)
+    values = {**found.values, "rows": {name.strip(): text for name, text in rows.items()}}
+    values |= {name: proof.values for name, proof in proofs.items()}
+    return Result(text, values, Exit.FAILED if failed else Exit.DONE)
 
 
 def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
@@ -114,13 +114,14 @@ def check(scenario: Scenario) -> Check:
     rates, numbers = _rates(scenario, law) if isinstance(law, TrackingLaw) else (_other_law(scenario), {})
     lowest, at = found.lowest_stable_rate, as_list(found.configuration)
     start = hard_start(scenario)
-    diverging = [f"scenario {scenario.name}: {_diverges(scenario, start)}"] if start and start.diverges else []
+    start_error = _start_error(scenario, start) if start else ""
+    diverging = [f"scenario {scenario.name}: {start_error}"] if start and start.diverges else []
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_in_the_loop(scenario),
         **rates,
         **_springs(scenario),
-        **_start_error(scenario, start),
+        **({"start error": start_error} if start_error else {}),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {plural(found.configurations, 'configuration')}",
         "    found at q_l": f"{at} {position_unit(scenario)}",
         "delay margin": f"{found.delay_margin:.2f} samples ({1e3 * found.delay_margin * found.sample_period:.3g} ms)",
@@ -151,10 +152,10 @@ def _refusal(scenario: Scenario, found: SampledCheck) -> str:
     try:
         refuse_coarse_steps(scenario)
         refuse_unstable(scenario, found)
-        refuse_start_outside(scenario)
-    except (UnstableError, StartError) as error:
+    except UnstableError as error:
         return str(error)
-    return ""
+    outside = "; ".join(start_outside(scenario))
+    return f"scenario {scenario.name} starts outside a limit, where the controller stops: {outside}" if outside else ""
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:
@@ -214,31 +215,20 @@ def _springs(scenario: Scenario) -> dict[str, str]:
     }
 
 
-def _start_error(scenario: Scenario, start: HardStart | None) -> dict[str, str]:
+def _start_error(scenario: Scenario, start: HardStart) -> str:
     """Return how far the start deflects springs that harden, and whether the loop is stable with such stiff ones."""
-    if start is None:
-        return {}
+    unit = position_unit(scenario)
+    inside = f"{as_list(start.inside * start.error)}, {100 * start.inside:.0f} % of it"
     if start.diverges:
-        return {"start error": _diverges(scenario, start)}
-    seen = f"springs deflect up to {as_list(start.deflection)} {position_unit(scenario)}"
+        return (
+            f"the loop diverges as sampled from the start error {as_list(start.error)} {unit}, which deflects springs "
+            f"that harden too far; expected at most {inside}"
+        )
+    seen = f"springs deflect up to {as_list(start.deflection)} {unit}"
     stiff = f"spectral radius {start.radius:.6f} with springs as stiff as there"
     if start.radius < 1:
-        return {"start error": f"{seen}; {stiff}"}
-    return {"start error": f"{seen}; the simulated motion returns, but {stiff}; below 1 up to {_inside(start)}"}
-
-
-def _diverges(scenario: Scenario, start: HardStart) -> str:
-    """Return the sentence about a start from which the simulated loop diverges."""
-    error = f"{as_list(start.error)} {position_unit(scenario)}"
-    return (
-        f"the loop diverges as sampled from the start error {error}, which deflects springs that harden too far; "
-        f"expected at most {_inside(start)}"
-    )
-
-
-def _inside(start: HardStart) -> str:
-    """Return the start error with which the loop is stable with springs as stiff as on its way."""
-    return f"{as_list(start.inside * start.error)}, {100 * start.inside:.0f} % of it"
+        return f"{seen}; {stiff}"
+    return f"{seen}; the simulated motion returns, but {stiff}; below 1 up to {inside}"
 
 
 def _is_provable(scenario: Scenario) -> bool:
@@ -262,20 +252,12 @@ def _other_law(scenario: Scenario) -> dict[str, str]:
             f"{found.bandwidth:.4g} rad/s, peak effort {found.peak:.4g}; {found.sentence}"
         )
     if scenario.law.in_python:
-        rows["evaluated"] = f"in Python, {1e6 * _evaluation_time(scenario):.0f} us a sample"
+        n, jets = scenario.robot.n, scenario.reference.jets(0.0)
+        position, velocity = scenario.x0[: 2 * n], np.zeros(2 * n)
+        evaluate = partial(scenario.law.measured_command, position, velocity, jets)
+        time = np.median(timeit.repeat(evaluate, number=1, repeat=EVALUATIONS))
+        rows["evaluated"] = f"in Python, {1e6 * time:.0f} us a sample"
     return {**rows, "certificate": "none for this law"}
-
-
-def _evaluation_time(scenario: Scenario) -> float:
-    """Return the median time [s] that one evaluation of the law takes here."""
-    n = scenario.robot.n
-    at = scenario.x0[: 2 * n], np.zeros(2 * n), scenario.reference.jets(0.0)
-    times = []
-    for _ in range(EVALUATIONS):
-        begin = time.perf_counter()
-        scenario.law.measured_command(*at)
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
 
 
 def _elsewhere(scenario: Scenario) -> dict[str, str]:

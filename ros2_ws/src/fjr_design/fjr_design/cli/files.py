@@ -49,7 +49,7 @@ def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name
         "joints": arm.joints,
         "locked": arm.locked,
         "notes": arm.notes,
-        "chains": [each.joints for each in arm.chains],
+        "chains": arm.chains,
         "guesses": arm.guesses,
         "source": arm.source or None,
         "beta_per_s": proposal.gains.beta,

@@ -20,10 +20,6 @@ class UnstableError(FjrError):
     """The loop of a scenario is unstable at its sample rate."""
 
 
-class StartError(FjrError):
-    """The robot of a scenario starts outside a limit of the controller."""
-
-
 def checked(scenario: Scenario, elsewhere: bool = False, lowest_rate: bool = True) -> SampledCheck:
     """Check the sampled loop that the nodes run in lock-step, with robust.* options, observer, sensors and delay.
 
@@ -73,15 +69,6 @@ def _remedy(scenario: Scenario, found: SampledCheck) -> str:
         return f"{reason}{f' ({from_rate})' if rate else ''}, then new gains (fjr gains)"
     from_rate = from_rate or f"nor is it at higher rates, up to {HIGHEST_RATE:g} Hz"
     return f"expected less than 1 ({from_rate}; other gains: fjr gains)"
-
-
-def refuse_start_outside(scenario: Scenario) -> None:
-    """Raise StartError if the plant starts outside a range in which the controller runs."""
-    found = start_outside(scenario)
-    if found:
-        raise StartError(
-            f"scenario {scenario.name} starts outside a limit, where the controller stops: {'; '.join(found)}"
-        )
 
 
 def ranges(settings: Settings) -> dict[str, tuple[Array, Array]]:

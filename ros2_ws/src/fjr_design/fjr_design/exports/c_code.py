@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from importlib.resources import files
+from pathlib import Path
 from string import Template
 
 import casadi as ca
@@ -121,7 +121,11 @@ class _CTemplate(Template):
     delimiter = "@"
 
 
-def filled(template: str, values: Mapping[str, str], folder: str = "templates") -> str:
-    """Return the text of a template of a folder below exports/ with its values."""
-    text = (files("fjr_design.exports") / folder / f"{template}.in").read_text(encoding="utf-8")
-    return _CTemplate(text).substitute(values)
+def filled(folder: str, values: Mapping[str, str]) -> dict[str, str]:
+    """Return the texts of all templates of a folder below exports/ by the path of their file, both with the values."""
+    root = Path(__file__).parent / folder
+    files = {file.relative_to(root).with_suffix("").as_posix(): file for file in sorted(root.rglob("*.in"))}
+    return {
+        _CTemplate(path).substitute(values): _CTemplate(file.read_text(encoding="utf-8")).substitute(values)
+        for path, file in files.items()
+    }

@@ -16,12 +16,6 @@ from .c_code import checked_prefix, comment, filled, number, numbers
 from .step_code import PREFIX, ExportedLoop, step_code
 
 SAMPLES = 200
-TEMPLATES = {
-    "plant.h": "{}_plant.h",
-    "plant.c": "{}_plant.c",
-    **{name: name for name in ("replay.c", "CMakeLists.txt", "README.md")},
-}
-"""Templates and the files that they become, named after the prefix."""
 
 
 class ExportError(FjrError):
@@ -53,7 +47,7 @@ def export(loop: ExportedLoop, prefix: str, samples: int = SAMPLES, notes: str =
         f"{prefix}_step.h": step["step.h"],
         f"{prefix}_step.c": "\n".join(['#include "model.h"\n', *map(step.__getitem__, SOURCES)]),
         f"{prefix}_casadi.c": step["casadi.c"],
-        **{file.format(prefix): filled(template, values) for template, file in TEMPLATES.items()},
+        **filled("templates", values),
     }
     texts = {name: _renamed(text, prefix) for name, text in texts.items()}
     return texts | {"case.txt": recorded_case(loop, samples)}

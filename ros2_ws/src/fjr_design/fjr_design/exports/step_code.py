@@ -26,7 +26,7 @@ from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.monitoring.certificate import OUTPUTS
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics import integrators
-from fjr_core.numerics.checks import Array, joint_names
+from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import dense_function
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.control_step import ControlStep
@@ -51,7 +51,7 @@ class ExportedLoop:
     """Sampled closed loop to export: all between a measured state and an effort, without ROS, and a plant.
 
     law: not compiled, so that C can be generated from it. x0 (4n,): initial state. inner_steps: of the plant per
-    sample. Raises StateError for a law or plant in Python, and if the parts differ in the number of joints.
+    sample. All parts are those of a scenario. Raises StateError for a law or plant in Python.
     """
 
     name: str
@@ -68,13 +68,6 @@ class ExportedLoop:
     robust: Robust | None = None
 
     def __post_init__(self) -> None:
-        joint_names("joints", self.joints, StateError)
-        n = [self.law.robot.n, self.reference.n, len(self.joints), self.settings.n, self.plant.robot.n]
-        if len({*n, np.size(self.x0) / 4}) != 1:
-            raise StateError(
-                f"law, reference, names, settings and plant have {n} joints, x0 has {np.size(self.x0)} entries; "
-                "expected equal numbers of joints, 4 entries each"
-            )
         for name, part in (("law", self.law), ("plant", self.plant)):
             if part.in_python:
                 raise StateError(
@@ -149,8 +142,7 @@ def step_code(loop: ExportedLoop, more: Mapping[str, ca.Function] | None = None)
     sizes = work_sizes(PREFIX, functions)
     sizes = {size: max(sizes[size], least) for size, least in CALLED.items()}
     values = _values(loop) | {size: str(length) for size, length in sizes.items()}
-    texts = {name: filled(name, values) for name in ("model.h", "model.c", "control_step.c")}
-    texts |= {name: text(name) for name in (HEADER, *SOURCES)}
+    texts = filled("step_templates", values) | {name: text(name) for name in (HEADER, *SOURCES)}
     return texts | {"casadi.c": casadi_code(PREFIX, functions)}
 
 

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choose the joints of a URDF that a scenario moves, and build the robot with published or guessed joint data."""
+"""Choose the joints of a URDF that a scenario moves, and build the robot with published or guessed joint data.
+
+The joints are those of a serial chain from the base to a tip, without grippers and hands.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +22,17 @@ from fjr_core.urdf.robot import MasslessJointError, robot_from_urdf
 from fjr_core.urdf.tree import MOVING, UrdfTree, read_urdf
 from fjr_core.urdf.typical_joints import joints_without_inertia, typical_joints
 
-from .chains import Chain, chains
-
 PUBLISHED = "config/joint_data.yaml"
+HAND = re.compile(
+    r"finger|gripper|thumb|knuckle|jaw|claw|grasp|allegro|(?:^|_)hand_|(?:index|middle|ring|little|pinky)_?(?:\d|joint|prox|dist|inter|mid)"
+    r"|(?:^|[_/])(?:wheel|caster)s?(?:[_/\d]|$)",
+    re.IGNORECASE,
+)
+"""Names of joints that belong to a gripper, a hand or a wheel."""
+LARGEST_FINGER = 4
+"""Most joints of a finger: a branch with at most as many joints on each side is a hand, a larger one two arms."""
+Chain = tuple[str, ...]
+"""Joints of a serial chain from the base to the tip."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +44,7 @@ class Arm:
     """
 
     urdf: Path
-    joints: tuple[str, ...]
+    joints: Chain
     robot: Robot
     locked: dict[str, float]
     guesses: dict[str, tuple[float, ...]]
@@ -48,7 +60,7 @@ def arm_of(urdf: Path, joints: Sequence[str] = (), chain: int | None = None) -> 
     """
     tree = read_urdf(urdf)
     found = tuple(chains(tree))
-    chosen = tuple(joints) or _chain(found, chain).joints
+    chosen = tuple(joints) or _chain(found, chain)
     rigid, moving, notes = _rigid(urdf, tree, chosen, drop=not joints)
     robot, guesses, source = _with_joint_data(rigid, moving)
     return Arm(urdf, moving, robot, _locked(tree, moving), guesses, source, found, notes)
@@ -64,9 +76,7 @@ def _chain(found: Sequence[Chain], number: int | None) -> Chain:
 
 def described(found: Sequence[Chain], most: int = 6) -> list[str]:
     """Return a line for each chain: number, joints, tip; the last line counts what is left out."""
-    lines = [
-        f"{i}: {len(each.joints)} joints, {each.joints[0]} to {each.joints[-1]}" for i, each in enumerate(found, 1)
-    ]
+    lines = [f"{i}: {len(each)} joints, {each[0]} to {each[-1]}" for i, each in enumerate(found, 1)]
     return lines if len(lines) <= most else [*lines[:most], f"and {len(lines) - most} more"]
 
 
@@ -129,3 +139,62 @@ def published(joints: Sequence[str]) -> dict[str, Any]:
     """
     text = Path(get_package_share_directory("fjr_bringup"), PUBLISHED).read_text(encoding="utf-8")
     return next((entry for entry in yaml.safe_load(text) if set(joints) <= set(entry["joints"])), {})
+
+
+def chains(tree: UrdfTree) -> list[Chain]:
+    """Return the chains of joints that move by themselves, the longest first, else in the order of the URDF.
+
+    A chain ends before a gripper: before a joint named like one, or where it branches into fingers. A chain that is
+    part of another one is left out.
+    """
+    found = list(dict.fromkeys(arm for path in _paths(tree) if (arm := _arm(tree, path))))
+    beginnings = {arm[:k] for arm in found for k in range(len(arm))}
+    return sorted((arm for arm in found if arm not in beginnings), key=lambda arm: -len(arm))
+
+
+def _paths(tree: UrdfTree) -> Iterator[list[str]]:
+    """Yield the joints that move by themselves on the way to each link without children."""
+    carriers = {joint.child: joint for joint in tree.joints.values()}
+    parents = {joint.parent for joint in tree.joints.values()}
+    for tip in carriers:
+        if tip in parents:
+            continue
+        path, link = [], tip
+        while link in carriers:
+            joint = carriers[link]
+            if joint.kind in MOVING and joint.mimics is None:
+                path.append(joint.name)
+            link = joint.parent
+        if path:
+            yield path[::-1]
+
+
+def _arm(tree: UrdfTree, path: list[str]) -> Chain:
+    """Return the part of a path before the first joint of a gripper."""
+    for i, name in enumerate(path):
+        if HAND.search(name) or (i > 0 and _is_finger(tree, path, i)):
+            return tuple(path[:i])
+    return tuple(path)
+
+
+def _is_finger(tree: UrdfTree, path: list[str], i: int) -> bool:
+    """Return True if the chain branches before joint i into short sides only."""
+    if len(path) - i > LARGEST_FINGER:
+        return False
+    sides = [len(_descent(tree, name)) for name in _next_moving(tree, tree.joints[path[i - 1]].child)]
+    return len(sides) > 1 and max(sides) <= LARGEST_FINGER
+
+
+def _next_moving(tree: UrdfTree, link: str) -> list[str]:
+    """Return the moving joints next to a link, across fixed joints; a mimicking joint counts."""
+    found = []
+    for joint in tree.joints.values():
+        if joint.parent == link:
+            found += [joint.name] if joint.kind in MOVING else _next_moving(tree, joint.child)
+    return found
+
+
+def _descent(tree: UrdfTree, name: str) -> list[str]:
+    """Return the moving joints of the longest path that begins with this one."""
+    beyond = [_descent(tree, other) for other in _next_moving(tree, tree.joints[name].child)]
+    return [name, *max(beyond, key=len, default=[])]

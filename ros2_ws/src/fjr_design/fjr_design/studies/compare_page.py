@@ -120,7 +120,7 @@ def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -
         f"'{next(iter(data['references']))}': stable, with an RMS error of at most {part} of the motion. {DASHED}"
     )
     fresh = f"Fresh draws of the uncertainties that all laws are tuned to. {DASHED}"
-    drawn = _groups(found, "uncertain")
+    drawn = _groups(found, "drawn")
     return {
         "name": robot,
         "text": f"{joints}, sample period {period}. Motions: {references}.",
@@ -142,11 +142,8 @@ def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
 
 def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[tuple[str, list[tuple[str, str]]]]]]:
     """Return the rows of one kind, grouped by the reference that heads them."""
-    chosen = [row for row in found if row.group.partition(" ")[0] == kind]
-    return [
-        (group.partition(" ")[2], [(row.name, _cells(row)) for row in rows_of_group])
-        for group, rows_of_group in groupby(chosen, lambda row: row.group)
-    ]
+    chosen = groupby((row for row in found if row.kind == kind), lambda row: row.reference)
+    return [(reference, [(row.name, _cells(row)) for row in group]) for reference, group in chosen]
 
 
 def _cells(row: Row) -> list[tuple[str, str]]:
@@ -165,7 +162,7 @@ def comparison_plots(document: dict[str, Any]) -> list[Plot]:
         results = [document["results"][robot][law["label"]] for law in document["laws"]]
         laws = list(zip(styles, results, strict=True))
         place = place_of(i)
-        margins = [row for row in found if row.robot == robot and row.group == "margins"]
+        margins = [row for row in found if row.robot == robot and row.kind == "margins"]
         plots += [_trace(place, laws, "error"), _trace(place, laws, "effort")]
         for axis in document["suite"]["margins"]:
             caption = _winners([row for row in margins if row.name.startswith(axis)], [name for name, *_ in styles])

@@ -80,11 +80,12 @@ class Value:
 class Row:
     """One quantity of one robot, for all laws. less: smaller is better. in_table: it is a row of the short table.
 
-    group: heading, of which the first word is the kind, the rest a reference.
+    kind: "drawn", "margins", "errors" or "metrics"; the latter two along a reference.
     """
 
     robot: str
-    group: str
+    kind: str
+    reference: str
     name: str
     values: tuple[Value, ...]
     less: bool = True
@@ -149,17 +150,17 @@ def _rows(document: dict[str, Any], robot: str) -> Iterator[Row]:
     if suite["tune"] and all(law["uncertain"] for law in laws):
         for metric in DRAWN:
             values = tuple(_drawn(metric, law["uncertain"], suite["tune"]["success"]) for law in laws)
-            yield Row(robot, "uncertain", metric.name, values, metric.less, True)
+            yield Row(robot, "drawn", "", metric.name, values, metric.less, True)
     for direction in directions(suite["margins"]):
         values = tuple(_margin(direction, law["margins"][direction.name]) for law in laws)
-        yield Row(robot, "margins", direction.name, values, direction.is_down, True)
+        yield Row(robot, "margins", "", direction.name, values, direction.is_down, True)
     references = list(document["robots"][robot]["references"])
-    errors = [(f"errors {each}", each, name, name, ERROR) for each in references for name in suite["imperfections"]]
-    metrics = [(f"metrics {each}", each, NOMINAL, metric.name, metric) for each in references for metric in OF_A_RUN]
-    for group, reference, imperfection, name, metric in (*errors, *metrics):
+    errors = [("errors", each, name, name, ERROR) for each in references for name in suite["imperfections"]]
+    metrics = [("metrics", each, NOMINAL, metric.name, metric) for each in references for metric in OF_A_RUN]
+    for kind, reference, imperfection, name, metric in (*errors, *metrics):
         values = tuple(_cell(metric, law["cells"][reference][imperfection]) for law in laws)
         in_table = reference == references[0] and imperfection == NOMINAL and metric in (ERROR, PEAK_EFFORT)
-        yield Row(robot, group, name, values, True, in_table)
+        yield Row(robot, kind, reference, name, values, True, in_table)
 
 
 def _drawn(metric: Metric, figures: dict[str, Any], least: float) -> Value:
@@ -222,7 +223,7 @@ def cells(document: dict[str, Any]) -> list[list[str]]:
     for robot in document["robots"]:
         found.append([robot, *[""] * len(names)])
         for row in (row for row in shown if row.robot == robot):
-            what = "RMS error [mrad]" if row.group.startswith("errors") else row.name
+            what = "RMS error [mrad]" if row.kind == "errors" else row.name
             found.append([what, *(value.words for value in row.values)])
     return found
 

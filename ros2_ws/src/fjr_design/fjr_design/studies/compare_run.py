@@ -32,7 +32,7 @@ from fjr_msgs_py.console.output import Result, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
 from . import compare_page, compare_results, suite
-from .compared_law import TunedLaw, Uncertainties, law_for, tuned_law
+from .compared_law import TunedLaw, law_for, tuned_law
 from .imperfections import MotionDemand, directions, motion_demand
 from .study import Processes, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
@@ -229,8 +229,8 @@ def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callab
             f"robust.{name}": [value] * n if name.endswith("gain") else value for name, value in law.robust.items()
         }
         text = library.text_with(job.robot, job.scenarios[0][1], values)
-        wanted = Uncertainties(**job.suite.tune)
-        return law_for(text, wanted, demand, ruled.effort_limit, job.suite.tracks, lambda s: on_progress(TUNING * s))
+        given = job.suite.tune, demand, ruled.effort_limit, job.suite.tracks
+        return law_for(text, *given, lambda share: on_progress(TUNING * share))
     except FjrError as error:
         raise CompareError(f"{job.name}: {error}") from None
 

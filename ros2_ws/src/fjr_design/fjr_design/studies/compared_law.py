@@ -7,7 +7,7 @@ Tuned laws have the same cost, draws and number of candidates, each with its rob
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from ..uncertainty import distributions
 from ..uncertainty.distributions import FIXED, Distribution
 from .imperfections import MotionDemand, fields_of, imperfection
 from .sweep import Sweep
-from .sweep_file import check_keys, number, whole
+from .sweep_file import check_keys, mapping, number, whole
 from .tune import (
     FINALISTS,
     GOAL,
@@ -107,81 +107,62 @@ def _plain(value: Any, *names: str) -> dict[str, Any]:
     return {name: array.tolist() for name, array in arrays.items() if np.isfinite(array).all()}
 
 
-@dataclass(frozen=True)
-class Uncertainties:
-    """What every law is tuned for. vary: distributions as in a sweep file. imperfections: their levels.
-
-    minimise, quantile, success, limits, delay_margin: see Goal. candidates, draws, fresh, seed: see TuningStudy.
-    duration, settle_after [s]. Raises ParameterError, CompareError.
-    """
-
-    vary: Mapping[str, Any] = field(default_factory=dict)
-    imperfections: Mapping[str, float] = field(default_factory=dict)
-    minimise: Mapping[str, float] = field(default_factory=lambda: {"rms": 1.0})
-    quantile: float = 0.5
-    success: float = 0.95
-    limits: Mapping[str, float] = field(default_factory=dict)
-    delay_margin: float = 0.0
-    candidates: int = 150
-    draws: int = 24
-    fresh: int = 400
-    seed: int = 1
-    duration: float = 3.0
-    settle_after: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in SIZE:
-            if not 1 <= getattr(self, name) <= MOST:
-                raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {MOST}")
-        if not 0 <= self.settle_after < self.duration <= LONGEST:
-            raise ParameterError(
-                f"'settle_after' is {self.settle_after} and 'duration' {self.duration} s; expected 0 to less than the "
-                f"duration, and this at most {LONGEST:g} s"
-            )
-        for name, given in self.vary.items():
-            distributions.read(name, given)
-        for name, level in self.imperfections.items():
-            imperfection(name).checked(level)
-        _ = self.goal
-
-    @property
-    def goal(self) -> Goal:
-        """Goal of the search."""
-        return Goal(**{name: getattr(self, name) for name in GOAL})
+USUAL: Mapping[str, Any] = {
+    "vary": {},
+    "imperfections": {},
+    **asdict(Goal()),
+    "candidates": 150,
+    "draws": 24,
+    "fresh": 400,
+    "seed": 1,
+    "duration": 3.0,
+    "settle_after": 1.0,
+}
+"""What every law is tuned for where the section `tune` of a comparison is silent: deviations as in a sweep file, levels
+of imperfections, the fields of Goal, numbers of TuningStudy and of Sweep."""
 
 
-def uncertainties(section: Mapping[str, Any]) -> Uncertainties:
-    """Return the uncertainties of the section `tune` of a comparison; raises ParameterError, CompareError."""
-    check_keys(section, [each.name for each in fields(Uncertainties)], HERE)
+def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section `tune` of a comparison, checked and complete; raises ParameterError, CompareError."""
+    check_keys(section, list(USUAL), HERE)
     goal, size = given_goal(section)
-    given: dict[str, Any] = {**goal, **size}
-    for key in ("vary", "imperfections"):
-        if not isinstance(section.get(key, {}), Mapping):
-            raise ParameterError(f"{HERE}has {section[key]!r} as '{key}'; expected a mapping")
-        given[key] = section.get(key, {})
-    given["imperfections"] = {name: number(name, level, HERE) for name, level in given["imperfections"].items()}
-    given |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}
+    found = {**USUAL, **goal, **size}
+    found |= {key: mapping(key, section[key], HERE) for key in ("vary", "imperfections") if key in section}
+    found |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}
+    levels = {name: number(name, level, HERE) for name, level in found["imperfections"].items()}
+    found["imperfections"] = {name: imperfection(name).checked(level) for name, level in levels.items()}
     try:
-        return Uncertainties(**given)
+        Goal(**{name: found[name] for name in GOAL})
+        for name in SIZE:
+            if not 1 <= found[name] <= MOST:
+                raise ParameterError(f"'{name}' is {found[name]}; expected 1 to {MOST}")
+        if not 0 <= found["settle_after"] < found["duration"] <= LONGEST:
+            raise ParameterError(
+                f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "
+                f"than the duration, and this at most {LONGEST:g} s"
+            )
+        for name, given in found["vary"].items():
+            distributions.read(name, given)
     except ParameterError as error:
         raise ParameterError(f"'tune': {error}") from None
+    return found
 
 
 def law_for(
     text: str,
-    wanted: Uncertainties,
+    wanted: Mapping[str, Any],
     demand: MotionDemand,
     effort_limit: Array,
     tracks: float,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> TunedLaw:
-    """Return the law of a scenario, given as its text, tuned to uncertainties. Raises FjrError.
+    """Return the law of a scenario, given as its text, tuned to what `uncertainties` returned. Raises FjrError.
 
     demand: of the motion, for the levels. effort_limit (n,) [N m]: of every command. tracks: a run succeeds if its
     error is at most this fraction of the motion, at every joint. on_progress: called with the share done, 0 to 1.
     """
     study = with_better_start(_study(text, wanted, demand, effort_limit, tracks))
-    total = wanted.draws * (wanted.candidates + (FINALISTS + 1) * SELECTION)
+    total = study.draws * (study.candidates + (FINALISTS + 1) * SELECTION)
     done = 0
 
     def evaluate(points: Sequence[Point], runs: Range) -> list[Score]:
@@ -196,7 +177,7 @@ def law_for(
     score = study.score(found.chosen, fresh)
     figures = {"rms": score.figures["rms"], "rms_outer": quantile(fresh["rms"], OUTER), "success": score.success}
     figures |= {name: score.figures[name] for name in ("effort_noise", "effort_peak")}
-    tracking = f"on {wanted.fresh} fresh draws {100 * score.success:.3g} % track"
+    tracking = f"on {study.fresh} fresh draws {100 * score.success:.3g} % track"
     return TunedLaw(
         study.coordinates.controller(found.chosen)[0],
         effort_limit,
@@ -206,21 +187,15 @@ def law_for(
     )
 
 
-def _study(text: str, wanted: Uncertainties, demand: MotionDemand, effort_limit: Array, tracks: float) -> TuningStudy:
+def _study(
+    text: str, wanted: Mapping[str, Any], demand: MotionDemand, effort_limit: Array, tracks: float
+) -> TuningStudy:
     """Return the study of a law: its draws vary as stated, its imperfections have fixed levels."""
     scenario = parse_scenario("tuned", text)
     step = scenario.sample_period / parameter(scenario.plant_values, "inner_steps")
-    fixed = {"effort_limit": effort_limit, **fields_of(wanted.imperfections, demand, step)}
-    vary = {name: distributions.read(name, given) for name, given in wanted.vary.items()}
+    fixed = {"effort_limit": effort_limit, **fields_of(wanted["imperfections"], demand, step)}
+    vary = {name: distributions.read(name, given) for name, given in wanted["vary"].items()}
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
-    sweep = Sweep(
-        "tuned",
-        text,
-        1,
-        vary,
-        wanted.duration,
-        wanted.seed,
-        wanted.settle_after,
-        success={"rms": tracks * demand.motion},
-    )
-    return TuningStudy(sweep, wanted.goal, wanted.draws, wanted.candidates, wanted.fresh)
+    numbers, size = ({name: wanted[name] for name in names} for names in (NUMBERS, SIZE))
+    sweep = Sweep("tuned", text, 1, vary, success={"rms": tracks * demand.motion}, **numbers)
+    return TuningStudy(sweep, Goal(**{name: wanted[name] for name in GOAL}), **size)

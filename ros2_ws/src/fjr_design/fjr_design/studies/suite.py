@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +60,8 @@ class Suite:
     """Specification of `fjr compare`. duration [s]: of every run; settle_after [s]: start of the error metrics.
 
     imperfections: name -> imperfection -> level; margins: those along which the largest level is searched, with the
-    first reference. tracks: see Trial. tune: uncertainties for which every law is
-    tuned (Uncertainties as plain values), None: by the rule of equal bandwidth.
+    first reference. tracks: see Trial. tune: what every law is tuned for (see
+    `uncertainties`), None: by the rule of equal bandwidth.
     """
 
     name: str
@@ -111,7 +111,7 @@ def _read(name: str, given: Mapping[str, Any]) -> Suite:
         duration=duration,
         settle_after=_number("settle_after", given.get("settle_after", duration / 2), lambda v: 0 <= v < duration),
         tracks=_number("tracks", given.get("tracks", TRACKS), lambda value: 0 < value < 1),
-        tune=asdict(uncertainties(_mapping("'tune'", given["tune"]))) if "tune" in given else None,
+        tune=uncertainties(_mapping("'tune'", given["tune"])) if "tune" in given else None,
     )
 
 

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -31,49 +31,29 @@ KEYS = ("scenario", POSTERIOR, *MAPPINGS, *WHOLE, *SECONDS)
 RUNS = 1000
 
 
-@dataclass(frozen=True)
-class SweepFile:
-    """scenario: name or path; vary: distributions; changes: of scenario parameters; numbers: other fields of Sweep.
-
-    posterior: path of an identification.json from which plants are drawn, "" for none. tune: goal and numbers of a
-    tuning study, not checked here.
-    """
-
-    scenario: str
-    vary: Mapping[str, Distribution]
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    success: Mapping[str, float] = field(default_factory=dict)
-    numbers: Mapping[str, Any] = field(default_factory=dict)
-    posterior: str = ""
-    tune: Mapping[str, Any] = field(default_factory=dict)
-
-
 def is_one(document: object) -> bool:
     """Return whether a YAML document is a sweep, not a scenario."""
     return isinstance(document, Mapping) and "scenario" in document and "/**" not in document
 
 
-def read(document: Mapping[str, Any]) -> SweepFile:
-    """Return the sweep of a parsed document; raise ParameterError."""
+def read(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of Sweep that a parsed document gives, but for scenario and posterior; raise ParameterError."""
     check_keys(document, KEYS)
-    for key in MAPPINGS:
-        if not isinstance(document.get(key, {}), Mapping):
-            raise ParameterError(f"has {document[key]!r} as '{key}'; expected a mapping")
-    vary = {str(name): distributions.read(str(name), given) for name, given in document.get("vary", {}).items()}
+    given = {key: mapping(key, document.get(key, {})) for key in MAPPINGS}
+    vary = {str(name): distributions.read(str(name), one) for name, one in given["vary"].items()}
     posterior = document.get(POSTERIOR, "")
     if not isinstance(posterior, str):
         raise ParameterError(f"has {posterior!r} as '{POSTERIOR}'; expected the path of an identification.json")
     if not posterior and not any(one.kind != distributions.FIXED for one in vary.values()):
         raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {distributions.FORM}")
-    success = {name: number(f"success.{name}", value) for name, value in document.get("success", {}).items()}
-    numbers: dict[str, Any] = {key: whole(key, document[key]) for key in WHOLE if key in document}
-    numbers |= {key: number(key, document[key]) for key in SECONDS if key in document}
-    return SweepFile(
-        str(document["scenario"]), vary, document.get("set", {}), success, numbers, posterior, document.get(TUNE, {})
-    )
+    success = {name: number(f"success.{name}", value) for name, value in given["success"].items()}
+    wholes = {key: whole(key, document[key]) for key in WHOLE if key in document}
+    return {"vary": vary, "success": success, **wholes} | {
+        key: number(key, document[key]) for key in SECONDS if key in document
+    }
 
 
-def usual(scenario: str, sample_period: float) -> SweepFile:
+def usual(sample_period: float) -> dict[str, Distribution]:
     """Return the default distributions: typical deviations of a robot from its data sheet."""
     document = {
         "stiffness": {"uniform": [0.7, 1.3], "each_joint": True},
@@ -84,7 +64,7 @@ def usual(scenario: str, sample_period: float) -> SweepFile:
         "motor_damping": {"log_uniform": [0.5, 2.0], "each_joint": True},
         "delay": {"uniform": [0.0, sample_period]},
     }
-    return SweepFile(scenario, {name: distributions.read(name, given) for name, given in document.items()})
+    return {name: distributions.read(name, given) for name, given in document.items()}
 
 
 def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -> None:
@@ -94,6 +74,13 @@ def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -
             close = difflib.get_close_matches(str(key), keys, n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"expected some of {', '.join(keys)}"
             raise ParameterError(f"{where}has '{key}'; {hint}")
+
+
+def mapping(name: str, value: object, where: str = "") -> Mapping[str, Any]:
+    """Return a section of the file; raise ParameterError for anything else."""
+    if not isinstance(value, Mapping):
+        raise ParameterError(f"{where}has {value!r} as '{name}'; expected a mapping")
+    return value
 
 
 def whole(name: str, value: object, where: str = "") -> int:
@@ -158,25 +145,17 @@ def planned(name: str | None, options: Options) -> Sweep:
     return described(path, ros_yaml.read(path, "sweep"), options)[0]
 
 
-def described(path: Path, document: Any, options: Options) -> tuple[Sweep, SweepFile]:
-    """Return the sweep of a parsed file and its description, the usual one for a scenario; raise FjrError."""
+def described(path: Path, document: Any, options: Options) -> tuple[Sweep, Mapping[str, Any]]:
+    """Return the sweep of a parsed file and its section `tune`, of a scenario the usual sweep; raise FjrError."""
     if not is_one(document):
         text, loaded = library.as_run(path, options.overrides)
-        file = usual(path.stem, loaded.sample_period)
-        return _sweep(path.stem, text, file, options), file
+        return Sweep(path.stem, text, vary=usual(loaded.sample_period), **{"runs": RUNS, **options.numbers}), {}
     try:
-        file = read(document)
-        neighbour = path.parent / file.scenario
-        scenario = neighbour if os.path.isfile(neighbour) else library.find(file.scenario)
-        text, _ = library.as_run(scenario, {**file.changes, **options.overrides})
-        posterior = read_identification(path.parent / file.posterior).as_dict() if file.posterior else None
-        return _sweep(path.stem, text, file, options, posterior), file
+        fields, name = read(document), str(document["scenario"])
+        scenario = path.parent / name if os.path.isfile(path.parent / name) else library.find(name)
+        text, _ = library.as_run(scenario, {**document.get("set", {}), **options.overrides})
+        if document.get(POSTERIOR):
+            fields["posterior"] = read_identification(path.parent / document[POSTERIOR]).as_dict()
+        return Sweep(path.stem, text, **{"runs": RUNS, **fields, **options.numbers}), document.get(TUNE, {})
     except ParameterError as error:
         raise ParameterError(f"sweep {path.stem} {error}") from None
-
-
-def _sweep(
-    name: str, text: str, file: SweepFile, options: Options, posterior: Mapping[str, Any] | None = None
-) -> Sweep:
-    numbers = {"runs": RUNS, **file.numbers, **options.numbers}
-    return Sweep(name, text, vary=file.vary, success=file.success, posterior=posterior, **numbers)

@@ -152,17 +152,18 @@ def _runs(number: int, effect: Effect, log: bool, values: Array, rms: Array, suc
     drawn, error, good = values[order], rms[order], success[order]
     stable = np.isfinite(error) & (error > 0)
     edge = ABOVE * float(error[stable].max(initial=1e-12))
-    lines = _present(
+    lines = [
         Line("succeeds", np.where(good & stable, error, np.nan), GOOD, dots=True),
         Line("fails", np.where(~good & stable, error, np.nan), BAD, dots=True),
         Line("unstable (upper edge)", np.where(stable, np.nan, edge), LOST, dots=True),
-    )
+    ]
+    seen = [line for line in lines if np.isfinite(line.values).any()]
     return Plot(
         f"runs-{number}",
         f"{effect.name} explains {percent(effect.error, 0)} of the variance of log RMS error",
         f"One dot per run{f', the first {DOTS}' if len(values) > DOTS else ''}.",
         drawn,
-        [Line("run", order.astype(float), "grey", unseen=True), *lines],
+        [Line("run", order.astype(float), "grey", unseen=True), *seen],
         x_label=_label(effect.name),
         y_label=ERROR,
         x_log=log,
@@ -194,10 +195,6 @@ def _distribution(rms: Array, success: NDArray[np.bool_]) -> Plot:
         y_range=(0.0, None),
         wide=True,
     )
-
-
-def _present(*lines: Line) -> Sequence[Line]:
-    return [line for line in lines if np.isfinite(line.values).any()]
 
 
 def _label(name: str) -> str:

@@ -139,9 +139,9 @@ def planned(name: str | None, options: Options, law: str | None, numbers: Mappin
     document = ros_yaml.read(path, "sweep")
     chosen = law or law_of(document)
     overrides = {**options.overrides, **({TYPE.name: chosen} if chosen else {})}
-    sweep, file = described(path, document, replace(options, overrides=overrides))
-    check_keys(file.tune, (LAW, *GOAL, *SIZE), HERE)
-    goal, size = given_goal(file.tune)
+    sweep, section = described(path, document, replace(options, overrides=overrides))
+    check_keys(section, (LAW, *GOAL, *SIZE), HERE)
+    goal, size = given_goal(section)
     return TuningStudy(sweep, Goal(**goal), **{**size, **numbers})
 
 
@@ -167,16 +167,12 @@ def tune(
             total = study.draws * study.candidates + (FINALISTS + 1) * SELECTION * study.draws + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
-                tuned = _searched(study, Evaluator(study, store, workers, stop, bar.update))
+                evaluate = Evaluator(study, store, workers, stop, bar.update)
+                found = search(study, evaluate)
+                scenario, chosen = evaluate.figures([OF_SCENARIO, found.chosen], study.fresh_runs)
             store.write_table(sorted(path.stem for path in store.folder.glob("parts/*.parquet")))
-    return _shown(tuned, folder)
-
-
-def _searched(study: TuningStudy, evaluate: Evaluator) -> Tuned:
-    found = search(study, evaluate)
-    points = [OF_SCENARIO, found.chosen]
-    scenario, chosen = evaluate.figures(points, study.fresh_runs)
-    return Tuned(study, found, scenario, chosen, (study.score(points[0], scenario), study.score(points[1], chosen)))
+    scores = study.score(OF_SCENARIO, scenario), study.score(found.chosen, chosen)
+    return _shown(Tuned(study, found, scenario, chosen, scores), folder)
 
 
 def _shown(tuned: Tuned, folder: Path) -> Result:
@@ -226,7 +222,8 @@ def _table(tuned: Tuned) -> list[str]:
         for q in QUANTILES:
             pair = quantile(tuned.scenario[name], q), quantile(tuned.chosen[name], q)
             what = f"{words}, {'median' if q == 0.5 else percent(q, 0)}"
-            lines.append(f"  {what:32}{number(pair[0]):>12}{number(pair[1]):>12}{_ratio(*pair):>9} {unit}")
+            ratio = f"{pair[1] / pair[0]:.3g}" if np.isfinite(pair).all() and pair[0] > 0 else ""
+            lines.append(f"  {what:32}{number(pair[0]):>12}{number(pair[1]):>12}{ratio:>9} {unit}")
     lines.append(f"  {'successful runs':32}{percent(scenario.success):>12}{percent(chosen.success):>12}")
     lines.append(f"  factors on the gains of {STARTS[study.start]}:")
     axes = zip(study.coordinates.axes, tuned.found.chosen, strict=True)
@@ -234,10 +231,6 @@ def _table(tuned: Tuned) -> list[str]:
     if not chosen.feasible:
         lines.append(f"  constraints are violated on the fresh draws, by {chosen.violation:.2g}; see docs/gains.md")
     return lines
-
-
-def _ratio(start: float, tuned: float) -> str:
-    return f"{tuned / start:.3g}" if np.isfinite([start, tuned]).all() and start > 0 else ""
 
 
 def _draw(tuned: Tuned, figure: Figure) -> None:

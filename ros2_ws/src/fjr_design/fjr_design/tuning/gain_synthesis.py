@@ -107,6 +107,8 @@ class GainSearch:
         Gains are compared at a few of the worst configurations and then checked at all; failing configurations join
         the few.
         """
+        if beta * self.sample_period > LARGEST_PRODUCT:
+            return None
         few = self.critical(beta)
         while (gains := self._best_at(few, beta)) is not None:
             missed = self._too_slow(self._loop(self.equilibria, gains), beta)
@@ -118,7 +120,7 @@ class GainSearch:
     def critical(self, beta: float) -> Indices:
         """Return indices of the equilibria that are critical for the slowest gains; all if they are few."""
         k = len(self.equilibria.q_l)
-        if k <= FEW or beta * self.sample_period > LARGEST_PRODUCT:
+        if k <= FEW:
             return np.arange(k)
         slowest = next(self._candidates(beta, SPEED_FACTORS[-1]))
         return self._loop(self.equilibria, slowest).critical(self.sample_period, self.delay, KEPT)
@@ -132,19 +134,13 @@ class GainSearch:
         )
 
     def _best_at(self, few: Indices, beta: float) -> Gains | None:
-        if beta * self.sample_period > LARGEST_PRODUCT:
-            return None
         equilibria = self.equilibria.at(few)
         for c in SPEED_FACTORS:
             ranked = [(self._rank(self._loop(equilibria, gains), beta), gains) for gains in self._candidates(beta, c)]
             for rank, gains in sorted(ranked, key=lambda pair: pair[0], reverse=True):
-                if rank[0] and self._holds_for_plants(gains):
+                if rank[0] and (self.plants is None or not self.lost(gains, self.plants).any()):
                     return gains
         return None
-
-    def _holds_for_plants(self, gains: Gains) -> bool:
-        """Return whether the loop is stable with all drawn plants, if there are any."""
-        return self.plants is None or not self.lost(gains, self.plants).any()
 
     def lost(self, gains: Gains, plants: DrawnPlants) -> NDArray[np.bool_]:
         """Return which drawn plants (k,) are unstable where the loop is worst for its own model or for some of them."""

@@ -19,7 +19,6 @@ from fjr_core.law.interfaces import SampledLaw
 from fjr_core.law.linearized import Equilibria, Indices, equilibria_at
 from fjr_core.model.configuration_sampling import checked_configurations
 from fjr_core.model.port_hamiltonian import Plant
-from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
 from fjr_core.stability.linearization import held_maps, map_of_held, on_plant, split
@@ -90,9 +89,8 @@ class DrawnLoops:
         delay: float,
         sensing: Sensing | None = None,
     ) -> None:
-        sensing, self._own = sensing or Sensing(), equilibria
-        self._controller = controller(law, self._own, sensing)(sample_period)
-        self._period, self._delay, self._by_torque = sample_period, delay, sensing.by_torque
+        self._own, self._period, self._delay, self._sensing = equilibria, sample_period, delay, sensing or Sensing()
+        self._controller = controller(law, equilibria, self._sensing)(sample_period)
 
     def unstable(self, plants: DrawnPlants, progress: Callable[[float], None] = lambda _: None) -> NDArray[np.bool_]:
         """Return which draws (k,) are unstable at any configuration; progress receives the finished share."""
@@ -129,9 +127,9 @@ class DrawnLoops:
         """Return the one-sample maps (k c, N, N) of k draws at c configurations."""
         k, c, T = len(plants), len(self._own.q_l), self._period
         A, B, frequency = self._plants(plants)
-        law = _repeated(self._controller, k)
-        if self._by_torque:
-            seen = np.stack([_seen(self._own.robot, K) for K in plants.stiffness])
+        law = Controller(**{name: np.tile(getattr(self._controller, name), (k, 1, 1)) for name in "FCSGHJ"})
+        seen = self._sensing.measured(self._own.robot, plants.stiffness[:, :, None] * np.eye(self._own.robot.n))
+        if seen is not None:
             law = law.seeing(np.repeat(seen, c, axis=0))
         late = np.repeat(late, c)
         Phi, Gamma = _held(A, B, (1 - late) * T, frequency)
@@ -185,17 +183,6 @@ def _held(A: Array, B: Array, times: Array, frequency: float) -> tuple[Array, Ar
     durations, scale = times[:, None, None], size / size.T
     Phi, Gamma = held_maps(A * scale * durations, B * size * durations, 1.0)
     return Phi / scale, Gamma / size
-
-
-def _repeated(law: Controller, k: int) -> Controller:
-    """Return the controller at c configurations for each of k draws."""
-    return Controller(**{name: np.tile(getattr(law, name), (k, 1, 1)) for name in "FCSGHJ"})
-
-
-def _seen(robot: Robot, stiffness: Array) -> Array:
-    """Return the map (4n, 4n) from the state of a plant to what joint torque sensors measure."""
-    seen = Sensing(by_torque=True).measured(robot, np.diag(stiffness))
-    return np.eye(4 * robot.n) if seen is None else seen
 
 
 def draws_needed(share: float, confidence: float = CONFIDENCE) -> int:

@@ -144,7 +144,7 @@ def _powers(value: Interval, degree: int) -> list[Interval]:
 
 @dataclass(frozen=True, eq=False)
 class NormalisedInertia:
-    """The polynomial N(q) = sign X M_l(q) X', with X the inverse Cholesky factor of a positive definite matrix A.
+    """The polynomial N(q) = X M_l(q) X', with X the inverse Cholesky factor of a positive definite matrix A.
 
     coefficients (n (n + 1) / 2, d_2, .., d_n): as of InertiaPolynomial. rad (n (n + 1) / 2,): bound of their errors.
     identity_error: bound of the norm of X A X' - I.
@@ -162,8 +162,8 @@ class NormalisedInertia:
         return len(self.prismatic) + 1
 
 
-def normalised(polynomial: InertiaPolynomial, A: Interval, sign: float = 1.0) -> NormalisedInertia:
-    """Return sign X M_l X' for a symmetric positive definite matrix A (n, n); raise RobotError if it is singular."""
+def normalised(polynomial: InertiaPolynomial, A: Interval) -> NormalisedInertia:
+    """Return X M_l X' for a symmetric positive definite matrix A (n, n); raise RobotError if it is singular."""
     n, M = polynomial.n, polynomial.coefficients
     X = Interval.exact(np.linalg.inv(np.linalg.cholesky(A.mid)))
     E = product(X, product(X, A), axis=1) - Interval.exact(np.eye(n))
@@ -177,8 +177,9 @@ def normalised(polynomial: InertiaPolynomial, A: Interval, sign: float = 1.0) ->
     rad, largest = (np.max(part.reshape(len(part), -1), axis=1) for part in (M.rad, np.abs(M.mid)))
     size, gamma = np.abs(congruence.mid) + congruence.rad, (len(rad) + 1) * U
     errors = size @ rad + (congruence.rad + gamma * size) @ (largest + rad)
-    values = sign * along(congruence.mid, M.mid, 0)
-    return NormalisedInertia(values, (1 + 4 * gamma) * UP * errors, polynomial.prismatic, X.mid, error)
+    return NormalisedInertia(
+        along(congruence.mid, M.mid, 0), (1 + 4 * gamma) * UP * errors, polynomial.prismatic, X.mid, error
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proven bounds of the link inertia of a robot, relative to a constant matrix, on a domain of joint positions.
 
-    least A <= M_l(q_l) <= largest A    for every q_l of the domain
+    M_l(q_l) <= bound A    for every q_l of the domain
 
 A domain is a box or a tube: the positions within a radius of a motion. On a box, the largest eigenvalue of the
 normalised inertia is a convex function of the matrix, so that the largest one of all control matrices is a bound. The
@@ -14,7 +14,7 @@ import heapq
 import pickle
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import count
 
@@ -74,7 +74,7 @@ class ProofBox:
 class RelativeInertia:
     """Bounds of M_l relative to A: M_l(q_l) <= bound A on the domain is proven; `attained` is the value at q_l = at.
 
-    For a lower bound, M_l(q_l) >= bound A. lower, upper (n,): the box that contains the domain. boxes: number of boxes
+    lower, upper (n,): the box that contains the domain. boxes: number of boxes
     of the proof. root: the parts of the domain.
     """
 
@@ -103,12 +103,6 @@ def largest_inertia(robot: Robot, A: ArrayLike, domain: Domain | None = None, go
     return ProvableArm(robot).largest_inertia(A, domain, goal)
 
 
-def least_inertia(robot: Robot, A: ArrayLike, domain: Domain | None = None, goal: float = GOAL) -> RelativeInertia:
-    """Return the largest number that is proven to satisfy M_l(q_l) >= bound A; see ProvableArm.largest_inertia."""
-    most = ProvableArm(robot).largest_inertia(A, domain, goal, sign=-1.0)
-    return replace(most, bound=-most.bound, attained=-most.attained)
-
-
 class ProvableArm:
     """The inertia of a robot's links as a polynomial in the joints of its chain, about which bounds are proven.
 
@@ -134,19 +128,18 @@ class ProvableArm:
         most_boxes: int = MOST_BOXES,
         samples: ArrayLike = (),
         watch: Watch = unwatched,
-        sign: float = 1.0,
     ) -> RelativeInertia:
         """Return the least number that is proven to satisfy M_l(q_l) <= bound A on a domain.
 
         domain: by default the joint range. A (n, n): symmetric positive definite. samples (k, n): configurations at
-        which large values are expected. sign: -1 for -M_l(q_l) <= bound A. The search ends if attained >= goal bound
-        (bound >= goal attained if negative), or after most_boxes. Raises StateError for a domain without positions.
+        which large values are expected. The search ends if attained >= goal bound, or after most_boxes. Raises
+        StateError for a domain without positions.
         """
         robot, outer = self.robot, self.in_chain[1:]
         domain = domain or joint_range(robot)
         A = checks.positive_definite("A", checks.matrix("A", A, robot.n, StateError), StateError)
         in_chain = np.ix_(self.in_chain, self.in_chain)
-        inertia = normalised(self.polynomial, Interval.exact(A[in_chain]), sign)
+        inertia = normalised(self.polynomial, Interval.exact(A[in_chain]))
         lower, upper, whole = self._covered(domain)
 
         def complete(q: Array) -> Array:
@@ -154,7 +147,7 @@ class ProvableArm:
 
         def value(q: Array) -> float:
             M_l = robot.M_l(complete(q))[in_chain]
-            return float(np.linalg.eigvalsh(sign * inertia.X @ M_l @ inertia.X.T)[-1])
+            return float(np.linalg.eigvalsh(inertia.X @ M_l @ inertia.X.T)[-1])
 
         tried = np.reshape(np.asarray(samples, dtype=float), (-1, robot.n))
         if domain.near is not None:
@@ -222,11 +215,11 @@ class _Search:
         self.at: Array = np.zeros(inertia.n - 1)
 
     def run(self, box: Array, goal: float, most_boxes: int, watch: Watch) -> ProofBox:
-        """Split the worst box until attained >= goal bound (bound >= goal attained if negative); return the parts."""
+        """Split the worst box until attained >= goal bound; return the parts."""
         matrices = control_matrices(self.inertia, box)
         root = ProofBox(box, matrices.circles)
         self.add(root, matrices, np.eye(self.inertia.n)[0])
-        while self.boxes < most_boxes and self.gap(goal) and self.split_worst():
+        while self.boxes < most_boxes and not self.attained >= goal * self.bound and self.split_worst():
             if not watch(self.boxes, self.bound, self.attained):
                 break
         return root
@@ -235,11 +228,6 @@ class _Search:
     def bound(self) -> float:
         """Proven bound of the largest eigenvalue."""
         return -self.open[0][0]
-
-    def gap(self, goal: float) -> bool:
-        """Return whether the bound is further from the attained value than the goal."""
-        larger = max(abs(self.bound), abs(self.attained))
-        return not np.isfinite(self.attained) or self.bound - self.attained > (1 - goal) * larger
 
     def try_at(self, q: Array) -> None:
         """Evaluate the largest eigenvalue at a configuration of the domain."""

@@ -49,32 +49,6 @@ SAMPLES = 400
 LONGEST_NAME = 60
 CERTIFIED = ("V", "H", "dissipation", "dissipated", "u_law", "drive")
 """Outputs of the certificate's function that fjr_certify reads; the last, its gradient, would double the code."""
-FILES = {
-    "package.xml": "package.xml",
-    "CMakeLists.txt": "CMakeLists.txt",
-    "README.md": "README.md",
-    "controller.xml": "controller.xml",
-    "hardware.xml": "hardware.xml",
-    "step.hpp": "src/step.hpp",
-    "casadi_function.hpp": "src/casadi_function.hpp",
-    "certificate.hpp": "src/certificate.hpp",
-    "events.hpp": "src/events.hpp",
-    "queue.hpp": "src/queue.hpp",
-    "reports.hpp": "src/reports.hpp",
-    "reports.cpp": "src/reports.cpp",
-    "parameters.hpp": "src/parameters.hpp",
-    "parameters.cpp": "src/parameters.cpp",
-    "tracking_controller.hpp": "src/tracking_controller.hpp",
-    "tracking_controller.cpp": "src/tracking_controller.cpp",
-    "delay_line.hpp": "src/delay_line.hpp",
-    "elastic_arm.hpp": "src/elastic_arm.hpp",
-    "elastic_arm.cpp": "src/elastic_arm.cpp",
-    "controllers.yaml": "config/controllers.yaml",
-    "launch.py": "launch/{package}.launch.py",
-    "step_replay.hpp": "test/step_replay.hpp",
-    "test_step.cpp": "test/test_step.cpp",
-}
-"""Templates and the files that they become."""
 INTERFACES = (
     ("joints", "the scenario's", "state interfaces of the links: `<joint>/position`, `<joint>/velocity`"),
     ("motors", "`<joint>_motor`", "state interfaces of the motors: `<motor>/position`, `<motor>/velocity`"),
@@ -102,12 +76,11 @@ def export_package(scenario: Scenario, package: str, samples: int = SAMPLES) -> 
             f"at most {LONGEST_NAME}"
         )
     loop = loop_of(scenario)
-    functions = {**_certificate(loop.certified_law), **functions_of(loop.plant)}
+    arm = NonidealPlant(Plant(loop.plant.robot, loop.plant.integrator)).functions_as_c
+    functions = {**_certificate(loop.certified_law), **{f"plant_{name}": each for name, each in arm.items()}}
     texts = {f"step/{name}": text for name, text in step_code(loop, functions).items()}
     values = _values(scenario, loop, package) | {"samples": str(samples)}
-    texts |= {
-        path.format(package=package): filled(name, values, "ros2_control/templates") for name, path in FILES.items()
-    }
+    texts |= filled("ros2_control/templates", values)
     urdf, parameters = description(scenario.plant_values), parameters_of(scenario)
     texts[f"urdf/{package}.urdf"] = with_hardware(urdf, package, loop.joints, values["clock"], parameters)
     return texts | {"test/case.txt": recorded_case(loop, samples)}
@@ -225,12 +198,6 @@ def _readme_rows() -> dict[str, str]:
     return {"controller_rows": "\n".join([*own, *safety]), "arm_rows": "\n".join(arm)}
 
 
-def functions_of(plant: Plant) -> dict[str, ca.Function]:
-    """Return the functions of a plant with all its imperfections by their names in C."""
-    made = NonidealPlant(Plant(plant.robot, plant.integrator)).functions_as_c
-    return {f"plant_{name}": function for name, function in made.items()}
-
-
 def table_of(robot: Robot) -> list[tuple[str, int, int, float]]:
     """Return name, first index, length and least value of each parameter of the plant.
 
@@ -285,18 +252,14 @@ def with_hardware(urdf: str, package: str, joints: Sequence[str], clock: str, pa
     hardware = ElementTree.SubElement(system, "hardware")
     ElementTree.SubElement(hardware, "plugin").text = f"{package}/ElasticArm"
     for name, value in {"time": "clock", "wait_for_command": "true", **parameters}.items():
-        ElementTree.SubElement(hardware, "param", name=name).text = text_of(value)
+        text = " ".join(map(repr, value)) if isinstance(value, (tuple, list)) else str(value)
+        ElementTree.SubElement(hardware, "param", name=name).text = text
     for joint in joints:
         _component(system, "joint", joint, command=False)
         _component(system, "gpio", f"{joint}{MOTOR}", command=True)
     ElementTree.SubElement(ElementTree.SubElement(system, "sensor", name=clock), "state_interface", name="stamp")
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
-
-
-def text_of(value: object) -> str:
-    """Format a parameter of the hardware: numbers are separated by spaces."""
-    return " ".join(map(repr, value)) if isinstance(value, (tuple, list)) else str(value)
 
 
 def _component(system: ElementTree.Element, kind: str, name: str, command: bool) -> None:
