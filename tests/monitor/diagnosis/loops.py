@@ -11,11 +11,10 @@ import numpy as np
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.motions.reference import Reference
-from fjr_core.numerics.c_library import record_type
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import record_type
 from fjr_core.runtime.events import NEVER
-from fjr_core.runtime.library import step_library
-from fjr_core.runtime.structs import CertificateStruct
+from fjr_core.runtime.library import CertificateStruct, step_library
 from fjr_monitor.diagnosis.online_diagnosis import LatestIntervals
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import LONGEST
