@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.cases import Array
+from core.oracles.cases import PLANAR, Array
 from core.oracles.chains import Chain, random_chain
 from fjr_core.model.rigid_arm import z_aligned
 
@@ -74,6 +74,14 @@ def test_inertia_rate_minus_twice_coriolis_is_skew_and_workless_forces_sum_to_mi
     S, E = dM - 2 * C, C - dM
     assert relative(S + S.T, 0 * S, float(np.max(np.abs(dM)))) < 1e-12
     assert relative(E + E.T, -dM) < 1e-12
+
+
+@pytest.mark.parametrize("robot", [fjr.single_link(), fjr.planar_two_link(**PLANAR)], ids=["single", "planar"])
+def test_the_bodies_of_a_closed_form_arm_have_its_inertia_and_coriolis_product(robot: fjr.Robot) -> None:
+    q, v, w = np.random.default_rng(1).uniform(-2, 2, (3, robot.n))
+    chain = fjr.serial_chain(robot.links.bodies)
+    assert relative(chain.M_l(q), robot.M_l(q)) < 1e-14
+    assert relative(value(chain.C(q, v, w)), robot.coriolis(q, v, w), 1.0) < 1e-13
 
 
 def test_point_mass_on_a_prismatic_joint_loads_it_along_its_axis() -> None:
