@@ -43,7 +43,7 @@ def write_bag(loop: LockStepLoop, folder: Path) -> None:
         bag.write(channels[topic], time, time, channels[topic].count + 1, data)
 
     for time, (stamp, position, velocity, effort) in loop.states:
-        states = names.state_names(joints)
+        states = names.state_names(loop.scenario.joints)
         write(STATES, time, _joint_state(states, stamp, position=position, velocity=velocity, effort=effort))
         if stamp in commands:
             u, jets = commands.pop(stamp)

@@ -115,11 +115,11 @@ class LockStepLoop:
         return START + self._robot.time, position, velocity, effort
 
     def _measure(self) -> None:
-        channel, (stamp, *values) = self._transport.states, self._sample()
+        channel, sample = self._transport.states, self._sample()
         if not channel.on:
-            self._arrived.append((stamp, *values))
+            self._arrived.append(sample)
             return
-        channel.push(self._robot.time, np.concatenate([[stamp, 1.0], *values]))
+        channel.push(self._robot.time, np.concatenate([[sample[0], 1.0], *sample[1:]]))
         for item in channel.due(self._robot.time):
             self._arrived.append((int(item[0]), *item[2:].reshape(3, -1)))
 
