@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 from unittest.mock import patch
 
 import casadi as ca
@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.figures import Figure
 from bench.measure import one_core
-from fjr_core import Gains, Plant, Robot, TrackingLaw, robot_from_urdf
+from fjr_core import Gains, Plant, TrackingLaw, robot_from_urdf
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics.jit import compiled
 
@@ -34,8 +34,7 @@ JOINT = """<joint name="joint{i}" type="continuous"><origin xyz="{xyz}" rpy="{rp
 """
 
 
-@dataclass(frozen=True)
-class Build:
+class Build(NamedTuple):
     """Processor time [s] to derive a function and to compile it, and its number of operations."""
 
     derive: float
@@ -46,6 +45,11 @@ class Build:
     def seconds(self) -> float:
         """Total processor time [s]."""
         return self.derive + self.compile
+
+    @property
+    def parts(self) -> dict[str, float]:
+        """The values of a figure."""
+        return {"derivation [s]": self.derive, "C and compiler [s]": self.compile, "operations": self.operations}
 
 
 def arms() -> list[Figure]:
@@ -59,28 +63,22 @@ def _arm(n: int) -> Iterator[Figure]:
         robot = robot_from_urdf(chain_urdf(n), joint_names(n), stiffness=5000.0, motor_inertia=0.3)
         law = TrackingLaw(robot, GAINS)
         loaded = _processor_time() - start
-        builds = {name: _built(build) for name, build in _functions(robot, law).items()}
-    law_build, certificate = builds["law"], builds["certificate"]
+        plant = Plant(robot, compile=True)
+        functions: dict[str, Callable[[], ca.Function]] = {  # that `fjr run` compiles before it starts the nodes
+            "law": lambda: law.measured_expression,
+            "certificate": lambda: Certificate(law).function,
+            "prediction": lambda: Prediction(law).function,
+            "plant": lambda: plant.step_function,
+        }
+        builds = {name: _built(build) for name, build in functions.items()}
+    of_law, certificate = builds["law"], builds["certificate"]
     total = loaded + sum(build.seconds for build in builds.values())
     bound = BOUND if n == max(JOINTS) else None
-    yield Figure(
-        f"{n} joints, URDF to law, nothing cached", loaded + law_build.seconds, "s", bound, parts=_parts(law_build)
-    )
-    yield Figure(f"{n} joints, certificate, nothing cached", certificate.seconds, "s", parts=_parts(certificate))
+    yield Figure(f"{n} joints, URDF to law, nothing cached", loaded + of_law.seconds, "s", bound, parts=of_law.parts)
+    yield Figure(f"{n} joints, certificate, nothing cached", certificate.seconds, "s", parts=certificate.parts)
     yield Figure(f"{n} joints, law, certificate, prediction and plant", total, "s")
-    ratio = certificate.operations / law_build.operations
+    ratio = certificate.operations / of_law.operations
     yield Figure(f"{n} joints, operations of the certificate / law", ratio, "", bound=LARGEST_RATIO)
-
-
-def _functions(robot: Robot, law: TrackingLaw) -> dict[str, Callable[[], ca.Function]]:
-    """Return the functions that `fjr run` compiles before it starts the nodes."""
-    plant = Plant(robot, compile=True)
-    return {
-        "law": lambda: law.measured_expression,
-        "certificate": lambda: Certificate(law).function,
-        "prediction": lambda: Prediction(law).function,
-        "plant": lambda: plant.step_function,
-    }
 
 
 def _built(build: Callable[[], ca.Function]) -> Build:
@@ -96,10 +94,6 @@ def _built(build: Callable[[], ca.Function]) -> Build:
 def _processor_time() -> float:
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
-
-
-def _parts(build: Build) -> dict[str, float]:
-    return {"derivation [s]": build.derive, "C and compiler [s]": build.compile, "operations": build.operations}
 
 
 @contextmanager

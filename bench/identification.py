@@ -3,28 +3,24 @@
 
     python -m bench.identification --cases 30 --joints 1 2 3 4 5 6 7 --measured both --out coverage.jsonl
 
-Each case is added to the file as it ends. The same command goes on with the missing ones, and prints the tables of the
-cases that the present code has identified. A study of an hour for many joints: no part of `make bench`.
+Each case is added to the file as it ends. The same command goes on with the missing ones, and prints the tables of all.
+A study of an hour for many joints: no part of `make bench`.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import cache
 from itertools import product
+from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
 
-import fjr_identification.estimation
-from bench import identification_cases
 from bench.figures import markdown
 from bench.identification_cases import MEASURED, Case, draw
 from fjr_core.errors import FjrError
@@ -39,19 +35,11 @@ FIRST = 1000
 """First seed, so that no case is one by which the estimator was made."""
 
 
-@cache
-def code() -> str:
-    """Return a digest of the estimator and of the cases: results of another code do not count."""
-    folder = Path(next(iter(fjr_identification.estimation.__path__)))
-    files = [*sorted(folder.glob("*.py")), *sorted(folder.glob("*.[ch]")), Path(identification_cases.__file__)]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
-
-
 def identified(key: Key) -> Row:
     """Identify a case; return its estimates beside the truth, or why it was refused."""
     measured, n, seed = key
     case, began = draw(n, seed, measured=measured), time.perf_counter()
-    line: Row = {"code": code(), "measured": measured, "joints": n, "seed": seed}
+    line: Row = {"measured": measured, "joints": n, "seed": seed}
     try:
         rows = compared(case, identify([case.record], case.robot, case.prior, IdentifyOptions(threads=1)))
     except FjrError as error:
@@ -114,22 +102,17 @@ def report(lines: Sequence[Row]) -> Iterable[str]:
         yield f"median time (joints): {medians}; longest: {longest:.0f} s"
 
 
-def finished(file: Path) -> list[Row]:
-    """Return the results of the present code in a file."""
-    lines = [json.loads(line) for line in _complete(file)] if file.exists() else []
-    return [line for line in lines if line["code"] == code()]
-
-
-def _complete(file: Path) -> list[str]:
-    """Return the complete lines of a file; the last one may have been cut off when the study was killed."""
-    return [line for line in file.read_text().splitlines() if line.endswith("}")]
-
-
 def summary(line: Row) -> str:
     """Return one line about a case."""
     outside = ", ".join(f"{row['name']} {row['score']:.1f}" for row in line["rows"] if not row["inside"])
     found = line.get("error") or f"{line['seconds']:.1f} s; outside: {outside or 'none'}"
     return f"{line['measured']} n={line['joints']} seed {line['seed']}: {found}"
+
+
+def finished(file: Path) -> list[Row]:
+    """Return the results in a file; the last line may have been cut off when the study was killed."""
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    return [json.loads(line) for line in lines if line.endswith("}")]
 
 
 def main() -> None:
@@ -141,17 +124,17 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
     options = parser.parse_args()
-    done = {(line["measured"], line["joints"], line["seed"]) for line in finished(options.out)}
-    seeds = range(FIRST, FIRST + options.cases)
-    missing = [key for s, n, m in product(seeds, options.joints, options.measured) if (key := (m, n, s)) not in done]
-    if options.out.exists():
-        options.out.write_text("".join(f"{line}\n" for line in _complete(options.out)))
-    with ProcessPoolExecutor(options.processes) as pool, options.out.open("a") as out:
-        for k, future in enumerate(as_completed([pool.submit(identified, key) for key in missing]), 1):
-            out.write(json.dumps(future.result()) + "\n")
-            out.flush()
-            print(f"{k}/{len(missing)} {summary(future.result())}", flush=True)
-    print("\n".join(report(finished(options.out))))
+    lines = finished(options.out)
+    done = {(line["measured"], line["joints"], line["seed"]) for line in lines}
+    keys = product(options.measured, options.joints, range(FIRST, FIRST + options.cases))
+    missing = [key for key in keys if key not in done]
+    with Pool(options.processes) as pool, options.out.open("w", encoding="utf-8") as out:
+        out.writelines(f"{json.dumps(line)}\n" for line in lines)
+        for k, line in enumerate(pool.imap_unordered(identified, missing), 1):
+            print(json.dumps(line), file=out, flush=True)
+            print(f"{k}/{len(missing)} {summary(line)}", flush=True)
+            lines.append(line)
+    print("\n".join(report(lines)))
 
 
 if __name__ == "__main__":

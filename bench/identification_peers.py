@@ -9,9 +9,10 @@ seven joints are cut into pieces for it: from one rollout of a second, 100 itera
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from functools import partial
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
@@ -35,6 +36,8 @@ from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 
 NAMES = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
+CHANGES = (*NAMES, "link_coulomb_friction", "motor_coulomb_friction")
+"""The parameters that MuJoCo's model can be given."""
 WRONG = {"joint_stiffness": 1.3, "motor_inertia": 0.8, "link_damping": 0.5, "motor_damping": 2.0}  # times the truth
 LARGEST = 5.0  # factor of a parameter that MuJoCo may try, and its inverse
 NOISE = 1e-5  # rad
@@ -101,7 +104,8 @@ def theirs(case: Case, pieces: int = 1, substeps: int = 1) -> Estimated:
     model = spec.compile()
     began = time.process_time()
     sequences = [_sequences(case, spec, model, pieces, substeps)]
-    residual = sysid.build_residual_fn(models_sequences=sequences, enabled_observations=_observations(model, n))
+    observed = [(name, kind) for name, (kind, _) in _positions(model, n).items()]
+    residual = sysid.build_residual_fn(models_sequences=sequences, enabled_observations=observed)
     with redirect_stdout(StringIO()):
         found, result = sysid.optimize(_factors(case), residual, verbose=False)
     at_end, _, _ = residual(result.x, found)
@@ -134,67 +138,32 @@ def _positions(model: Any, n: int) -> dict[str, Any]:
     return {name: (mapping[name][0], np.array([column])) for column, name in enumerate(names)}
 
 
-def _observations(model: Any, n: int) -> list[tuple[str, Any]]:
-    return [(name, kind) for name, (kind, _) in _positions(model, n).items()]
-
-
 def _factors(case: Case) -> Any:
     """Return the parameters of mujoco.sysid, each with its change of the model."""
     parameters = sysid.ParameterDict()
     for name, starts in case.start.items():
         for i, start in enumerate(starts):
-            change = CHANGES[name](i, float(start))
+            change = partial(_change, name, i, float(start))
             parameters.add(sysid.Parameter(f"{name} {i}", 1.0, 1 / LARGEST, LARGEST, modifier=change))
     return parameters
 
 
-def _linear(value: float) -> Array:
-    """Return the polynomial of a linear spring or damper."""
-    return np.array([value, 0.0, 0.0])
+def _change(name: str, i: int, start: float, spec: Any, parameter: Any) -> None:
+    """Give the i-th joint of a model a parameter, a factor of its start; springs and dampers are polynomials there.
 
-
-def _stiffness(i: int, start: float) -> Callable[[Any, Any], None]:
-    def change(spec: Any, parameter: Any) -> None:
-        spec.tendon(f"k{i}").stiffness = _linear(start * parameter.value[0])
-
-    return change
-
-
-def _inertia(i: int, start: float) -> Callable[[Any, Any], None]:
-    def change(spec: Any, parameter: Any) -> None:
-        spec.body(f"r{i}").inertia = np.full(3, start * parameter.value[0])
-
-    return change
-
-
-def _damping(side: str) -> Callable[[int, float], Callable[[Any, Any], None]]:
-    def of(i: int, start: float) -> Callable[[Any, Any], None]:
-        def change(spec: Any, parameter: Any) -> None:
-            spec.joint(f"{side}{i}").damping = _linear(start * parameter.value[0])
-
-        return change
-
-    return of
-
-
-def _friction(side: str) -> Callable[[int, float], Callable[[Any, Any], None]]:
-    """Dry friction whose creep ends within the shortest time constant that the solver takes, two steps."""
-
-    def of(i: int, start: float) -> Callable[[Any, Any], None]:
-        def change(spec: Any, parameter: Any) -> None:
-            joint = spec.joint(f"{side}{i}")
-            joint.frictionloss, joint.solref_friction[0] = start * parameter.value[0], 2 * spec.option.timestep
-
-        return change
-
-    return of
-
-
-CHANGES = {
-    **dict(zip(NAMES, (_stiffness, _inertia, _damping("l"), _damping("m")), strict=True)),
-    "link_coulomb_friction": _friction("l"),
-    "motor_coulomb_friction": _friction("m"),
-}
+    The creep of dry friction ends within the shortest time constant that the solver takes, two steps.
+    """
+    value = start * parameter.value[0]
+    if name == "joint_stiffness":
+        spec.tendon(f"k{i}").stiffness = np.array([value, 0.0, 0.0])
+    elif name == "motor_inertia":
+        spec.body(f"r{i}").inertia = np.full(3, value)
+    else:
+        joint = spec.joint(f"{name[0]}{i}")  # l or m
+        if name.endswith("damping"):
+            joint.damping = np.array([value, 0.0, 0.0])
+        else:
+            joint.frictionloss, joint.solref_friction[0] = value, 2 * spec.option.timestep
 
 
 def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
@@ -207,16 +176,12 @@ def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
         error[f"{name} [%]"] = 100 * float(np.median([np.abs(e.values / truth - 1)[0] for e in each]))
         inside[f"{name} [%]"] = 100 * float(np.mean([(e.low <= truth) & (truth <= e.high) for e in each]))
         seconds[f"{name} [s]"] = float(np.median([e.seconds for e in each]))
+    relative = seconds["ours [s]"] / seconds["sysid [s]"]
     return [
         Figure(f"error of the stiffness, {label}, median", error["ours [%]"], "%", parts=error),
         Figure(f"95 % intervals with the truth, {label}", inside["ours [%]"], "%", parts=inside),
-        Figure(f"identification, {label}, processor time relative to mujoco.sysid", _ratio(seconds), "", parts=seconds),
+        Figure(f"identification, {label}, processor time relative to mujoco.sysid", relative, "", parts=seconds),
     ]
-
-
-def _ratio(seconds: dict[str, float]) -> float:
-    ours, theirs = seconds.values()
-    return ours / theirs
 
 
 def against_mujoco(records: int = 20, of_seven: int = 2) -> list[Figure]:

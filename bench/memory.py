@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check that memory is bounded: of both nodes in real time, of `fjr sweep` with many runs, of reports of long runs.
 
-The bag of an hour is a short run of `arm7` in lock-step, of which two periods of the reference are repeated.
+The long run is an hour of `arm7` in lock-step, which takes a quarter of an hour.
 """
 
 from __future__ import annotations
 
-import shutil
-import struct
 import sys
 import tempfile
 import time
@@ -15,15 +13,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Message
 
 from bench.figures import Figure
 from bench.nodes import controller, plant, running, scenario_file, used
 from bench.tap import Tap
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.bag import Bag, header_stamp, in_order, read_bag
-from fjr_monitor.recording.recorder import BagWriter
-from fjr_monitor.recording.topic import type_hash
 from fjr_msgs_py import names
 
 HOSTS = ("native", "events")
@@ -44,12 +38,8 @@ vary:
   link_inertia: {{uniform: [0.8, 1.2]}}
   delay: {{uniform: [0.0, 1.0e-3]}}
 """
-HOUR = 60.0  # minutes of the bag
-RECORDED, BEGIN, END = 9.0, 4.0, 8.0  # s of stamped time: of the run; repeated from, to
+HOUR, SHORT = 60.0, 9.0  # minutes of the long run; s of the short one
 REPORT_BOUND = 600.0  # MB
-STATES, REFERENCE = f"/{names.JOINT_STATES}", names.REFERENCE.replace("~", f"/{names.CONTROLLER}")
-COMMANDS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
-COPIED = (STATES, COMMANDS, REFERENCE, EFFORTS)  # what a report reads, and more than half of all messages
 VERDICT = "import sys; from pathlib import Path; from fjr_monitor.report.write import report_run as r; "
 VERDICT += "r('arm7', Path(sys.argv[1]), None, pages=False)"
 
@@ -118,47 +108,16 @@ def of_sweep(many: int = MANY) -> list[Figure]:
 
 def of_reports(minutes: float = HOUR) -> list[Figure]:
     """Return the largest resident memory of verdict and report of a long run, with the time per recorded minute."""
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        used("fjr", "run", "arm7", "--lockstep", "--no-report", f"--duration={RECORDED}", f"--output={folder}")
-        short, long = (folder / "arm7").resolve(), folder / "long"
-        long.mkdir()
-        shutil.copyfile(short / "scenario.yaml", long / "scenario.yaml")
-        write_repeated(read_bag(short), long / "bag", minutes)
+    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as place:
+        runs = {seconds: Path(place, f"{seconds:g}") for seconds in (SHORT, 60 * minutes)}
+        for seconds, folder in runs.items():
+            used("fjr", "run", "arm7", "--lockstep", "--no-report", f"--duration={seconds}", f"--output={folder}")
         figures = []
         verdict = sys.executable, "-c", VERDICT
         for name, command in {"the verdict of fjr run": verdict, "fjr report": ("fjr", "report")}.items():
-            few, most = used(*command, str(short)), used(*command, str(long))
-            parts = {f"{RECORDED:g} s [MB]": few.memory, "minutes": minutes}
+            few, most = (used(*command, str((folder / "arm7").resolve())) for folder in runs.values())
+            parts = {f"{SHORT:g} s [MB]": few.memory, "minutes": minutes}
             parts["s per recorded minute"] = most.seconds / minutes
             name = f"memory of {name}, an hour at 1 kHz"
             figures.append(Figure(name, most.memory, "MB", bound=REPORT_BOUND, parts=parts))
         return figures
-
-
-def write_repeated(bag: Bag, folder: Path, minutes: float) -> None:
-    """Write a bag of so many minutes: the run from its start to END, then again and again from BEGIN to END."""
-    messages = list(in_order(bag.path, COPIED))
-    start = header_stamp(next(message.data for name, message in messages if name == COMMANDS))
-    sent = {header_stamp(message.data) - start: message.publish_time for name, message in messages if name == STATES}
-    begin, end = (round(t * 1e9) for t in (BEGIN, END))
-    first = [each for each in messages if each[1].publish_time < sent[end]]
-    again = [each for each in first if each[1].publish_time >= sent[begin]]
-    writer = BagWriter(folder)
-    channels = {
-        name: writer.add_topic(name, bag.topics[name].type_name, [names.LATEST], type_hash(bag.topics[name].type_name))
-        for name in COPIED
-    }
-    for count in range(1 + round((minutes * 60 - END) / (END - BEGIN))):
-        later, stamp = count * (sent[end] - sent[begin]), count * (end - begin)
-        for name, message in again if count else first:
-            channel = channels[name]
-            data = message.data if name == EFFORTS else _shifted(message, stamp)
-            writer.write(channel, message.log_time + later, message.publish_time + later, channel.count + 1, data)
-    writer.close()
-
-
-def _shifted(message: Message, later: int) -> bytes:
-    """Return a little-endian message that starts with a header, its stamp `later` [ns]."""
-    stamp = divmod(header_stamp(message.data) + later, 10**9)
-    return message.data[:4] + struct.pack("<iI", *stamp) + message.data[12:]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.arm import ROOT, SCENARIO
+from bench.arm import ROOT
 from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py.scenarios import library
@@ -51,12 +51,12 @@ def ros_environment() -> Mapping[str, str]:
 
 
 @contextmanager
-def scenario_file(overrides: Mapping[str, Any] | None = None) -> Iterator[Path]:
-    """Write the scenario with changed parameters to a file; set the ROS environment variables."""
+def scenario_file(overrides: Mapping[str, Any] | None = None, name: str = "arm7") -> Iterator[Path]:
+    """Write a scenario with changed parameters to a file; set the ROS environment variables."""
     ros_environment()
     with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
         path = Path(folder, "scenario.yaml")
-        path.write_text(library.as_run(SCENARIO, overrides or {})[0], encoding="utf-8")
+        path.write_text(library.as_run(library.find(name), overrides or {})[0], encoding="utf-8")
         yield path
 
 
@@ -88,12 +88,24 @@ def running(*commands: Sequence[str]) -> Iterator[list[int]]:
 
 
 @contextmanager
-def process(command: Sequence[str], stdout: int = subprocess.DEVNULL) -> Iterator[subprocess.Popen[str]]:
-    """Run a command inside the block, and end it by SIGINT; raise RuntimeError if it has ended before."""
-    with subprocess.Popen(command, cwd=ROOT, stdout=stdout, text=True, start_new_session=True) as started:
+def process(
+    command: Sequence[str],
+    stdout: int = subprocess.DEVNULL,
+    quiet: bool = False,
+    may_end: bool = False,
+    env: Mapping[str, str] | None = None,
+) -> Iterator[subprocess.Popen[str]]:
+    """Run a command inside the block, and end it by SIGINT; raise RuntimeError if it has ended before, unless it may.
+
+    quiet: without its messages on stderr.
+    """
+    stderr = subprocess.DEVNULL if quiet else None
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=stdout, stderr=stderr, text=True, start_new_session=True, env=env
+    ) as started:
         try:
             yield started
-            if started.poll() is not None:
+            if started.poll() is not None and not may_end:
                 raise RuntimeError(
                     f"{Path(command[0]).name} ended with {started.returncode}; expected it to be running"
                 )

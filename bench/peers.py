@@ -1,25 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single evaluations against Pinocchio and MuJoCo, called from Python with prepared arguments."""
+"""Speed without ROS: evaluations against Pinocchio and MuJoCo, called from Python, and the loop against real time."""
 
 from __future__ import annotations
 
 from functools import partial
+from timeit import timeit
 
 import casadi as ca
 import mujoco
 import numpy as np
 import pinocchio as pin
 
-from bench.arm import arm7, random_motion
+from bench.arm import Arm, arm7, random_motion
 from bench.figures import Figure
-from bench.measure import Call, in_turns, microseconds, ratio
+from bench.measure import Call, in_turns, microseconds, one_core, ratio
 from bench.mujoco_arm import MujocoArm
-from fjr_core import PAPER_GAINS, TrackingLaw, single_link
+from fjr_core import PAPER_GAINS, TrackingLaw, simulate, single_link
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
 from fjr_core.numerics.symbolic import bind
 
 STEP = 2.5e-4  # s
+DURATION = 3.0  # s, of the closed loop
+TOLERANCE = 1e-6  # rad; largest change of the closed loop when the inner step is halved
+MOST_STEPS, REPEATS = 64, 9
 
 
 def law_over_rnea() -> list[Figure]:
@@ -84,6 +88,42 @@ def virtual_machine_over_c() -> list[Figure]:
     laws = {name: TrackingLaw(robot, PAPER_GAINS, compile=name == "C") for name in ("virtual machine", "C")}
     calls = {name: _bound(law.command_function, x, jets) for name, law in laws.items()}
     return [_ratio("law, paper's joint, CasADi's virtual machine over C", calls)]
+
+
+def times_real_time() -> list[Figure]:
+    """Measure law and plant of the scenario at its sample period."""
+    arm = arm7()
+    steps, change = fine_enough(arm)
+    with one_core():
+        walls = [timeit(lambda: positions(arm, steps), number=1) for _ in range(REPEATS)]
+    parts = {
+        "inner step [ms]": 1e3 * arm.scenario.sample_period / steps,
+        "halving it changes q by [rad]": change,
+        "spread [%]": 100 * float(np.ptp(walls) / np.median(walls)),
+    }
+    value = DURATION / float(np.median(walls))
+    return [Figure("closed loop, 7 joints, 1 kHz", value, "x real time", bound=60, aim=100, at_least=True, parts=parts)]
+
+
+def fine_enough(arm: Arm) -> tuple[int, float]:
+    """Return the fewest steps per sample (a power of two), and the change of positions [rad] with twice as many."""
+    steps, change, coarse = 1, np.inf, positions(arm, 1)
+    while steps <= MOST_STEPS:
+        fine = positions(arm, 2 * steps)
+        change = float(np.max(np.abs(fine - coarse)))
+        if change < TOLERANCE:
+            return steps, change
+        steps, coarse = 2 * steps, fine
+    raise ArithmeticError(f"{MOST_STEPS} steps a sample leave {change:.1e} rad; expected less than {TOLERANCE}")
+
+
+def positions(arm: Arm, steps: int) -> Array:
+    """Return q_l and q_m (k, 2n) at every sample [rad]."""
+    period = arm.scenario.sample_period
+    run = simulate(
+        arm.plant, arm.law, arm.scenario.reference, arm.scenario.x0, DURATION, period, inner_step=period / steps
+    )
+    return run.x[:, : 2 * arm.robot.n]
 
 
 def _ratio(name: str, calls: dict[str, Call], bound: float | None = None) -> Figure:

@@ -1,22 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop of `arm7` at 1 kHz: states answered before the next one, processor time, and late periods.
+"""The loop of `arm7` at 1 kHz: states answered before the next one, processor time, late periods; rate in lock-step.
 
 Answers count from the first effort on, of both hosts of the nodes in turns, with the certificate, quiet and beside busy
-processes. Late periods are compared with those of a bare timer node.
+processes. Late periods are compared with those of a bare timer node, samples per second in lock-step with two bare
+nodes that exchange states and commands.
 """
 
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.bare import PERIOD
 from bench.figures import Figure
+from bench.measure import ratio
 from bench.nodes import bare, burning, controller, plant, running, scenario_file
-from bench.tap import Tap
+from bench.tap import Seen, Tap
 from fjr_msgs_py import names
 
 SECONDS = 60.0
@@ -30,6 +35,8 @@ LATE = 1_500_000  # ns; a period that is late
 MOST = 0.1  # %; share of late periods that is allowed regardless of the bare node
 FACTOR = 1.25
 SKIPPED = 2.0  # s before periods count
+REPEATS, COUNTED, SETTLING = 5, 5.0, 1.0  # in lock-step; s; s before it
+RATE_BOUNDS = {"native": 1.3, "events": 0.7}  # of the rates of both hosts over that of the bare nodes
 
 
 def answered(seconds: float = SECONDS) -> list[Figure]:
@@ -59,7 +66,7 @@ def _run(host: str, busy: int, seconds: float) -> tuple[float, float, float]:
         heard.collect(WARM_UP)
         before = [processor_time(pid) for pid in pids]
         heard.collect(seconds)
-        used = [100 * (processor_time(pid) - time) / seconds for pid, time in zip(pids, before, strict=True)]
+        used = [100 * (processor_time(pid) - begin) / seconds for pid, begin in zip(pids, before, strict=True)]
         states, commands = heard.messages()
     return in_time(states[states[:, 0] >= commands[0, 0]], commands), used[0], used[1]
 
@@ -97,8 +104,8 @@ def _bare(seconds: float) -> NDArray[np.int64]:
 
 def _periods(topics: list[str], seconds: float) -> list[NDArray[np.int64]]:
     with Tap() as tap:
-        tap.sent(topics, SKIPPED, LONGEST)
-        return [np.diff(times) for times in tap.sent(topics, seconds, LONGEST)]
+        tap.messages(topics, SKIPPED, LONGEST)
+        return [np.diff(found[:, 1]) for found in tap.messages(topics, seconds, LONGEST)]
 
 
 def _share(periods: NDArray[np.int64]) -> float:
@@ -115,3 +122,41 @@ def figure(what: str, ours: NDArray[np.int64], theirs: NDArray[np.int64]) -> Fig
         "periods": float(len(ours)),
     }
     return Figure(f"{what} later than 1.5 ms at 1 kHz", _share(ours), "%", bound=bound, parts=parts)
+
+
+def over_ping_pong(repeats: int = REPEATS, seconds: float = COUNTED) -> list[Figure]:
+    """Compare the rates of both hosts in lock-step with the bare nodes, in turns; nodes are restarted."""
+    with scenario_file() as file:
+        pairs = {
+            host: (
+                plant(file, "-p", "lockstep:=true"),
+                controller(file, "-p", "realtime_priority:=0", "-p", f"executor:={host}"),
+            )
+            for host in RATE_BOUNDS
+        }
+        pairs["bare"] = (bare("ping", priority=0), bare("pong", priority=0))
+        rounds = [[_rate(commands, seconds) for commands in pairs.values()] for _ in range(repeats)]
+    rates = dict(zip(pairs, np.array(rounds).T, strict=True))
+    theirs, figures = rates.pop("bare"), []
+    for host, ours in rates.items():
+        parts = {f"{who} [samples/s]": float(np.median(each)) for who, each in (("ours", ours), ("bare", theirs))}
+        parts["least"] = float(np.min(ours / theirs))
+        name, bound = f"lock-step over a bare ping-pong, {host}", RATE_BOUNDS[host]
+        figures.append(Figure(name, ratio(ours, theirs), "", bound=bound, at_least=True, parts=parts))
+    return figures
+
+
+def _rate(commands: Sequence[Sequence[str]], seconds: float) -> float:
+    """Return samples per second, from the stamps of two states without a subscription between them."""
+    with running(*commands), Tap() as tap:
+        tap.next(names.JOINT_STATES, LONGEST)
+        time.sleep(SETTLING)
+        first = tap.next(names.JOINT_STATES, LONGEST)
+        time.sleep(seconds)
+        last = tap.next(names.JOINT_STATES, LONGEST)
+    return samples_per_second(first, last)
+
+
+def samples_per_second(first: Seen, last: Seen) -> float:
+    """Return samples per second from stamps (one period per sample) and send times."""
+    return (last.stamp - first.stamp) / PERIOD / ((last.sent - first.sent) * 1e-9)

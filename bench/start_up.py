@@ -5,20 +5,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
-from unittest.mock import patch
 
 import numpy as np
 
 from bench.arm import SCENARIO
 from bench.figures import Figure
-from bench.nodes import ros_environment, used
+from bench.nodes import controller, plant, process, ros_environment, used
 from bench.tap import Tap
-from fjr_bringup.node_process import StartedNode
 from fjr_msgs_py import names
 
 COLD_REPEATS, WARM_REPEATS, NODE_REPEATS, COMMAND_REPEATS = 3, 3, 11, 5
@@ -83,22 +78,13 @@ def _first_effort(cache: str) -> float:
 
 
 def _first_command(cache: str) -> float:
-    with _node("fjr_plant", "plant_node", cache), Tap() as tap:
+    env = _environment(cache)
+    with process(plant(SCENARIO), env=env), Tap() as tap:
         tap.next(names.JOINT_STATES, LONGEST)
         start = perf_counter()
-        with _node("fjr_controller", "controller_node", cache):
+        with process(controller(SCENARIO), env=env):
             tap.next(names.JOINT_COMMANDS, LONGEST)
             return perf_counter() - start
-
-
-@contextmanager
-def _node(package: str, name: str, cache: str) -> Iterator[None]:
-    with patch.dict(os.environ, _environment(cache), clear=True):
-        process = StartedNode(package, name, ["--params-file", str(SCENARIO)], Path(cache, f"{name}.log"))
-    try:
-        yield
-    finally:
-        process.stop()
 
 
 def _environment(cache: str) -> dict[str, str]:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from fjr_msgs_py.messages.joint_states import nanoseconds
 from fjr_msgs_py.node.participant import own_node
 
 DEPTH = 5000
@@ -25,12 +25,12 @@ HEADER, STAMP = 4, struct.Struct("<iI")  # a serialised JointState begins with i
 PAUSE = 0.05  # s between two reads of the queues
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A message: stamp and send time [ns]."""
+class Seen(NamedTuple):
+    """A message: stamp and send time [ns], and its serialised data."""
 
     stamp: int
     sent: int
+    data: bytes = b""
 
 
 class Tap:
@@ -52,10 +52,6 @@ class Tap:
         finally:
             self.node.destroy_subscription(subscription)
 
-    def sent(self, topics: list[str], seconds: float, longest: float) -> list[NDArray[np.int64]]:
-        """Return the send times [ns] of each topic, as `messages` does."""
-        return [found[:, 1] for found in self.messages(topics, seconds, longest)]
-
     def messages(self, topics: list[str], seconds: float, longest: float) -> list[NDArray[np.int64]]:
         """Return stamps and send times (k, 2) [ns] of each topic, from the first message of the last topic on.
 
@@ -69,8 +65,7 @@ class Tap:
     def listening(self, topics: list[str], longest: float) -> Iterator[Heard]:
         """Listen to topics inside the block, which begins with the first message of the last of them."""
         subscriptions = [self._subscribe(topic) for topic in topics]
-        first = [self._wait(subscription, longest) for subscription in subscriptions]
-        yield Heard(subscriptions, [[(seen.stamp, seen.sent)] for seen in first])
+        yield Heard(subscriptions, [[self._wait(subscription, longest)] for subscription in subscriptions])
         for subscription in subscriptions:
             self.node.destroy_subscription(subscription)
 
@@ -79,20 +74,19 @@ class Tap:
 
     def _wait(self, subscription: Subscription, longest: float) -> Seen:
         end = perf_counter() + longest
-        while (taken := subscription.handle.take_message(JointState, True)) is None:
+        while (seen := _taken(subscription)) is None:
             if perf_counter() > end:
                 raise TimeoutError(f"{subscription.topic} was silent for {longest:g} s; expected a message")
             time.sleep(1e-3)
-        data, info = taken
-        return Seen(nanoseconds(deserialize_message(data, JointState).header.stamp), info["source_timestamp"])
+        return seen
 
 
 @dataclass(frozen=True)
 class Heard:
-    """What a tap hears: subscriptions, and stamp and send time [ns] of their messages so far."""
+    """What a tap hears: subscriptions, and their messages so far."""
 
     subscriptions: list[Subscription]
-    seen: list[list[tuple[int, int]]]
+    seen: list[list[Seen]]
 
     def collect(self, seconds: float) -> None:
         """Read the queues for a time."""
@@ -104,17 +98,22 @@ class Heard:
     def drain(self) -> None:
         """Empty the queues, which hold DEPTH messages."""
         for found, subscription in zip(self.seen, self.subscriptions, strict=True):
-            found += _drained(subscription)
+            found += iter(lambda each=subscription: _taken(each), None)  # type: ignore[misc]
 
     def messages(self) -> list[NDArray[np.int64]]:
         """Return stamps and send times (k, 2) [ns] of each topic."""
-        return [np.array(found, dtype=np.int64).reshape(-1, 2) for found in self.seen]
+        return [np.array([each[:2] for each in found], dtype=np.int64).reshape(-1, 2) for found in self.seen]
+
+    def values(self, k: int, *fields: str) -> NDArray[np.float64]:
+        """Return these fields of the messages of the k-th topic, side by side."""
+        messages = (deserialize_message(each.data, JointState) for each in self.seen[k])
+        return np.array([np.concatenate([getattr(message, name) for name in fields]) for message in messages])
 
 
-def _drained(subscription: Subscription) -> list[tuple[int, int]]:
-    """Return stamp and send time [ns] of each waiting message."""
-    seen = []
-    while (taken := subscription.handle.take_message(JointState, True)) is not None:
-        sec, nanosec = STAMP.unpack_from(taken[0], HEADER)
-        seen.append((sec * 1_000_000_000 + nanosec, taken[1]["source_timestamp"]))
-    return seen
+def _taken(subscription: Subscription) -> Seen | None:
+    """Return the next waiting message."""
+    taken = subscription.handle.take_message(JointState, True)
+    if taken is None:
+        return None
+    sec, nanosec = STAMP.unpack_from(taken[0], HEADER)
+    return Seen(sec * 1_000_000_000 + nanosec, taken[1]["source_timestamp"], taken[0])

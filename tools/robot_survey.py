@@ -36,12 +36,11 @@ AIRO, XACRO = "airo_models", "rtbdata/xacro"
 
 @dataclass(frozen=True)
 class PublicRobot:
-    """A robot: its name, the distribution with its URDF, the path there, and the options that `fjr new` gets."""
+    """A robot: its name, the distribution with its URDF, and the path there."""
 
     name: str
     package: str
     path: str
-    options: tuple[str, ...] = ()
 
     @property
     def urdf(self) -> Path:
@@ -49,8 +48,8 @@ class PublicRobot:
         return Path(str(distribution(self.package).locate_file(self.path)))
 
 
-def _example(name: str, path: str, *options: str) -> PublicRobot:
-    return PublicRobot(name, "example-robot-data", f"{EXAMPLE}/{path}", options)
+def _example(name: str, path: str) -> PublicRobot:
+    return PublicRobot(name, "example-robot-data", f"{EXAMPLE}/{path}")
 
 
 def _rtb(name: str, path: str) -> PublicRobot:
@@ -123,7 +122,7 @@ def outcome(robot: PublicRobot) -> Outcome:
         scenario = str(FOLDER / f"{stem}.yaml")
         runs = ("--lockstep", "--duration", str(DURATION), "--no-report", "--output", str(FOLDER / "runs"))
         commands = {
-            "new": ("new", str(robot.urdf), "--name", stem, "--output", str(FOLDER), "--force", *robot.options),
+            "new": ("new", str(robot.urdf), "--name", stem, "--output", str(FOLDER), "--force"),
             "check": ("check", scenario),
             "run": ("run", scenario, *runs, "--set", "compile:=false"),
         }

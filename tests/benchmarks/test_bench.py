@@ -23,7 +23,6 @@ from bench import (
     identification,
     identification_peers,
     latency,
-    lock_step,
     memory,
     real_time,
 )
@@ -169,7 +168,7 @@ def test_a_state_is_answered_in_time_by_a_command_before_the_next_state() -> Non
 
 
 def test_samples_are_counted_by_their_stamps() -> None:
-    assert lock_step.samples_per_second(Seen(5_000_000, 100), Seen(2_005_000_000, 500_000_100)) == pytest.approx(4000)
+    assert real_time.samples_per_second(Seen(5_000_000, 100), Seen(2_005_000_000, 500_000_100)) == pytest.approx(4000)
 
 
 def test_memory_growth_is_the_slope_after_the_first_minute() -> None:
@@ -235,7 +234,7 @@ def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> N
 
 
 def test_a_study_of_coverage_goes_on_after_a_line_that_was_cut_off(tmp_path: Path) -> None:
-    line = json.dumps({"code": identification.code(), "measured": "both", "joints": 1, "seed": 1000, "rows": []})
+    line = json.dumps({"measured": "both", "joints": 1, "seed": 1000, "rows": []})
     file = tmp_path / "coverage.jsonl"
     file.write_text(f"{line}\n{line[:40]}")
     assert [each["seed"] for each in identification.finished(file)] == [1000]

@@ -4,25 +4,30 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from diagnosis_benchmark.cases import Case
+from diagnosis_benchmark.faults import (
+    FAULTS,
+    HEALTHY,
+    TUNING_SEEDS,
+    VALIDATION_SEED,
+    WIRING,
+    cases,
+    duration_of,
+    joints_of,
+)
+from diagnosis_benchmark.tables import KINDS, Outcome, begin, fault_table, outcome, shares
+from fjr_core.monitoring.certificate import Certificate
+
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-
-from diagnosis_benchmark.fault_runs import FAULTS, HEALTHY, TUNING_SEEDS, VALIDATION_SEED, WIRING, FaultCase, cases  # noqa: E402
-from diagnosis_benchmark.faulty_loop import Fault, FaultyLoop  # noqa: E402
-from diagnosis_benchmark.runs import Case  # noqa: E402
-from diagnosis_benchmark.tables import KINDS, Outcome, begin, fault_table, outcome, shares  # noqa: E402
-from fjr_core.monitoring.certificate import Certificate  # noqa: E402
-
 pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
-SEVERAL = [case for case in SET if case.case.scenario == "two_link" and case.kind in FAULTS][2::6]
-MISWIRED = [case for case in SET if case.case.scenario == "two_link" and case.kind in WIRING][2::3]
+SEVERAL = [case for case in SET if case.scenario == "two_link" and case.kind in FAULTS][2::6]
+MISWIRED = [case for case in SET if case.scenario == "two_link" and case.kind in WIRING][2::3]
 
 
 def test_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
@@ -30,7 +35,7 @@ def test_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
     assert len(SET) >= 48
     for kind in FAULTS:
         for robot in ("paper_k31", "two_link", "arm7"):
-            sizes = [case.size for case in SET if (case.kind, case.case.scenario) == (kind, robot)]
+            sizes = [case.size for case in SET if (case.kind, case.scenario) == (kind, robot)]
             assert len(sizes) == 3
             assert sizes == sorted(set(sizes))
     assert sum(case.kind == HEALTHY for case in SET) >= 12
@@ -38,27 +43,28 @@ def test_set_has_every_fault_in_three_sizes_and_healthy_runs() -> None:
 
 
 @pytest.mark.parametrize("case", SEVERAL, ids=lambda case: case.name)
-def test_kind_and_joint_of_the_largest_faults_are_right(case: FaultCase) -> None:
+def test_kind_and_joint_of_the_largest_faults_are_right(case: Case) -> None:
     result = outcome(case)
     assert (result.found, result.joint) == (case.kind, True)
 
 
 @pytest.mark.parametrize("case", MISWIRED, ids=lambda case: case.name)
-def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: FaultCase) -> None:
-    scenario, loop, record = case.run()
+def test_wrong_wiring_stops_the_controller_without_effort_and_is_named(case: Case) -> None:
+    loop = case.run(duration_of(case))
+    record = loop.record()
     assert loop.tracker.state.value == "stopped"
-    assert all(name in loop.tracker.reason for name in case.joints.split(" and "))
+    assert all(name in loop.tracker.reason for name in joints_of(case).split(" and "))
     assert not record.u[-1].any()
     assert outcome(case).found == case.kind
     if case.kind == "efforts exchanged":
         answered = np.flatnonzero(record.u.any(axis=1))
         assert answered[-1] < 20
-        V = Certificate(scenario.tracking_law).along(record.position, record.velocity, record.jets).V
+        V = Certificate(loop.scenario.tracking_law).along(record.position, record.velocity, record.jets).V
         assert V[:30].max() < 1e3 * V[0]
 
 
 @pytest.mark.parametrize("case", [case for case in SET if case.kind == HEALTHY][1:9:3], ids=lambda case: case.name)
-def test_healthy_runs_have_no_finding(case: FaultCase) -> None:
+def test_healthy_runs_have_no_finding(case: Case) -> None:
     assert outcome(case).found == HEALTHY
 
 
@@ -86,9 +92,7 @@ def test_saturated_motor_is_not_diagnosed_as_wrong_wiring(scenario: str) -> None
     changes, robot, q = WEAK[scenario]
     named, start = {f"imperfections.{name}": v for name, v in changes.items()}, {"initial_link_position": [q]}
     weak = Case(scenario, scenario, HEALTHY, named, robot, {**start, "initial_motor_position": [q]})
-    loop = FaultyLoop(weak.loaded(), Fault())
-    loop.run(0.25)
-    assert loop.tracker.state.value == "tracking"
+    assert weak.run(0.25).tracker.state.value == "tracking"
 
 
 def test_page_shows_the_set_and_the_required_shares() -> None:

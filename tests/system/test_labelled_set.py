@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,18 +10,16 @@ from typing import Any
 
 import pytest
 
+from diagnosis_benchmark.bags import read_record
+from diagnosis_benchmark.cases import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases
+from diagnosis_benchmark.tables import NAMES, begin, diagnosed, diagnosed_cause, right, table
+from fjr_core.config.scenario import load_scenario
+from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
+from fjr_msgs_py.console.ending import Exit
+from system.executables import fjr_here
+from system.shared_runs import shared_run
+
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-
-from diagnosis_benchmark.bags import read_record  # noqa: E402
-from diagnosis_benchmark.runs import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases  # noqa: E402
-from diagnosis_benchmark.tables import NAMES, begin, diagnosed, diagnosed_cause, right, table  # noqa: E402
-from fjr_core.config.scenario import load_scenario  # noqa: E402
-from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose  # noqa: E402
-from fjr_msgs_py.console.ending import Exit  # noqa: E402
-from system.executables import fjr_here  # noqa: E402
-from system.shared_runs import shared_run  # noqa: E402
-
 pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
 
@@ -98,4 +95,4 @@ def test_real_nodes_as_they_are_hold_the_bound(tmp_path_factory: pytest.TempPath
 
 def verdict_on(folder: Path) -> Diagnosis:
     scenario = load_scenario(folder / "scenario.yaml")
-    return diagnose(read_record(folder / "bag", scenario), scenario.law)
+    return diagnose(read_record(folder / "bag", scenario), scenario.tracking_law)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from envsetup.quoting import quote_paths
+from envsetup.workspace import quote_paths
 from fjr_bringup.node_process import executable
 from fjr_core.files.text_file import write_text
 from fjr_monitor.recording.bag import read_bag

@@ -6,25 +6,21 @@ The check in C agrees with its equations in NumPy (core/oracles/wiring.py) on th
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fjr_core as fjr
 from core.oracles.wiring import NumericCheck
+from diagnosis_benchmark.cases import JOINTS, Case
+from diagnosis_benchmark.faults import PAIRS, ROBOTS, WIRING, joints_of
+from diagnosis_benchmark.lock_step import Fault
+from diagnosis_benchmark.wiring import HEALTHY_LASTING, Stop, healthy, wrong
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
 from fjr_monitor.diagnosis.fault_isolation import WiringCheck
 from fjr_monitor.diagnosis.record import Record
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-
-from diagnosis_benchmark.fault_runs import JOINTS, PAIRS, ROBOTS, WIRING, FaultCase
-from diagnosis_benchmark.faulty_loop import Fault
-from diagnosis_benchmark.wiring_runs import HEALTHY_LASTING, Stop, healthy, wrong
 
 pytestmark = pytest.mark.system
 FIRST = 20
@@ -34,9 +30,9 @@ CASES = [(robot, kind) for robot in ROBOTS for kind in WIRING if robot != "paper
 SAME = {"rtol": 1e-6, "atol": 1e-9}
 
 
-def compared(case: FaultCase, run: Record) -> str:
+def compared(case: Case, run: Record) -> str:
     """Give a stream to both; return the sentence of the fault that both find with the same state, if any."""
-    robot = case.case.loaded().robot  # as the controller knows it
+    robot = case.loaded().robot  # as the controller knows it
     names = [f"joint{j + 1}" for j in range(robot.n)]
     here, oracle = WiringCheck(robot), NumericCheck(robot)
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
@@ -58,7 +54,7 @@ def test_each_fault_of_each_joint_is_found_within_twenty_samples_and_stops_the_n
     for number, case in enumerate(wrong(robot, kind)):
         stop = Stop.of(case, LASTING)
         assert 0 < stop.samples <= FIRST, case.name
-        assert all(name in stop.reason for name in case.joints.split(" and ")), (case.name, stop.reason)
+        assert all(name in stop.reason for name in joints_of(case).split(" and ")), (case.name, stop.reason)
         assert stop.travel < TRAVEL[robot], case.name
         assert number % 3 or compared(case, stop.run), case.name
 
@@ -106,7 +102,7 @@ def test_the_operations_after_one_state_are_bounded() -> None:
     """Fewer than 16 n before the last hypothesis, which takes 2 n + 3; the next state continues the comparison."""
     moved = Fault(position=lambda q: np.roll(q, 1), velocity=lambda dq: np.roll(dq, 1))  # all joints are suspected
     case = replace(next(wrong("arm7", "effort sign")), fault=moved)
-    run, robot = Stop.of(case, LASTING).run, case.case.loaded().robot
+    run, robot = Stop.of(case, LASTING).run, case.loaded().robot
     check, done, went_on = WiringCheck(robot), [], 0
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
         check._lib.fjr_wiring_see(check.state, t, check._pointer(q), check._pointer(dq))

@@ -20,10 +20,10 @@ from bench.figures import markdown, put
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 from fjr_monitor.diagnosis.thresholds import Axes
 
-from . import fault_runs, runs
+from . import cases, faults
 from .bags import read_record, write_bag
-from .fault_runs import FAULTS, HEALTHY, WIRING, FaultCase
-from .runs import DEGRADED, HOLDING, UNDECIDED, VIOLATED, Case, Label
+from .cases import DEGRADED, HOLDING, UNDECIDED, VIOLATED, Case, Label
+from .faults import FAULTS, HEALTHY, WIRING, duration_of, joints_of
 
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
 OTHER = "several or none"
@@ -38,10 +38,10 @@ def begin(table: str) -> str:
 
 def diagnosed(case: Case, folder: Path) -> tuple[Label, Diagnosis]:
     """Write the bag of a case into `folder` and return the label and the diagnosis of the bag."""
-    scenario, log = runs.run(case)
-    write_bag(log, scenario, folder)
-    record = read_record(folder, scenario)
-    return runs.label(case, record), diagnose(record, scenario.tracking_law)
+    loop = case.run()
+    write_bag(loop, folder)
+    record = read_record(folder, loop.scenario)
+    return cases.label(case, record), diagnose(record, loop.scenario.tracking_law)
 
 
 def diagnosed_cause(verdict: Diagnosis) -> str:
@@ -71,7 +71,7 @@ def causes_of(seed: int) -> list[str]:
     """Return the tables of causes and of grades of the set of a seed."""
     causes, grades = [], []
     with tempfile.TemporaryDirectory(prefix="fjr-diagnoses-") as folder:
-        for i, case in enumerate(runs.cases(seed)):
+        for i, case in enumerate(cases.cases(seed)):
             wanted, verdict = diagnosed(case, Path(folder, str(i)))
             causes.append((wanted.cause, diagnosed_cause(verdict)))
             grades.append((wanted.grade, verdict.kind))
@@ -89,14 +89,14 @@ class Outcome:
     joint: bool
 
 
-def outcome(case: FaultCase) -> Outcome:
+def outcome(case: Case) -> Outcome:
     """Simulate a fault and compare the first finding with the label."""
-    scenario, _, found = case.run()
-    joints = Axes.of(scenario.controller_values, scenario.robot)
-    findings = diagnose(found, scenario.tracking_law, axes=joints).findings
+    loop = case.run(duration_of(case))
+    axes = Axes.of(loop.scenario.controller_values, loop.scenario.robot)
+    findings = diagnose(loop.record(), loop.scenario.tracking_law, axes=axes).findings
     if not findings:
         return Outcome(case.kind, HEALTHY, case.kind == HEALTHY)
-    return Outcome(case.kind, findings[0].kind, findings[0].joint == case.joints)
+    return Outcome(case.kind, findings[0].kind, findings[0].joint == joints_of(case))
 
 
 def fault_table(outcomes: Sequence[Outcome]) -> list[str]:
@@ -121,7 +121,7 @@ def shares(outcomes: Iterable[Outcome]) -> tuple[float, float]:
 def faults_of(seed: int) -> list[str]:
     """Return the table of the set of a seed, below the shares of right findings."""
     outcomes = []
-    for case in fault_runs.cases(seed):
+    for case in faults.cases(seed):
         outcomes.append(result := outcome(case))
         if result.kind != result.found or not result.joint:
             print(f"seed {seed}: {case.name}: {result}", file=sys.stderr, flush=True)
@@ -134,9 +134,9 @@ def faults_of(seed: int) -> list[str]:
 TABLES = {
     "causes": (
         causes_of,
-        {"Validation set": runs.VALIDATION_SEED, "Set on which the thresholds were tuned": runs.TUNING_SEED},
+        {"Validation set": cases.VALIDATION_SEED, "Set on which the thresholds were tuned": cases.TUNING_SEED},
     ),
-    "faults": (faults_of, {"Validation set": fault_runs.VALIDATION_SEED}),
+    "faults": (faults_of, {"Validation set": faults.VALIDATION_SEED}),
 }
 
 

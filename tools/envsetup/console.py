@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 PREFIX = "[setup]"
 TAIL_LINES = 25
@@ -41,46 +40,29 @@ class Step:
     """
 
     def __init__(self, title: str) -> None:
-        self.title = title
-        self.note = ""
-        self._live = sys.stdout.isatty()
-        self._open = True  # whether the cursor is behind the title
-        self._stop = threading.Event()
-        self._ticker = threading.Thread(target=self._refresh if self._live else self._report, daemon=True)
+        self.title, self.note = title, ""
+        self._live, self._stop = sys.stdout.isatty(), threading.Event()
+        self._ticker = threading.Thread(target=self._report, daemon=True)
 
     def __enter__(self) -> Step:
         self._start = time.monotonic()
-        if not self._live:
-            print(f"{PREFIX} {self.title} ...", end="", flush=True)
+        self._print("", end="" if self._live else "\n")
         self._ticker.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._stop.set()
         self._ticker.join()
-        if self._live:
-            print("\r\033[K", end="")
-        if self._live or not self._open:
-            print(f"{PREFIX} {self.title} ...", end="")
-        outcome = "" if kind is None else "failed after "
-        print(f" {outcome}{time.monotonic() - self._start:.1f} s", flush=True)
-
-    def _line(self, longest: int) -> str:
-        """Return title, elapsed time and note, in at most `longest` characters."""
-        return f"{PREFIX} {self.title} ... {time.monotonic() - self._start:.0f} s  {self.note}"[:longest]
-
-    def _refresh(self) -> None:
-        while True:
-            print("\r\033[K" + self._line(shutil.get_terminal_size().columns - 1), end="", flush=True)
-            if self._stop.wait(0.5):
-                return
+        self._print(f"{'' if kind is None else 'failed after '}{time.monotonic() - self._start:.1f} s")
 
     def _report(self) -> None:
-        while not self._stop.wait(BEAT):
-            print("\n" * self._open + self._line(LONGEST), flush=True)
-            self._open = False
+        while not self._stop.wait(0.5 if self._live else BEAT):
+            self._print(f"{time.monotonic() - self._start:.0f} s  {self.note}", end="" if self._live else "\n")
+
+    def _print(self, state: str, end: str = "\n") -> None:
+        longest = shutil.get_terminal_size().columns - 1 if self._live else LONGEST
+        line = f"{PREFIX} {self.title} ... {state}"[:longest]
+        print(f"\r\033[K{line}" if self._live else line, end=end, flush=True)
 
 
 def run_logged(

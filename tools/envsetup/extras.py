@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional system packages in addition to the pinned ones."""
+"""System packages of Debian and Ubuntu in addition to the pinned ones, by apt-get."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from envsetup.console import SetupError, say
-from envsetup.debian import apt_install, has_apt
+from envsetup.console import SetupError, Step, run_logged, say
 
 COMPILERS = ("cc", "gcc", "clang")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -48,6 +47,21 @@ class Extra:
             return
         if not self.is_there():
             say(f"{lack}, although {' and '.join(self.packages)} are installed")
+
+
+def has_apt() -> bool:
+    """Return whether apt-get is available."""
+    return any(Path(folder, "apt-get").exists() for folder in ("/usr/bin", "/bin"))
+
+
+def apt_install(packages: tuple[str, ...], log: Path, env: dict[str, str]) -> None:
+    """Install packages as root; raise SetupError if apt-get fails."""
+    apt, names = {**env, "DEBIAN_FRONTEND": "noninteractive"}, " ".join(packages)
+    with Step("apt-get update") as step:
+        run_logged(["apt-get", "update"], log, apt, step, failure="apt-get update failed")
+    with Step(f"apt-get install {names}") as step:
+        command = ["apt-get", "install", "-y", "--no-install-recommends", *packages]
+        run_logged(command, log, apt, step, failure=f"apt-get could not install {names}")
 
 
 def compiler(env: dict[str, str]) -> Extra:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from envsetup.console import SetupError
-from envsetup.debian import has_apt
+from envsetup.extras import has_apt
 
 DISTRO = "jazzy"
 OLDEST_GLIBC = (2, 28)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from envsetup import pins
 from envsetup.console import SetupError, Step, clean_environment, run_logged, say
-from envsetup.debian import apt_install
+from envsetup.extras import apt_install
 from envsetup.machine import base_interpreter, debian_venv_package
 
 OUTSIDE = """

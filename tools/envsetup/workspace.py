@@ -8,18 +8,22 @@ removed or renamed file, a changed setup.py, setup.cfg or package.xml, another e
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from pathlib import Path
 
 from envsetup import pins
 from envsetup.console import Step, run_logged
-from envsetup.quoting import quote_paths
 from envsetup.virtualenv import Environment
 
 COPIED = {"setup.py", "setup.cfg", "package.xml"}
 """Files whose contents enter the build."""
 COLCON = "import sys; from colcon_core.command import main; sys.exit(main())"
 EVENTS = ("console_cohesion+", "desktop_notification-", "terminal_title-", "status-")
+
+UNQUOTED = re.compile(r"^(_colcon\w*_COLCON_CURRENT_PREFIX=)(/.*)$", re.MULTILINE)
+CALL = re.compile(r"\$\(\$_colcon_python_executable ")
+FIRST_LINE = re.compile(rb'^#!\s*"?(?P<python>/[^"\n]* [^"\n]*?)"?(?: -x)?\n')
 
 
 class Workspace:
@@ -106,3 +110,37 @@ def remove_dangling_links(folder: Path) -> None:
             path = Path(base, name)
             if path.is_symlink() and not path.exists():
                 path.unlink()
+
+
+def quote_paths(install: Path) -> None:
+    """Quote the paths in the scripts of an install folder, so that they work from a checkout whose path has spaces.
+
+    colcon writes the path unquoted in setup.sh, and the path of Python in local_setup.*. setuptools writes the latter
+    into the first line of the nodes, which the kernel splits at the first space.
+    """
+    for script in [path for form in ("*.sh", "*.bash", "*.zsh") for path in install.rglob(form)]:
+        text = script.read_text(encoding="utf-8")
+        quoted = CALL.sub('$("$_colcon_python_executable" ', UNQUOTED.sub(_quoted, text))
+        if quoted != text:
+            script.write_text(quoted, encoding="utf-8")
+    for executable in _executables(install):
+        content = executable.read_bytes()
+        started = FIRST_LINE.sub(_by_the_shell, content)
+        if started != content:
+            executable.write_bytes(started)
+
+
+def _executables(install: Path) -> list[Path]:
+    """Return the executables in <package>/lib/<package>."""
+    found = install.glob("*/lib/*/*")
+    return [path for path in found if path.is_file() and path.parent.name == path.parents[2].name]
+
+
+def _quoted(line: re.Match[str]) -> str:
+    path = line[2].strip('"').replace("'", "'\\''")
+    return f"{line[1]}'{path}'"
+
+
+def _by_the_shell(line: re.Match[bytes]) -> bytes:
+    """Return two lines that sh executes as `exec python` and Python ignores as a string."""
+    return b"#!/bin/sh\n'''exec' \"" + line["python"] + b'" "$0" "$@"\n\' \'\'\'\n'

@@ -204,7 +204,7 @@ def test_radii_with_model_errors_are_those_of_the_changed_plant() -> None:
 
 
 ROWS = re.findall(
-    r"^\| `(\w+)` \|((?: [\d.]+ \|){5})$", Path("docs/robust.md").read_text(encoding="utf-8"), re.MULTILINE
+    r"^\| `(\w+)` \|((?: [\d.]+ \|){5})$", Path("docs/tables/robust.md").read_text(encoding="utf-8"), re.MULTILINE
 )
 
 

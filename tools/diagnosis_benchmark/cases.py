@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,8 @@ from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import TOLERANCE
 from fjr_msgs_py.scenarios import library
 
-from .loop import LockStepLoop, Log, record
+from .lock_step import NONE, Fault, LockStepLoop
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
 DURATION = 3.0  # s
 TUNING_SEED, VALIDATION_SEED = 1, 2
 WINDOW = 0.1  # s; means of V over such windows are compared
@@ -42,7 +40,10 @@ EXPECTED = ("noise",)  # raises the floor, which the diagnosis allows for
 
 @dataclass(frozen=True)
 class Case:
-    """A run: a scenario with changed plant parameters; kind: the cause, if it raises V enough."""
+    """A run: a scenario with changed plant parameters; kind: the cause, if it raises V enough, or the injected fault.
+
+    joint (index, -1: none), side, size: of the fault; fault: what of it is no plant parameter.
+    """
 
     name: str
     scenario: str
@@ -50,17 +51,25 @@ class Case:
     changes: Mapping[str, Any] = field(default_factory=dict)
     robot: Mapping[str, Any] = field(default_factory=dict)  # plant parameters that the model of the controller lacks
     start: Mapping[str, Any] = field(default_factory=dict)  # initial state of the plant
+    joint: int = -1
+    side: str = ""
+    size: float = 0.0
+    fault: Fault = NONE
 
     def loaded(self) -> Scenario:
         """Return the scenario."""
-        changes = {**DIRECT.get(self.scenario, {}), **self.start, **self.changes}
-        text, scenario = library.as_run(SCENARIOS / f"{self.scenario}.yaml", changes)
+        changes = {"lockstep": True, **DIRECT.get(self.scenario, {}), **self.start, **self.changes}
+        text, scenario = library.as_run(library.find(self.scenario), changes)
         if not self.robot:
             return scenario
         document = ros_yaml.parse(text)
         own = document.setdefault(f"/**/{PLANT}", {}).setdefault("ros__parameters", {})
         own.setdefault("robot", {}).update(self.robot)
         return parse_scenario(self.name, ros_yaml.dump(document))
+
+    def run(self, duration: float = DURATION) -> LockStepLoop:
+        """Simulate the case in lock-step."""
+        return LockStepLoop(self.loaded(), self.fault).run(duration)
 
 
 DIRECT: dict[str, dict[str, Any]] = {"two_link": {"start.join_time": 0.0, "limits.start_error": [np.inf] * 2}}
@@ -115,10 +124,10 @@ SLOWER = (("paper_k31", 250.0), ("two_link", 200.0), ("arm7", 400.0))  # Hz, sta
 def cases(seed: int = VALIDATION_SEED) -> list[Case]:
     """Return all labelled runs of a seed."""
     rng = np.random.default_rng(seed)
-    return [replace(case, start=_start(case.scenario, rng)) for case in _cases(1000 * seed)]
+    return [replace(case, start=start_of(case.scenario, rng)) for case in _cases(1000 * seed)]
 
 
-def _start(name: str, rng: np.random.Generator) -> dict[str, list[float]]:
+def start_of(name: str, rng: np.random.Generator) -> dict[str, list[float]]:
     """Return an initial state at rest within 0.1 rad of the scenario's; arm7 keeps its own because of its limits."""
     if name == "arm7":
         return {}
@@ -164,12 +173,6 @@ class Label:
     grade: str
 
 
-def run(case: Case) -> tuple[Scenario, Log]:
-    """Simulate a case in lock-step; return scenario and log."""
-    scenario = case.loaded()
-    return scenario, LockStepLoop(scenario).run(DURATION)
-
-
 def label(case: Case, found: Record) -> Label:
     """Return the label of a run.
 
@@ -183,9 +186,9 @@ def label(case: Case, found: Record) -> Label:
         loaded = case.loaded()
         stable = check(loaded.law, loaded.sample_period, 0.0, loaded.configurations(32)).stable
         return Label(HOLDING, HOLDING) if stable else Label("sampling", VIOLATED)
-    scenario, log = run(replace(case, changes={}, robot={}))
-    healthy = record(log, scenario)
-    mine, usual = (_means(each.t, _storage(scenario, each)) for each in (found, healthy))
+    loop = replace(case, changes={}, robot={}).run()
+    healthy, certificate = loop.record(), Certificate(loop.scenario.tracking_law)
+    mine, usual = (_means(r.t, certificate.along(r.position, r.velocity, r.jets).V) for r in (found, healthy))
     count = min(len(mine), len(usual))
     share = float(np.mean(mine[:count] > RAISED * usual[:count]))
     if SELDOM < share < OFTEN:
@@ -209,10 +212,6 @@ def _largest_difference(one: Record, other: Record) -> float:
     errors = ((run.t, run.position[:, : run.u.shape[1]] - run.jets[:, 0]) for run in (one, other))
     one_error, other_error = (np.array([np.interp(t, stamps, column) for column in e.T]) for stamps, e in errors)
     return float(np.abs(one_error - other_error).max(initial=0.0))
-
-
-def _storage(scenario: Scenario, found: Record) -> Array:
-    return Certificate(scenario.tracking_law).along(found.position, found.velocity, found.jets).V
 
 
 def _means(t: Array, V: Array) -> Array:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples until wrong wiring stops the controller, for every joint, and healthy starts that must not stop it.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.wiring_runs        # 15 min: the table
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.wiring        # 15 min: the table
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record
 
-from .fault_runs import HEALTHY, NOISE, PAIRS, ROBOTS, TORQUE, WIRING, FaultCase, _Draw, _noise
-from .faulty_loop import Fault, FaultyLoop
-from .loop import record
-from .runs import JOINTS, STARTS, Case, _start
+from .cases import JOINTS, STARTS, Case, start_of
+from .faults import HEALTHY, NOISE, PAIRS, PLACE, ROBOTS, TORQUE, WIRING, Draw, noise_of, nominal
 
 SEED = 5
 LASTING, HEALTHY_LASTING = 0.15, 0.08  # s
@@ -41,48 +39,44 @@ class Stop:
     run: Record
 
     @classmethod
-    def of(cls, case: FaultCase, duration: float) -> Stop:
+    def of(cls, case: Case, duration: float) -> Stop:
         """Simulate a case in lock-step. Travel and effort are those up to the stop."""
-        scenario = case.case.loaded()
-        loop = FaultyLoop(scenario, case.fault)
-        log, found = loop.run(duration), loop.found_after
-        run = record(log, scenario)
+        loop = case.run(duration)
+        run, found = loop.record(), loop.found_after
         ended = found + 2 if found else len(run.u)
         travel = np.abs(run.position[:ended] - run.position[0]).max()
         return cls(found, loop.tracker.reason, float(travel), float(np.nanmax(np.abs(run.u[:ended]))), run)
 
 
-def wrong(scenario: str, kind: str, seed: int = SEED) -> Iterator[FaultCase]:
+def wrong(scenario: str, kind: str, seed: int = SEED) -> Iterator[Case]:
     """Return the runs with one wiring fault of a kind, on every joint and side, with noise on all sensors."""
-    rng, n, values = np.random.default_rng(seed), JOINTS[scenario], Case("", scenario, "").loaded().plant_values
+    rng, n = np.random.default_rng(seed), JOINTS[scenario]
     sides, maker = WIRING[kind]
     twice = n == 2 and kind.endswith("exchanged")
     for side in () if n == 1 and kind in PAIRS else sides:
         for j in range(1 if twice else n):
-            fault: Fault = maker(_Draw(scenario, values, j, side, n, 1.0))["fault"]
-            seeded = {"imperfections.seed": int(rng.integers(1000)), **_noise(n)}
-            case = Case(f"{scenario} {kind} {side} {j + 1}", scenario, kind, seeded, start=_start(scenario, rng))
-            yield FaultCase(case.name, kind, j, side, 1.0, case, fault)
+            changes = {"imperfections.seed": int(rng.integers(1000)), **noise_of(n)}
+            start, fault = start_of(scenario, rng), maker(Draw(scenario, j, side))["fault"]
+            name = f"{scenario} {kind} {side} {j + 1}"
+            yield Case(name, scenario, kind, changes, start=start, joint=j, side=side, fault=fault)
 
 
-def healthy(scenario: str, seed: int) -> FaultCase:
+def healthy(scenario: str, seed: int) -> Case:
     """Draw a robot that is wired as it should be, but differs from its model and starts anywhere.
 
     Stiffness and inertia within 30 %, payload, friction, sensor noise from a tenth to ten times NOISE, encoder steps,
     delays of up to 3 ms, lag, weak motors, states that are lost; starts at rest or moving, springs not in equilibrium.
     """
-    rng, loaded = np.random.default_rng([seed, JOINTS[scenario]]), Case("", scenario, "").loaded()
+    rng, loaded = np.random.default_rng([seed, JOINTS[scenario]]), nominal(scenario)
+    keys = ("joint_stiffness", "motor_inertia", *(("link_inertia",) if scenario != "arm7" else ()))
     robot = {
-        key: (
-            np.array(loaded.plant_values[f"robot.{key}"], dtype=float) * rng.uniform(0.7, 1.3, loaded.robot.n)
-        ).tolist()
-        for key in ("joint_stiffness", "motor_inertia", "link_inertia")
-        if f"robot.{key}" in loaded.plant_values and (scenario != "arm7" or not key.startswith("link"))
+        key: (np.array(values, dtype=float) * rng.uniform(0.7, 1.3, loaded.robot.n)).tolist()
+        for key in keys
+        if (values := loaded.plant_values.get(f"robot.{key}")) is not None
     }
     changes = {"seed": seed, **_sensors(scenario, rng), **_loads(scenario, rng), **_lateness(loaded.robot.n, rng)}
     named = {f"imperfections.{key}": value for key, value in changes.items()}
-    case = Case(f"{scenario} healthy {seed}", scenario, HEALTHY, named, robot, _initial(scenario, loaded, rng))
-    return FaultCase(case.name, HEALTHY, -1, "", 0.0, case)
+    return Case(f"{scenario} healthy {seed}", scenario, HEALTHY, named, robot, _initial(scenario, loaded, rng))
 
 
 def _sensors(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
@@ -102,8 +96,7 @@ def _loads(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
         changes = {"link_coulomb_friction": friction, "motor_coulomb_friction": friction}
         changes.update({"friction_smoothing_velocity": [0.05] * n} if scenario == "arm7" else {})
     if rng.random() < 0.5:
-        place = [0.05, 0.0, 0.1] if scenario == "arm7" else [0.2, 0.0, 0.0]
-        changes.update(payload_mass=float(rng.uniform(0, HEAVIEST[scenario])), payload_position=place)
+        changes.update(payload_mass=float(rng.uniform(0, HEAVIEST[scenario])), payload_position=PLACE[n > 2])
     if rng.random() < 0.1 and scenario in LIMITS:
         changes["effort_limit"] = [LIMITS[scenario]] * n
     return changes
