@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -15,7 +16,21 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
+JOINT_STATE = "sensor_msgs/msg/JointState"
 Change = Callable[[str, Any], Any]
+
+
+def joint_state(stamp: int, names: Sequence[str] = (), frame: str = "", **fields: Sequence[float]) -> bytes:
+    """Return a serialised JointState with a stamp [ns] and some of position, velocity and effort."""
+    when = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
+    values = [np.array(fields.get(name, ()), dtype=float) for name in ("position", "velocity", "effort")]
+    message = STORE.types[JOINT_STATE](STORE.types["std_msgs/msg/Header"](when, frame), list(names), *values)
+    return bytes(STORE.serialize_cdr(message, JOINT_STATE))
+
+
+def text_message(text: str) -> bytes:
+    """Return a serialised String."""
+    return bytes(STORE.serialize_cdr(STORE.types["std_msgs/msg/String"](text), "std_msgs/msg/String"))
 
 
 def rewritten(

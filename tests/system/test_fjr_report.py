@@ -23,7 +23,7 @@ from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Columns, Shown
-from system.bags import STORE, in_chunks, rewritten
+from system.bags import JOINT_STATE, STORE, in_chunks, rewritten, text_message
 from system.executables import fjr_here, scenario
 
 pytestmark = pytest.mark.system
@@ -133,7 +133,7 @@ def test_commands_without_stamps_are_paired_with_the_states_before_them(
     array, layout = STORE.types["std_msgs/msg/Float64MultiArray"], STORE.types["std_msgs/msg/MultiArrayLayout"]
     begin = min(stamp for stamp in states if stamp > 0)
     with Writer(tmp_path / "copy", version=9) as writer:
-        sent = writer.add_connection(STATES, "sensor_msgs/msg/JointState", typestore=STORE)
+        sent = writer.add_connection(STATES, JOINT_STATE, typestore=STORE)
         answered = writer.add_connection(EFFORTS, "std_msgs/msg/Float64MultiArray", typestore=STORE)
         for k, u in enumerate(whole.u):
             writer.write(sent, k * 1_000_000, states[begin + k * 1_000_000])
@@ -315,7 +315,7 @@ def test_topics_in_a_namespace_are_found_and_two_are_ambiguous(run: Path, tmp_pa
     assert report(bag, run, tmp_path)["missing"] == []
     with Writer(tmp_path / "two", version=9) as writer:
         for side in ("left", "right"):
-            added = writer.add_connection(f"/{side}{STATES}", "sensor_msgs/msg/JointState", typestore=STORE)
+            added = writer.add_connection(f"/{side}{STATES}", JOINT_STATE, typestore=STORE)
             for raw in read_bag(bag).topic(STATES).messages[:100]:
                 writer.write(added, raw.log_time, raw.data)
     arguments = ("report", str(tmp_path / "two"), "--scenario", str(run / "scenario.yaml"))
@@ -333,13 +333,9 @@ def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: P
     assert made["verdict"]["kind"] == "unknown"
 
 
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path, storage: StoragePlugin) -> None:
-    if storage is StoragePlugin.MCAP:
-        file = in_chunks(next((run / "bag").glob("*.mcap")), tmp_path / "chunks.mcap")
-    else:  # of few messages: the upper pages of a long table are written last, and nothing is found without them
-        file = next(rewritten(run / "bag", tmp_path / "copy", storage, topics=OURS).glob("*.db3"))
-    torn, content = tmp_path / f"torn{file.suffix}", file.read_bytes()
+def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path) -> None:
+    file = in_chunks(next((run / "bag").glob("*.mcap")), tmp_path / "chunks.mcap")
+    torn, content = tmp_path / "torn.mcap", file.read_bytes()
     torn.write_bytes(content[: content.index(read_bag(run).topic(STATES).messages[600].data)])
     made = report(torn, run, tmp_path)
     assert not made["bag_complete"]
@@ -373,7 +369,7 @@ def strange(tmp_path: Path, kind: str, run: Path) -> Path:
     elif kind == "other types":
         with Writer(path, version=9) as writer:
             added = writer.add_connection(STATES, "std_msgs/msg/String", typestore=STORE)
-            writer.write(added, 1, STORE.serialize_cdr(STORE.types["std_msgs/msg/String"]("x"), "std_msgs/msg/String"))
+            writer.write(added, 1, text_message("x"))
     elif kind.startswith("words"):
         path.write_text("just words, a good deal of them")
     elif kind == "tables.db3":

@@ -6,16 +6,12 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
 import tracemalloc
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from rclpy.node import Node
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -24,12 +20,11 @@ from fjr_monitor.recording.bag import in_order, read_bag
 from fjr_monitor.recording.topics import due
 from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
+from system.bags import JOINT_STATE, STORE, joint_state, text_message
 from system.documented import documented_keys
-from system.executables import TIME_LIMIT, Executable, fjr_here
-from time_limits import Limit
+from system.executables import Executable, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
-STORE = get_typestore(Stores.ROS2_JAZZY)
 STATES, EFFORTS, MODEL = "/left/joint_states", "/left/joint_commands", "/left/robot_description"
 PERIOD = 50_000_000  # ns
 LONG = 10_000  # messages of a bag whose end no test reaches, in 500 s
@@ -37,23 +32,14 @@ LONG = 10_000  # messages of a bag whose end no test reaches, in 500 s
 
 def written(folder: Path, storage: StoragePlugin, count: int) -> Path:
     """Write numbered states and commands, and one text."""
-    types = STORE.types
     with Writer(folder, version=9, storage_plugin=storage) as writer:
-        topics = {name: writer.add_connection(name, JointState_, typestore=STORE) for name in (STATES, EFFORTS)}
+        topics = {name: writer.add_connection(name, JOINT_STATE, typestore=STORE) for name in (STATES, EFFORTS)}
         model = writer.add_connection(MODEL, "std_msgs/msg/String", typestore=STORE)
-        text = types["std_msgs/msg/String"](data="robot")
-        writer.write(model, PERIOD, STORE.serialize_cdr(text, "std_msgs/msg/String"))
+        writer.write(model, PERIOD, text_message("robot"))
         for k in range(count):
-            stamp = types["builtin_interfaces/msg/Time"](sec=k, nanosec=0)
-            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-            none = np.zeros(0)
-            message = types[JointState_](header=header, name=[], position=none, velocity=none, effort=none)
             for connection in topics.values():
-                writer.write(connection, (1 + k) * PERIOD, STORE.serialize_cdr(message, JointState_))
+                writer.write(connection, (1 + k) * PERIOD, joint_state(k * 10**9))
     return folder
-
-
-JointState_ = "sensor_msgs/msg/JointState"
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda each: each.name)
@@ -80,12 +66,13 @@ def test_bag_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(
 def received(subscription: object, count: int) -> list[int]:
     """Return the seconds of the stamps of the first messages."""
     found: list[int] = []
-    limit = Limit(TIME_LIMIT)
-    while len(found) < count:
-        assert not limit.passed()
+
+    def are_there() -> bool:
         while (taken := subscription.handle.take_message(JointState, False)) is not None:  # type: ignore[attr-defined]
             found.append(taken[0].header.stamp.sec)
-        time.sleep(0.01)
+        return len(found) >= count
+
+    wait_for(are_there, "messages")
     return found
 
 
@@ -103,23 +90,12 @@ def test_description_is_latched_without_metadata(tmp_path: Path) -> None:
     command = Executable("fjr_bringup", "fjr", "play", str(bag))
     try:
         with own_node("test_play") as node:
-            wait_for_publisher(node)
-            late = node.create_subscription(String, MODEL, lambda _: None, LATCHED)
-            limit, taken = Limit(TIME_LIMIT), None
-            while taken is None:
-                assert not limit.passed()
-                taken = late.handle.take_message(String, False)
-                time.sleep(0.01)
-        assert taken[0].data == "robot"
+            wait_for(lambda: node.count_publishers(MODEL) > 0, "a publisher")
+            late, texts = node.create_subscription(String, MODEL, lambda _: None, LATCHED), []
+            wait_for(lambda: bool(texts.append(late.handle.take_message(String, False)) or texts[-1]), "the text")
+        assert texts[-1][0].data == "robot"
     finally:
         command.kill()
-
-
-def wait_for_publisher(node: Node) -> None:
-    limit = Limit(TIME_LIMIT)
-    while not node.count_publishers(MODEL):
-        assert not limit.passed()
-        time.sleep(0.01)
 
 
 def test_times_are_the_recorded_ones_divided_by_the_rate() -> None:
@@ -177,9 +153,8 @@ def texts(folder: Path, storage: StoragePlugin, times: Iterable[int], text: str 
     """Write a text at each of the receive times [ns]."""
     with Writer(folder, version=9, storage_plugin=storage) as writer:
         model = writer.add_connection(MODEL, "std_msgs/msg/String", typestore=STORE)
-        content = STORE.serialize_cdr(STORE.types["std_msgs/msg/String"](data=text), "std_msgs/msg/String")
         for each in times:
-            writer.write(model, each, content)
+            writer.write(model, each, text_message(text))
 
 
 @pytest.mark.parametrize(

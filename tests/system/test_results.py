@@ -20,7 +20,7 @@ from fjr_monitor.recording.signals import ControllerStop
 from fjr_monitor.report import html
 from fjr_monitor.report.run_page import write_run_page
 from fjr_monitor.report.shown import RunSummary
-from fjr_monitor.report.write import compare, report_bag, table
+from fjr_monitor.report.write import compare, report_bag
 from fjr_monitor.report.write import report as report_bags
 from fjr_msgs_py.console import output as progress
 from fjr_msgs_py.console.ending import Exit
@@ -122,17 +122,27 @@ def with_answers(summary: RunSummary, in_time: float, causes: tuple[str, ...], l
     return replace(summary, report=replace(report, counts=counts, verdict=verdict, lockstep=lockstep))
 
 
-@pytest.mark.parametrize(("in_time", "causes"), [(0.5, ("model mismatch",)), (0.97, ("delay",)), (0.97, ("loss",))])
-def test_slow_machine_is_told_to_use_lock_step(summary: RunSummary, in_time: float, causes: tuple[str, ...]) -> None:
-    found = with_answers(summary, in_time, causes)
-    said = _result([found])
-    assert "your machine answered late" in said.text
-    assert "try --lockstep" in said.text
-    assert "violated" not in said.text
-    assert said.code == Exit.LATE
+@pytest.mark.parametrize(
+    ("in_time", "causes", "lockstep", "late"),
+    [
+        (0.5, ("model mismatch",), False, True),
+        (0.97, ("delay",), False, True),
+        (0.97, ("loss",), False, True),
+        (0.97, ("model mismatch",), False, False),
+        (1.0, ("delay",), False, False),
+        (0.5, ("delay",), True, False),
+    ],
+)
+def test_a_violation_that_a_slow_machine_explains_is_no_verdict_and_advises_lock_step(
+    summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool, late: bool
+) -> None:
+    said = _result([with_answers(summary, in_time, causes, lockstep)])
+    assert ("your machine answered late" in said.text, "try --lockstep" in said.text) == (late, late)
+    assert ("violated" in said.text) == (not late)
+    assert said.code == (Exit.LATE if late else Exit.VIOLATED)
     (run,) = said.values["runs"]
-    assert (run["status"], run["verdict"]["kind"]) == ("late", "violated")
-    assert run["advice"] in said.text
+    assert (run["status"], run["verdict"]["kind"]) == ("late" if late else "violated", "violated")
+    assert (run["advice"] in said.text, bool(run["advice"])) == (True, late)
 
 
 def test_pages_of_a_slow_machine_advise_lock_step(summary: RunSummary, tmp_path: Path) -> None:
@@ -143,19 +153,6 @@ def test_pages_of_a_slow_machine_advise_lock_step(summary: RunSummary, tmp_path:
         assert html.HEADINGS["late"] in said
         assert found.report.advice in said
         assert html.HEADINGS["violated"] not in said
-
-
-@pytest.mark.parametrize(
-    ("in_time", "causes", "lockstep"),
-    [(0.97, ("model mismatch",), False), (1.0, ("delay",), False), (0.5, ("delay",), True)],
-)
-def test_violation_that_the_machine_does_not_explain_stays(
-    summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool
-) -> None:
-    found = with_answers(summary, in_time, causes, lockstep)
-    assert (found.report.status, found.report.advice) == ("violated", "")
-    assert "violated" in table([found])
-    assert _result([found]).code == Exit.VIOLATED
 
 
 @pytest.mark.parametrize(("late", "advised"), [(20, True), (5, False)])

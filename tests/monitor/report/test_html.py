@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import base64
-import io
-import json
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -17,16 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jinja2 import UndefinedError
-from rich.console import Console
 
 from fjr_monitor.diagnosis.diagnosis import Diagnosis
 from fjr_monitor.recording.timing import CountedTimes
 from fjr_monitor.report import comparison_page, html
 from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable
 from fjr_monitor.report.run_page import HALF, bins
-from fjr_monitor.watch.state import NodeHealth
-from fjr_monitor.watch.terminal import _status
-from fjr_msgs_py.console.output import finite, milliseconds, number, percent
+from fjr_msgs_py.console.output import milliseconds, number, percent
 from fjr_msgs_py.node.reports import VERDICT_LEVELS
 
 VALUES = st.floats(-1e6, 1e6, width=32)
@@ -177,16 +172,3 @@ def test_every_verdict_has_a_level_a_heading_and_a_colour() -> None:
     kinds = {"holding", "degraded", "violated", "unknown"}
     assert set(html.HEADINGS) == set(comparison_page.COLOURED) == {*kinds, "late"}
     assert set(VERDICT_LEVELS) == kinds
-
-
-def test_the_terminal_shows_a_degraded_verdict_in_yellow() -> None:
-    level = int.from_bytes(VERDICT_LEVELS["degraded"], "little")
-    stream = io.StringIO()
-    status = NodeHealth("fjr_controller: certificate", level, f"Degraded: {DEGRADED.sentence}")
-    Console(file=stream, width=200, force_terminal=True, color_system="standard").print(_status(status))
-    assert "\x1b[1;33mwarn" in stream.getvalue()
-    assert "Degraded: delay makes 0.14 mrad at joint2" in stream.getvalue()
-
-
-def test_errors_by_cause_are_lists_in_the_report_and_null_where_not_finite() -> None:
-    assert json.loads(json.dumps(finite(DEGRADED.errors))) == {"delay": [1e-4, 1.4e-4], "loss": [None, 0.0]}

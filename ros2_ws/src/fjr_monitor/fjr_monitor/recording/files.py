@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read the files of a bag (MCAP, SQLite, compressed by rosbag2) as far as they are readable.
 
-Damage to an MCAP file costs the chunks in which it lies, to a SQLite file the messages of its page. The file of a
-killed run (no index, no metadata.yaml, an incomplete last record) yields everything up to its end. `Contents.notes`
-lists the losses.
+Damage to an MCAP file costs the chunks in which it lies, to a SQLite file all messages behind it. The file of a killed
+run (no index, no metadata.yaml, an incomplete last record) yields everything up to its end. `Contents.notes` lists the
+losses.
 """
 
 from __future__ import annotations
 
 import re
-import shutil
 import sqlite3
 import struct
-import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
@@ -27,7 +25,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Message, Schema, Statistics
 
-from fjr_monitor.recording.topic import LATEST, BagError, Contents, Messages, Topic, has_times, typestore
+from fjr_monitor.recording.topic import LATEST, BagError, Contents, Messages, Topic, typestore
 from fjr_msgs_py.console.output import plural
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -36,9 +34,6 @@ LARGEST_RECORD = 2**30  # bytes
 MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # decompressed over compressed size; bytes always allowed
 BLOCK = 2**20  # bytes of a checksum that are read at a time
 UNREADABLE = (McapError, struct.error, ValueError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError)
-MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages WHERE id >= ? ORDER BY id"
-FARTHEST = 2**11  # numbers of messages that are tried behind damage in a SQLite file
-DOUBLED = 64  # tries after which their distance doubles: a damaged page may hide many messages
 COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
 
 
@@ -243,100 +238,33 @@ def unpacked(content: bytes) -> bytes:
 
 
 def read_sqlite(path: Path, contents: Contents) -> Messages:
-    """Yield the messages of a SQLite file, which holds receive times only, in the order of the file."""
-    before = contents.count
-    with open(path, "rb") as stream:
-        header = stream.read(32)
-    size = int.from_bytes(header[16:18], "big")
-    page = 2**16 if size <= 1 else size
-    if len(header) == 32 and int.from_bytes(header[28:32], "big") * page > path.stat().st_size:  # SQLite refuses it
-        with tempfile.TemporaryDirectory() as folder:
-            notes = list(contents.notes)
-            yield from _SqliteFile(_with_actual_page_count(path, page, Path(folder)), contents).messages()
-            contents.notes = notes  # reported as a bag that was not closed
+    """Yield the messages of a SQLite file, which holds receive times only, up to damage; raise BagError."""
+    before, invalid = contents.count, 0
+    topics: dict[object, Topic] = {}
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+            database.text_factory = lambda text: text.decode("utf-8", "replace")
+            kinds = dict(database.execute("SELECT name, sql FROM sqlite_master"))
+            for name in ("topics", "messages"):
+                if not str(kinds.get(name)).upper().startswith("CREATE TABLE"):  # a view could yield rows without end
+                    raise BagError(f"{path} is not a readable SQLite bag: no such table: {name}")
+            for number, topic, type_name in database.execute("SELECT id, name, type FROM topics"):
+                topics[number] = contents.topic(str(topic), str(type_name), "")
+            for number, time, data in database.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id"):
+                if number in topics and isinstance(time, int) and isinstance(data, bytes) and 0 <= time < LATEST:
+                    contents.count += 1
+                    yield topics[number], Message(number, time, data, time, 0)
+                else:
+                    invalid += 1
+    except (sqlite3.Error, OverflowError, ValueError) as error:
+        if "malformed" not in str(error):
+            raise BagError(f"{path} is not a readable SQLite bag: {error}") from error
+        read = plural(contents.count - before, "message")
+        contents.notes.append(f"{path.name} is damaged; {read} read, those behind the damage are lost")
         return False
-    whole = yield from _SqliteFile(path, contents).messages()
-    if not whole and contents.count == before:
-        contents.notes.append(f"{path.name} is damaged; no message in it can be read")
-    return whole
-
-
-def _with_actual_page_count(path: Path, page: int, folder: Path) -> Path:
-    """Return a copy whose header holds the number of pages [page bytes] that are there."""
-    copy, pages = folder / path.name, path.stat().st_size // page
-    shutil.copyfile(path, copy)
-    with copy.open("r+b") as stream:
-        stream.seek(28)
-        stream.write(pages.to_bytes(4, "big"))
-        stream.truncate(pages * page)
-    return copy
-
-
-class _SqliteFile:
-    """A SQLite file of rosbag2, read by increasing number of message; damaged places are left out."""
-
-    def __init__(self, path: Path, contents: Contents) -> None:
-        self._path, self._contents, self._before = path, contents, contents.count
-        self._topics: dict[int, Topic] = {}
-        self._invalid = self._gaps = 0
-
-    def messages(self) -> Messages:
-        """Yield all readable messages; return False if some are damaged. Raise BagError if it is not a SQLite bag."""
-        try:
-            with closing(sqlite3.connect(f"{self._path.absolute().as_uri()}?mode=ro", uri=True)) as self._database:
-                self._read_topics()
-                for row in self._rows():
-                    yield from self._valid(*row)
-        except (sqlite3.Error, OverflowError, ValueError) as error:
-            if "malformed" in str(error):
-                return False
-            raise BagError(f"{self._path} is not a readable SQLite bag: {error}") from error
-        name, notes = self._path.name, self._contents.notes
-        if self._gaps:
-            read = plural(self._contents.count - self._before, "message")
-            notes.append(f"{name} is damaged in {plural(self._gaps, 'place')}; {read} read, those there are lost")
-        if self._invalid:
-            notes.append(f"{name}: {plural(self._invalid, 'message')} of no known topic or without a time left out")
-        return not self._gaps
-
-    def _read_topics(self) -> None:
-        self._database.text_factory = lambda text: text.decode("utf-8", "replace")
-        kinds = dict(self._database.execute("SELECT name, sql FROM sqlite_master WHERE name IN ('topics', 'messages')"))
-        for name in ("topics", "messages"):
-            if not str(kinds.get(name)).upper().startswith("CREATE TABLE"):  # a view could yield rows without end
-                raise BagError(f"{self._path} is not a readable SQLite bag: no such table: {name}")
-        for number, topic, type_name in self._database.execute("SELECT id, name, type FROM topics"):
-            self._topics[number] = self._contents.topic(str(topic), str(type_name), "")
-
-    def _rows(self) -> Iterator[tuple[int, object, object, object]]:
-        """Yield the readable rows by increasing number. Damage is left by trying further numbers.
-
-        The cursor reads ahead of the rows it yields, so that the last one before damage is asked for alone.
-        """
-        following, tried = -(2**63), 0  # tried: numbers since damage was met; 0: all rows come from one cursor
-        while tried < FARTHEST:
-            alone, found = tried > 0, False
-            try:
-                for row in self._database.execute(f"{MESSAGES} LIMIT {1 if alone else -1}", (following,)):
-                    following, tried, found = row[0] + 1, 0, True
-                    yield row
-                if not (alone and found):
-                    return
-            except sqlite3.DatabaseError as error:
-                if "malformed" not in str(error):
-                    raise
-                self._gaps += tried == 1
-                following, tried = max(following + alone * 2 ** (tried // DOUBLED), 0), tried + 1
-
-    def _valid(self, _number: int, topic: object, time: object, data: object) -> Iterator[tuple[Topic, Message]]:
-        """Yield a message if it has a known topic, a time and bytes."""
-        if isinstance(topic, int) and topic in self._topics and isinstance(time, int) and isinstance(data, bytes):
-            message = Message(topic, time, data, time, 0)
-            if has_times(message):
-                self._contents.count += 1
-                yield self._topics[topic], message
-                return
-        self._invalid += 1
+    if invalid:
+        contents.notes.append(f"{path.name}: {plural(invalid, 'message')} of no known topic or without a time left out")
+    return True
 
 
 def read_compressed(folder: Path, contents: Contents) -> Messages:
@@ -347,10 +275,9 @@ def read_compressed(folder: Path, contents: Contents) -> Messages:
         with AnyReader([folder], default_typestore=typestore()) as reader:
             for connection, time, data in reader.messages():
                 topic = contents.topic(connection.topic, connection.msgtype, connection.msgdef.data)
-                message = Message(connection.id, time, data, time, 0)
-                if has_times(message):
+                if 0 <= time < LATEST:
                     contents.count += 1
-                    yield topic, message
+                    yield topic, Message(connection.id, time, data, time, 0)
     except Exception as error:  # any error of the library
         raise BagError(f"{folder} is not a readable compressed bag: {error or type(error).__name__}") from error
     return True

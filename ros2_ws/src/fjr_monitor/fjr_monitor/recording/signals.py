@@ -54,6 +54,7 @@ class RecordedStates:
     def __init__(self, bag: Bag, scenario: Scenario) -> None:
         self._joints, self._n = scenario.joints, len(scenario.joints)
         self._measured = measurement(scenario.controller_values, scenario.robot)
+        self._ratio = np.concatenate([np.ones(self._n), np.asarray(self._measured.gear_ratio)])  # of links, motors
         self.left_out = 0
         self.known_torque = False
         self._foreign, self.notes = self._names(bag)
@@ -63,17 +64,17 @@ class RecordedStates:
 
     def states(self, table: JointTable, number: NDArray[np.int64], new: NDArray[np.bool_]) -> States:
         """Return the complete states of a table in the order of the bag; new: rows that were not seen before."""
-        n, position = self._n, self._positions(table)
+        n = self._n
+        if self._foreign:
+            nothing = np.full_like(table.position, np.nan)
+            return States(table.stamp, table.publish_time, nothing, nothing, nothing[:, n:], number)
+        position, velocity = self._positions(table), table.velocity / self._ratio
         if self._needed is None:
             self._see(table, position)
-        velocity, torque = self._divided(table.velocity), table.effort[:, n:]
-        found = States(table.stamp, table.publish_time, position, velocity, torque, number)
-        if self._foreign:
-            return found
         known = np.isfinite(np.hstack([table.position, table.velocity])[:, self._needed])
         good = np.asarray(known.all(axis=1))
         self.left_out += int((~good & new).sum())
-        return found.rows(good)
+        return States(table.stamp, table.publish_time, position, velocity, table.effort[:, n:], number).rows(good)
 
     def _see(self, table: JointTable, position: Array) -> None:
         """Decide by the first states which signals the bag holds."""
@@ -82,7 +83,7 @@ class RecordedStates:
         self._needed = np.r_[:sides, 2 * n : 2 * n + sides if moving else 2 * n]
         self.known_torque = bool(np.isfinite(table.effort[:, n:]).any())
         self.estimated = (self._wants_estimate or not moving) and not np.isnan(position).all(axis=0).any()
-        if not self._foreign and np.isnan(position[:, n:]).all():
+        if np.isnan(position[:, n:]).all():
             self.notes = (*self.notes, f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power")
 
     def _names(self, bag: Bag) -> tuple[bool, tuple[str, ...]]:
@@ -103,18 +104,10 @@ class RecordedStates:
 
     def _positions(self, table: JointTable) -> Array:
         """Return link and motor positions (k, 2n) [rad]; q_m = q_l + K^-1 tau where the joint torque is measured."""
-        if self._foreign:
-            return np.full_like(table.position, np.nan)
         if not self._measured.by_torque:
-            return self._divided(table.position)
+            return table.position / self._ratio
         n, q_l = self._n, table.position[:, : self._n]
         return np.hstack([q_l, q_l + np.linalg.solve(np.asarray(self._measured.K), table.effort[:, :n].T).T])
-
-    def _divided(self, values: Array) -> Array:
-        """Divide motor values by the gear ratio; links are unchanged."""
-        if self._foreign:
-            return np.full_like(values, np.nan)
-        return values / np.concatenate([np.ones(self._n), np.asarray(self._measured.gear_ratio)])
 
 
 class EstimatedStates:

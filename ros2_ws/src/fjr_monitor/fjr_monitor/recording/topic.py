@@ -166,8 +166,3 @@ class Contents:
 
 Messages = Generator[tuple[Topic, Message], None, bool]
 """The messages of a file, each with its topic; the value at the end is whether the file was closed."""
-
-
-def has_times(message: Message) -> bool:
-    """Return whether both times of a message fit a signed 64-bit integer [ns]."""
-    return 0 <= message.log_time < LATEST and 0 <= message.publish_time < LATEST
