@@ -126,6 +126,5 @@ def ros() -> Iterator[Any]:
     """Provide a ROS context, an executor and the nodes of one test."""
     from nodes.harness import Ros  # rclpy reads the environment set above
 
-    made = Ros()
-    yield made
-    made.close()
+    with Ros() as made:
+        yield made

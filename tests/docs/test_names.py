@@ -30,7 +30,7 @@ def starting(word: str) -> list[list[str]]:
 
 @pytest.fixture
 def graph(ros: Ros) -> Iterator[Graph]:
-    plant, controller = ros.plant(), ros.controller()
+    plant, controller = ros.plant(executor="events"), ros.controller(executor="events")  # all in one participant
     ros.until(lambda: "/fjr_controller/events" in dict(plant.get_topic_names_and_types()), "the controller")
     ros.until(lambda: "fjr_plant" in controller.get_node_names(), "the plant")
     return Graph.of([plant, controller])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to NumPy: joints in any order; what is invalid is refused in one sentence."""
+"""Messages to NumPy and to plain values: joints in any order; what is invalid is refused in one sentence."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from functools import partial
 
 import numpy as np
 import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, UInt8MultiArray
 
 from fjr_core import Measurement
-from fjr_core.runtime.measurement_model import JointSample
+from fjr_core.errors import ParameterError
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader, picked, read_efforts, read_torques
-from fjr_msgs_py.names import motor_name, state_names
-from fuzzing import answer
+from fjr_msgs_py.messages.plain import fill, plain
+from fjr_msgs_py.names import state_names
 
 NAN = float("nan")
 JOINTS, ELBOW = ("shoulder", "elbow", "wrist"), ["elbow", "elbow_motor"]
@@ -41,18 +43,6 @@ def test_a_state_is_read_in_any_order_of_its_joints(stamp, position, velocity, o
     assert sample.stamp == stamp
     assert [*sample.q_l, *sample.q_m] == position
     assert [*sample.dq_l, *sample.dq_m] == velocity
-
-
-texts = st.sampled_from(["elbow", motor_name("elbow"), "other", ""])
-numbers = st.lists(st.floats(), max_size=4)
-
-
-@given(st.lists(texts, max_size=4), numbers, numbers, st.integers(0, 3))
-def test_an_arbitrary_state_is_refused_or_read_as_finite(names, position, velocity, stamp) -> None:
-    found: list[JointSample] = []
-    sentence = answer(lambda: found.append(STATE.read(state_of(names, stamp, position=position, velocity=velocity))))
-    assert not sentence or ("expected" in sentence and "\n" not in sentence)
-    assert all(np.isfinite([sample.q_l, sample.q_m, sample.dq_l, sample.dq_m]).all() for sample in found)
 
 
 def test_an_observer_needs_no_velocities_and_ignores_them() -> None:
@@ -133,3 +123,59 @@ def test_a_refusal_names_what_was_seen_and_expected(read, message, kind: str, wo
         read(message)
     assert refused.value.kind == kind
     assert "\n" not in str(refused.value)
+
+
+# Messages as plain Python values.
+
+
+def test_fields_keep_their_order_and_arrays_are_lists() -> None:
+    message = JointState(name=["a", "b"], position=[1.0, float("inf")])
+    message.header.stamp.sec, message.header.frame_id = 7, "world"
+    assert list(plain(message)) == ["header", "name", "position", "velocity", "effort"]
+    assert plain(message)["header"] == {"stamp": {"sec": 7, "nanosec": 0}, "frame_id": "world"}
+    assert plain(message)["position"] == [1.0, float("inf")]
+    assert plain(message)["velocity"] == []
+
+
+def test_nested_messages_and_bytes_survive_yaml() -> None:
+    status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="x: y", values=[KeyValue(key="k", value="é\n")])
+    label = MultiArrayDimension(label="V", size=1, stride=1)
+    array = Float64MultiArray(data=[0.5])
+    array.layout.dim = [label]
+    for message in (DiagnosticArray(status=[status]), array, UInt8MultiArray(data=bytes([1, 2, 3]))):
+        assert yaml.safe_load(yaml.safe_dump(plain(message))) == plain(message)
+    assert plain(status)["level"] == 1
+    assert plain(array)["layout"]["dim"] == [{"label": "V", "size": 1, "stride": 1}]
+    assert plain(UInt8MultiArray(data=bytes([1, 2, 3])))["data"] == [1, 2, 3]
+
+
+def test_fill_is_the_inverse_of_plain() -> None:
+    state = JointState(name=["a", "b"], position=[1.0, -2.0])
+    state.header.stamp.sec = 7
+    status = DiagnosticArray(status=[DiagnosticStatus(level=DiagnosticStatus.WARN, values=[KeyValue(key="k")])])
+    for message in (state, status, UInt8MultiArray(data=bytes([1, 2, 3]))):
+        made = type(message)(check_fields=True)
+        fill(made, plain(message))
+        assert made == message
+
+
+def test_fill_takes_integers_as_floats() -> None:
+    message = Float64MultiArray(check_fields=True)
+    fill(message, {"data": [1, 2]})
+    assert list(message.data) == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"nam": ["a"]}, "'nam' is not a field of JointState; expected header (std_msgs/Header), "),
+        ({"name": "a"}, "name is 'a'; expected sequence<string>"),
+        ({"name": [1]}, r"name is \[1\]; expected sequence<string>"),
+        ({"position": ["a"]}, "expected sequence<double>"),
+        ({"header": {"stamp": {"sec": 2**40}}}, "sec is 1099511627776; expected int32"),
+        ([1], "expected a mapping with header"),
+    ],
+)
+def test_values_that_do_not_fit_are_refused(values: object, sentence: str) -> None:
+    with pytest.raises(ParameterError, match=sentence.replace("(", r"\(").replace(")", r"\)")):
+        fill(JointState(check_fields=True), values)

@@ -1,13 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""End of a node's process: last command, then one sentence or a traceback; on both executors."""
+"""The process of a node: what it does before ROS 2 is loaded, its last command, and its end; on both executors."""
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from rclpy.node import Node
 
+from fjr_msgs_py.node.loading import ament_index_of_wheels
+from fjr_msgs_py.node.reports import Health
 from msgs.child import run
+from nodes.harness import Ros
+from time_limits import HANG
 
 # Run a node by process.run with the executor of argument 1; its fifth callback does what argument 2 selects.
 FALLING = """
@@ -182,3 +191,84 @@ print(code)
 )
 def test_the_end_of_a_process_in_its_own_session_is_that_of_the_command(ends: str, code: int) -> None:
     assert run(OWN_SESSION, ends).stdout == f"True\n{code}\n"
+
+
+# Before ROS 2 is loaded.
+
+
+LOADING = """
+import time
+from fjr_msgs_py.node.loading import end_on_signals
+end_on_signals()
+print("loading", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_during_loading_exits_with_0(number: signal.Signals) -> None:
+    command = [sys.executable, "-c", LOADING]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "loading\n"
+        process.send_signal(number)
+        _, output = process.communicate(timeout=HANG)
+    assert (process.returncode, output) == (0, "")
+
+
+def test_the_loading_module_imports_no_heavy_package() -> None:
+    code = "import sys, fjr_msgs_py.node.loading, fjr_plant.executable, fjr_controller.executable; print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"rclpy", "numpy", "casadi", "fjr_core"} & set(modules)
+
+
+def test_what_is_loaded_meanwhile_is_exempt_from_garbage_collection() -> None:
+    code = """
+import gc
+from fjr_msgs_py.node.loading import pause_garbage_collection, resume_garbage_collection
+pause_garbage_collection()
+paused = not gc.isenabled()
+import json
+resume_garbage_collection()
+print(paused, gc.isenabled(), gc.is_tracked(json.__dict__), any(held is json for held in gc.get_objects()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True True True False\n"
+
+
+@pytest.mark.parametrize(("before", "after"), [("", "{here}"), ("/ros:/own", "/ros:/own:{here}")])
+def test_packages_installed_as_wheels_come_last_in_the_ament_index(
+    before: str, after: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packages = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    packages.mkdir(parents=True)
+    (packages / "fjr_msgs_py").touch()
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", before)
+    for _ in range(2):
+        ament_index_of_wheels()
+    assert os.environ["AMENT_PREFIX_PATH"] == after.format(here=tmp_path)
+
+
+def test_ament_index_stays_without_wheels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/ros")
+    ament_index_of_wheels()
+    assert os.environ["AMENT_PREFIX_PATH"] == "/ros"
+
+
+# Counters in the log.
+
+
+@pytest.fixture
+def health(ros: Ros) -> Health:
+    return Health(ros.add(Node("healthy", context=ros.context)), ("messages",))
+
+
+@pytest.mark.parametrize(("level", "word"), [("warn", "[WARN]"), ("error", "[ERROR]")])
+def test_an_event_is_logged_once_at_its_level(health: Health, capfd: pytest.CaptureFixture[str], level, word) -> None:
+    for _ in range(3):
+        getattr(health, level)("falls", "it fell")
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "it fell" in line]
+    assert line.startswith(word)
+    assert health.count["falls"] == 3

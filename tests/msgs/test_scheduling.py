@@ -140,14 +140,15 @@ def _is_said(found: dict[str, Any], where: str = "") -> None:
         assert found["granted"].startswith(f"ordinary scheduling{where} (slices of 0.1 ms need Linux")
 
 
+def refuse(*_: object) -> None:
+    raise PermissionError(1, "Operation not permitted")
+
+
 @linux
 @pytest.mark.parametrize("refused", ["sched_setscheduler", "sched_setaffinity"])
 def test_without_permission_new_threads_are_not_held_back_and_nothing_changes(
     monkeypatch: pytest.MonkeyPatch, refused: str
 ) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     with monkeypatch.context() as patched:
         patched.setattr(os, refused, refuse)
@@ -157,9 +158,6 @@ def test_without_permission_new_threads_are_not_held_back_and_nothing_changes(
 
 
 def test_a_refusal_is_one_sentence_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     sentence = take_priority(50)
     assert "realtime_priority 50 is refused" in sentence

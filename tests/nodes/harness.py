@@ -20,8 +20,10 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
 
 from fjr_controller.controller_node import ControllerNode
 from fjr_msgs_py.names import LATEST
@@ -41,12 +43,12 @@ PATIENCE = 60.0  # s; a state_timeout that never expires in a test, even on a bu
 
 
 class Ros:
-    """A context, an executor and the nodes of one test.
+    """A context manager: a context, an executor and the nodes of one test.
 
     host: parameter `executor` of the nodes, "events" or "native"; a native loop needs a compiled law or plant.
     """
 
-    host = "events"
+    host = "native"
 
     def __init__(self) -> None:
         self.context = Context()
@@ -54,6 +56,12 @@ class Ros:
         self.executor: Executor = EventsExecutor(context=self.context)
         self._nodes: list[Node] = []
         self._closing: list[Callable[[], None]] = []
+
+    def __enter__(self) -> Ros:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def at_close(self, close: Callable[[], None]) -> None:
         """Call `close()` before the nodes are destroyed."""
@@ -105,11 +113,6 @@ class Ros:
         """Spin until no event is pending: `rounds` consecutive waits, each of which may handle one event."""
         for _ in range(rounds):
             self.executor.spin_once(timeout_sec=0.002)
-
-    def restart(self) -> None:
-        """Destroy all nodes, so that others may take their places."""
-        self.close()
-        self.__init__()  # type: ignore[misc]
 
     def close(self) -> None:
         for close in self._closing:
@@ -163,6 +166,7 @@ class Listener(Node):
         self.references: list[JointState] = []
         self.errors: list[JointState] = []
         self.diagnostics: list[DiagnosticArray] = []
+        self._clients_by_name: dict[str, Any] = {}
         heard = {
             "joint_states": (JointState, self.states),
             "effort_controller/commands": (Float64MultiArray, self.efforts),
@@ -185,12 +189,42 @@ class Listener(Node):
         """Return the number of publishers of a topic that are connected to this listener."""
         return int(self.subscriptions_by_topic[topic].get_publisher_count())
 
+    def request(self, kind: Any, name: str, **fields: Any) -> Future:
+        """Call a service without waiting for its response."""
+        client = self._clients_by_name.get(name) or self.create_client(kind, name)
+        self._clients_by_name[name] = client
+        self._ros.until(client.service_is_ready, f"the service {name}")
+        return client.call_async(kind.Request(**fields))
+
+    def call(self, kind: Any, name: str, **fields: Any) -> Any:
+        """Call a service and return its response."""
+        future = self.request(kind, name, **fields)
+        self._ros.until(future.done, f"the response of {name}")
+        return future.result()
+
+    def advance(self) -> Trigger.Response:
+        """Let the plant advance by `advance_samples` samples."""
+        return self.call(Trigger, "fjr_plant/advance")
+
+    def reset(self) -> None:
+        """Return the plant to its initial state."""
+        assert self.call(Trigger, "fjr_plant/reset").success
+
+    def pause(self, paused: bool) -> None:
+        """Pause or resume the plant."""
+        assert self.call(SetBool, "fjr_plant/pause", data=paused).success
+
     def count(self, key: str, node: str) -> int:
         """Return the latest counter `key` of a node, 0 if it has none yet."""
         for message in reversed(self.diagnostics):
             if message.status[0].name == node:
                 return int({value.key: value.value for value in message.status[0].values}.get(key, 0))
         return 0
+
+    def reported(self, node: Node, key: str, count: int = 1) -> None:
+        """Stop a node, which then publishes its diagnostics, and wait for its counter `key`."""
+        node.stop()
+        self._ros.until(lambda: self.count(key, node.get_name()) == count, f"the counter of {key}")
 
 
 class Peer(Listener):
@@ -238,6 +272,8 @@ class Peer(Listener):
     def started(self, q: Any = 0.5, **parameters: Any) -> ControllerNode:
         """Start a controller; return it once it has answered the first state, at rest at q."""
         node = self.controller(**parameters)
+        topics = node._control._command_loop._topics
+        self._ros.until(lambda: not topics.others_appeared(), "publishers of an earlier test to leave")
         self.ask(stamped(0.0, q))
         return node
 

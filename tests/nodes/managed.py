@@ -32,50 +32,39 @@ class Manager(Peer):
         self.events: list[DiagnosticStatus] = []
         self.create_subscription(DiagnosticStatus, f"{CONTROLLER}/events", self.events.append, QoSProfile(depth=100))
         self.trajectories = self.create_publisher(JointTrajectory, f"{CONTROLLER}/joint_trajectory", 10)
-        self._clients_by_name: dict[str, Any] = {}
-
-    def call(self, kind: Any, name: str, request: Any, node: str = CONTROLLER) -> Any:
-        """Call a service of a node and return its response."""
-        client = self._clients_by_name.get(name) or self.create_client(kind, f"{node}/{name}")
-        self._clients_by_name[name] = client
-        self._ros.until(client.service_is_ready, f"the service {name}")
-        future = client.call_async(request)
-        self._ros.until(future.done, f"an answer of {name}")
-        return future.result()
 
     def state(self) -> str:
-        return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
+        return str(self.call(GetState, f"{CONTROLLER}/get_state").current_state.label)
 
     def change(self, transition: str) -> bool:
         """Request a transition by its id; return whether it succeeds."""
-        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
-        return bool(self.call(ChangeState, "change_state", request).success)
+        asked = Transition(id=TRANSITIONS[transition])
+        return bool(self.call(ChangeState, f"{CONTROLLER}/change_state", transition=asked).success)
 
     def labels(self) -> list[str]:
-        answer = self.call(GetAvailableStates, "get_available_states", GetAvailableStates.Request())
+        answer = self.call(GetAvailableStates, f"{CONTROLLER}/get_available_states")
         return [state.label for state in answer.available_states]
 
     def transitions(self) -> set[str]:
-        request = GetAvailableTransitions.Request()
-        answer = self.call(GetAvailableTransitions, "get_available_transitions", request)
+        answer = self.call(GetAvailableTransitions, f"{CONTROLLER}/get_available_transitions")
         return {description.transition.label for description in answer.available_transitions}
 
     def set(self, **values: Any) -> tuple[bool, str]:
         """Set parameters together, with `__` for a dot; return success and reason."""
         parameters = [Parameter(name.replace("__", "."), value=v).to_parameter_msg() for name, v in values.items()]
-        request = SetParametersAtomically.Request(parameters=parameters)
-        result = self.call(SetParametersAtomically, "set_parameters_atomically", request).result
+        service = f"{CONTROLLER}/set_parameters_atomically"
+        result = self.call(SetParametersAtomically, service, parameters=parameters).result
         return result.successful, result.reason
 
     def set_one(self, name: str, value: Any) -> tuple[bool, str]:
         """Set one parameter, as `ros2 param set` does it."""
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        (result,) = self.call(SetParameters, "set_parameters", request).results
+        asked = [Parameter(name, value=value).to_parameter_msg()]
+        (result,) = self.call(SetParameters, f"{CONTROLLER}/set_parameters", parameters=asked).results
         return result.successful, result.reason
 
     def trigger(self, name: str) -> tuple[bool, str]:
         """Call ~/hold, ~/play or ~/resume."""
-        answer = self.call(Trigger, name, Trigger.Request())
+        answer = self.call(Trigger, f"{CONTROLLER}/{name}")
         return answer.success, answer.message
 
     def send(self, message: JointTrajectory) -> DiagnosticStatus:

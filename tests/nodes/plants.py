@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
@@ -38,19 +37,6 @@ def answer(state: JointState, effort: float, names: tuple[str, ...] = ("joint1",
     message = JointState(name=list(names), effort=[effort] * len(names))
     message.header.stamp.sec, message.header.stamp.nanosec = state.header.stamp.sec, state.header.stamp.nanosec
     return message
-
-
-def call(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
-    future = ask(ros, peer, kind, name, **request)
-    ros.until(future.done, f"the answer of {name}")
-    return future.result()
-
-
-def ask(ros: Ros, peer: Peer, kind: Any, name: str, **request: Any) -> Any:
-    """Call a service without waiting for its response."""
-    client = peer.create_client(kind, name)
-    ros.until(client.service_is_ready, f"service {name}")
-    return client.call_async(kind.Request(**request))
 
 
 class CommandLoop:

@@ -3,26 +3,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import StateError
 from fjr_plant.lock_step import START, LockStepError
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import PERIOD, CommandLoop, answer, ask, call, command, integrate, numbers, state_of
-
-
-@pytest.fixture
-def single(ros: Ros) -> Ros:
-    """The nodes of a test on rclpy's other executor, which serves requests otherwise."""
-    ros.executor.shutdown()
-    ros.executor = SingleThreadedExecutor(context=ros.context)
-    return ros
+from nodes.plants import PERIOD, CommandLoop, answer, command, integrate, numbers, state_of
 
 
 def assert_close(x: np.ndarray, expected: np.ndarray) -> None:
@@ -33,21 +22,16 @@ def assert_close(x: np.ndarray, expected: np.ndarray) -> None:
 FALLEN = integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.0, 160)
 
 
-def advance(ros: Ros, peer: Peer) -> Any:
-    return call(ros, peer, Trigger, "fjr_plant/advance")
-
-
-@pytest.mark.parametrize("executor", ["events", "single"])
-def test_lockstep_advances_by_the_exact_number_of_samples(request, ros: Ros, executor: str) -> None:
-    peer = Peer(request.getfixturevalue("single") if executor == "single" else ros)
+@pytest.mark.usefixtures("either_executor")
+def test_lockstep_advances_by_the_exact_number_of_samples(ros: Ros, peer: Peer) -> None:
     ros.plant(lockstep=True, start_paused=True, advance_samples=7)
     CommandLoop(peer).listen()
-    response = advance(ros, peer)
+    response = peer.advance()
     assert response.success
     assert response.message == "advanced by 7 samples: the time is 1.007000000 s"
     ros.settle()
     assert nanoseconds(peer.states[-1]) == START + 7 * PERIOD
-    assert advance(ros, peer).message == "advanced by 7 samples: the time is 1.014000000 s"
+    assert peer.advance().message == "advanced by 7 samples: the time is 1.014000000 s"
     ros.settle()
     assert sorted({nanoseconds(state) for state in peer.states}) == [START + k * PERIOD for k in range(15)]
 
@@ -56,12 +40,12 @@ def test_lockstep_in_steps_is_bit_identical_to_a_run(ros: Ros, peer: Peer) -> No
     node = ros.plant(lockstep=True, start_paused=True, advance_samples=10)
     CommandLoop(peer).listen()
     for _ in range(3):
-        assert advance(ros, peer).success
+        assert peer.advance().success
     strides = numbers(peer.states)
     del peer.states[:]
-    call(ros, peer, Trigger, "fjr_plant/reset")
+    peer.reset()
     assert not peer.states, "a paused robot must send nothing"
-    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    peer.pause(False)
     ros.until(lambda: node._robot.time > 30 * PERIOD)
     run = dict(numbers(peer.states))
     ros.until(lambda: len(strides) == 31)
@@ -72,41 +56,36 @@ def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -
     node = peer.plant(command_timeout=100.0, advance_samples=25)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: peer.states[-1].effort[1] == 0.3)
-    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    peer.pause(True)
     ros.settle()
     time, x, count = node._robot.time, node._robot.x, len(peer.states)
-    assert advance(ros, peer).success
+    assert peer.advance().success
     assert node._robot.time == time + 25 * PERIOD
     assert_close(node._robot.x, integrate(x, 0.3, 100))
     ros.until(lambda: nanoseconds(peer.states[-1]) == node._time_base.stamp)
     stamps = [nanoseconds(state) for state in peer.states[count:]]
     assert stamps == [node._time_base.stamp - (24 - k) * PERIOD for k in range(25)]
-    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    peer.pause(False)
     assert node._robot.time == time + 25 * PERIOD, "the motion must continue from its state"
     count = len(peer.states)
     ros.until(lambda: len(peer.states) > count)
     assert nanoseconds(peer.states[count]) > stamps[-1]
 
 
-def test_real_time_advances_without_effort_before_the_first_command(ros: Ros, peer: Peer) -> None:
-    ros.plant(start_paused=True, advance_samples=40)
-    assert advance(ros, peer).success
-    ros.until(lambda: len(peer.states) == 40)
-    assert_close(state_of(peer.states[-1]), FALLEN)
-
-
-def test_lockstep_advances_to_the_same_states_as_real_time(ros: Ros, peer: Peer) -> None:
-    ros.plant(lockstep=True, start_paused=True, advance_samples=40)
-    CommandLoop(peer, effort=lambda _: 0.0).listen()
-    assert advance(ros, peer).success
-    ros.until(lambda: nanoseconds(peer.states[-1]) == START + 40 * PERIOD)
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_advances_without_effort_to_the_same_states_in_both_time_bases(ros: Ros, peer: Peer, lockstep: bool) -> None:
+    ros.plant(lockstep=lockstep, start_paused=True, advance_samples=40)
+    if lockstep:
+        CommandLoop(peer, effort=lambda _: 0.0).listen()
+    assert peer.advance().success
+    ros.until(lambda: len({nanoseconds(state) for state in peer.states}) == 40 + lockstep, "the states")
     assert_close(state_of(peer.states[-1]), FALLEN)
 
 
 @pytest.mark.parametrize("lockstep", [True, False])
 def test_advance_is_refused_while_running(ros: Ros, peer: Peer, lockstep: bool) -> None:
     ros.plant(lockstep=lockstep)
-    response = advance(ros, peer)
+    response = peer.advance()
     assert not response.success
     assert response.message == "robot time is running; expected a paused robot: call ~/pause with true first"
 
@@ -122,14 +101,14 @@ INTERRUPTIONS = {
 def test_interrupted_advance_fails_with_a_sentence(ros: Ros, peer: Peer, case: str) -> None:
     kind, name, request, sentence = INTERRUPTIONS[case]
     node = ros.plant(lockstep=True, start_paused=True, advance_samples=5)
-    pending = ask(ros, peer, Trigger, "fjr_plant/advance")
+    pending = peer.request(Trigger, "fjr_plant/advance")
     for k in range(2):
         ros.until(lambda k=k: peer.states and nanoseconds(peer.states[-1]) == START + k * PERIOD)
         peer.command_publisher.publish(answer(peer.states[-1], 0.1))
     ros.until(lambda: node._robot.time == 2 * PERIOD)
-    again = advance(ros, peer)
+    again = peer.advance()
     assert (again.success, again.message) == (False, "already advancing: 3 of 5 samples are left")
-    assert call(ros, peer, kind, name, **request).success
+    assert peer.call(kind, name, **request).success
     ros.until(pending.done, "the answer")
     assert (pending.result().success, pending.result().message) == (False, sentence)
     assert node._time_base.paused == (case != "go")
@@ -140,7 +119,7 @@ def test_interrupted_advance_fails_with_a_sentence(ros: Ros, peer: Peer, case: s
 
 def test_advance_fails_with_a_sentence_when_the_node_ends(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, lockstep_timeout=0.2, start_paused=True, advance_samples=5)
-    pending = ask(ros, peer, Trigger, "fjr_plant/advance")
+    pending = peer.request(Trigger, "fjr_plant/advance")
     ros.until(lambda: peer.states, "a state")
     peer.command_publisher.publish(answer(peer.states[-1], 0.1))
     ros.until(pending.done, "the answer")
@@ -151,24 +130,24 @@ def test_advance_fails_with_a_sentence_when_the_node_ends(ros: Ros, peer: Peer) 
 
 def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, peer: Peer) -> None:
     node = peer.plant(advance_samples=100, command_timeout=100.0)
-    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    peer.pause(True)
     node._robot.u = np.array([1e308])
-    response = advance(ros, peer)
+    response = peer.advance()
     assert isinstance(node.ended, StateError)
     assert not response.success
     assert response.message.startswith("ended after ")
     time = node._robot.time
-    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    peer.call(SetBool, "fjr_plant/pause", data=False)
     ros.settle()
     assert node._robot.time == time, "it must do nothing more"
 
 
 def test_advance_samples_is_dynamic(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True)
-    assert advance(ros, peer).success
+    assert peer.advance().success
     assert node._robot.time == PERIOD
     assert node.set_parameters([Parameter("advance_samples", value=9)])[0].successful
-    assert advance(ros, peer).success
+    assert peer.advance().success
     assert node._robot.time == 10 * PERIOD
     assert not node.set_parameters([Parameter("advance_samples", value=0)])[0].successful
     assert node.values["advance_samples"] == 9
@@ -184,4 +163,4 @@ def test_vanished_client_does_not_disturb_others(ros: Ros, peer: Peer) -> None:
     peer.command_publisher.publish(answer(peer.states[-1], 0.1))
     ros.until(lambda: node._robot.time == PERIOD)
     CommandLoop(peer).listen()
-    assert advance(ros, peer).success
+    assert peer.advance().success

@@ -49,8 +49,8 @@ def running(
 ) -> Hearer:
     """Run the paper's joint in lock-step until that many diagnoses were published."""
     hearer = Hearer(ros, certificates)
-    ros.controller(use_sim_time=True, compile=True, **controller)
-    ros.plant(lockstep=True, compile=True, initial_link_position=[0.5], initial_motor_position=[0.5], **plant)
+    ros.controller(use_sim_time=True, **controller)
+    ros.plant(lockstep=True, initial_link_position=[0.5], initial_motor_position=[0.5], **plant)
     ros.until(lambda: len(hearer.verdicts()) > seconds, f"{seconds} verdicts")
     return hearer
 
@@ -111,9 +111,9 @@ def test_saturation_is_diagnosed_while_it_lasts(ros: Ros) -> None:
 def test_a_sample_period_that_is_too_long_is_diagnosed(ros: Ros) -> None:
     """At 65 Hz an error grows by 1/8 per sample; the initial error is zero."""
     hearer = Hearer(ros)
-    ros.controller(use_sim_time=True, compile=True)
+    ros.controller(use_sim_time=True)
     moving = {"initial_link_velocity": [1.0], "initial_motor_velocity": [1.0]}
-    ros.plant(lockstep=True, compile=True, publish_rate=65.0, initial_link_position=[0.0], **moving)
+    ros.plant(lockstep=True, publish_rate=65.0, initial_link_position=[0.0], **moving)
     ros.until(lambda: ("violated", "sampling") in hearer.verdicts(), "the verdict")
 
 

@@ -1,19 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conflicting publishers on either command topic: refused before the first command, reported later."""
+"""Another publisher of commands or of /clock: refused before the first command, reported later."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import pytest
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from fjr_controller.command_topics import TOPICS, CommandConflictError
 from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
-from nodes.harness import Ros, Stranger, stamped
+from fjr_plant import lock_step as clock_owner
+from fjr_plant.lock_step import ClockError
+from fjr_plant.plant_node import PlantNode
+from nodes.harness import Peer, Ros, Stranger, stamped
 from nodes.managed import Manager
+from nodes.plants import CommandLoop
 
 MESSAGES = {
     "/effort_controller/commands": Float64MultiArray(data=[1.0]),
@@ -23,26 +30,22 @@ EFFORTS = "/effort_controller/commands"
 MANAGER_AND_CONTROLLER = 2  # subscriptions to a command topic, before the first command
 
 
-@pytest.fixture
-def manager(ros: Ros) -> Manager:
-    return Manager(ros)
-
-
-Appear = Callable[[str], Stranger]
+Appear = Callable[..., Stranger]
 
 
 @pytest.fixture
 def appear(ros: Ros, manager: Manager) -> Iterator[Appear]:
-    """Create another controller on a topic and wait until it is discovered with its name."""
+    """Create another controller on a topic and wait until it is discovered and connected with `met` subscriptions."""
     made = []
 
     def there(topic: str) -> int:
         return sum(info.node_name == "other" for info in manager.get_publishers_info_by_topic(topic))
 
-    def make(topic: str) -> Stranger:
+    def make(topic: str, met: int = 0) -> Stranger:
         count = there(topic)
         made.append(Stranger(topic, MESSAGES[topic]))
         ros.until(lambda: there(topic) == count + 1, "the other controller")
+        ros.until(lambda: made[-1].publisher.get_subscription_count() >= met, "its connection with the controller")
         return made[-1]
 
     yield make
@@ -70,10 +73,7 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
 @topics
 def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear, topic: str) -> None:
     node = manager.controller()
-    other = appear(topic)
-    ros.until(
-        lambda: other.publisher.get_subscription_count() >= MANAGER_AND_CONTROLLER, "its connection with the controller"
-    )
+    other = appear(topic, MANAGER_AND_CONTROLLER)
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.ended, "the end")
@@ -92,10 +92,7 @@ def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
     assert manager.change("configure")
     assert manager.change("activate")
     manager.meet_controller()
-    other = appear(EFFORTS)
-    ros.until(
-        lambda: other.publisher.get_subscription_count() >= MANAGER_AND_CONTROLLER, "its connection with the controller"
-    )
+    other = appear(EFFORTS, MANAGER_AND_CONTROLLER)
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.trouble, "the refusal")
@@ -119,8 +116,7 @@ def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, a
     ros.until(lambda: "other controllers" in manager.kinds(), "the report")
     event = next(event for event in manager.events if event.name == "other controllers")
     assert f"has begun to publish on {topic}; expected nobody else" in event.message
-    node.stop()
-    ros.until(lambda: manager.count("other controllers", "fjr_controller") == 1, "the counter")
+    manager.reported(node, "other controllers")
     status = manager.diagnostics[-1].status[0]
     assert status.level == status.ERROR
 
@@ -158,3 +154,77 @@ def test_publisher_created_together_with_ours_is_detected(
     assert conflicts.appeared() == [topic]
     conflicts.close()
     assert manager.count_publishers(topic) == 2, "those of the manager and of the other node"
+
+
+# /clock has one owner.
+
+
+SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* -r /clock:=/NAMESPACE/clock"
+
+
+@contextmanager
+def other_clock(ros: Ros, peer: Peer, seconds: int = 0) -> Iterator[None]:
+    """Publish the time `seconds` like another process; yield once the publisher is discovered."""
+    message = Clock()
+    message.clock.sec = seconds
+    other = Stranger("/clock", message)
+    try:
+        with other.talking():
+            ros.until(
+                lambda: "other" in (i.node_name for i in peer.get_publishers_info_by_topic("/clock")), "the clock"
+            )
+            yield
+    finally:
+        other.close()
+
+
+def test_plant_refuses_to_start_with_another_clock(ros: Ros, peer: Peer) -> None:
+    with other_clock(ros, peer):
+        with pytest.raises(ClockError, match=SENTENCE):
+            ros.plant(lockstep=True)
+        arguments = ["--ros-args", "-r", "/clock:=/left/clock", "-p", "compile:=false", "-p", "lockstep:=true"]
+        ros.start(PlantNode, arguments)
+    assert peer.count_publishers("/left/clock") == 1
+
+
+def test_plant_ends_if_another_clock_appears_with_the_first_command(ros: Ros, peer: Peer, monkeypatch) -> None:
+    monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 1000.0)
+    node = peer.plant(lockstep=True)
+    with other_clock(ros, peer):
+        CommandLoop(peer).listen()
+        ros.until(lambda: node.ended, "the end")
+    assert isinstance(node.ended, ClockError)
+    assert node._time_base._robot.time == 0, "nothing must have moved"
+
+
+def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monkeypatch) -> None:
+    monkeypatch.setattr(clock_owner, "SETTLING", -1.0)
+    monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
+    node = peer.plant(lockstep=True)
+    CommandLoop(peer).listen()
+    ros.until(lambda: node._time_base._robot.time > 0, "motion")
+    with other_clock(ros, peer):
+        ros.until(lambda: node._health.count["other clocks"] == 1, "the report")
+    peer.reported(node, "other clocks")
+    assert node.ended is None
+
+
+@pytest.mark.parametrize(("seconds", "ends"), [(0, False), (1000, True)], ids=["behind", "ahead"])
+def test_new_owner_with_commands_ends_only_if_the_other_time_is_ahead(
+    ros: Ros, peer: Peer, monkeypatch: pytest.MonkeyPatch, seconds: int, ends: bool
+) -> None:
+    monkeypatch.setattr(clock_owner, "SETTLING", 1e6)
+    monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
+    node = peer.plant(lockstep=True)
+    CommandLoop(peer).listen()
+    ros.until(lambda: node._time_base._robot.time > 0, "motion")
+    heard, read = ConflictingPublishers.heard, []
+
+    def noted(self: ConflictingPublishers) -> tuple[str, Any] | None:
+        read.extend(filter(None, [found := heard(self)]))
+        return found
+
+    monkeypatch.setattr(ConflictingPublishers, "heard", noted)
+    with other_clock(ros, peer, seconds):
+        ros.until(lambda: node.ended or len(read) > 1, "the other time")
+        assert isinstance(node.ended, ClockError) is ends

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from unittest.mock import Mock
 
 import numpy as np
 from rosgraph_msgs.msg import Clock
@@ -23,7 +24,7 @@ def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: floa
 
 
 def test_publishes_the_effort_of_the_law_for_every_state_on_both_topics(ros: Ros, peer: Peer) -> None:
-    peer.controller()
+    node = peer.controller()
     for k in range(20):
         t, q_l, q_m, dq_l, dq_m = 0.001 * k, 0.5 - 0.01 * k, 0.5 + 0.02 * k, 0.1 * k, -0.1 * k
         state = stamped(t, [q_l, q_m], [dq_l, dq_m])
@@ -35,6 +36,9 @@ def test_publishes_the_effort_of_the_law_for_every_state_on_both_topics(ros: Ros
         ros.until(lambda k=k: len(peer.efforts) == k + 1)
         assert list(peer.efforts[-1].data) == list(command.effort)
     assert len(peer.commands) == len(peer.references) == len(peer.errors) == 20
+    node.stop()
+    ros.until(lambda: len(peer.efforts) == len(peer.commands) == 21, "the last command")
+    assert list(peer.efforts[-1].data) == list(peer.commands[-1].effort) == [0.0]
 
 
 def test_publishes_reference_and_tracking_error_with_the_stamp_of_the_state(ros: Ros, peer: Peer) -> None:
@@ -105,8 +109,7 @@ def test_ignores_an_older_state_and_repeats_the_command_of_a_repeated_one(ros: R
     newest = peer.ask(stamped(0.3, 0.4))
     peer.ask(stamped(0.2), answered=False)
     assert list(peer.ask(stamped(0.3, 0.4)).effort) == list(newest.effort)
-    node.stop()
-    ros.until(lambda: peer.count("states older than the last", "fjr_controller") == 1, "the counter")
+    peer.reported(node, "states older than the last")
 
 
 def test_a_jump_back_beyond_state_timeout_restarts_the_reference(ros: Ros, peer: Peer) -> None:
@@ -117,8 +120,7 @@ def test_a_jump_back_beyond_state_timeout_restarts_the_reference(ros: Ros, peer:
     peer.ask(stamped(1.999), answered=False)
     again = peer.ask(stamped(2.0))
     assert list(again.effort) == list(first.effort) != list(later.effort)
-    node.stop()
-    ros.until(lambda: peer.count("reference restarts", "fjr_controller") == 1, "the counter")
+    peer.reported(node, "reference restarts")
 
 
 def test_only_older_states_for_longer_than_state_timeout_restart_the_reference(ros: Ros, peer: Peer) -> None:
@@ -140,18 +142,9 @@ def test_a_non_finite_effort_is_never_sent(ros: Ros, peer: Peer) -> None:
     for q in (1e308, -1e308):
         assert list(peer.ask(stamped(0.001, [q, -q], [1e308, -1e308])).effort) == [0.0]  # the stop policy's
     np.testing.assert_allclose(peer.ask(stamped(0.002)).effort, paper_effort(0.002, 0.5, 0.5), rtol=1e-9)
-    node.stop()
-    ros.until(lambda: peer.count("efforts not finite", "fjr_controller") == 2, "the counter")
+    peer.reported(node, "efforts not finite", 2)
     assert all(np.isfinite(message.data).all() for message in peer.efforts)
     assert all(np.isfinite(message.effort).all() for message in peer.commands)
-
-
-def test_the_last_command_is_zero_effort(ros: Ros, peer: Peer) -> None:
-    node = peer.controller()
-    assert abs(peer.ask(stamped(0.0)).effort[0]) > 1.0
-    node.stop()
-    ros.until(lambda: len(peer.efforts) == 2 and len(peer.commands) == 2, "the last command")
-    assert list(peer.efforts[-1].data) == list(peer.commands[-1].effort) == [0.0]
 
 
 def test_namespace_and_remap(ros: Ros) -> None:
@@ -162,8 +155,7 @@ def test_namespace_and_remap(ros: Ros) -> None:
     np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
 
 
-def test_use_sim_time_changes_only_while_unconfigured(ros: Ros) -> None:
-    manager = Manager(ros)
+def test_use_sim_time_changes_only_while_unconfigured(ros: Ros, manager: Manager) -> None:
     ros.controller(autostart=False, state_timeout=0.5)
     assert manager.set(use_sim_time=True) == (True, "")
     assert manager.change("configure")
@@ -179,35 +171,19 @@ def test_use_sim_time_changes_only_while_unconfigured(ros: Ros) -> None:
     ros.until(lambda: "silences" in manager.kinds(), "the silence by the stamps")
 
 
-class Host:
-    """The process of a node, through the interface that the node uses."""
-
-    def __init__(self) -> None:
-        self.cared_for: list[dict] = []
-
-    def apply_process_settings(self, values: dict) -> None:
-        self.cared_for.append(values)
-
-    def end(self, error: Exception) -> None:
-        raise AssertionError(error)
-
-
-def test_process_settings_are_applied_after_configure(ros: Ros) -> None:
-    manager = Manager(ros)
+def test_process_settings_are_applied_after_configure(ros: Ros, manager: Manager) -> None:
     node = ros.controller(autostart=False, cpu_affinity="both")
-    node.host = Host()
+    node.host = Mock()
     assert not manager.change("configure"), "invalid cores"
-    assert not node.host.cared_for
     assert manager.set(cpu_affinity="0", realtime_priority=3) == (True, "")
     assert manager.change("configure")
-    (values,) = node.host.cared_for
+    (((values,), _),) = node.host.apply_process_settings.call_args_list
     assert (values["cpu_affinity"], values["realtime_priority"]) == ("0", 3)
 
 
 def answers_across_a_silence(clock_first: bool) -> list[float]:
     """Return the efforts after the first, with the clock before or after the state that ends the silence."""
-    ros = Ros()
-    try:
+    with Ros() as ros:
         manager = Manager(ros)
         node = ros.controller(state_timeout=0.5, use_sim_time=True)
         clock = manager.create_publisher(Clock, "/clock", 1)
@@ -224,8 +200,6 @@ def answers_across_a_silence(clock_first: bool) -> list[float]:
         ros.until(lambda: "silences" in manager.kinds(), "the silence")
         assert manager.kinds().count("silences") == 1
         return [command.effort[0] for command in manager.commands[1:]]
-    finally:
-        ros.close()
 
 
 def test_in_simulated_time_the_command_after_a_silence_does_not_depend_on_the_clock() -> None:

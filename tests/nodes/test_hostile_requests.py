@@ -17,7 +17,6 @@ from rcl_interfaces.srv import (
     SetParameters,
     SetParametersAtomically,
 )
-from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
@@ -45,11 +44,7 @@ SET = (
 )
 
 
-@pytest.fixture(params=["events", "single"])
-def manager(ros: Ros, request: Any) -> Manager:
-    if request.param == "single":
-        ros.executor = SingleThreadedExecutor(context=ros.context)
-    return Manager(ros)
+pytestmark = pytest.mark.usefixtures("either_executor")
 
 
 @pytest.fixture
@@ -58,19 +53,13 @@ def tracking(ros: Ros, manager: Manager) -> Any:
     return manager.started()
 
 
-def ask(manager: Manager, node: str, kind: Any, name: str, **fields: Any) -> Any:
-    """Return the response of a service of a node."""
-    return manager.call(kind, name, kind.Request(**fields), node)
-
-
 @pytest.mark.parametrize("label", ["", "activate", "no_such_transition"])
 def test_a_transition_that_is_not_possible_now_is_refused(
     ros: Ros, manager: Manager, tracking: Any, label: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     for number in (1, 3, 99, 0, 255):
-        answer = ask(
-            manager, "fjr_controller", ChangeState, "change_state", transition=Transition(id=number, label=label)
-        )
+        asked = Transition(id=number, label=label)
+        answer = manager.call(ChangeState, "fjr_controller/change_state", transition=asked)
         assert not answer.success
         what = repr(label) if label else number
         said = capfd.readouterr().err
@@ -91,22 +80,24 @@ def test_malformed_requests_for_parameters_are_answered(ros: Ros, manager: Manag
             (DescribeParameters, "describe_parameters", "descriptors"),
             (GetParameterTypes, "get_parameter_types", "types"),
         ):
-            found = getattr(ask(manager, name, kind, service, names=names), field)
+            found = getattr(manager.call(kind, f"{name}/{service}", names=names), field)
             assert len(found) == len(names)
     for prefixes, depth in (([], 2**64 - 1), ([""], 1), (["x" * 10_000], 0)):
-        ask(manager, name, ListParameters, "list_parameters", prefixes=prefixes, depth=depth)
+        manager.call(ListParameters, f"{name}/list_parameters", prefixes=prefixes, depth=depth)
     for key in SET:
         for value in VALUES:
             many = [Parameter(name=key, value=value)] * 2
-            results = ask(manager, name, SetParameters, "set_parameters", parameters=many).results
+            results = manager.call(SetParameters, f"{name}/set_parameters", parameters=many).results
             assert len(results) == 2
-            together = ask(manager, name, SetParametersAtomically, "set_parameters_atomically", parameters=many).result
+            together = manager.call(
+                SetParametersAtomically, f"{name}/set_parameters_atomically", parameters=many
+            ).result
             for result in (*results, together):
                 assert result.successful != bool(result.reason), "a refusal says why"
-    assert ask(manager, name, SetParameters, "set_parameters").results == []
+    assert manager.call(SetParameters, f"{name}/set_parameters").results == []
     for kind in ("", "nonsense", "sensor_msgs/msg/JointState"):
         fields = {"type_name": kind, "type_hash": "RIHS01_" + "0" * 64}
-        assert not ask(manager, name, GetTypeDescription, "get_type_description", **fields).successful
+        assert not manager.call(GetTypeDescription, f"{name}/get_type_description", **fields).successful
     assert {key: node.get_parameter(key).value for key in node.get_parameters_by_prefix("")} == before
 
 
@@ -114,7 +105,7 @@ def test_an_unknown_type_refuses_its_parameter_and_those_after_it(ros: Ros, mana
     name = "limits.tracking_error"
     good, bad = ParameterValue(type=8, double_array_value=[30.0]), ParameterValue(type=99)
     asked = [Parameter(name=name, value=value) for value in (good, bad, good)]
-    results = ask(manager, "fjr_controller", SetParameters, "set_parameters", parameters=asked).results
+    results = manager.call(SetParameters, "fjr_controller/set_parameters", parameters=asked).results
     assert [result.successful for result in results] == [True, False, False]
     assert "99 is not a valid Parameter.Type" in results[1].reason
     assert tracking.get_parameter(name).value.tolist() == [30.0]

@@ -1,51 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lifecycle of the controller node."""
+"""The lifecycle of the controller node, its safety and measurement while it is active, and what it logs."""
 
 from __future__ import annotations
 
 import gc
 import time
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
-from rosgraph_msgs.msg import Clock
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
-from nodes.harness import Listener, Ros, nanoseconds, stamped
+from nodes.harness import Listener, Peer, Ros, nanoseconds, stamped
 from nodes.managed import Manager, trajectory
+from tracking.tracked import OBSERVED
 
+SINE = fjr.Sine(1.0, 1.0)
 GRAVITY = 0.8 * np.sin(0.5)  # N m; the paper's link at 0.5 rad
 
 
-@pytest.fixture
-def manager(ros: Ros) -> Manager:
-    return Manager(ros)
-
-
-def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS) -> float:
+def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS, reference: fjr.Sine = SINE) -> float:
     """Return the law's effort t [s] after the first state, at standstill at 0.5 rad."""
     robot = fjr.single_link()
     x = robot.state(0.5, 0.5, 0.0, 0.0)
-    return float(fjr.TrackingLaw(robot, gains).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))[0])
+    return float(fjr.TrackingLaw(robot, gains).effort(x, x, reference.jets(t))[0])
 
 
 def test_lifecycle_transitions_are_those_of_a_managed_node(ros: Ros, manager: Manager) -> None:
     ros.controller(autostart=False)
-    for transition, state in (
-        (None, "unconfigured"),
-        ("configure", "inactive"),
-        ("activate", "active"),
-        ("deactivate", "inactive"),
-        ("activate", "active"),
-        ("deactivate", "inactive"),
-        ("cleanup", "unconfigured"),
-        ("configure", "inactive"),
-    ):
-        assert transition is None or manager.change(transition)
-        assert manager.state() == state
+    assert manager.state() == "unconfigured"
+    becomes = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
+    for transition in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure"):
+        assert manager.change(transition)
+        assert manager.state() == becomes[transition]
     assert {"unconfigured", "inactive", "active", "finalized"} <= set(manager.labels())
     assert manager.transitions() == {"activate", "cleanup", "shutdown"}
 
@@ -131,12 +122,13 @@ def test_activation_discards_pending_requests(ros: Ros, manager: Manager) -> Non
     ros.until(lambda: "starts refused" in manager.kinds(), "the refusal")
 
 
-def test_a_reference_set_while_inactive_is_tracked_when_active(ros: Ros, manager: Manager) -> None:
+def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, manager: Manager) -> None:
     manager.started(limits__link_velocity=[2.0])
     assert manager.change("deactivate")
-    assert manager.set(reference__amplitude=[0.4], reference__offset=[0.1])[0]
+    assert manager.set(reference__amplitude=[0.4], reference__offset=[0.1], gains__K_ld=[0.9])[0]
     assert manager.change("activate")
-    activated_again(manager, 5.0)
+    wanted = effort(0.0, fjr.Gains(10.0, 20.0, 0.9, 15.0, 60.0, 0.3), fjr.Sine(0.4, 1.0, 0.1))
+    np.testing.assert_allclose(activated_again(manager, 5.0).effort, [wanted], rtol=1e-9)
     manager.answer(stamped(5.5))
     np.testing.assert_allclose(manager.references[-1].position, [0.1 + 0.4 * np.sin(0.5)], rtol=1e-9)
     assert manager.change("deactivate")
@@ -152,11 +144,6 @@ def activated_again(manager: Manager, t: float, q: float = 0.5) -> JointState:
         assert manager.change("activate")
     manager.meet_controller()
     return manager.answer(stamped(t, q))
-
-
-def test_configure_refuses_a_reference_that_violates_its_limits(ros: Ros) -> None:
-    with pytest.raises(fjr.ParameterError, match=r"'reference\.\*': joint 'joint1' would reach 1 rad/s.* limit is 0.5"):
-        ros.controller(limits__link_velocity=[0.5])
 
 
 def test_refused_configure_leaves_no_objects_on_the_node(ros: Ros, manager: Manager) -> None:
@@ -182,7 +169,10 @@ def test_refused_configure_leaves_no_objects_on_the_node(ros: Ros, manager: Mana
 
 
 def test_invalid_parameters_can_be_corrected_while_unconfigured(ros: Ros, manager: Manager, capfd) -> None:
-    node = ros.controller(autostart=False, gains__Pi_l=[-20.0], robot__joint_stiffness=[3.1])
+    node = ros.controller(autostart=False, gains__Pi_l=[-20.0], gains__K_ld="much", robot__joint_stiffness=[3.1])
+    assert not manager.change("configure")
+    assert "gains.K_ld" in str(node.trouble)
+    assert manager.set(gains__K_ld=[0.6])[0]
     assert not manager.change("configure")
     assert manager.state() == "unconfigured"
     assert "gains.Pi_l" in str(node.trouble)
@@ -193,13 +183,6 @@ def test_invalid_parameters_can_be_corrected_while_unconfigured(ros: Ros, manage
     assert manager.change("activate")
     manager.meet_controller()
     np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
-
-
-def test_parameters_of_a_wrong_type_can_be_corrected_while_unconfigured(ros: Ros, manager: Manager) -> None:
-    ros.controller(autostart=False, gains__K_ld="much")
-    assert not manager.change("configure")
-    assert manager.set(gains__K_ld=[0.6])[0]
-    assert manager.change("configure")
 
 
 def test_robot_can_change_only_while_unconfigured(ros: Ros, manager: Manager) -> None:
@@ -259,38 +242,12 @@ def test_limits_change_between_two_states(ros: Ros, manager: Manager) -> None:
     np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
 
 
-def test_gains_changed_while_inactive_apply_when_active(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    assert manager.change("deactivate")
-    assert manager.set(gains__K_ld=[0.9])[0]
-    assert manager.change("activate")
-    manager.meet_controller()
-    other = fjr.Gains(10.0, 20.0, 0.9, 15.0, 60.0, 0.3)
-    np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0, other)], rtol=1e-9)
-
-
 def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
     manager.started(state_timeout=0.05, on_stop="gravity_hold")
     ros.until(lambda: "silences" in manager.kinds(), "the silence")
     ros.settle()
     assert len(manager.efforts) == 2
     np.testing.assert_allclose(manager.efforts[-1].data, [GRAVITY], atol=1e-12)
-
-
-def test_silence_is_measured_in_simulated_time(ros: Ros, manager: Manager) -> None:
-    ros.controller(state_timeout=0.5, use_sim_time=True)
-    clock = manager.create_publisher(Clock, "/clock", 1)
-    manager.meet_controller()
-    ros.until(lambda: ros.matched(clock), "the clock's reader")
-    manager.ask(stamped(0.0))
-    clock.publish(Clock(clock=stamped(0.4).header.stamp))
-    ros.settle()
-    assert "silences" not in manager.kinds()
-    for t in (0.6, 0.7, 0.8):
-        clock.publish(Clock(clock=stamped(t).header.stamp))
-        ros.settle()
-    ros.until(lambda: "silences" in manager.kinds(), "the silence")
-    assert nanoseconds(manager.commands[-1]) == nanoseconds(manager.commands[0])
 
 
 def test_a_destroyed_node_leaves_the_graph_without_the_garbage_collector(ros: Ros) -> None:
@@ -307,3 +264,113 @@ def test_a_destroyed_node_leaves_the_graph_without_the_garbage_collector(ros: Ro
     finally:
         if collecting:
             gc.enable()
+
+
+# Safety and measurement; tests/tracking/test_limits.py tests that each parameter reaches the settings.
+
+
+ROBOT = fjr.single_link()
+PLACE = ([0.5, 0.52], [0.3, -0.2])  # positions and velocities of link and motor
+
+
+def at(t: float = 0.0) -> Any:
+    return stamped(t, *PLACE)
+
+
+def test_a_violated_limit_of_the_state_stops_until_a_resume(ros: Ros, manager: Manager) -> None:
+    manager.controller(on_stop="gravity_hold")
+    assert manager.set(limits__motor_velocity=[0.21]) == (True, "")
+    law = float(manager.ask(at()).effort[0])
+    assert abs(law) > 5.0
+    assert manager.set(limits__motor_velocity=[0.19]) == (True, "")
+    held = ROBOT.grad_P_l([0.5])[0] - 0.3 * -0.2
+    assert float(manager.ask(at(0.001)).effort[0]) == pytest.approx(held)
+    ros.until(lambda: any(e.name == "stops" and "motor velocity" in e.message for e in manager.events), "the event")
+    assert manager.set(limits__motor_velocity=[0.21], on_stop="zero")[0]
+    assert float(manager.ask(at(0.002)).effort[0]) == 0.0, "a stop must be latched"
+    assert manager.trigger("resume")[0]
+    assert float(manager.ask(at(0.003)).effort[0]) == 0.0, "the first effort must be the last one sent"
+    assert float(manager.ask(at(0.05)).effort[0]) != 0.0
+
+
+def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> None:
+    peer.controller(limits__effort_rate=[100.0])
+    efforts = [float(peer.ask(at(0.001 * k)).effort[0]) for k in range(4)]
+    np.testing.assert_allclose(efforts, [0.0, -0.1, -0.2, -0.3])
+    ros.until(lambda: peer.count("efforts rate limited", "fjr_controller"), "the counter")
+    (status,) = [each for each in peer.diagnostics[-1].status if each.name == "fjr_controller"]
+    assert status.level == DiagnosticStatus.OK, "a limited rate is what its setting asks for"
+
+
+@pytest.mark.parametrize("motor", ["position", "torque"])
+def test_positions_of_links_and_motors_or_joint_torques_suffice_with_an_observer(peer: Peer, motor: str) -> None:
+    """The effort is zero while the observer settles, then the law's with the observer's velocities."""
+    peer.controller(measurement__motor=motor, measurement__velocity="observer", measurement__observer_bandwidth=200.0)
+    state = at() if motor == "position" else stamped(0.0, 0.5, names=["joint1"])
+    state.velocity, state.effort = [], [] if motor == "position" else [31.0 * 0.02]
+    law, observer = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS), fjr.VelocityObserver(ROBOT, 200.0)
+    for k in range(OBSERVED + 1):
+        observer.update(k * 1_000_000, [0.5], [0.52], [0.0])
+        state.header.stamp = at(0.001 * k).header.stamp
+        command = peer.ask(state)
+        assert bool(command.effort[0]) == (k == OBSERVED)
+    u, _ = law.measured_command(observer.state[:2], observer.state[2:], fjr.Sine(1.0, 1.0).jets(0.001 * OBSERVED))
+    np.testing.assert_allclose(command.effort, u, rtol=1e-9)
+
+
+# Log lines and events.
+
+
+LIFE = ["configured", "activated", "tracking", "deactivated", "cleaned up"]
+
+
+def infos(text: str, node: str) -> list[str]:
+    return [line.partition(f"[{node}]: ")[2] for line in text.splitlines() if "[INFO]" in line and f"[{node}]" in line]
+
+
+def test_a_controller_logs_each_transition(ros: Ros, manager: Manager, capfd: pytest.CaptureFixture[str]) -> None:
+    node = ros.controller(autostart=False)
+    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
+    for transition in ("configure", "activate"):
+        assert manager.change(transition)
+    manager.meet_controller()
+    for k in range(3):
+        manager.ask(stamped(0.001 * k))
+    for transition in ("deactivate", "cleanup"):
+        assert manager.change(transition)
+    ros.until(lambda: len(manager.events) >= len(LIFE), "the events")
+    assert manager.kinds() == LIFE
+    assert infos(capfd.readouterr().err, "fjr_controller") == [event.message for event in manager.events]
+    assert [event.message for event in manager.events] == [
+        "configured: law v_dpbc for joint1",
+        "activated: waiting for states on /joint_states",
+        "tracking: the effort is the law's own",
+        "deactivated: no efforts are sent",
+        "cleaned up: all parameters may change",
+    ]
+
+
+def test_failed_transition_is_an_event(ros: Ros, manager: Manager) -> None:
+    node = ros.controller(autostart=False)
+    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
+    assert manager.set(gains__K_ld=[-1.0])[0]
+    assert not manager.change("configure")
+    ros.until(lambda: manager.events, "the event")
+    assert (manager.events[0].name, manager.events[0].level) == ("transition failed", b"\x02")
+    assert "gains.K_ld" in manager.events[0].message
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_plant_logs_waiting_and_start_of_motion(ros: Ros, manager: Manager, lockstep: bool, capfd) -> None:
+    node = ros.plant(lockstep=lockstep)
+    ros.controller(use_sim_time=lockstep)
+    ros.until(lambda: node._robot.time > 0, "motion")
+    said = [""]
+    ros.until(lambda: said.append(capfd.readouterr().err) or "moving: " in "".join(said), "the line of the log")
+    topic, first = ("/joint_commands", "answer") if lockstep else ("/effort_controller/commands", "command")
+    time = "in lock-step" if lockstep else "with the clock"
+    assert infos("".join(said), "fjr_plant") == [
+        f"configured: joint1 at 1000 Hz {time}; waiting for commands on {topic}",
+        f"moving: the first {first} has arrived",
+    ]
+    assert manager.states

@@ -7,11 +7,10 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from fjr_plant.lock_step import START, LockStepError
 from nodes.harness import PATIENCE, Listener, Peer, Ros, nanoseconds
-from nodes.plants import PERIOD, CommandLoop, answer, call, integrate, numbers, state_of
+from nodes.plants import PERIOD, CommandLoop, answer, integrate, numbers, state_of
 
 
 def test_unanswered_state_is_sent_again_and_never_skipped(ros: Ros, peer: Peer) -> None:
@@ -72,16 +71,12 @@ def test_runs_are_bit_identical_despite_lost_commands(ros: Ros, peer: Peer) -> N
     plain.until(ros, 200)
     one = numbers(peer.states)
     ros.close()
-    other_ros = Ros()
-    try:
-        other = Peer(other_ros)
-        other_ros.plant(lockstep=True)
-        other.meet_plant(lockstep=True)
+    with Ros() as again:
+        other = Peer(again)
+        other.plant(lockstep=True)
         first = len(other.states)
-        CommandLoop(other, (first + 3, first + 90)).until(other_ros, 200)
+        CommandLoop(other, (first + 3, first + 90)).until(again, 200)
         assert numbers(other.states) == one
-    finally:
-        other_ros.close()
 
 
 def clocks(peer: Peer) -> list[int]:
@@ -109,7 +104,7 @@ def test_clock_shows_the_times_of_lost_states(ros: Ros, peer: Peer) -> None:
     shown = clocks(peer)
     ros.plant(lockstep=True, start_paused=True, advance_samples=40, imperfections__state_loss=0.5)
     CommandLoop(peer).listen()
-    assert call(ros, peer, Trigger, "fjr_plant/advance").success
+    assert peer.advance().success
     times = [START + k * PERIOD for k in range(41)]
     ros.until(lambda: shown[-1:] == times[-1:], "the last time")
     assert sorted(set(shown)) == times
@@ -123,29 +118,26 @@ def test_effort_expires_after_command_timeout_while_states_are_lost(ros: Ros, pe
     node = ros.plant(lockstep=True, **options)
     CommandLoop(peer, effort=lambda _: 0.3).listen()
     for _ in range(2):  # twice: before and after a reset
-        assert call(ros, peer, Trigger, "fjr_plant/advance").success
+        assert peer.advance().success
         expected = integrate(integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.3, 80), 0.0, 40)
         np.testing.assert_allclose(node._robot.x, expected, rtol=1e-13, atol=1e-16)  # the oracle is not compiled
-        call(ros, peer, Trigger, "fjr_plant/reset")
+        peer.reset()
     assert node._health.count["command timeouts"] == 2
 
 
 def run_with_losses() -> tuple[list[tuple[int, bytes]], int]:
     """Return the states of 600 samples, most of them lost, and the number of silences that the controller detected."""
-    ros = Ros()
-    try:
+    with Ros() as ros:
         listener = Listener(ros)
         controller = ros.controller(use_sim_time=True, state_timeout=0.02, autostart=False)
         node = ros.plant(lockstep=True, start_paused=True, advance_samples=600, imperfections__state_loss=0.9)
         ros.until(lambda: listener.heard("joint_states"), "the plant")
         controller.trigger_configure()
         controller.trigger_activate()
-        assert call(ros, listener, Trigger, "fjr_plant/advance").success
+        assert listener.advance().success
         assert node._robot.time == 600 * PERIOD
         ros.settle()
         return numbers(listener.states), controller._control.step.counters["silences"]
-    finally:
-        ros.close()
 
 
 def test_two_runs_with_silences_in_simulated_time_are_bit_identical() -> None:

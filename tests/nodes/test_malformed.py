@@ -242,6 +242,7 @@ def controllers(ros: Ros) -> list[Answered]:
     return [Answered(ros, name) for name in CONTROLLERS]
 
 
+@pytest.mark.full
 @fuzzed(EXAMPLES)
 @given(messages=st.lists(states(), min_size=EACH, max_size=EACH))
 def test_malformed_states_are_refused_and_cause_no_invalid_effort(
@@ -306,6 +307,7 @@ def plants(ros: Ros) -> tuple[Commanded, Commanded]:
     return Commanded(ros, "real_time", PLAIN), Commanded(ros, "lockstep", NAMED)
 
 
+@pytest.mark.full
 @fuzzed(EXAMPLES)
 @given(
     plain=st.lists(efforts, min_size=EACH, max_size=EACH),

@@ -1,24 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The native command loop: what differs from the loop in rclpy, and a fault that is not silent."""
+"""The native loops: what differs from those in rclpy, a fault that is not silent, and independence of Python.
+
+Other Python threads hold Python's lock (GIL) for milliseconds, NumPy and imports for longer. Here it is held until a
+number of further states has been answered: a loop that waited for Python would never answer them. States are counted,
+not timed.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import re
 import struct
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from std_msgs.msg import Float64MultiArray
 
+from design.exports.c_program import built
 from fjr_controller.native import controller_program
 from fjr_msgs_py.native import program as native_program
 from fjr_msgs_py.native.program import NativeError
 from fjr_msgs_py.node.scheduling import SLICE, slice_of
-from nodes.harness import Listener, Peer, Ros, stamped
-from time_limits import HANG
+from fjr_plant.host import NativePlantHost, RclpyPlantHost
+from fjr_plant.native import plant_program
+from fjr_plant.time_base import SendError
+from nodes.harness import PATIENCE, Peer, Ros, nanoseconds, stamped
+from nodes.plants import INNER, PERIOD, CommandLoop, command, integrate, numbers, state_of
+from time_limits import HANG, Limit
 
 HOSTS = ("events", "native")
 
@@ -27,10 +42,20 @@ def loop_of(node: Any) -> Any:
     return node._control._command_loop
 
 
+def alone(program: str, **environment: str) -> str:
+    """Return the output of a program of nodes/alone.py in a process of its own."""
+    tests = str(Path(__file__).parents[1])
+    outside = {**os.environ, **environment, "PYTHONPATH": f"{tests}:{os.environ.get('PYTHONPATH', '')}"}
+    command = [sys.executable, "-m", "nodes.alone", program]
+    done = subprocess.run(command, env=outside, capture_output=True, text=True, timeout=HANG)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.mark.parametrize("host", HOSTS, indirect=True)
 def test_trajectories_arrive_in_a_participant_of_their_own_beside_the_native_loop(ros: Ros, host: str) -> None:
     """The thread of a participant that receives a trajectory of 20 MB would keep the states waiting."""
-    node = ros.controller(compile=True)
+    node = ros.controller()
     assert loop_of(node).native == (host == "native")
 
     def found() -> list[bytes]:
@@ -46,46 +71,36 @@ def test_trajectories_arrive_in_a_participant_of_their_own_beside_the_native_loo
 
 
 def test_every_answered_state_reaches_the_listeners_in_order(ros: Ros, peer: Peer) -> None:
-    node = ros.controller(executor="native", compile=True, use_sim_time=True)
+    node = ros.controller(use_sim_time=True)
     heard = []
     loop_of(node).add_listener(lambda sample, command: heard.append((sample.stamp, command.u[0])))
     peer.meet_controller()
     for k in range(100):
         peer.ask(stamped(0.001 * k))
     ros.until(lambda: len(heard) == 100, "all samples")
-    assert heard == [
-        (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, message.effort[0])
-        for message in peer.commands
-    ]
+    assert heard == [(nanoseconds(message), message.effort[0]) for message in peer.commands]
 
 
 @pytest.mark.parametrize("host", HOSTS, indirect=True)
-def test_topics_for_observers_have_a_rate_of_their_own_in_real_time(ros: Ros, host: str) -> None:
-    ros.controller(auxiliary_rate=100.0, compile=True)
-    peer, certificates = Peer(ros), []
+def test_topics_for_observers_have_a_rate_of_their_own_in_real_time(ros: Ros, peer: Peer, host: str) -> None:
+    certificates: list[Float64MultiArray] = []
     peer.create_subscription(Float64MultiArray, "fjr_controller/certificate", certificates.append, 10)
-    peer.meet_controller()
+    peer.controller(auxiliary_rate=100.0)
     for k in range(101):
         peer.state_publisher.publish(stamped(0.001 * k))
         ros.until(lambda k=k: len(peer.commands) == k + 1, "the command")
     ros.until(lambda: len(certificates) >= 10, "the certificates")
-    stamps = [
-        round((message.header.stamp.sec - 100) * 1e3 + message.header.stamp.nanosec * 1e-6) for message in peer.errors
-    ]
-    assert stamps == list(range(0, 101, 10))
+    assert [nanoseconds(error) - 100 * 10**9 for error in peer.errors] == [k * 10_000_000 for k in range(11)]
     assert len(peer.references) == 11
 
 
-def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_sentence(ros: Ros, capfd) -> None:
-    node = ros.controller(executor="native", compile=True, on_stop="zero")
-    peer = Peer(ros)
-    peer.meet_controller()
+def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_sentence(ros: Ros, peer: Peer) -> None:
+    node = peer.controller(on_stop="zero")
     assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
     loop = loop_of(node)
     ffi = loop.program.ffi
     kinds = dict(ffi.typeof("struct fjr_step_functions").fields)
-    fails = ffi.callback(kinds["step"].type, lambda *_: -1)
-    loop._struct.step.step = fails
+    loop._struct.step.step = fails = ffi.callback(kinds["step"].type, lambda *_: -1)  # noqa: F841
     peer.state_publisher.publish(stamped(0.001))
     ros.until(lambda: node.ended is not None, "the end")
     ros.until(lambda: len(peer.commands) == 2, "the last command")
@@ -100,27 +115,24 @@ def test_a_law_in_python_runs_in_rclpy_and_says_why(ros: Ros, capfd) -> None:
     assert "the law or the observer is evaluated in Python" in capfd.readouterr().err
 
 
-def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, monkeypatch, capfd) -> None:
+def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, peer: Peer, monkeypatch, capfd) -> None:
     def options() -> None:
         raise NativeError("rcl.h is missing")
 
     monkeypatch.setattr(native_program, "ros_options", options)
     controller_program.cache_clear()
     try:
-        node = ros.controller(executor="native", compile=True)
+        node = ros.controller()
     finally:
         controller_program.cache_clear()
     assert not loop_of(node).native
     assert "in rclpy's executor instead of a native thread: rcl.h is missing\n" in capfd.readouterr().err
-    peer = Peer(ros)
     peer.meet_controller()
     assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
 
 
-def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros) -> None:
-    ros.controller(executor="events", compile=True)
-    peer = Peer(ros)
-    peer.meet_controller()
+def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros, peer: Peer) -> None:
+    peer.controller(executor="events")
     names, numbers = (b"joint1\0", b"joint1_motor\0"), (0.5, 0.4)
     data = struct.pack(">iiI4xI", 100, 0, 1, 2)  # stamp, an empty frame with its padding, two names
     for name in names:
@@ -133,10 +145,8 @@ def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros) -> None:
     assert peer.commands[-1].header.stamp.sec == 100
 
 
-def test_a_node_restarts_its_thread_with_each_activation(ros: Ros) -> None:
-    node = ros.controller(executor="native", compile=True)
-    peer = Peer(ros)
-    peer.meet_controller()
+def test_a_node_restarts_its_thread_with_each_activation(ros: Ros, peer: Peer) -> None:
+    node = peer.controller()
     for k in (1, 2):
         peer.answer(stamped(k))
         node.trigger_deactivate()
@@ -144,10 +154,13 @@ def test_a_node_restarts_its_thread_with_each_activation(ros: Ros) -> None:
         node.trigger_activate()
         peer.meet_controller()
     assert loop_of(node)._host.runs
+    ros.executor.remove_node(node)
+    node.destroy_node()
+    assert not loop_of(node)._host.runs
 
 
 def test_the_thread_has_short_slices_though_python_steps_back(ros: Ros) -> None:
-    node = ros.controller(executor="native", compile=True, autostart=False)
+    node = ros.controller(autostart=False)
     node.trigger_configure()
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # as the process of a node does
     try:
@@ -165,18 +178,163 @@ def test_the_thread_has_short_slices_though_python_steps_back(ros: Ros) -> None:
 
 def test_no_module_is_loaded_while_the_controller_is_active() -> None:
     """An import takes up to 300 ms and locks the memory map, for which page faults of the loop wait."""
-    tests = str(Path(__file__).parents[1])
-    outside = {**os.environ, "PYTHONPATH": f"{tests}:{os.environ.get('PYTHONPATH', '')}"}
-    command = [sys.executable, "-m", "nodes.late_imports"]
-    done = subprocess.run(command, env=outside, capture_output=True, text=True, timeout=HANG)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "changed\nlate:\n"
+    assert alone("late_imports") == "changed\nlate:\n"
 
 
-def test_a_destroyed_node_leaves_no_thread(ros: Ros) -> None:
-    node = ros.controller(executor="native", compile=True)
-    listener = Listener(ros)
-    ros.until(lambda: listener.heard("joint_commands"), "the controller")
-    ros.executor.remove_node(node)
-    node.destroy_node()
-    assert not loop_of(node)._host.runs
+# Another thread holds Python's lock.
+
+
+HELD, EARLY, LATER = 300, 1500, 3000  # states: of a hold, of the first and the later instants
+Hold = Callable[[Any, int], bool]
+
+
+@pytest.fixture(scope="module")
+def hold(tmp_path_factory: pytest.TempPathFactory) -> Hold:
+    """Hold the GIL until a loop has answered a number of states in total; return whether it did."""
+    source = Path(__file__).with_name("hold_gil.c")
+    library = built(("cc", "-shared", "-fPIC", "-O1"), [source], tmp_path_factory.mktemp("gil") / "hold_gil.so")
+    holding = ctypes.PyDLL(str(library)).hold_gil  # unlike CDLL, PyDLL does not release the GIL
+    holding.argtypes = [ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64]
+
+    def until(loop: Any, answered: int) -> bool:
+        ffi = loop.program.ffi
+        address = int(ffi.cast("uintptr_t", ffi.addressof(loop._struct, "answered")))
+        return bool(holding(address, answered, round(1000 * HANG / 20)))
+
+    return until
+
+
+@pytest.mark.parametrize("lockstep", [True, False], ids=["lock-step", "real time"])
+def test_every_state_is_answered_while_the_lock_is_held(ros: Ros, hold: Hold, lockstep: bool) -> None:
+    rng = np.random.default_rng(0)
+    early, later = rng.integers(1, EARLY, 4), rng.integers(EARLY, LATER, 2)
+    node = ros.controller(use_sim_time=lockstep)
+    ros.plant(lockstep=lockstep, command_timeout=PATIENCE)
+    loop = loop_of(node)
+    for instant in sorted([*early, *later]):
+        ros.until(lambda instant=instant: loop._struct.answered >= instant, f"state {instant}")
+        assert hold(loop, loop._struct.answered + HELD), f"no states were answered after state {instant}"
+    assert node.state == "active"
+    assert loop._struct.received - loop._struct.answered in (0, 1)  # the newest may be on its way
+
+
+def test_the_first_state_is_answered_while_the_lock_is_held(peer: Peer, hold: Hold) -> None:
+    node = peer.controller()
+    peer.state_publisher.publish(stamped(0.0))
+    assert hold(loop_of(node), 1)
+
+
+# Memory.
+
+
+COUNTER = Path(__file__).with_name("allocations.c")
+MIDDLEWARE = re.compile(r"lib(stdc\+\+|fastcdr|fastrtps|fastdds|rmw|rcl|rcutils|tracetools)")
+"""Libraries of ROS 2 and Fast DDS, and the one that has the operator new of C++."""
+LOOPS = ("controller_loop", "fjr_plant")
+
+
+@pytest.fixture(scope="module")
+def allocations(tmp_path_factory: pytest.TempPathFactory) -> Counter[tuple[str, str]]:
+    """Calls of allocators by thread, named by the library that began it, and calling library."""
+    counter = built(("cc", "-shared", "-fPIC", "-O1"), [COUNTER], tmp_path_factory.mktemp("counter") / "counter.so")
+    found: Counter[tuple[str, str]] = Counter()
+    for thread, caller, count in map(str.split, alone("count_allocations", LD_PRELOAD=str(counter)).splitlines()):
+        found[Path(thread).name, Path(caller).name] += int(count)
+    return found
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_the_thread_of_a_native_loop_allocates_only_in_the_middleware(
+    allocations: Counter[tuple[str, str]], loop: str
+) -> None:
+    callers = {caller for thread, caller in allocations if thread.startswith(loop)}
+    assert "libstdc++.so.6" in callers  # the counter sees this thread
+    assert not [caller for caller in callers if not MIDDLEWARE.match(caller)]
+
+
+# The plant.
+
+
+SAMPLES = 300
+BAD = {
+    "imperfections__motor_coulomb_friction": [0.05],
+    "imperfections__actuator_lag": [2e-3],
+    "imperfections__motor_encoder_bits": [14.0],
+    "imperfections__link_position_noise": [1e-4],
+    "imperfections__link_velocity_noise": [1e-2],
+    "imperfections__state_delay": 1.5e-3,
+    "imperfections__state_jitter": 2e-3,
+    "imperfections__state_loss": 0.1,
+    "imperfections__state_repetition": 0.1,
+    "imperfections__command_jitter": 1e-3,
+    "imperfections__command_loss": 0.1,
+    "imperfections__period_jitter": 0.4e-3,
+}
+
+
+def states_of(host: str, **parameters: Any) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
+    """Return the states of SAMPLES samples in lock-step, and the counters of the plant."""
+    with Ros() as ros:
+        peer = Peer(ros)
+        options = {"lockstep": True, "start_paused": True, "advance_samples": SAMPLES}
+        node = ros.plant(executor=host, **options, **parameters)
+        assert isinstance(node._time_base.host, NativePlantHost if host == "native" else RclpyPlantHost)
+        CommandLoop(peer).listen()
+        assert peer.advance().success
+        ros.settle()
+        count = dict(node._health.count)
+        for busy in ("states sent again", "answers to other states"):
+            del count[busy]
+        return numbers(peer.states), count
+
+
+@pytest.mark.parametrize("parameters", [{}, BAD], ids=["ideal", "non-ideal"])
+def test_both_hosts_send_the_same_bits_in_lock_step(parameters: dict[str, Any]) -> None:
+    one, other = states_of("events", **parameters), states_of("native", **parameters)
+    assert one == other
+    assert len(one[0]) > SAMPLES / 2
+
+
+def test_the_native_plant_keeps_its_time_while_the_executor_is_blocked(ros: Ros, peer: Peer) -> None:
+    node = peer.plant(command_timeout=100.0)
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: node._robot.time > 0, "motion")
+    before, published = node._robot.time, node._health.count["states published"]
+    limit = Limit(10.0)
+    while node._robot.time < before + 50 * PERIOD:  # nothing spins
+        assert not limit.passed()
+    assert node._health.count["states published"] > published
+    ros.settle()
+    start, last = state_of(peer.states[0]), peer.states[-1]
+    steps, rest = divmod(nanoseconds(last) - node._time_base.offset, INNER)
+    assert rest == 0
+    np.testing.assert_allclose(state_of(last), integrate(start, 0.3, steps), rtol=1e-11, atol=1e-14)
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_a_fault_in_the_thread_ends_the_node_with_one_sentence(ros: Ros, peer: Peer, lockstep: bool, capfd) -> None:
+    node = ros.plant(lockstep=lockstep)
+    peer.meet_plant(lockstep=lockstep)
+    host = node._time_base.host
+    assert isinstance(host, NativePlantHost)
+    host.state.publisher[0] = plant_program().ffi.cast("void*", host.subscription.address)  # no publisher
+    ros.until(lambda: node.ended, "the end")
+    assert isinstance(node.ended, SendError)
+    assert str(node.ended).startswith("a message could not be sent: rcl_publish_serialized_message returned")
+    said = [""]
+    ros.until(lambda: said.append(capfd.readouterr().err) or "ended: " in "".join(said), "the sentence in the log")
+    ros.settle()
+    assert ("".join(said) + capfd.readouterr().err).count("ended: ") == 1
+
+
+@pytest.mark.parametrize(
+    ("parameters", "why"),
+    [
+        ({"compile": False}, "the plant is evaluated in Python (compile is false, or a plant of one's own)"),
+        ({"compile": True, "use_sim_time": True}, "the time comes from /clock"),
+    ],
+)
+def test_the_reason_for_another_host_is_logged(ros: Ros, capfd, parameters: dict[str, Any], why: str) -> None:
+    node = ros.plant(executor="native", **parameters)
+    assert isinstance(node._time_base.host, RclpyPlantHost)
+    assert f"the plant runs in rclpy's executor instead of a native thread: {why}\n" in capfd.readouterr().err

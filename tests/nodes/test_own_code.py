@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes run a law and a plant of the user by their name module:Class, and end or stop with one sentence."""
+"""The nodes run a law and a plant of the user by their name module:Class, and a motion from a file."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from rclpy.parameter import Parameter
 import fjr_core as fjr
 import own_code
 from fjr_controller.controller_node import SUCCESS
-from nodes.harness import Listener, Peer, Ros, stamped
+from nodes.harness import Listener, Peer, Ros, seconds, stamped
 
 
 def test_publishes_the_effort_of_the_law_with_its_options(ros: Ros, peer: Peer) -> None:
@@ -62,14 +64,40 @@ def test_law_and_options_change_while_the_node_is_unconfigured(ros: Ros) -> None
     assert (node.values["law.options.K_p"], node.values["law.options.K_d"]) == (30.0, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("node", "parameters", "words"),
-    [
-        ("controller", {"law__type": "own_code:WrongShape"}, r"u of WrongShape has shape \(2,\)"),
-        ("plant", {"plant__type": "own_code:Ideal", "integrator": "implicit_midpoint"}, "expected 'rk4'"),
-    ],
-)
-def test_what_cannot_run_is_refused_by_the_constructor(ros: Ros, node: str, parameters: dict, words: str) -> None:
-    """All other refusals: tests/core/extensions/test_python_code.py."""
-    with pytest.raises(fjr.FjrError, match=words):
-        getattr(ros, node)(**parameters)
+# A motion from a file, which the controller reads when it is configured.
+
+
+T = np.arange(1501) / 1000  # s
+
+
+def motion_file(folder: Path, q: np.ndarray) -> str:
+    file = folder / "motion.csv"
+    np.savetxt(file, np.stack([T, q], axis=1), "%.6f", ",", header="time,joint1", comments="")
+    return str(file)
+
+
+def test_tracks_the_file_on_two_nodes_in_lock_step(ros: Ros, tmp_path: Path) -> None:
+    path = motion_file(tmp_path, 0.5 * (1 - np.cos(3 * T)))
+    listener = Listener(ros)
+    ros.controller(reference__type="file", reference__file__path=path)
+    ros.plant(lockstep=True, initial_link_position=[0.0], initial_motor_position=[0.0])
+    ros.until(lambda: len(listener.errors) >= 1200, "1200 answers")
+    zero = seconds(listener.references[0])
+    for message in listener.references[:1200]:
+        t = seconds(message) - zero
+        assert message.position[0] == pytest.approx(0.5 * (1 - np.cos(3 * t)), abs=1e-6)
+        assert message.velocity[0] == pytest.approx(1.5 * np.sin(3 * t), abs=1e-4)
+    errors = np.array([error.position[0] for error in listener.errors[:1200]])
+    assert np.abs(errors).max() < 0.05
+    assert np.abs(errors[1000:]).max() < 0.01
+
+
+def test_a_running_node_changes_to_the_file_that_it_read_when_it_was_configured(ros: Ros, tmp_path: Path) -> None:
+    path = motion_file(tmp_path, np.sin(T))
+    node = ros.controller(reference__file__path=path)
+    Path(path).unlink()
+    (result,) = node.set_parameters([Parameter("reference.type", value="file")])
+    assert result.successful, result.reason
+    (result,) = node.set_parameters([Parameter("reference.file.path", value="other.csv")])
+    assert not result.successful
+    assert "can be set only while the node is unconfigured" in result.reason

@@ -22,7 +22,6 @@ from fjr_msgs_py.node.command_line import parameter_rules
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Peer, Ros
 from nodes.managed import Manager
-from nodes.plants import call
 from system.executables import scenario
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
@@ -39,20 +38,30 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("controller", {"gains__Lambda_l": [-10.0]}, r"gains.Lambda_l.*condition \(32\)"),
     ("controller", {"reference__type": "square"}, "expected one of sine"),
     ("plant", {"robot__file": "package://nobody/arm.yaml"}, "robot.file.*'nobody'.*AMENT_PREFIX_PATH"),
+    ("plant", {"publish_rat": 500.0}, "unknown parameter 'publish_rat'; did you mean 'publish_rate'"),
+    (
+        "controller",
+        {"limits__link_velocity": [0.5]},
+        r"'reference\.\*': joint 'joint1' would reach 1 rad/s.* limit is 0.5",
+    ),
+    ("controller", {"law__type": "pid"}, "law.type"),
+    ("controller", {"law__type": "lqr", "law__start_error": [0.1, 0.2]}, "law.start_error"),
+    ("controller", {"law__type": "pd_gravity", "law__tuned": False, "law__natural_frequency": 0.1}, "law.type"),
+    (
+        *("controller", {"law__type": "pd_gravity", "robust__residual_gain": [30.0]}),
+        r"parameters 'robust\.\*' with 'law\.type' 'pd_gravity': .* for the law v_dpbc",
+    ),
+    ("controller", {"law__type": "own_code:WrongShape"}, r"u of WrongShape has shape \(2,\)"),
+    ("plant", {"plant__type": "own_code:Ideal", "integrator": "implicit_midpoint"}, "expected 'rk4'"),
 ]
-"""One of each kind; the others are in tests/core/config."""
+"""One of each kind; the others are in tests/core."""
 
 
 @pytest.mark.parametrize(("kind", "parameters", "sentence"), BAD)
 def test_invalid_parameters_are_refused(ros: Ros, kind: str, parameters: dict[str, Any], sentence: str) -> None:
     with pytest.raises(fjr.FjrError, match=sentence) as caught:
-        getattr(ros, kind)(**parameters)
+        ros.start({"plant": PlantNode, "controller": ControllerNode}[kind], **parameters)
     assert "\n" not in str(caught.value)
-
-
-def test_an_unknown_parameter_is_refused_with_a_suggestion(ros: Ros) -> None:
-    with pytest.raises(fjr.ParameterError, match="unknown parameter 'publish_rat'; did you mean 'publish_rate'"):
-        ros.start(PlantNode, publish_rat=500.0)
 
 
 @pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
@@ -243,14 +252,14 @@ STATES: dict[str, tuple[str, ...]] = {
 
 
 def dump(ros: Ros, peer: Peer, node: str) -> list[Parameter]:
-    names = call(ros, peer, ListParameters, f"{node}/list_parameters").result.names
-    values = call(ros, peer, GetParameters, f"{node}/get_parameters", names=names).values
+    names = peer.call(ListParameters, f"{node}/list_parameters").result.names
+    values = peer.call(GetParameters, f"{node}/get_parameters", names=names).values
     return [Parameter(name=name, value=value) for name, value in zip(names, values, strict=True)]
 
 
 def load(ros: Ros, peer: Peer, node: str, parameters: list[Parameter]) -> list[str]:
     """Set parameters as `ros2 param load` does; return the reasons of refusals."""
-    results = call(ros, peer, SetParameters, f"{node}/set_parameters", parameters=parameters).results
+    results = peer.call(SetParameters, f"{node}/set_parameters", parameters=parameters).results
     return [result.reason for result in results if not result.successful]
 
 
@@ -270,8 +279,7 @@ def test_a_plant_loads_its_own_dump(ros: Ros, peer: Peer, lockstep: bool) -> Non
 
 
 @pytest.mark.parametrize("state", STATES)
-def test_controller_loads_its_own_dump_without_any_change(ros: Ros, state: str) -> None:
-    manager = Manager(ros)
+def test_controller_loads_its_own_dump_without_any_change(ros: Ros, manager: Manager, state: str) -> None:
     ros.controller(autostart=False)
     for transition in STATES[state]:
         assert manager.change(transition)

@@ -11,13 +11,12 @@ import pytest
 from rclpy.parameter import Parameter
 from scipy.integrate import solve_ivp
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
 
 import fjr_core as fjr
 from fjr_core.config.plant import imperfection_parameters
 from fjr_plant.lock_step import START
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import INNER, PERIOD, CommandLoop, call, command, integrate, numbers, state_of
+from nodes.plants import INNER, PERIOD, CommandLoop, command, integrate, numbers, state_of
 
 STRIDE = 8  # samples
 TABLE = {parameter.name.removeprefix("imperfections."): parameter for parameter in imperfection_parameters(1)}
@@ -48,7 +47,7 @@ class Run:
             name.removeprefix("imperfections."): value for name, value in DEFAULTS.items() if "seed" not in name
         }
         assert put(self.node, **{**defaults, **base}).successful
-        call(self.ros, self.peer, Trigger, "fjr_plant/reset")
+        self.peer.reset()
         published = self.node._health.count["states published"]
         before = self.stride()
         assert put(self.node, **later).successful
@@ -57,7 +56,7 @@ class Run:
 
     def stride(self) -> list[tuple[int, bytes]]:
         del self.peer.states[:]
-        response = call(self.ros, self.peer, Trigger, "fjr_plant/advance")
+        response = self.peer.advance()
         assert response.success
         self.ros.settle(10)
         return numbers(self.peer.states)
@@ -65,9 +64,8 @@ class Run:
 
 @pytest.fixture(scope="module")
 def run() -> Iterator[Run]:
-    ros = Ros()
-    yield Run(ros)
-    ros.close()
+    with Ros() as ros:
+        yield Run(ros)
 
 
 CASES: dict[str, tuple[dict[str, Any], Any]] = {  # one of each part: values set before it, its new value
@@ -114,7 +112,7 @@ def test_invalid_values_are_refused_with_a_sentence_and_change_nothing(run: Run,
     assert not result.successful
     assert words in result.reason
     assert run.node.values == old
-    call(run.ros, run.peer, Trigger, "fjr_plant/reset")
+    run.peer.reset()
     assert (run.stride(), run.stride()) == before[:2], "valid values set together with it must be refused, too"
 
 
@@ -151,10 +149,10 @@ def test_lost_state_is_not_waited_for_and_runs_with_losses_are_repeatable(run: R
 
 def test_plant_that_loses_all_messages_can_be_stopped(run: Run) -> None:
     run({}, {"state_loss": 1.0})
-    call(run.ros, run.peer, SetBool, "fjr_plant/pause", data=False)
+    run.peer.pause(False)
     time = run.node._robot.time
     run.ros.until(lambda: run.node._robot.time > time + 1200 * PERIOD, "the passing of samples")
-    call(run.ros, run.peer, SetBool, "fjr_plant/pause", data=True)
+    run.peer.pause(True)
     time = run.node._robot.time
     run.ros.settle()
     assert run.node._robot.time == time
@@ -235,14 +233,13 @@ def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: 
     for count, (names, effort) in enumerate(((["joint1"], [0.8]), (["joint1"], [-0.3]), ([], [])), 1):
         publisher.publish(JointState(name=names, effort=effort))
         ros.until(lambda count=count: node._health.count["external torques received"] == count)
-        assert call(ros, peer, Trigger, "fjr_plant/advance").success
+        assert peer.advance().success
         x = pushed(x, sum(effort), 0.1)
         ros.until(lambda count=count: len(peer.states) == 100 * count)
         np.testing.assert_allclose(state_of(peer.states[-1]), x, rtol=1e-6, atol=1e-8)
     publisher.publish(JointState(name=["joint1"], effort=[0.8]))
     ros.until(lambda: node._health.count["external torques received"] == 4)
-    reset = call(ros, peer, Trigger, "fjr_plant/reset")
-    assert reset.success, reset.message
+    peer.reset()
     assert not node._robot.external.any()
 
 

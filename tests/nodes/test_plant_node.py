@@ -14,13 +14,12 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import SetBool, Trigger
 
 from fjr_core.config.robot import description
 from fjr_msgs_py.names import LATCHED
 from fjr_plant.plant_node import SETTLING, PlantConflictError, PlantNode
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import INNER, PERIOD, call, command, integrate, state_of
+from nodes.plants import INNER, PERIOD, command, integrate, state_of
 
 TWO = {f"initial_{side}_{what}": [0.1, 0.2] for side in ("link", "motor") for what in ("position", "velocity")}
 
@@ -110,8 +109,7 @@ def test_last_command_is_held_until_command_timeout(ros: Ros, peer: Peer) -> Non
     steps = time_in_motion(node, peer) // INNER
     expected = integrate(integrate(state_of(start), 0.3, 200), 0.0, steps - 200)
     np.testing.assert_allclose(state_of(last), expected, rtol=1e-11, atol=1e-14)
-    node.stop()
-    ros.until(lambda: peer.count("command timeouts", "fjr_plant") == 1, "the counter")
+    peer.reported(node, "command timeouts")
 
 
 BIG_ENDIAN = bytes(4) + struct.pack(">3I4xd", 0, 0, 1, 0.5)
@@ -137,8 +135,7 @@ def test_malformed_commands_are_refused_counted_and_logged_once_by_kind(ros: Ros
     count = len(peer.states)
     ros.until(lambda: len(peer.states) > count)
     assert not in_motion(peer), "the motion must not have started"
-    node.stop()
-    ros.until(lambda: peer.count("command refused: wrong lengths", "fjr_plant") == 4, "the counter")
+    peer.reported(node, "command refused: wrong lengths", 4)
     said, wanted = [""], [sentence for *_, sentence in BAD_COMMANDS if sentence]
     ros.until(lambda: said.append(capfd.readouterr().err) or all(each in "".join(said) for each in wanted), "the log")
     ros.settle()
@@ -164,7 +161,7 @@ def test_reset_returns_to_the_initial_state_after_a_silence(ros: Ros, peer: Peer
     peer.plant(restart_silence=0.3)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: len(in_motion(peer)) > 20)
-    assert call(ros, peer, Trigger, "fjr_plant/reset").success
+    peer.reset()
     ros.until(lambda: list(peer.states[-1].position) == [0.5, 0.5], "the initial state")
     last, first = [nanoseconds(state) for state in peer.states[-2:]]
     assert first >= last + 0.3e9
@@ -175,16 +172,16 @@ def test_pause_stops_publication_and_the_motion(ros: Ros, peer: Peer) -> None:
     ros.until(lambda: ros.matched(peer.effort_publisher, 2))
     ros.settle()
     assert not peer.states
-    assert call(ros, peer, SetBool, "fjr_plant/pause", data=False).success
+    peer.pause(False)
     ros.until(lambda: peer.states)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: len(in_motion(peer)) > 20)
-    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    peer.pause(True)
     ros.settle()
     stopped, count, moved = nanoseconds(peer.states[-1]), len(peer.states), node._robot.time
     ros.settle()
     assert (len(peer.states), node._robot.time) == (count, moved)
-    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    peer.pause(False)
     ros.until(lambda: len(peer.states) > count)
     assert nanoseconds(peer.states[count]) >= stopped + 0.2e9
 
@@ -192,12 +189,12 @@ def test_pause_stops_publication_and_the_motion(ros: Ros, peer: Peer) -> None:
 def test_reset_while_paused_does_not_block_the_motion_after_resume(ros: Ros, peer: Peer) -> None:
     node = ros.plant(wait_for_command=False, restart_silence=0.0)
     ros.until(lambda: len(peer.states) > 10)
-    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    peer.pause(True)
     end = time.monotonic() + 0.5
     ros.until(lambda: time.monotonic() > end)
-    call(ros, peer, Trigger, "fjr_plant/reset")
+    peer.reset()
     assert node._robot.time == 0
-    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    peer.pause(False)
     assert node._time_base.plant.origin <= time.monotonic_ns()
 
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""With use_sim_time and without lock-step, robot time follows a /clock from another publisher."""
+"""Robot time follows a /clock of another node with use_sim_time; stamps are near the clock and never go back."""
 
 from __future__ import annotations
+
+import time
 
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
+from fjr_msgs_py.native.host import NO_TIME
 from fjr_plant.native import plant_program
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import INNER, PERIOD, call, command, integrate, state_of
+from nodes.plants import INNER, PERIOD, command, integrate, state_of
 
 SECOND = 1_000_000_000
 LONGEST_BACKLOG = plant_program().lib.FJR_LONGEST_BACKLOG
@@ -151,7 +154,7 @@ def test_a_reset_after_a_jump_back_returns_to_a_time_of_the_clock(ros: Ros, peer
     for k in range(20):
         player.play(50 * SECOND + k * 100 * PERIOD)
     player.run(SECOND, 10)
-    assert call(ros, peer, Trigger, "fjr_plant/reset").success
+    peer.reset()
     player.play(SECOND + 11 * PERIOD)
     assert nanoseconds(peer.states[-1]) == SECOND + 11 * PERIOD
     np.testing.assert_allclose(state_of(peer.states[-1]), integrate(np.array([0.5, 0.5, 0, 0]), 0.0, 4), rtol=1e-12)
@@ -163,21 +166,21 @@ def test_a_pause_outlasts_a_jump_of_the_clock(ros: Ros, peer: Peer, jump: int) -
     player.play(50 * SECOND)
     player.run(50 * SECOND, 5)
     x, count = state_of(peer.states[-1]), len(peer.states)
-    call(ros, peer, SetBool, "fjr_plant/pause", data=True)
+    peer.pause(True)
     start = (50 + 40 * jump) * SECOND
     player.run(start, 5)
     assert len(peer.states) == count
-    call(ros, peer, SetBool, "fjr_plant/pause", data=False)
+    peer.pause(False)
     player.run(start + 6 * PERIOD, 5)
     np.testing.assert_allclose(state_of(peer.states[-1]), integrate(x, 0.0, 24), rtol=1e-12)
 
 
 def test_advance_is_refused_before_the_first_clock_message(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer, start_paused=True, advance_samples=3)
-    response = call(ros, peer, Trigger, "fjr_plant/advance")
+    response = peer.advance()
     assert (response.success, response.message) == (False, "no time has been received on /clock; expected one first")
     player.play(SECOND)
-    response = call(ros, peer, Trigger, "fjr_plant/advance")
+    response = peer.advance()
     assert (response.success, response.message) == (True, "advanced by 3 samples: the time is 1.003000000 s")
 
 
@@ -191,3 +194,58 @@ def test_samples_are_delayed_by_the_period_jitter_while_enabled(ros: Ros, peer: 
     assert len(set(late)) > 2
     assert late.max() <= 16 * PERIOD
     assert_one_motion(peer.states)
+
+
+# Stamps near the clock from the first state on, after a pause and after a reset; never back.
+
+
+def stamped_after(ros: Ros, peer: Peer, instant: int) -> None:
+    """Wait for a state stamped after the instant [ns]; fail if a stamp is in the future."""
+    ros.until(lambda: nanoseconds(peer.states[-1]) >= instant, "a stamp of now")
+    assert nanoseconds(peer.states[-1]) <= time.time_ns()
+
+
+def test_stamps_equal_the_clock_when_time_starts_or_resumes(ros: Ros, peer: Peer) -> None:
+    node = peer.plant(restart_silence=0.1, command_timeout=100.0)
+    stamped_after(ros, peer, time.time_ns())
+    end = time.monotonic() + 0.2
+    ros.until(lambda: time.monotonic() > end)  # the first command is late
+    stamped_after(ros, peer, time.time_ns())
+    commanded = time.time_ns()
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: peer.states[-1].effort[1] == 0.3, "motion")
+    stamped_after(ros, peer, commanded)
+    for kind, name, request in (
+        (SetBool, "pause", {"data": False}),
+        (Trigger, "reset", {}),
+    ):
+        peer.pause(kind is SetBool)
+        count, instant = len(peer.states), time.time_ns()
+        peer.call(kind, f"fjr_plant/{name}", **request)
+        ros.until(lambda count=count: len(peer.states) > count + 5, "states again")
+        assert nanoseconds(peer.states[-1]) >= instant
+        stamped_after(ros, peer, instant)
+    assert node._time_base.plant.origin == NO_TIME, "after a reset the plant must wait for a command"
+    stamps = [nanoseconds(state) for state in peer.states]
+    assert stamps == sorted(stamps)
+
+
+def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
+    """The controller detects a silence and joins the reference without a jump or a large effort."""
+    player = Player(ros, peer)
+    controller = peer.controller(use_sim_time=True, state_timeout=0.5)
+    player.run(50 * SECOND, 50)
+    ros.until(lambda: peer.states[-1].position[0] != 0.5, "motion")
+    peer.reset()
+    ros.settle()
+    count = len(peer.efforts)  # commands for states before the reset have arrived
+    for k in range(105):
+        player.play(50 * SECOND + 50 * PERIOD + k * 10 * PERIOD)
+    player.run(51 * SECOND + 100 * PERIOD, 100)
+    counters = controller._control.step.counters
+    assert (counters["silences"], counters["recoveries"]) == (1, 1)
+    assert counters["reference restarts"] == counters["stops"] == 0
+    assert max(abs(message.data[0]) for message in peer.efforts[count:]) < 2.0
+    stamps = [nanoseconds(state) for state in peer.states]
+    assert np.all(np.diff(stamps) >= 0)
+    assert stamps[-1] > 51 * SECOND + 100 * PERIOD

@@ -182,15 +182,6 @@ def test_external_torque_acts_on_an_ideal_robot_and_ends_exactly() -> None:
     assert np.array_equal(run(pushed), run(plain))
 
 
-def test_external_torque_balances_gravity_of_equal_size() -> None:
-    robot = simulated()
-    robot.external = np.array([0.8 * np.sin(0.4)])  # balances gravity at this position
-    robot._x0 = fjr.single_link().state([0.4], [0.4], [0.0], [0.0])
-    robot.x = robot._x0.copy()
-    robot.advance_to(10_000_000)
-    np.testing.assert_allclose(robot.x, robot._x0, atol=1e-15)
-
-
 @pytest.mark.parametrize("side", ["l", "m"])
 def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str) -> None:
     robot = simulated(BAD)
@@ -356,27 +347,3 @@ def test_no_parameter_is_left_out() -> None:
 
 def test_all_parameters_but_the_seed_are_dynamic() -> None:
     assert [p.name for p in imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
-
-
-def test_period_jitter_must_be_below_the_period() -> None:
-    with pytest.raises(fjr.ParameterError, match=r"period_jitter.*expected less than the period, 0\.001 s"):
-        period_jitter(values(**{"imperfections.period_jitter": 1e-3}))
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("actuator_lag", (-1.0,)),
-        ("link_encoder_bits", (60.0,)),
-        ("state_loss", 1.1),
-        ("link_stribeck_velocity", (0.0,)),
-    ],
-)
-def test_a_value_out_of_range_is_refused_by_its_name(name: str, value: Any) -> None:
-    with pytest.raises(fjr.ParameterError, match=f"imperfections.{name}"):
-        values(**{f"imperfections.{name}": value})
-
-
-def test_lists_require_one_entry_per_joint() -> None:
-    with pytest.raises(fjr.ParameterError, match=r"imperfections\.torque_ripple.*expected 1"):
-        build_imperfections(values(**{"imperfections.torque_ripple": (1.0, 2.0)}), fjr.single_link())

@@ -18,17 +18,13 @@ from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader, trajectory_message
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager, trajectory
+from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 NAN, INF = float("nan"), float("inf")
 SECOND = 10**9
 ZERO = 100 * SECOND  # stamp of the first state
 TWO = ("a", "b")
 STEP = 0.001  # s
-
-
-@pytest.fixture
-def manager(ros: Ros) -> Manager:
-    return Manager(ros)
 
 
 def reference_at(manager: Manager, t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -145,16 +141,6 @@ def test_trajectory_passes_its_points_and_holds_the_last(ros: Ros, manager: Mana
         np.testing.assert_allclose([*q, *dq], [-0.2, 0.0], atol=1e-9)
 
 
-def test_replacement_causes_no_step_of_u(ros: Ros, manager: Manager) -> None:
-    manager.controller()
-    k = 20
-    efforts = [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k)]
-    assert manager.send(move()).name == "references changed"
-    efforts += [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k, 2 * k)]
-    steps = np.abs(np.diff(efforts))
-    assert steps[k - 1] <= 2 * max(steps[k - 2], steps[k])
-
-
 def test_a_replacement_while_moving_begins_with_the_jets_of_the_active_reference(ros: Ros, manager: Manager) -> None:
     node = manager.started(0.0)
     manager.send(move())
@@ -201,8 +187,7 @@ def test_a_refused_trajectory_changes_nothing(ros: Ros, manager: Manager) -> Non
         assert event.name == f"trajectory refused: {kind}"
         assert event.level == event.WARN
     np.testing.assert_allclose(reference_at(manager, 0.2), [[np.sin(0.2)], [np.cos(0.2)]])
-    node.stop()
-    ros.until(lambda: manager.count("trajectory refused: efforts", "fjr_controller") == 1, "the counter")
+    manager.reported(node, "trajectory refused: efforts")
 
 
 @pytest.mark.parametrize(
@@ -223,12 +208,8 @@ def test_limits_are_checked_and_named(ros: Ros, manager: Manager, limits: dict[s
 
 
 def test_the_limits_of_the_robot_apply_to_trajectories(ros: Ros, manager: Manager) -> None:
-    from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
-
     robot = {"robot__model": "urdf", "robot__urdf": two_link_urdf(), "robot__joint_stiffness": STIFFNESS}
     upper = fjr.robot_from_urdf(two_link_urdf(), JOINTS, STIFFNESS, MOTOR_INERTIA).limits.upper
-    if not np.isfinite(upper).all():
-        pytest.skip("the arm has no limits")
     manager.controller(joints=JOINTS, robot__motor_inertia=MOTOR_INERTIA, reference__amplitude=[0.0, 0.0], **robot)
     manager.ask(stamped(0.0, 0.0, names=[*JOINTS, *(f"{joint}_motor" for joint in JOINTS)]))
     event = manager.send(trajectory((5.0, [0.0, float(upper[1]) + 0.1]), joints=tuple(JOINTS)))
@@ -256,7 +237,7 @@ def test_omitted_joints_hold_with_allow_partial_joints(ros: Ros, manager: Manage
     np.testing.assert_allclose(manager.references[-1].position, [0.1, 0.4], atol=1e-9)
 
 
-def test_before_a_state_while_inactive_and_while_stopped_trajectories_are_refused(ros: Ros, manager: Manager) -> None:
+def test_requests_are_refused_before_a_state_while_stopped_and_while_inactive(ros: Ros, manager: Manager) -> None:
     manager.controller(limits__tracking_error=[0.1])
     assert manager.send(move()).name == "trajectory refused: no state"
     manager.ask(stamped(0.0, 0.0))
@@ -265,6 +246,10 @@ def test_before_a_state_while_inactive_and_while_stopped_trajectories_are_refuse
     assert manager.send(move()).name == "trajectory refused: stopped"
     assert manager.change("deactivate")
     assert manager.send(move()).name == "trajectory refused: inactive"
+    for name in ("hold", "play", "resume"):
+        done, sentence = manager.trigger(name)
+        assert not done
+        assert "inactive" in sentence
 
 
 # While a trajectory is planned.
@@ -316,19 +301,15 @@ def test_commands_are_sent_while_a_trajectory_is_planned(ros: Ros, manager: Mana
     assert threading.current_thread() not in gate.threads
 
 
-def test_late_plan_causes_no_step_of_u(ros: Ros, manager: Manager, gate: Gate) -> None:
+def test_a_late_plan_begins_with_the_jets_of_the_active_reference(ros: Ros, manager: Manager, gate: Gate) -> None:
     node = planned(ros, manager, gate, move())
-    k = 20
-    efforts = [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(1, k + 1)]
-    before = node._control.step.jets_at(ZERO + round(STEP * k * SECOND))
+    manager.ask(stamped(0.02, 0.0))
+    before = node._control.step.jets_at(ZERO + SECOND // 50)
     gate.open()
     ros.until(lambda: "references changed" in manager.kinds(), "the plan")
-    manager.ask(stamped(STEP * k, 0.0))
-    after = node._control.step.jets_at(ZERO + round(STEP * k * SECOND))
+    manager.ask(stamped(0.02, 0.0))
+    after = node._control.step.jets_at(ZERO + SECOND // 50)
     np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9)
-    efforts += [manager.ask(stamped(STEP * i, 0.0)).effort[0] for i in range(k + 1, 2 * k)]
-    steps = np.abs(np.diff(efforts))
-    assert steps[k - 1] <= 2 * max(steps[k - 2], steps[k])
 
 
 def test_plan_that_is_seconds_late_is_joined_within_two_seconds(ros: Ros, manager: Manager, gate: Gate) -> None:
@@ -483,17 +464,11 @@ def test_hold_comes_to_a_standstill_and_play_continues(ros: Ros, manager: Manage
         np.testing.assert_allclose(dq, [0.8 * np.cos(2.0 * (t - start))], atol=1e-9)
 
 
-def test_play_refuses_a_reference_that_violates_the_limits(ros: Ros, manager: Manager) -> None:
-    manager.started(0.0, limits__link_velocity=[0.5], reference__amplitude=[0.1])
-    assert manager.set(reference__frequency=[9.0])[0]
-    done, sentence = manager.trigger("play")
-    assert not done
-    assert "joint1" in sentence
-
-
-def test_play_refuses_a_transition_that_violates_the_limits(ros: Ros, manager: Manager) -> None:
+def test_play_refuses_a_reference_or_a_transition_that_violates_the_limits(ros: Ros, manager: Manager) -> None:
     manager.started(0.0, reference__amplitude=[0.1], limits__link_velocity=[1.0], recovery__join_time=0.5)
-    assert manager.set(reference__offset=[1.0])[0]
+    assert manager.set(reference__frequency=[19.0])[0]
+    assert not manager.trigger("play")[0]
+    assert manager.set(reference__frequency=[1.0], reference__offset=[1.0])[0]
     done, sentence = manager.trigger("play")
     assert not done
     assert "joint 'joint1' would reach" in sentence
@@ -513,12 +488,3 @@ def test_resume_is_refused_outside_the_limits(ros: Ros, manager: Manager) -> Non
     assert (done, sentence.partition(":")[0]) == (False, "the controller stays stopped")
     assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
     assert manager.trigger("resume")[0]
-
-
-def test_services_are_refused_while_inactive(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    assert manager.change("deactivate")
-    for name in ("hold", "play", "resume"):
-        done, sentence = manager.trigger(name)
-        assert not done
-        assert "inactive" in sentence

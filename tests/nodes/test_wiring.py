@@ -146,9 +146,9 @@ def test_each_parameter_of_the_robot_has_its_effect(model: str, name: str) -> No
 @pytest.mark.parametrize("model", MODELS)
 def test_both_nodes_have_the_robot_of_the_parameters(ros: Ros, model: str) -> None:
     parameters, robot = {f"robot__{name}": v for name, v in ROBOTS[model].items()}, made(model, **ROBOTS[model])
-    effort = controller_effort(ros, model, **parameters)
+    with Ros() as alone:
+        effort = controller_effort(alone, model, **parameters)
     np.testing.assert_allclose(effort, law_effort(robot, fjr.PAPER_GAINS, unit_sine(robot.n)), rtol=1e-9)
-    ros.restart()
     np.testing.assert_allclose(measured(lockstep_state(ros, model, **parameters)), simulated(robot), rtol=1e-9)
 
 
@@ -173,8 +173,7 @@ def test_the_controller_has_gains_and_reference_of_the_parameters(ros: Ros) -> N
     np.testing.assert_allclose(controller_effort(ros, **gains, **sine), expected, rtol=1e-9)
 
 
-def test_controller_joints(ros: Ros) -> None:
-    peer = Peer(ros)
+def test_controller_joints(ros: Ros, peer: Peer) -> None:
     peer.controller(joints=["elbow"])
     assert list(peer.ask(stamped(0.0, names=["elbow", "elbow_motor"])).name) == ["elbow"]
 
@@ -241,7 +240,7 @@ ELSEWHERE = {
     "test_lifecycle, test_controller_node, test_native_loop": "autostart state_timeout auxiliary_rate executor compile",
     "test_certificate": "certificate certificate_tolerance",
     "test_plant_node": "publish_description command_timeout start_paused",
-    "test_lock_step, test_stamps_of_states, test_advance": "lockstep_timeout restart_silence advance_samples",
+    "test_lock_step, test_sim_time, test_advance": "lockstep_timeout restart_silence advance_samples",
     "tests/msgs/test_scheduling.py, tests/system/test_executables.py": "lock_memory cpu_affinity realtime_priority",
     "tests/core/config/test_robot_file.py": "robot.locked_joints robot.locked_positions",
 }
@@ -249,8 +248,8 @@ ELSEWHERE = {
 WIRED_BY_GROUP = (
     "reference.",  # tests/core/config/test_reference.py, test_lifecycle
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
-    "measurement.",  # tests/core/runtime/test_measurement.py, test_limits_over_ros
-    "limits.",  # tests/tracking, test_limits_over_ros
+    "measurement.",  # tests/core/runtime/test_measurement.py, test_lifecycle
+    "limits.",  # tests/tracking, test_lifecycle
     "on_stop",
     "start.",
     "recovery.",

@@ -92,6 +92,14 @@ def test_record_does_not_overwrite(tmp_path: Path) -> None:
     assert "not overwritten" in fjr_here("record", "--output", str(tmp_path / "bag"), code=1)
 
 
+@pytest.fixture
+def ros2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a program ros2 on the PATH."""
+    (tmp_path / "ros2").write_text("#!/bin/sh\nexit 1\n")
+    (tmp_path / "ros2").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+
+
 @pytest.mark.parametrize(
     ("arguments", "better"),
     [
@@ -105,23 +113,13 @@ def test_record_does_not_overwrite(tmp_path: Path) -> None:
         (["lifecycle", "/a", "activate"], "ros2 lifecycle set /a activate"),
     ],
 )
-def test_installed_ros2_is_recommended_instead(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], better: str
-) -> None:
-    ros2 = tmp_path / "ros2"
-    ros2.write_text("#!/bin/sh\nexit 1\n")
-    ros2.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+def test_installed_ros2_is_recommended_instead(ros2: None, arguments: list[str], better: str) -> None:
     said = fjr_here(*arguments, code=1)
     assert f"use `{better}`" in said
     assert "--force" in said
 
 
-def test_force_runs_the_command_despite_ros2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ros2 = tmp_path / "ros2"
-    ros2.write_text("#!/bin/sh\nexit 1\n")
-    ros2.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+def test_force_runs_the_command_despite_ros2(ros2: None) -> None:
     assert "no message of /nothing" in fjr("echo", "/nothing", "--timeout", "0.5", "--force", code=1)
 
 

@@ -21,7 +21,7 @@ from fjr_design.studies.sweep import Sweep
 from fjr_design.studies.sweep_file import Options, planned, usual
 from fjr_monitor.report.write import known_of
 from fjr_msgs_py.scenarios import library
-from fuzzing import answer, bytes_of, documents, fuzzed, texts
+from fuzzing import answer, bytes_of, documents, fuzzed
 
 SUITE = """
 laws: [v_dpbc, {label: own, law: pd_gravity, robust: {integral_gain: 1.0}}]
@@ -63,22 +63,10 @@ def test_suites_with_misplaced_values(folder: Path, text: str) -> None:
     read_suite(folder, text.encode())
 
 
-@fuzzed(25)
-@given(data=texts(SUITE))
-def test_suites_of_any_text(folder: Path, data: bytes) -> None:
-    read_suite(folder, data)
-
-
 @fuzzed(30)
 @given(text=documents(yaml.safe_load(SWEEP)))
 def test_sweeps_with_misplaced_values(folder: Path, text: str) -> None:
     read_sweep(folder, text.encode())
-
-
-@fuzzed(30)
-@given(data=texts(SWEEP))
-def test_sweeps_of_any_text(folder: Path, data: bytes) -> None:
-    read_sweep(folder, data)
 
 
 @pytest.mark.parametrize("name", ["x" * 5000, "a/" * 3000, "..", "/dev/zero", ""])

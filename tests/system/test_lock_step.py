@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-step between two processes: runs are bit-identical, also beside a recorder that stands still."""
+"""Lock-step between processes: runs are bit-identical, also beside a recorder that stands still; two arms run apart."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 
 from fjr_plant.lock_step import START
-from nodes.harness import nanoseconds
+from nodes.harness import Ros, nanoseconds
 from nodes.plants import PERIOD
-from system.executables import Start, wait_for
+from system.executables import Executable, Start, wait_for
 from system.recorded import is_complete, messages, record
 from system.shared_runs import shared_run
 
@@ -74,3 +78,52 @@ def test_recorder_that_stands_still_for_a_while_loses_no_sample(start: Start, tm
     code, said = run.end()
     assert code == 0, said
     assert is_complete(output / "paper_k31")
+
+
+# Two arms in one ROS domain, each with a separate clock.
+
+
+ARMS = ("left", "right")
+
+
+def started(start: Start, node: str, arm: str, *arguments: str) -> Executable:
+    timed = "lockstep:=true" if node == "plant" else "use_sim_time:=true"
+    return start(node, "--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, *arguments)
+
+
+class Observer(Node):
+    """Record the different times of some clocks [ns] and the names and hardware ids of all reports."""
+
+    def __init__(self, ros: Ros, *topics: str) -> None:
+        super().__init__("observer", context=ros.context)
+        ros.add(self)
+        self.times: dict[str, list[int]] = {topic: [] for topic in topics}
+        self.parts: set[tuple[str, str]] = set()
+        deep = QoSProfile(depth=5000)
+        for topic, times in self.times.items():
+            self.create_subscription(Clock, topic, lambda m, times=times: self._on_clock(m, times), deep)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, deep)
+
+    def _on_clock(self, message: Clock, times: list[int]) -> None:
+        now = message.clock.sec * 10**9 + message.clock.nanosec
+        if [now] != times[-1:]:
+            times.append(now)
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        self.parts |= {(status.name, status.hardware_id) for status in message.status}
+
+
+def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
+    clocks = [f"/{arm}/clock" for arm in ARMS]
+    observer = Observer(ros, *clocks)
+    for arm, clock in zip(ARMS, clocks, strict=True):
+        for node in ("plant", "controller"):
+            started(start, node, arm, "-r", f"/clock:={clock}")
+    ros.until(lambda: all(len(times) > 300 for times in observer.times.values()), "both clocks")
+    for times in observer.times.values():
+        assert times == sorted(times)
+    assert observer.count_publishers("/clock") == 0
+    parts = ("fjr_plant", "fjr_controller", "fjr_controller: certificate")
+    expected = {(f"{arm}/{part}", f"{arm}/single_link") for arm in ARMS for part in parts}
+    ros.until(lambda: len(observer.parts) >= len(expected), "the reports of both arms")
+    assert observer.parts == expected

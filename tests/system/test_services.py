@@ -6,20 +6,15 @@ from __future__ import annotations
 import json
 import signal
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter_client import AsyncParameterClient
+from rcl_interfaces.srv import GetParameters
 
 from fjr_bringup import clients
 from fjr_bringup.clients import PlantClient
-from fjr_msgs_py.node.participant import own_node
+from nodes.harness import Listener, Ros
 from system.documented import documented_keys
-from system.executables import SLOW, TIME_LIMIT, Start, fjr_here, running, wait_for
-from time_limits import Limit
+from system.executables import SLOW, Start, fjr_here, running, wait_for
 
 pytestmark = pytest.mark.system
 WAIT = ("--timeout", "600")
@@ -31,26 +26,6 @@ def loop() -> Iterator[None]:
     """Plant and controller under a namespace."""
     with running(SLOW, "-r", "__ns:=/left"):
         yield
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    with own_node("test_services") as made:
-        yield made
-
-
-def value_of(node: Node, of: str, parameter: str) -> Any:
-    """Read a parameter by rclpy's own client."""
-    client, executor = AsyncParameterClient(node, of), SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    limit = Limit(TIME_LIMIT)
-    while not limit.passed():
-        if client.wait_for_services(1.0):
-            future = client.get_parameters([parameter])
-            executor.spin_until_future_complete(future, 2.0)
-            if future.done():
-                return future.result().values[0]
-    raise AssertionError(f"{of} did not respond")
 
 
 def test_trigger_returns_the_response(loop: None) -> None:
@@ -90,14 +65,13 @@ def test_refused_request_fails_with_the_message_of_the_server(loop: None) -> Non
     ],
 )
 def test_parameter_takes_the_value_in_the_declared_type(
-    loop: None, node: Node, parameter: str, text: str, sent: object
+    loop: None, ros: Ros, parameter: str, text: str, sent: object
 ) -> None:
     said = json.loads(fjr_here("set", PLANT, parameter, text, "--json", *WAIT))
     assert said == {"node": PLANT, "parameter": parameter, "value": sent}
     assert set(said) == documented_keys()["set"]
-    found = value_of(node, PLANT, parameter)
-    values = (found.double_value, list(found.double_array_value), found.integer_value)
-    assert sent in values
+    (found,) = Listener(ros, only=[]).call(GetParameters, f"{PLANT}/get_parameters", names=[parameter]).values
+    assert sent in (found.double_value, list(found.double_array_value), found.integer_value)
 
 
 @pytest.mark.parametrize(
@@ -144,13 +118,10 @@ def test_invalid_name_is_refused(arguments: list[str]) -> None:
 
 
 @pytest.fixture
-def plant_client() -> Iterator[PlantClient]:
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    client = PlantClient(context, "fjr_plant")
+def plant_client(ros: Ros) -> Iterator[PlantClient]:
+    client = PlantClient(ros.context, "fjr_plant")
     yield client
     client.close()
-    context.try_shutdown()
 
 
 def test_node_that_stands_still_has_not_discovered_new_subscriptions(

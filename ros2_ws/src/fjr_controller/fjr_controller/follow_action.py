@@ -159,7 +159,7 @@ class FollowAction:
             callback_group=ReentrantCallbackGroup(),  # samples are handled while a goal is planned
         )
 
-    def on_command(self, sample: JointSample, command: Command, _arrival: int = 0, _sent: int = 0) -> None:
+    def on_command(self, sample: JointSample, command: Command) -> None:
         """Check the active goal at a sample and its command; publish feedback every FEEDBACK_PERIOD."""
         if self._handle is None:
             return

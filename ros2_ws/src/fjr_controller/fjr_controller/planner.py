@@ -12,6 +12,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,26 +157,20 @@ class Planner:
 
         `on_done` is called with the outcome, before this returns if nothing has to be planned.
         """
-        if self._worker is None:
-            with self._step.between_samples():
-                self._plan(message, on_done)
-        else:
-            self._plan(message, on_done)
-
-    def _plan(self, message: JointTrajectory, on_done: Callable[[Outcome], None]) -> None:
-        self.drop()
-        try:
-            now = self.newest()
+        with nullcontext() if self._worker else self._step.between_samples():
+            self.drop()
+            try:
+                now = self.newest()
+                if not message.points:
+                    self._rules.reader.read(message)
+            except FjrError as error:
+                on_done(error)
+                return
             if not message.points:
-                self._rules.reader.read(message)
-        except FjrError as error:
-            on_done(error)
-            return
-        if not message.points:
-            on_done(TrajectoryPlan(None, now))
-            return
-        self._request = PlanningRequest(message, now, on_done)
-        self._attempt(self._request, now, 1)
+                on_done(TrajectoryPlan(None, now))
+                return
+            self._request = PlanningRequest(message, now, on_done)
+            self._attempt(self._request, now, 1)
 
     def drop(self) -> None:
         """Discard the trajectory that is being read or planned."""

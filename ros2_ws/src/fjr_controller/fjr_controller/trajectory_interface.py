@@ -99,7 +99,7 @@ class TrajectoryInterface:
 
     def _subscribe(self, apart: bool) -> Callable[[], object]:
         """Subscribe to trajectories; return what ends the subscription."""
-        what = JointTrajectory, names.JOINT_TRAJECTORY, self._on_trajectory
+        what = JointTrajectory, names.JOINT_TRAJECTORY, lambda data: self.planner.read(data, self._on_read)
         if apart:
             return SeparateSubscription(self._node, *what).close
         subscription = self._node.create_subscription(*what, 10, raw=True)
@@ -121,9 +121,6 @@ class TrajectoryInterface:
             return
         kind = error.kind if isinstance(error, MessageError) else "cannot be followed"
         self._reports.event(Event("warn", f"{REFUSED}: {kind}", f"{REFUSED}: {error}"))
-
-    def _on_trajectory(self, data: bytes) -> None:
-        self.planner.read(data, self._on_read)
 
     def _on_read(self, message: JointTrajectory | MessageError | None) -> None:
         if isinstance(message, JointTrajectory):

@@ -26,7 +26,7 @@ from fjr_msgs_py.node.reports import Health, publish_description
 from .host import EXPECTED
 from .lock_step import LockStep
 from .simulated_robot import errors_of, simulated
-from .time_base import DeferredReply, DeferredTrigger, RealTime, TimeBase
+from .time_base import DeferredTrigger, RealTime, Reply, TimeBase
 
 TORQUES = "external torques received"
 SETTLING = 2.0  # s in which another robot may be discovered late, on busy cores
@@ -153,7 +153,7 @@ class PlantNode(ParameterNode):
         response.message = "paused" if self._time_base.paused else "running"
         return response
 
-    def _on_advance(self, reply: DeferredReply) -> None:
+    def _on_advance(self, reply: Reply) -> None:
         self._time_base.advance(self.values["advance_samples"], reply)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from threading import Lock
+from concurrent.futures import Future
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,55 +36,36 @@ def seconds(stamp: int) -> str:
     return f"{sec}.{nanosec:09d}"
 
 
-class DeferredReply:
-    """Reply to a waiting client; given once, at any time."""
-
-    def __init__(self, response: Trigger.Response, send: Callable[[Trigger.Response, Any], None]) -> None:
-        self._response = response
-        self._send = send
-        self._given = self._sent = False
-        self._complete = Lock()  # the reply may be given by another thread than that of the service
-        self._header: Any = None
-
-    def give(self, success: bool, message: str) -> None:
-        """Send the reply to the client."""
-        self._response.success, self._response.message = success, message
-        self._given = True
-        self._send_when_complete()
-
-    def address(self, header: Any) -> None:
-        """Set the address of the client."""
-        self._header = header
-        self._send_when_complete()
-
-    def _send_when_complete(self) -> None:
-        with self._complete:
-            if self._given and self._header is not None and not self._sent:
-                self._sent = True
-                self._send(self._response, self._header)
+Reply = Callable[[bool, str], None]
+"""Sends success and message to a waiting client; called once, at any time and on any thread."""
 
 
 class DeferredTrigger:
-    """Trigger service whose callback receives a DeferredReply, to be given now or later.
+    """Trigger service whose callback receives a Reply, to be called now or later.
 
     It works with every executor of rclpy. The events executor of 7.1 does not accept coroutines as service callbacks;
-    therefore the response that the executor sends when the callback returns is held back until it is complete.
+    therefore the response that the executor sends when the callback returns is held back until the reply is given.
     """
 
-    def __init__(self, node: Node, name: str, callback: Callable[[DeferredReply], None]) -> None:
+    def __init__(self, node: Node, name: str, callback: Callable[[Reply], None]) -> None:
         self._callback = callback
         self._service = node.create_service(Trigger, name, self._on_request)
         self._send = self._service.send_response
-        self._service.send_response = self._keep
-        self._reply: DeferredReply
+        self._service.send_response = self._when_replied
+        self._replied: Future[Trigger.Response] = Future()
 
     def _on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._reply = DeferredReply(response, self._send)
-        self._callback(self._reply)
+        replied = self._replied = Future()
+
+        def reply(success: bool, message: str) -> None:
+            response.success, response.message = success, message
+            replied.set_result(response)
+
+        self._callback(reply)
         return response
 
-    def _keep(self, _: Trigger.Response, header: Any) -> None:
-        self._reply.address(header)
+    def _when_replied(self, _: Trigger.Response, header: Any) -> None:
+        self._replied.add_done_callback(lambda replied: self._send(replied.result(), header))
 
 
 WATCH_PERIOD = 0.05  # s between ticks in lock-step
@@ -114,7 +95,7 @@ class TimeBase(ABC):
         self._program: Any = plant_program()
         self._lib = self._program.lib
         self._samples = 0
-        self._reply: DeferredReply | None = None
+        self._reply: Reply | None = None
         self._raised = False  # the error of the fault was raised
         self._lock_step = self.functions == "lock_step"
         qos = names.sample_qos(node, self._lock_step)
@@ -223,14 +204,14 @@ class TimeBase(ABC):
             if not wanted:
                 self._call("resume")
 
-    def advance(self, samples: int, reply: DeferredReply) -> None:
+    def advance(self, samples: int, reply: Reply) -> None:
         """Advance a paused robot by `samples`; reply when that is done or refused."""
         self.host.run(lambda: self._advance(samples, reply))
 
-    def _advance(self, samples: int, reply: DeferredReply) -> None:
+    def _advance(self, samples: int, reply: Reply) -> None:
         refusal = self._refusal()
         if refusal:
-            reply.give(False, refusal)
+            reply(False, refusal)
             return
         self._samples = self.plant.left = samples
         self._reply = reply
@@ -266,7 +247,7 @@ class TimeBase(ABC):
             return
         done, self.plant.left = self._samples - self.plant.left, 0
         how = f"advanced by {done} samples" if success else f"{why} after {done} of {self._samples} samples"
-        reply.give(success, f"{how}: the time is {seconds(self.stamp)} s")
+        reply(success, f"{how}: the time is {seconds(self.stamp)} s")
 
     def _call(self, what: str) -> None:
         """Call a function in C at the present time; raise the error of its fault."""

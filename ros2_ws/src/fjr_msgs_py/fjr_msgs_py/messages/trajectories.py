@@ -53,14 +53,9 @@ class TrajectoryPoints:
         left = self.times > begin - start
         if not left.any():
             raise MessageError("in the past", self._late(start, now))
-        return replace(
-            self,
-            start=begin,
-            times=self.times[left] - (begin - start),
-            positions=self.positions[left],
-            velocities=None if self.velocities is None else self.velocities[left],
-            accelerations=None if self.accelerations is None else self.accelerations[left],
-        )
+        rows: dict[str, Any] = {name: each[left] for name, each in self._derivatives().items()}
+        times, positions = self.times[left] - (begin - start), self.positions[left]
+        return replace(self, start=begin, times=times, positions=positions, **rows)
 
     def _late(self, start: int, now: int) -> str:
         if self.start is None:
@@ -72,12 +67,13 @@ class TrajectoryPoints:
         """Return waypoints of all joints; joints that are not part of the trajectory rest at `position` (n,) [rad]."""
         if self.moves.all():
             return self
-        return replace(
-            self,
-            positions=np.where(self.moves, self.positions, position),
-            velocities=None if self.velocities is None else np.where(self.moves, self.velocities, 0.0),
-            accelerations=None if self.accelerations is None else np.where(self.moves, self.accelerations, 0.0),
-        )
+        rows: dict[str, Any] = {name: np.where(self.moves, each, 0.0) for name, each in self._derivatives().items()}
+        return replace(self, positions=np.where(self.moves, self.positions, position), **rows)
+
+    def _derivatives(self) -> dict[str, Array]:
+        """Return velocities and accelerations (k, n) by name, as far as they are given."""
+        given = {"velocities": self.velocities, "accelerations": self.accelerations}
+        return {name: rows for name, rows in given.items() if rows is not None}
 
 
 def trajectory_message(
