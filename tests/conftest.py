@@ -18,7 +18,7 @@ from _pytest.faulthandler import fault_handler_stderr_fd_key
 from hypothesis import settings
 
 from isolation import end_soon, ends_in_time, isolate
-from longest_first import LONGEST_FIRST
+from longest_first import LONGEST_FIRST, unit
 
 isolate()  # before NumPy and rclpy load
 
@@ -39,6 +39,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     tests = Path(__file__).parent
     place = {tests / name: number for number, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: place.get(item.path, len(place)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give a worker one file after the other, or one long test (longest_first.unit)."""
+    from xdist.scheduler import LoadFileScheduling  # only where tests are distributed
+
+    made = LoadFileScheduling(config, log)
+    made._split_scope = unit
+    return made
 
 
 @pytest.hookimpl(wrapper=True)

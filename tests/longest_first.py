@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that take long. They start first, so that no worker is left alone with one: a file runs on one worker.
+"""Files that take long. They start first, so that no worker is left alone with one: each runs on one, unless DIVIDED.
 
 The two files that need the clock begin; files of the mathematics, which start no node, run beside them (conftest.py).
 The others follow by length.
 """
+
+from __future__ import annotations
+
+DIVIDED = ("tests/docs/test_blocks.py::test_blocks_of_a_page", "tests/physics/test_physics.py::test_friction")
+"""Beginnings of tests that are long and share no set-up: each of them runs on any worker."""
 
 LONGEST_FIRST = (
     "faults/test_faults.py",
@@ -19,15 +24,21 @@ LONGEST_FIRST = (
     "design/batch/test_batch.py",
     "design/batch/test_batch_control.py",
     "design/scaffold/test_first_loop.py",
-    "docs/test_blocks.py",
-    "system/test_labelled_set.py",
-    "system/test_fjr_check.py",
-    "system/test_wiring_faults.py",
-    "docs/test_build.py",
     "system/test_fjr_command.py",
-    "system/test_pages.py",
-    "design/exports/ros2_control/test_plugins.py",
+    "docs/test_build.py",
+    "docs/test_blocks.py",
     "system/test_watch.py",
+    "system/test_pages.py",
+    "system/test_fjr_check.py",
+    "system/test_labelled_set.py",
+    "system/test_fjr_tune.py",
+    "system/test_closed_loop.py",
+    "system/test_identify_measurements.py",
+    "system/test_compare.py",
+    "system/test_records.py",
+    "system/test_left_out.py",
+    "system/test_wiring_faults.py",
+    "design/exports/ros2_control/test_plugins.py",
     "hosts/test_hosts.py",
     "system/test_new_command.py",
     "system/test_export_commands.py",
@@ -36,21 +47,22 @@ LONGEST_FIRST = (
     "system/test_fjr_report.py",
     "system/test_wheels.py",
     "system/test_joint_units.py",
-    "system/test_closed_loop.py",
     "design/exports/ros2_control/test_package.py",
-    "system/test_records.py",
     "design/stability/test_sampled_loop.py",
-    "system/test_compare.py",
     "nodes/test_other_laws.py",
     "design/tuning/test_equal_bandwidth.py",
     "core/robust/test_robust.py",
     "core/numerics/test_jit.py",
     "system/test_executables.py",
-    "system/test_fjr_tune.py",
     "system/test_fjr_sweep.py",
+    "system/test_lock_step.py",
     "core/numerics/test_fused_code.py",
     "nodes/test_malformed.py",
-    "system/test_identify_measurements.py",
     "nodes/test_hostile_requests.py",
     "system/test_echo_and_record.py",
 )
+
+
+def unit(nodeid: str) -> str:
+    """Return what runs on one worker: a test that is DIVIDED, else its file."""
+    return nodeid if nodeid.startswith(DIVIDED) else nodeid.partition("::")[0]

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from fjr_msgs_py.console.ending import Exit
 
 RECORDING = ("run", "demo")
+ONE_CORE = ["--cores", "1"]  # for `fjr compare`, which imports everything again in a process for each core
 SHORT = "0.2"  # s of stamped time for recording commands
 JUDGED = (Exit.VIOLATED, Exit.LATE)  # with which a recording command may end, depending on the machine
 SHELL = re.compile(r"[|&<>$*?~`]")  # what a shell replaces or interprets
@@ -73,7 +74,7 @@ def only_fjr(text: str) -> list[list[str]]:
     found = [words(command) for command in commands(text) if is_run(command)]
     if any(command[0] != "fjr" or SHELL.search("".join(command)) for command in found):
         return []
-    return [[*command[1:], *_length(command)] for command in found]
+    return [[*command[1:], *_shorter(command)] for command in found]
 
 
 def exit_codes(arguments: list[str], expected: int) -> tuple[int, ...]:
@@ -86,13 +87,15 @@ def _shortened(command: str) -> str:
     parts = words(command)
     if parts[0] != "fjr" or parts[1] not in RECORDING or parts[-1] == "&":
         return command
-    short = shlex.join([*parts, *_length(parts)]) if _length(parts) else command
+    short = shlex.join([*parts, *_shorter(parts)]) if _shorter(parts) else command
     judged = " | ".join(str(int(code)) for code in JUDGED)
     return f"{short.partition(' #')[0]} || case $? in {judged}) ;; *) exit 1 ;; esac"
 
 
-def _length(command: list[str]) -> list[str]:
-    """Return the options that make a recording command short, and `run` write no page of so short a run."""
+def _shorter(command: list[str]) -> list[str]:
+    """Return options that spare time: a short recording, no page of so short a run, one process of a comparison."""
+    if command[1] == "compare" and "--cores" not in command:
+        return ONE_CORE
     if command[1] not in RECORDING or "--duration" in command:
         return []
     return ["--duration", SHORT, *(["--no-report"] if command[1] == "run" and "--no-report" not in command else [])]

@@ -59,14 +59,15 @@ def test_each_fault_of_each_joint_is_found_within_twenty_samples_and_stops_the_n
         assert number % 3 or compared(case, stop.run), case.name
 
 
+@pytest.mark.parametrize("first", [1000, pytest.param(1004, marks=pytest.mark.full)])
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_healthy_starts_are_never_stopped(robot: str) -> None:
+def test_healthy_starts_are_never_stopped(robot: str, first: int) -> None:
     """With wrong stiffness and inertia, payload, friction, noise, delay, weak motors; at rest and at speed."""
-    for seed in range(1000, 1008):
+    for seed in range(first, first + 4):
         case = healthy(robot, seed)
         stop = Stop.of(case, HEALTHY_LASTING)
         assert stop.samples == 0, seed
-        assert seed >= 1004 or not compared(case, stop.run), seed
+        assert seed % 2 or not compared(case, stop.run), seed
 
 
 @pytest.mark.parametrize("robot", ["two_link", "arm7"])
