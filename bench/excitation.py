@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 
-from bench.identification_cases import simulated
+from bench.identification import simulated
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.identify import identify

@@ -3,8 +3,9 @@
 
     python -m bench.identification --cases 30 --joints 1 2 3 4 5 6 7 --measured both --out coverage.jsonl
 
-Each case is added to the file as it ends. The same command goes on with the missing ones, and prints the tables of all.
-A study of an hour for many joints: no part of `make bench`.
+A case draws an arm, its springs and friction, noise and steps of the encoders, skews and a delay of the effort. Its
+record follows a multi-sine by PD control. Each case is added to the file as it ends; the same command goes on with the
+missing ones, and prints the tables of all. A study of an hour for many joints: no part of `make bench`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from multiprocessing import Pool
 from pathlib import Path
@@ -22,17 +25,183 @@ import numpy as np
 from scipy.stats import binomtest
 
 from bench.figures import markdown
-from bench.identification_cases import MEASURED, Case, draw
+from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError
+from fjr_core.model.newton_euler import serial_chain
+from fjr_core.model.rigid_arm import Body
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import LOG, UNKNOWN, Identification
+from fjr_identification.estimation.elastic_arm import ElasticArm
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.parameters import KINDS, IdentifyOptions
+from fjr_identification.estimation.motion_record import SIGNALS, MotionRecord
+from fjr_identification.estimation.multiple_shooting import SKEWS
+from fjr_identification.estimation.parameters import (
+    KINDS,
+    SMOOTHING,
+    USUAL_SMOOTHING,
+    IdentifyOptions,
+    Prior,
+    size,
+)
+from fjr_identification.estimation.shooting import HeldEffort, Shooting
 
 Row = dict[str, Any]
 Key = tuple[str, int, int]
 """Kind of measurement, number of joints, and seed of a case."""
 FIRST = 1000
 """First seed, so that no case is one by which the estimator was made."""
+FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
+ARMS = 3  # different arms of each number of joints; their equations are compiled once
+MEASURED = {
+    "both": ("q_l", "q_m"),
+    "motor": ("q_m",),
+    "motor-torque": ("q_m", "torque"),
+    "link-torque": ("q_l", "torque"),
+}
+"""Signals of a record by kind of measurement."""
+SENSOR = 1e-3  # of the torque's root mean square; least noise and steps of a torque sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A record with the robot and the prior that the estimator is given, and the true parameters by name."""
+
+    record: MotionRecord
+    robot: Robot
+    prior: Prior
+    truth: Mapping[str, Array]
+
+
+def simulated(scenario: Scenario, duration: float, noise: float, seed: int = 0) -> tuple[MotionRecord, Array]:
+    """Return a run of a scenario with white noise [rad] on all encoders as a record, and its true states (k, 4n)."""
+    n, run, random = scenario.robot.n, scenario.simulate(duration), np.random.default_rng(seed)
+    k = len(run.u)
+    q = run.x[:k, : 2 * n] + noise * random.standard_normal((k, 2 * n))
+    nothing = np.full((k, n), np.nan)
+    record = MotionRecord(scenario.name, scenario.joints, scenario.sample_period, run.u, q[:, :n], q[:, n:], nothing)
+    return record, run.x[:k]
+
+
+@cache
+def arm(n: int, number: int) -> Robot:
+    """Return a random serial arm of n joints with unit springs, motors and no damping."""
+    rng = np.random.default_rng([n, number])
+    bodies = [_body(rng, i) for i in range(n)]
+    one, none = np.eye(n), np.zeros((n, n))
+    return Robot(serial_chain(bodies), M_m=one, K=one, D_l=none, D_m=none, B_m=one)
+
+
+def _body(rng: np.random.Generator, i: int) -> Body:
+    length, mass = rng.uniform(0.2, 0.4), rng.uniform(2, 6) * 0.75**i
+    axis = np.eye(3)[(0, 1, 2, 1)[i % 4] if i else rng.integers(3)]
+    inertia = mass * length**2 / 12 * np.diag(rng.uniform(0.5, 1.5, 3))
+    com = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), length / 2])
+    return Body(np.eye(3), np.array([0, 0, 0.35 * (i > 0)]), axis, mass, com, inertia + 0.01 * mass * np.eye(3) * 0.3)
+
+
+def draw(n: int, seed: int, duration: float | None = None, measured: str = "both") -> Case:
+    """Return a random case of n joints with one kind of measurement; times count from the motor's, or else the link's.
+
+    Cases of the same n and seed have the same arm, friction and reference.
+    """
+    rng = np.random.default_rng([n, seed, 1])
+    robot = arm(n, seed % ARMS)
+    truth = _true_parameters(rng, robot)
+    signals = MEASURED[measured]
+    truth |= {} if "q_m" in signals else {"link_skew": np.zeros(n)}
+    if "torque" in signals:
+        truth["torque_skew"] = np.round(np.random.default_rng([n, seed, 2]).uniform(-4e-3, 4e-3, n) / FINE) * FINE
+    whole = _record(rng, robot, truth, duration or rng.uniform(8, 16))
+    record = _only(whole, signals)
+    spread = {"joint_stiffness": 0.5, "motor_inertia": 0.3}
+    guess = {name: truth[name] * np.exp(sd * rng.standard_normal(n)) for name, sd in spread.items()}
+    return Case(record, robot, Prior.of(robot, guess), truth)
+
+
+def _true_parameters(rng: np.random.Generator, robot: Robot) -> dict[str, Array]:
+    n = robot.n
+    where = rng.uniform(-1, 1, (20, n))
+    free = np.mean([1 / np.diag(np.linalg.inv(robot.M_l(q))) for q in where], axis=0)
+    torque = np.max([np.abs(robot.grad_P_l(q)) for q in where], axis=0) + 10 * free
+    K, B = free * (2 * np.pi * rng.uniform(7, 18, n)) ** 2, free * rng.uniform(0.4, 2.5, n)
+    damping = 2 * np.sqrt(K * B)
+    found: dict[str, Array] = {name: np.zeros(size(name, n)) for name in KINDS}
+    found |= {"joint_stiffness": K, "motor_inertia": B}
+    found |= {name: damping * rng.uniform(0.004, 0.04, n) for name in ("link_damping", "motor_damping")}
+    found |= {f"{side}_coulomb_friction": torque * rng.uniform(0, 0.05, n) for side in ("link", "motor")}
+    found[SMOOTHING] = np.full(n, USUAL_SMOOTHING)
+    found["offset"] = rng.uniform(-5e-3, 5e-3, n)
+    found["link_skew"] = np.round(rng.uniform(-4e-3, 4e-3, n) / FINE) * FINE
+    found["effort_delay"] = np.full(n, np.round(rng.uniform(0, 4e-3) / FINE) * FINE)
+    return found
+
+
+def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], duration: float) -> MotionRecord:
+    n, dt = robot.n, float(rng.choice([1e-3, 1e-3, 2e-3]))
+    fine, samples = round(dt / FINE), round(duration / dt)
+    step = Shooting(ElasticArm(robot, ()), ())
+    p = {**truth, "stribeck": np.full(n, 0.1), "effort_delay": np.zeros(n)}  # the efforts are delayed here
+    reference = _reference(rng, n, dt * np.arange(samples, dtype=float))
+    x = _rest(robot, truth, reference[0])
+    late = round(float(truth["effort_delay"][0]) / FINE)
+    noise = rng.uniform(2e-6, 3e-5, (2, n))
+    states, efforts, sent = [x[None]], [], [robot.grad_P_l(x[:n])] * (late // fine + 2)
+    none = np.zeros(2 * n)
+    gain = truth["motor_inertia"] * (2 * np.pi * 2.5) ** 2
+    for k in range(samples):
+        q, v = x[n : 2 * n] + noise[1] * rng.standard_normal(n), x[3 * n :]
+        u = gain * (reference[k] - q) - 1.0 * np.sqrt(gain * truth["motor_inertia"]) * v + robot.grad_P_l(reference[k])
+        sent.append(u + 0.05 * np.abs(gain) * rng.standard_normal(n) * 0.1)
+        efforts.append(sent[-1])
+        ages = [(late - i + fine - 1) // fine if late > i else 0 for i in range(fine)]
+        held = HeldEffort(np.array([sent[-1 - age] for age in ages]), FINE, 1, none, none)
+        found = step(x, held, 0, fine, p)
+        assert found is not None
+        states.append(found[0][1:])
+        x = found[0][-1]
+    return _measured(rng, np.vstack(states), np.array(efforts), truth, dt, noise)
+
+
+def _measured(
+    rng: np.random.Generator, x: Array, u: Array, truth: Mapping[str, Array], dt: float, noise: Array
+) -> MotionRecord:
+    n, k, fine = u.shape[1], len(u), round(dt / FINE)
+    at = np.arange(k)[:, None] * fine
+    read = {name: np.clip(at + np.round(truth[name] / FINE).astype(int), 0, len(x) - 1) for name in SKEWS.values()}
+    link, motor = x[read["link_skew"], np.arange(n)], x[at, n + np.arange(n)]
+    deflection = (x[:, n : 2 * n] - x[:, :n])[read["torque_skew"], np.arange(n)] - truth["offset"]
+    bits = 2 * np.pi / 2.0 ** rng.integers(18, 23, n)
+    q_l, q_m = (q + s * rng.standard_normal(q.shape) for q, s in zip((link, motor), noise, strict=True))
+    joints = tuple(f"joint{j + 1}" for j in range(n))
+    torque = _sensed(rng, truth["joint_stiffness"] * deflection)
+    return MotionRecord("simulated", joints, dt, u, bits * np.round(q_l / bits), q_m, torque)
+
+
+def _only(record: MotionRecord, signals: Collection[str]) -> MotionRecord:
+    """Return the record with these signals only."""
+    kept = (getattr(record, name) * (1.0 if name in signals else np.nan) for name in SIGNALS)
+    return MotionRecord(record.name, record.joints, record.dt, record.u, *kept)
+
+
+def _sensed(rng: np.random.Generator, torque: Array) -> Array:
+    """Return torques (k, n) with the noise and the steps of a sensor."""
+    noise = SENSOR * rng.uniform(1, 4, torque.shape[1]) * np.sqrt(np.mean(torque**2, axis=0))
+    return np.asarray(noise * np.round(torque / noise + rng.standard_normal(torque.shape)))
+
+
+def _reference(rng: np.random.Generator, n: int, t: Array) -> Array:
+    """Return a multi-sine (k, n) of 0.1 to 3 Hz about a random pose."""
+    f = np.array([0.13, 0.31, 0.73, 1.6, 3.1])
+    amplitude = np.array([0.4, 0.3, 0.15, 0.06, 0.02]) * rng.uniform(0.5, 1.2, (n, 1))
+    phase = rng.uniform(0, 2 * np.pi, (n, 5))
+    waves = np.sin(2 * np.pi * f * t[:, None, None] + phase)
+    return rng.uniform(-0.6, 0.6, n) + np.sum(amplitude * waves, axis=2)
+
+
+def _rest(robot: Robot, truth: Mapping[str, Array], q: Array) -> Array:
+    motor = q + robot.grad_P_l(q) / truth["joint_stiffness"] + truth["offset"]
+    return np.concatenate([q, motor, np.zeros(2 * robot.n)])
 
 
 def identified(key: Key) -> Row:

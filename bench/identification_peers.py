@@ -26,7 +26,7 @@ from mujoco import sysid
 from bench.arm import arm7
 from bench.campaign import pendulum
 from bench.figures import Figure
-from bench.identification_cases import simulated
+from bench.identification import simulated
 from bench.mujoco_arm import mjcf
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.model.robot import Robot

@@ -20,30 +20,24 @@ from envsetup.workspace import Workspace
 ROOT = Path(__file__).resolve().parents[2]
 ENTRY = ROOT / "tools" / "setup_env.py"
 TARGETS = {
-    "build": "environment to run, and the colcon build",
-    "test": "environment to test, and the colcon build",
-    "bench": "environment to measure against peers, and the colcon build",
-    "docs": "environment to build the documents, and the colcon build",
-    "lint": "environment to test, no build",
-    "check": "show which Python and ROS 2 would be used; change nothing",
+    "build": ("run", "environment to run, and the colcon build"),
+    "test": ("test", "environment to test, and the colcon build"),
+    "bench": ("bench", "environment to measure against peers, and the colcon build"),
+    "docs": ("docs", "environment to build the documents, and the colcon build"),
+    "lint": ("test", "environment to test, no build"),
+    "check": ("", "show which Python and ROS 2 would be used; change nothing"),
 }
-LEVELS = {"build": "run", "test": "test", "bench": "bench", "docs": "docs", "lint": "test"}
-"""Environment level of each target."""
-
-
-def parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    listing = "\n".join(f"  {name:6} {what}" for name, what in TARGETS.items())
-    description = f"Set the workspace up from nothing.\n\n{listing}"
-    raw = argparse.RawTextHelpFormatter
-    made = argparse.ArgumentParser(prog="setup_env.py", description=description, formatter_class=raw)
-    made.add_argument("target", choices=TARGETS, metavar="|".join(TARGETS))
-    return made
+"""Level of the environment, and what is set up."""
 
 
 def main(arguments: Sequence[str]) -> int:
     """Set up a target; return 0, or 1 with one sentence on stderr on failure."""
-    target = parser().parse_args(arguments).target
+    listing = "\n".join(f"  {name:6} {what}" for name, (_, what) in TARGETS.items())
+    description = f"Set the workspace up from nothing.\n\n{listing}"
+    raw = argparse.RawTextHelpFormatter
+    parser = argparse.ArgumentParser(prog="setup_env.py", description=description, formatter_class=raw)
+    parser.add_argument("target", choices=TARGETS, metavar="|".join(TARGETS))
+    target = parser.parse_args(arguments).target
     try:
         sourced_ros = uses_sourced_ros(Machine.here())
         if sourced_ros:
@@ -68,7 +62,7 @@ def set_up(target: str, sourced_ros: bool) -> None:
         return
     say(f"checking {environment.path.name}")
     with alone(ROOT / ".setup"):
-        environment.ensure(LEVELS[target])
+        environment.ensure(TARGETS[target][0])
         if target != "lint":
             for extra in extras(environment, target):
                 extra.ensure(ROOT / ".setup" / "extras.log", environment.env)
