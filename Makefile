@@ -45,7 +45,7 @@ test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TE
 	status=$$?; [ -n "$(TEST_STATUS)" ] || exit $$status; echo $$status > "$(TEST_STATUS)"
 
 test-all: TESTS =
-test-all: test ## run the suite with the labelled bags at all strengths, minutes more
+test-all: test ## run the suite with all labelled bags, healthy starts and malformed messages, minutes more
 
 bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="--document docs/tables/benchmarks.md")
 	$(SETUP) bench
