@@ -109,7 +109,8 @@ def _position_rate(side: str, Lambda: Array, Gamma: Array, Pi: Array) -> float:
     """Return the largest beta with Pi dphi + dphi' Pi >= 2 beta Pi for every error: condition (32), (41).
 
     dphi = Lambda + 3 Gamma diag(qt^2). The cubic part must be nonnegative for every qt: sym(Pi Gamma e_i e_i') >= 0
-    for every i holds if and only if Pi Gamma is diagonal and nonnegative. It vanishes at qt = 0.
+    for every i holds if and only if Pi Gamma is diagonal and nonnegative. It vanishes at qt = 0, so beta is
+    that of the linear part.
     """
     equation = {"l": "(32)", "m": "(41)"}[side]
     product = Pi @ Gamma

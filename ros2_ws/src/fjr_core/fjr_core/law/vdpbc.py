@@ -44,7 +44,7 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     rate known so far; u_mi adds the part that was unknown at the stage of q_md. Without integral action the rates are
     None, u_mi is zero and port_l is not complete.
     """
-    robot, load = flow.robot, flow.integrated
+    robot, action = flow.robot, flow.integrated  # integral action, or None
     D_l, M_m, D_m = robot.D_l, robot.M_m, robot.D_m
     q_lv, q_mv, dq_lv, dq_mv = flow.virtual.q_l, flow.virtual.q_m, flow.virtual.dq_l, flow.virtual.dq_m
     q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
@@ -59,28 +59,28 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     u_l = u_lff + u_lfb - flow.external
 
     zeta, zeta_d = q_mv - q_lv, springs.deflection(robot, u_l)
-    q_md, K = q_lv + zeta_d, springs.secant(robot, zeta, zeta_d)
+    q_md, S = q_lv + zeta_d, springs.secant(robot, zeta, zeta_d)
     q_tilde_m = q_mv - q_md  # (39)
-    port_l = s_l if load is None else s_l - flow.momentum_vjp(q_md, gains.Pi_m @ q_tilde_m)
-    (dq_md,) = flow.d(q_md, integral=None if load is None else load.gain @ port_l)
-    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m_inverse, K, flow.M_l, s_l)  # (40)
+    port_l = s_l if action is None else s_l - flow.momentum_vjp(q_md, gains.Pi_m @ q_tilde_m)
+    (dq_md,) = flow.d(q_md, integral=None if action is None else action.gain @ port_l)
+    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m_inverse, S, flow.M_l, s_l)  # (40)
     s_m = dq_mv - v_mr  # (39)
     sigma_m = M_m @ s_m
-    port_l = port_l if load is None else port_l - flow.momentum_vjp(v_mr, sigma_m)
-    (dv_mr,) = flow.d(v_mr, integral=None if load is None else load.gain @ port_l)
+    port_l = port_l if action is None else port_l - flow.momentum_vjp(v_mr, sigma_m)
+    (dv_mr,) = flow.d(v_mr, integral=None if action is None else action.gain @ port_l)
     u_mff = M_m @ dv_mr + springs.torque(robot, zeta) + D_m @ v_mr  # (42)
     u_mfb = -gains.Pi_m @ q_tilde_m - gains.K_md @ s_m + omega
     u_mi = ca.SX(robot.n, 1)
-    if load is not None:  # completes dq_md: (dv_mr/dp_l) gain phi'^-1 Pi_m qt_m
-        slope = springs.compliance(robot, zeta_d)
-        u_mi = M_m @ flow.momentum_jvp(v_mr, load.gain @ (slope @ gains.Pi_m @ q_tilde_m))
+    if action is not None:  # completes dq_md: (dv_mr/dp_l) gain phi'^-1 Pi_m qt_m
+        compliance = springs.compliance(robot, zeta_d)
+        u_mi = M_m @ flow.momentum_jvp(v_mr, action.gain @ (compliance @ gains.Pi_m @ q_tilde_m))
     u = np.linalg.inv(robot.B_m) @ (u_mff + u_mfb + u_mi)
 
     V_l = (ca.dot(q_tilde_l, gains.Pi_l @ q_tilde_l) + ca.dot(s_l, sigma_l)) / 2  # (46), integrated
     V_m = (ca.dot(q_tilde_m, gains.Pi_m @ q_tilde_m) + ca.dot(s_m, sigma_m)) / 2  # (48), integrated
-    d_l = ca.dot(q_tilde_l, gains.Pi_l @ gains.phi_l(q_tilde_l)) + ca.dot(s_l, (D_l + gains.K_ld) @ s_l)
-    d_m = ca.dot(q_tilde_m, gains.Pi_m @ gains.phi_m(q_tilde_m))
-    dissipation = d_l + d_m + ca.dot(s_m, (D_m + gains.K_md) @ s_m)  # -dV/dt for omega = 0
+    dissipation_l = ca.dot(q_tilde_l, gains.Pi_l @ gains.phi_l(q_tilde_l)) + ca.dot(s_l, (D_l + gains.K_ld) @ s_l)
+    dissipation_m = ca.dot(q_tilde_m, gains.Pi_m @ gains.phi_m(q_tilde_m)) + ca.dot(s_m, (D_m + gains.K_md) @ s_m)
+    dissipation = dissipation_l + dissipation_m  # -dV/dt for omega = 0
     return {
         "u": u,
         "u_l": u_l,
@@ -97,12 +97,12 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     }
 
 
-def coupling_velocity(Pi_m_inverse: ca.SX, K: Array | ca.SX, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
-    """Return Pi_m^-1 K' M_l^-1 sigma_l (n,) [rad/s], the last term of (40), which prints M_l' (docs/paper_map.md).
+def coupling_velocity(Pi_m_inverse: ca.SX, S: Array | ca.SX, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
+    """Return Pi_m^-1 S' M_l^-1 sigma_l (n,) [rad/s], the last term of (40); M_l^-1 sigma_l is s_l.
 
-    K: stiffness, or secant stiffness of springs that harden.
+    S: stiffness K, or the secant stiffness of springs that harden. M_l: for tests of the misprint M_l' only.
     """
-    return Pi_m_inverse @ K.T @ s_l
+    return Pi_m_inverse @ S.T @ s_l
 
 
 @dataclass(frozen=True)
