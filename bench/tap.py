@@ -98,7 +98,8 @@ class Heard:
     def drain(self) -> None:
         """Empty the queues, which hold DEPTH messages."""
         for found, subscription in zip(self.seen, self.subscriptions, strict=True):
-            found += iter(lambda each=subscription: _taken(each), None)  # type: ignore[misc]
+            while (seen := _taken(subscription)) is not None:
+                found.append(seen)
 
     def messages(self) -> list[NDArray[np.int64]]:
         """Return stamps and send times (k, 2) [ns] of each topic."""

@@ -24,19 +24,18 @@ ROS_PYTHON_IMPORTS = (
 
 @dataclass(frozen=True)
 class Machine:
-    """Properties of the machine that determine the choice."""
+    """Properties of the machine that determine the choice.
+
+    system, architecture: as of `platform`, e.g. Linux, x86_64. libc: name of the C library, e.g. glibc; empty if
+    unknown. implementation: `sys.implementation.name`, e.g. cpython. ros_distro: empty if no ROS is sourced.
+    """
 
     system: str
-    """`platform.system()`, e.g. Linux."""
     architecture: str
-    """`platform.machine()`, e.g. x86_64."""
     libc: str
-    """Name of the C library, e.g. glibc; empty if unknown."""
     libc_version: tuple[int, ...]
     implementation: str
-    """`sys.implementation.name`, e.g. cpython."""
     ros_distro: str
-    """ROS_DISTRO of the environment; empty if no ROS is sourced."""
 
     @classmethod
     def here(cls, environ: Mapping[str, str] = os.environ) -> Machine:
