@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from fjr_design.uncertainty.posterior import IDENTIFIED
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
-from fjr_identification.estimation.lack_of_fit import causes
+from fjr_identification.estimation.lack_of_fit import seen
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.record_checks import findings
 
@@ -41,13 +41,13 @@ def named(draws: Draws, i: int) -> Named | None:
         return None
     options = IdentifyOptions(threads=1)
     setup = Estimation([record], nominal.robot, Prior.of(nominal.robot), options)
-    found = causes(setup, filtered_fit(setup, setup.coordinates.mean))
-    sought = bool(draws.case.cause) and len(found) < len(record.joints)
+    found = [each.wrong for each in seen(setup, filtered_fit(setup, setup.coordinates.mean)).values()]
+    sought = bool(draws.case.cause) and not all(found)
     of_record = identified(draws, i, options) or [] if sought else []
     K = [(each.verdict == IDENTIFIED, not each.meets) for each in of_record if each.kind == "joint_stiffness"]
     sure = [(called, called and misses) for called, misses in K] or [(False, False)] * len(record.joints)
     passed = draws.changes_sign(i, PASSED).tolist()
-    return [(found.get(name, ""), sign, *of_K) for name, sign, of_K in zip(record.joints, passed, sure, strict=True)]
+    return [(said, sign, *of_K) for said, sign, of_K in zip(found, passed, sure, strict=True)]
 
 
 def head(joints: Sequence[int]) -> str:

@@ -121,8 +121,8 @@ def test_json_has_the_posterior_and_names_records_robot_and_hold_out(folder: Pat
 
 
 def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
-    shares = (np.array([0.1, 2.0, np.nan]), np.array([0.3, 0.4, np.nan]), np.array([0.9, 2.1, np.nan]))
-    sentences = unconfirmed([HoldOut("b.csv", ("a1", "a2", "a3"), *shares)])
+    shares = np.array([[0.1, 0.3, 0.9], [2.0, 0.4, 2.1], [np.nan] * 3])
+    sentences = unconfirmed([HoldOut("b.csv", ("a1", "a2", "a3"), shares)])
     assert [each.partition(" is ")[0] for each in sentences] == ["hold-out b.csv: the deflection of a2"]
     assert sentences[0] in capsys.readouterr().err
 

@@ -75,9 +75,10 @@ def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_o
         assert np.all(fit.explained[1:3] > 0.98)
         assert [plot.title[:2] for plot in fit_plots(fit, AXES, "record-0")[:4]] == ["a1", "a2", "a3", "Re"]
         compared = hold_out(found[-1], held_out, kr300, prior, options)
-        assert np.all(compared.model[:3] < 0.25)  # 1: joints without elasticity and without skew
-        assert np.all(compared.model[1:3] < 0.75 * compared.rigid[1:3])
-        assert np.all(np.isnan(compared.model[3:]))
+        model, rigid, _ = compared.shares.T
+        assert np.all(model[:3] < 0.25)  # 1: joints without elasticity and without skew
+        assert np.all(model[1:3] < 0.75 * rigid[1:3])
+        assert np.all(np.isnan(model[3:]))
         verdicts = [each.verdict for each in found[-1].estimates if each.name == "joint_stiffness"]
         assert verdicts[1:] == [WEAK, WEAK, UNKNOWN, UNKNOWN, UNKNOWN]
     for one, other in zip(*(each.estimates for each in found), strict=True):

@@ -116,7 +116,8 @@ class ExcitationDesign:
         Raises TrajectoryError if the record is too short for three of them.
         """
         period = self.duration / max(1, np.ceil(self.duration / LONGEST_PERIOD))
-        resonance = BELOW_RESONANCE * float(np.sqrt(np.diag(self.robot.K) * (1 / self._M_l + 1 / self._M_m)).min())
+        M_m = np.diag(self.robot.M_m)
+        resonance = BELOW_RESONANCE * float(np.sqrt(np.diag(self.robot.K) * (1 / self._M_l + 1 / M_m)).min())
         highest = min(resonance / (2 * np.pi), 1 / (SAMPLES_PER_CYCLE * self.sample_period))
         if highest * period < FEWEST:
             raise TrajectoryError(
@@ -129,11 +130,7 @@ class ExcitationDesign:
     def model(self) -> InformationModel:
         """Information of the whole record, from the instants of one period."""
         K, samples = np.diag(self.robot.K), round(self.duration / self.sample_period)
-        return InformationModel(K, self._M_m, self._M_l, self.noise, self.series.period, samples)
-
-    @cached_property
-    def _M_m(self) -> Array:
-        return np.diag(self.robot.M_m).copy()
+        return InformationModel(K, np.diag(self.robot.M_m), self._M_l, self.noise, self.series.period, samples)
 
     @cached_property
     def _M_l(self) -> Array:

@@ -69,7 +69,7 @@ def write_page(
         f"{name}: joint stiffness K of {of_stiffness[IDENTIFIED]} of {plural(len(joints), 'joint')} identified",
         [plot for place, fit in pairs for plot in fit_plots(fit, joints, place)],
         kicker=f"Identification of {plural(len(joints), 'joint')} from {plural(len(fits), 'record')}",
-        notes=notes,
+        notes=[*notes, *springs_seen(identification)],
         tiles=[
             (f"{counts[IDENTIFIED]} of {sum(counts.values())}", "parameters identified"),
             (str(counts[WEAK]), "weakly identified: read their intervals"),
@@ -135,6 +135,11 @@ def reasons(identification: Identification, *verdicts: str) -> dict[str, str]:
         if estimate.reason and (not verdicts or estimate.verdict in verdicts):
             found.setdefault(reason(estimate), {}).setdefault(estimate.name, []).append(estimate.joint or "the arm")
     return {why: "; ".join(_of_joints(names)) for why, names in found.items()}
+
+
+def springs_seen(identification: Identification) -> list[str]:
+    """Return at which deflections each stiffness was seen, or which bound it exceeds."""
+    return [f"{each.name} of {each.joint}: {each.seen}" for each in identification.estimates if each.seen]
 
 
 def _of_joints(names: Mapping[str, list[str]]) -> Iterator[str]:

@@ -51,7 +51,6 @@ def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Contradicti
     yield short(record)
     yield rest(record)
     yield constant(record)
-    yield one_column_for_both_sides(record)
     yield jumps(record)
     yield stuck(record)
     yield motion_checks.crossed_sides(record)
@@ -81,18 +80,13 @@ def rest(record: MotionRecord) -> Iterator[Contradiction]:
 
 
 def constant(record: MotionRecord) -> Iterator[Contradiction]:
-    """Find columns that never change although the joint moves."""
+    """Find columns that never change although the joint moves, and one column that stands for both sides."""
     for j, joint in enumerate(record.joints):
         for name in ("q_l", "q_m", "torque", "u"):
             values = getattr(record, name)[:, j]
             if joint not in record.still and np.all(np.isfinite(values)) and np.ptp(values) == 0:
                 sentence = f"{name} of {joint} is {values[0]:.6g} at every sample; expected a changing signal"
                 yield Contradiction(CONSTANT, joint, sentence)
-
-
-def one_column_for_both_sides(record: MotionRecord) -> Iterator[Contradiction]:
-    """Find one column that stands for both sides of a joint."""
-    for j, joint in enumerate(record.joints):
         deflection = record.q_m[:, j] - record.q_l[:, j]
         if np.all(np.isfinite(deflection)) and np.ptp(record.q_m[:, j]) > 0 and np.ptp(deflection) < SAME:
             sentence = f"q_m - q_l of {joint} is constant at every sample; expected two measurements"

@@ -295,15 +295,16 @@ class IdentifiedRobot:
 
 def described(estimate: Estimate) -> str:
     """Return name, joint, value, interval, unit and verdict of an estimate."""
-    seen = f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.value:.4g} {estimate.unit}"
+    value = f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.value:.4g} {estimate.unit}"
+    seen = f", {estimate.seen}" if estimate.seen else ""
     if estimate.verdict == UNKNOWN:
-        return f"{seen}, not identifiable from these records, as before ({estimate.reason})"
+        return f"{value}{seen}, not identifiable from these records, as before ({estimate.reason})"
     for digits in range(4, 9):  # as many as distinguish the ends
         low, high = f"{estimate.low:.{digits}g}", f"{estimate.high:.{digits}g}"
         if low != high:
             break
     why = f" ({estimate.reason})" if estimate.reason else ""
-    return f"{seen}, {low} to {high}, {estimate.verdict}{why}"
+    return f"{value}, {low} to {high}{seen}, {estimate.verdict}{why}"
 
 
 def significant(value: float) -> float:

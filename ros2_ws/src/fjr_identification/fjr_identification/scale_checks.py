@@ -163,18 +163,13 @@ def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -
     q, v = motion.position * scale, motion.velocity * scale / time
     a = np.gradient(v, motion.dt * time, axis=0)
     links = spring_torques(motion.robot, q[rows], v[rows], a[rows])
-    terms = (
-        links,
-        (a @ motion.robot.M_m.T)[rows],
-        v[rows],
-        coulomb(v[rows], SMOOTHING),
-        motion.u[rows] @ motion.robot.B_m.T,
-    )
+    inertia, effort = (a @ motion.robot.M_m.T)[rows], motion.u[rows] @ motion.robot.B_m.T
+    terms = links, inertia, v[rows], coulomb(v[rows], SMOOTHING), effort
     dt = motion.dt * (rows.step or 1)
     edge = int(0.3 / CUTOFF / dt)
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
-    slow = [sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms]
-    return Terms(slow[0], slow[1], slow[2], slow[3], slow[4], min(2 * CUTOFF * dt, 1.0) * len(slow[0]))
+    links, inertia, v, sign, u = (sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms)
+    return Terms(links, inertia, v, sign, u, min(2 * CUTOFF * dt, 1.0) * len(u))
 
 
 def _fitted(columns: list[Array], y: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,8 @@ class Estimate:
     link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], offset [rad] (of
     q_m - q_l at zero spring torque), link_skew, motor_skew, torque_skew, effort_delay [s], payload_mass [kg],
     payload_position_x, _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the
-    whole arm. An UNKNOWN parameter keeps its prior; reason says which motion would reveal it.
+    whole arm. An UNKNOWN parameter keeps its prior; reason says which motion would reveal it. deflections [rad]: range
+    a stiffness was seen in. at_least: its bound if UNKNOWN, 0: none.
     """
 
     name: str
@@ -70,6 +71,16 @@ class Estimate:
     prior: float
     verdict: str
     reason: str = ""
+    deflections: list[float] = field(default_factory=list)
+    at_least: float = 0.0
+
+    @property
+    def seen(self) -> str:
+        """Return the bound of a stiffness and the deflections it was seen at, "" if they are not known."""
+        (low, high), unit = self.deflections or (0.0, 0.0), self.unit
+        bound = f"at least {self.at_least:.3g} {unit}, " if self.at_least else ""
+        seen = f"{bound}seen at deflections of {1e3 * low:.3g} to {1e3 * high:.3g} m{unit.rpartition('/')[2]}"
+        return seen if self.deflections else ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, Prior
 from fjr_identification.estimation.validation import HoldOut, hold_out
-from fjr_identification.page import HOLD_OUT, STIFFNESS, counted, hold_out_rows, reasons, write_page
+from fjr_identification.page import HOLD_OUT, STIFFNESS, counted, hold_out_rows, reasons, springs_seen, write_page
 from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import read_map
 from fjr_identification.rigid_motion import KINDS
@@ -169,6 +169,8 @@ def table(identification: Identification) -> list[str]:
         headline,
         "",
         *lines,
+        *([""] if springs_seen(identification) else []),
+        *springs_seen(identification),
         *(line for head, found in why if found for line in ("", head, *(f"{of}: {one}" for one, of in found.items()))),
     ]
 
@@ -177,7 +179,7 @@ def unconfirmed(compared: Sequence[HoldOut]) -> list[str]:
     """Return a sentence for each hold-out that joints without elasticity or without skew explain better."""
     sentences = []
     for held in compared:
-        better = np.fmin(held.rigid, held.no_skew) < held.model
+        better = np.fmin(held.shares[:, 1], held.shares[:, 2]) < held.shares[:, 0]
         if better.any():
             joints = ", ".join(joint for joint, wrong in zip(held.joints, better, strict=True) if wrong)
             sentences.append(

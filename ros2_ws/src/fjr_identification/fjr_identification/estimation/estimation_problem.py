@@ -100,11 +100,6 @@ class Estimation:
         needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
         return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
 
-    def _stiffest(self, p: Mapping[str, Array]) -> Array:
-        """Return the tangent stiffness (n,) of the springs at the largest deflection of the records."""
-        largest = np.max([np.max(np.abs(m.q_m - m.q_l - p["offset"]), axis=0) for m in self.motions], axis=0)
-        return np.asarray(p["joint_stiffness"] + 3 * p[HARDENING] * largest**2)
-
     def segment_length(self, start: Mapping[str, Array]) -> float:
         """Return the length [s] of the segments that follows from start values."""
         return self._length(_rates(self.arm(self.coordinates), self.poses, start)[0])
@@ -121,7 +116,9 @@ class Estimation:
         arm = self.arm(coordinates)
         slowest, fastest, mobility = _rates(arm, self.poses, start)
         if np.any(start[HARDENING]):
-            fastest = _rates(arm, self.poses, {**start, "joint_stiffness": self._stiffest(start)})[1]
+            largest = np.max([np.max(np.abs(m.q_m - m.q_l - start["offset"]), axis=0) for m in self.motions], axis=0)
+            tangent = start["joint_stiffness"] + 3 * start[HARDENING] * largest**2
+            fastest = _rates(arm, self.poses, {**start, "joint_stiffness": tangent})[1]
         accuracy = UNSEEN * np.tile(_noise(self.records), 2) / self._length(slowest)
         segments, filtered_states = [], []
         for record, motion in zip(self.records, self.motions, strict=True):

@@ -99,9 +99,11 @@ def smoothed(signal: Array, dt: float, order: int = 0) -> Array:
 
 
 def shifted(signal: Array, dt: float, time: float) -> Array:
-    """Return the signal (k,) `time` [s] later."""
-    k = np.arange(len(signal))
-    return np.interp(k - time / dt, k, signal)
+    """Return the signal (k,) `time` [s] later, by Lagrange's cubic through four samples; its ends are held."""
+    first = int(np.floor(-time / dt))
+    f, k = -time / dt - first, np.arange(first - 1, first - 1 + len(signal))
+    weights = -f * (f - 1) * (f - 2) / 6, (f * f - 1) * (f - 2) / 2, -(f + 1) * f * (f - 2) / 2, (f**3 - f) / 6
+    return np.asarray(sum(w * signal[np.clip(k + i, 0, len(signal) - 1)] for i, w in enumerate(weights)))
 
 
 def decimated(signals: Array, stride: int) -> Array:

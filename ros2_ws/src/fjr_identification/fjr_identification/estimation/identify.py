@@ -36,7 +36,7 @@ from .filtered_fit import (
 )
 from .filtered_motion import shifted
 from .intervals import spurious_information
-from .lack_of_fit import causes, withheld
+from .lack_of_fit import seen, withheld
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
 from .optimise import optimise, parameter_step, refine
@@ -77,21 +77,23 @@ def identify(
     setup = Estimation(list(records), robot, prior, options)
     progress("filtered least squares", 0.0)
     z = filtered_fit(setup, setup.coordinates.mean)
-    joints, wrong = setup.records[0].joints, causes(setup, z)
-    filtered = withheld(filtered_estimates(setup, z), wrong)
+    names, joints = setup.records[0].joints, seen(setup, z)
+    filtered = withheld(setup, filtered_estimates(setup, z), joints)
     z_start = _start_of_simulation(setup, z)
     if z_start is None:
-        by_filter = filtered.identification(joints)
+        by_filter = filtered.identification(names)
         return replace(by_filter, fits=tuple(each.fit for each in deflections(setup, filtered.mean)))
     progress("compilation", 0.0)
     simulated = simulated_fit(setup, simulation_start(setup, z_start), progress)
-    simulated = replace(simulated, estimates=withheld(simulated.estimates, wrong))
+    simulated = replace(simulated, estimates=withheld(setup, simulated.estimates, joints))
     progress("intervals", 1.0)
     entries = _better_by_filter(setup, simulated, filtered)
     if not entries:
-        return simulated.estimates.identification(joints, simulated.fits)
+        return simulated.estimates.identification(names, simulated.fits)
     mixed = simulated.estimates.with_entries_of(filtered, entries)
-    return mixed.identification(joints, simulated.fits_at(mixed.mean) or simulated.fits)
+    best = simulated.best
+    other = best.problem.evaluate(mixed.mean, best.x0, best.problem.rough_noise)
+    return mixed.identification(names, simulated_fits(other, other.residual) if other else simulated.fits)
 
 
 def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
@@ -116,11 +118,6 @@ class Simulation:
     estimates: Estimates
     fits: tuple[Fit, ...]
     converged: bool
-
-    def fits_at(self, z: Array) -> tuple[Fit, ...]:
-        """Return the fit of each record at other z (p,); () if the prediction does not stay finite."""
-        other = self.best.problem.evaluate(z, self.best.x0, self.best.problem.rough_noise)
-        return () if other is None else simulated_fits(other, other.residual)
 
 
 def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
@@ -175,15 +172,12 @@ def _start_of_simulation(setup: Estimation, z: Array) -> Array | None:
 
     z (p,): the fit with link dampings at their prior. A wrong prior displaces the motion; free dampings may not.
     """
-    if _is_simulated(setup, z):
-        return z
-    damped = filtered_fit(setup, z, free=confounded(setup))
-    return damped if _is_simulated(setup, damped) else None
-
-
-def _is_simulated(setup: Estimation, z: Array) -> bool:
-    relative = displacement(setup, z)
-    return not len(relative) or bool(np.min(relative) <= MOST)
+    for free in ((), confounded(setup)):
+        start = filtered_fit(setup, z, free=free) if free else z
+        relative = displacement(setup, start)
+        if not len(relative) or np.min(relative) <= MOST:
+            return start
+    return None
 
 
 def displacement(setup: Estimation, z: Array) -> Array:

@@ -6,10 +6,16 @@ g_s = J_s' r_s are nearly independent, and the sandwich H^-1 (sum g_s g_s') H^-1
 (K.-Y. Liang, S. L. Zeger, Biometrika 73(1), 1986). Its standard deviations, where larger, replace those of H^-1; its
 correlations do not, because it has the rank of the number of segments. The quantile is Student's.
 
+A record has few segments, so a variance of the sandwich is uncertain by half. What is wrong with a model widens most
+parameters: a factor of variance counts as at least the geometric mean of its own and of the median of all (G. K. Smyth,
+Stat. Appl. Genet. Mol. Biol. 3(1), 2004: variances moderated by those of the others).
+
 The sandwich takes the errors of segments to be independent. Those of a wrong model (friction of another shape) are not:
 they displace the estimate in the same direction in each segment, which scores at the optimum, whose sum is 0, do not
-show. The part of their squares that exceeds white residuals counts as correlated between all segments (SYSTEMATIC, from
-tests/physics), so that it does not average out however long the record is.
+show. The part of their squares that exceeds white residuals counts as correlated between all segments (SYSTEMATIC), so
+that it does not average out however long the record is. No record shows this correlation. It is estimated from others
+(tests/physics, seed 7001), where errors in standard deviations have mean square 1 at 0.36 with Dahl's friction, 0.06
+with LuGre's and 0.02 with Stribeck's; the largest counts.
 
 Part of the information about z in the normal equations is spurious: the records do not determine what it says. Initial
 states fit noise: a spring at rest seems to swing, at a frequency that seems to reveal its stiffness. And initial states
@@ -26,7 +32,6 @@ from scipy.linalg import solve_triangular
 from scipy.stats import norm, t
 
 from fjr_core.numerics.checks import Array
-from fjr_design.uncertainty.posterior import LOG, NONNEGATIVE
 
 from .multiple_shooting import RIDGE, NormalEquations, PredictedSegments
 
@@ -81,6 +86,8 @@ def inflation(scores: Array, inverse: Array) -> Array:
     scores (segments, p), inverse (p, p): of the information. The factor is at least that of the quantile.
     """
     count = len(scores)
+    if not scores.size:
+        return np.ones(scores.shape[1])
     scores = scores - scores.mean(axis=0)
     meat = scores.T @ scores
     for lag in range(1, min(LAGS, count - 1) + 1):
@@ -89,21 +96,12 @@ def inflation(scores: Array, inverse: Array) -> Array:
     sandwich = np.diag(inverse @ meat @ inverse) * count / max(count - 1, 1)
     alone = np.mean((scores @ inverse) ** 2, axis=0) * count / np.diag(inverse)
     by_chance = 1 + TWO_SIDED * np.sqrt(2 / count)
-    of_model = max(0.0, 1 - by_chance / max(by_chance, float(np.median(alone)) if alone.size else 0.0))
-    ratio = np.sqrt(np.maximum(sandwich / np.diag(inverse), 1.0) * (1 + SYSTEMATIC * (count - 1) * of_model))
+    of_model = max(0.0, 1 - by_chance / max(by_chance, float(np.median(alone))))
+    widened = np.maximum(sandwich / np.diag(inverse), 1.0)
+    widened = np.maximum(widened, np.sqrt(widened * np.median(widened)))
+    ratio = np.sqrt(widened * (1 + SYSTEMATIC * (count - 1) * of_model))
     quantile = (1 + CONFIDENCE) / 2
     return np.asarray(ratio * t.ppf(quantile, max(count - 1, 1)) / norm.ppf(quantile))
-
-
-def interval(coordinate: str, z: float, sd: float) -> tuple[float, float, float]:
-    """Return the value of a parameter and the ends of its interval, from z and its standard deviation."""
-    ends = np.array([z, z - 1.96 * sd, z + 1.96 * sd])
-    if coordinate == LOG:
-        ends = np.exp(ends)
-    elif coordinate == NONNEGATIVE:
-        ends = np.maximum(ends, 0.0)
-    value, low, high = ends.tolist()
-    return value, low, high
 
 
 def _standard_deviations(H: Array, width: Array) -> Array:

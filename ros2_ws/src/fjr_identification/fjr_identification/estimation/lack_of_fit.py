@@ -21,14 +21,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
 
 from fjr_core.model import springs
 from fjr_core.numerics.checks import Array
-from fjr_design.uncertainty.posterior import IDENTIFIED, WEAK, Estimate
+from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Estimate
 
 from .estimation_problem import Estimation
 from .filtered_fit import BLOCK, FEWEST_BLOCKS, Side, link_side, motor_side, rigid_along
-from .filtered_motion import decimated, inner
+from .filtered_motion import decimated, inner, shifted
+from .intervals import CONFIDENCE
 from .parameters import HARDENING
 from .verdicts import Estimates
 
@@ -41,6 +43,7 @@ SLIPS = np.array([0.03, 0.06, 0.12, 0.25, 0.5])  # of the root mean square defle
 WIDE = 40.0  # Hz; band in which a kinematic error is sought
 PERIODS = np.arange(40.0, 401.0, 2.0)  # of a kinematic error in a turn of the joint, behind gears of 20 to 200
 LEAST = 0.01  # of the root mean square deflection; smaller loops and dead zones are no cause
+EXTENT = (0.01, 0.99)  # quantiles of deflections between which a stiffness is seen
 USUAL = 0.95  # quantile of deflections up to which a spring is seen
 LIGHT, MOST = 0.05, 4.0  # least error of the links that is named, and largest factor; others are no cause
 CURVED = 0.1  # least relative change of a stiffness that is named
@@ -90,29 +93,48 @@ class Term:
         return self.share >= share and self.ratio >= ratio
 
 
-def causes(setup: Estimation, z: Array) -> dict[str, str]:
-    """Return what is wrong with joints at z (p,), a fit to the filtered motions: a sentence by joint."""
-    rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
-    sentences = {}
+@dataclass(frozen=True)
+class Seen:
+    """What records show of a joint: what its model lacks, "": nothing; and what its stiffness exceeds, 0: no bound.
+
+    A stiff joint deflects less than the noise: the interval of its compliance c contains 0, and K >= 1 / (c + t s), s:
+    deviation of c, t: one-sided quantile of Student.
+    """
+
+    wrong: str = ""
+    at_least: float = 0.0
+
+
+def seen(setup: Estimation, z: Array) -> dict[str, Seen]:
+    """Return what the records show of each joint whose both sides are measured, at a fit z (p,) to filtered motions."""
+    rigid, joints = [rigid_along(setup, motion, z) for motion in setup.motions], {}
     for j, joint in enumerate(setup.records[0].joints):
         used = [k for k, record in enumerate(setup.records) if record.both_sides(j)]
         if not used:
             continue
-        sentence = _of_links(setup, rigid, z, j) or _of_spring(setup, rigid, z, j, used)
-        sentence = sentence or _of_records(setup, rigid, z, j, used)
-        if sentence:
-            sentences[joint] = sentence
-    return sentences
+        wrong = _of_links(setup, rigid, z, j) or _of_spring(setup, rigid, z, j, used)
+        wrong = wrong or _of_records(setup, rigid, z, j, used)
+        c, deviation, blocks = _compliance(setup, rigid, z, j, used)
+        reach = float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
+        K = float(setup.coordinates.parameters(z)["joint_stiffness"][j])
+        joints[joint] = Seen(wrong, K / (c + reach) if abs(c) < reach else 0.0)
+    return joints
+
+
+def deflections(setup: Estimation, z: Array, j: int) -> list[float]:
+    """Return the ends of the deflections [rad] of joint j, of 98 % of the samples, at z (p,)."""
+    p, records = setup.coordinates.parameters(z), [record for record in setup.records if record.both_sides(j)]
+    late = [shifted(record.q_l[:, j], record.dt, p["link_skew"][j]) for record in records]
+    zeta = [record.q_m[:, j] - q - p["offset"][j] for record, q in zip(records, late, strict=True)]
+    return [float(end) for end in np.nanquantile(np.concatenate(zeta), EXTENT)]
 
 
 def _of_links(setup: Estimation, rigid: Sequence, z: Array, j: int) -> str:
     """Return a sentence if the effort of joint j needs other links than those of the robot file."""
     sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
     loads = [inner(along.torque[:, j], motion.dt) for motion, along in zip(setup.motions, rigid, strict=True)]
-    strides = [side.stride for side in sides]
-    periods = [motion.dt for motion in setup.motions]
     free = [key for key in sides[0].columns if key in setup.coordinates.free]
-    rows = _rows(sides, free, periods, strides)
+    rows = _rows(sides, free, [motion.dt for motion in setup.motions], [side.stride for side in sides])
     load = [decimated(load * side.used, side.stride) for load, side in zip(loads, sides, strict=True)]
     term = rows.term(np.concatenate(load)[:, None])
     factor = 1 + float(term.c[0])
@@ -202,19 +224,24 @@ def _of_gear(
 
 def _of_records(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> str:
     """Return a sentence if records give the spring of joint j different compliances."""
-    K, seen = float(setup.coordinates.parameters(z)["joint_stiffness"][j]), []
-    for k in used:
-        side, dt = link_side(setup, setup.motions[k], rigid[k], z, j), setup.motions[k].dt
-        stiffness = ("joint_stiffness", j)
-        free = [key for key in side.columns if key in setup.coordinates.free and key != stiffness]
-        term = _rows([side], free, [dt], [side.stride]).term(decimated(side.columns[stiffness], side.stride)[:, None])
-        compliance, deviation = 1 - float(term.c[0]), abs(float(term.c[0])) / max(term.ratio, 1e-300)
-        seen.append((compliance, deviation, setup.records[k].name))
+    K = float(setup.coordinates.parameters(z)["joint_stiffness"][j])
+    seen = [(*_compliance(setup, rigid, z, j, [k])[:2], setup.records[k].name) for k in used]
     (low, s_low, soft), (high, s_high, stiff) = max(seen), min(seen)
     if low - high < SURE * np.hypot(s_low, s_high) or low - high < UNLIKE * low:
         return ""
     of_stiff = f"{K / high:.3g} N m/rad" if high > 0 else "no spring"
     return f"the records do not agree: {K / low:.3g} N m/rad from {soft}, {of_stiff} from {stiff}"
+
+
+def _compliance(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> tuple[float, float, int]:
+    """Return 1/K of joint j, relative to that at z (p,), its deviation over blocks of records, and their number."""
+    sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
+    stiffness, strides = ("joint_stiffness", j), [side.stride for side in sides]
+    free = [key for key in sides[0].columns if key in setup.coordinates.free and key != stiffness]
+    rows = _rows(sides, free, [setup.motions[k].dt for k in used], strides)
+    column = np.concatenate([decimated(side.columns[stiffness], side.stride) for side in sides])
+    term = rows.term(column[:, None])
+    return 1 - float(term.c[0]), abs(float(term.c[0])) / max(term.ratio, 1e-300), len(np.unique(rows.block))
 
 
 def _rows(sides: Sequence[Side], free: Sequence, periods: Sequence[float], strides: Sequence[int]) -> Rows:
@@ -240,14 +267,23 @@ def slipping_elements(zeta: Array, slips: Array) -> Array:
     return out
 
 
-def withheld(estimates: Estimates, wrong: Mapping[str, str]) -> Estimates:
-    """Return the estimates without "identified" for joints with a sentence on what is wrong, which is the reason."""
+def withheld(setup: Estimation, estimates: Estimates, joints: Mapping[str, Seen]) -> Estimates:
+    """Return the estimates with what was seen of their joints: what is wrong withholds "identified", and is the reason.
+
+    A stiffness comes with its deflections, one that is not identifiable with its bound, if there is one.
+    """
+    names = setup.records[0].joints
 
     def checked(estimate: Estimate) -> Estimate:
-        sentence = wrong.get(estimate.joint, "")
-        if not sentence or not (estimate.verdict == IDENTIFIED or estimate.name == "joint_stiffness"):
+        found, is_stiffness = joints.get(estimate.joint, Seen()), estimate.name == "joint_stiffness"
+        if found.wrong and (estimate.verdict == IDENTIFIED or is_stiffness):
+            verdict = WEAK if estimate.verdict == IDENTIFIED else estimate.verdict
+            reason = "; ".join(filter(None, (found.wrong, estimate.reason)))
+            estimate = replace(estimate, verdict=verdict, reason=reason)
+        bound = found.at_least if estimate.verdict == UNKNOWN else 0.0
+        if not is_stiffness or estimate.joint not in joints or (estimate.verdict == UNKNOWN and not bound):
             return estimate
-        verdict = WEAK if estimate.verdict == IDENTIFIED else estimate.verdict
-        return replace(estimate, verdict=verdict, reason="; ".join(filter(None, (sentence, estimate.reason))))
+        ends = deflections(setup, estimates.mean, names.index(estimate.joint))
+        return replace(estimate, deflections=ends, at_least=bound)
 
     return replace(estimates, estimates=tuple(map(checked, estimates.estimates)))

@@ -85,7 +85,7 @@ class NormalEquations:
 class Whitening:
     """What random jumps explain of the residuals of a segment, (signals, count), in units of the noise.
 
-    penalty: of their prior. squares, counts (4n,): of the jumps of each state, and their number.
+    penalty: of their prior. squares, counts: of the jumps of each width, and their number.
     """
 
     explained: Array

@@ -43,7 +43,10 @@ def optimise(
     for k, share in enumerate(HORIZONS):
         at, _ = descended(problem.part(stride, share), z, some, noise, NEAR, ROUGHLY, _of_stage(progress, k))
         z, some, noise = at.z, at.x0, at.residual
-    x0 = some if stride == 1 else _settled(problem, z, x0, noise)
+    x0 = some if stride == 1 else x0
+    for share in HORIZONS[:-1] if stride > 1 else ():
+        part = problem.part(1, share).evaluate(z, x0, noise)
+        x0 = x0 if part is None else part.x0
     return refine(problem, z, x0, noise, _of_stage(progress, len(HORIZONS)))
 
 
@@ -65,14 +68,6 @@ def refine(
     best = problem.evaluate(at.z, at.x0, unbiased)
     assert best is not None
     return best, converged
-
-
-def _settled(problem: Problem, z: Array, x0: Array, noise: Array) -> Array:
-    """Return initial states that fit longer and longer parts of their segments."""
-    for share in HORIZONS[:-1]:
-        part = problem.part(1, share).evaluate(z, x0, noise)
-        x0 = x0 if part is None else part.x0
-    return x0
 
 
 def descended(

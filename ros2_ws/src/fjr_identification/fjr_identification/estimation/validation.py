@@ -32,8 +32,7 @@ STIFF = 1e12  # times the identified stiffness
 class Deflection:
     """Deflection q_m - q_l of each joint in a record within the bandwidth of the motion, less its mean, in [rad].
 
-    t (k,), measured, predicted (k, n), NaN where a side is not measured. unexplained (n,): root mean square of measured
-    minus predicted relative to that of measured, which is what a rigid arm without skew leaves.
+    t (k,), measured, predicted (k, n), NaN where a side is not measured.
     """
 
     record: str
@@ -43,19 +42,14 @@ class Deflection:
     predicted: Array
 
     @property
-    def rigid(self) -> Array:
-        """Return the root mean square deflection (n,), which a rigid arm leaves unexplained."""
-        return _rms(self.measured)
-
-    @property
     def elastic(self) -> Array:
         """Return the root mean square difference (n,) of measured and predicted deflection."""
         return _rms(self.measured - self.predicted)
 
     @property
     def unexplained(self) -> Array:
-        """Return elastic relative to rigid (n,)."""
-        return self.elastic / self.rigid
+        """Return elastic relative to the root mean square deflection (n,), which a rigid arm leaves."""
+        return self.elastic / _rms(self.measured)
 
     @property
     def fit(self) -> Fit:
@@ -87,11 +81,16 @@ def predicted_deflection(
     prior: Prior,
     identification: Identification,
     options: IdentifyOptions = IdentifyOptions(),  # noqa: B008
+    **factors: float,
 ) -> Deflection:
-    """Return the deflection of a record, predicted by an identification from other records."""
+    """Return the deflection of a record, predicted by an identification from other records.
+
+    factors: on parameters by name.
+    """
     values = {name: value.copy() for name, value in prior.values.items()}
     for estimate in identification.estimates:
         values[estimate.name][identification.joints.index(estimate.joint) if estimate.joint else 0] = estimate.value
+    values |= {name: factor * values[name] for name, factor in factors.items()}
     setup = Estimation([record], robot, replace(prior, values=values), options)
     return _deflection(setup, 0, setup.coordinates.mean)
 
@@ -102,40 +101,24 @@ def _rms(signal: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class HoldOut:
-    """Root mean square of the deflection q_m - q_l that models leave unexplained, relative to all of it, (n,) each.
+    """Root mean square of the deflection q_m - q_l that models leave unexplained, relative to all of it: shares (n, 3).
 
-    model: the identified one. rigid: no deflection, with the identified skew between the sides. no_skew: the identified
-    stiffness without skew. NaN where a side is not measured. A rigid joint without skew explains nothing: 1.
+    Of the identified model; of rigid joints, with the identified skew between the sides; of the identified stiffness
+    without skew. NaN where a side is not measured. A rigid joint without skew explains nothing: 1.
     """
 
     record: str
     joints: tuple[str, ...]
-    model: Array
-    rigid: Array
-    no_skew: Array
-
-    @property
-    def shares(self) -> Array:
-        """Return model, rigid and no_skew (n, 3)."""
-        return np.column_stack([self.model, self.rigid, self.no_skew])
+    shares: Array
 
 
 def hold_out(
     identification: Identification, record: MotionRecord, robot: Robot, prior: Prior, options: IdentifyOptions
 ) -> HoldOut:
     """Return what models leave unexplained of a record; robot, prior, options: of the identification."""
-
-    def unexplained(name: str = "", factor: float = 1.0) -> Array:
-        changed = replace(prior, values={**prior.values, **({name: factor * prior.values[name]} if name else {})})
-        estimates = tuple(
-            replace(estimate, value=factor * estimate.value) if estimate.name == name else estimate
-            for estimate in identification.estimates
-        )
-        model = replace(identification, estimates=estimates)
-        return predicted_deflection(record, robot, changed, model, options).unexplained
-
-    rigid, no_skew = unexplained("joint_stiffness", STIFF), unexplained("link_skew", 0.0)
-    return HoldOut(record.name, identification.joints, unexplained(), rigid, no_skew)
+    models: tuple[dict[str, float], ...] = ({}, {"joint_stiffness": STIFF}, {"link_skew": 0.0})
+    seen = [predicted_deflection(record, robot, prior, identification, options, **factors) for factors in models]
+    return HoldOut(record.name, identification.joints, np.column_stack([each.unexplained for each in seen]))
 
 
 def simulated_fits(prediction: PredictedSegments, deviations: Array) -> tuple[Fit, ...]:

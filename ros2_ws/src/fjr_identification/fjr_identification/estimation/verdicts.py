@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fjr_core.numerics.checks import Array
-from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, WEAK, Estimate, Fit, Identification
+from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, WEAK, Estimate, Fit, Identification, natural
 
 from .estimation_problem import Estimation
-from .intervals import interval, posterior
+from .intervals import posterior
 from .motion_record import MotionRecord
 from .multiple_shooting import NormalEquations, PredictedSegments
 from .optimise import bounded_step
@@ -142,7 +142,8 @@ def estimates_at(
     estimates = []
     for k, (name, j) in enumerate(coordinates.free):
         prior = float(setup.prior.values[name][j])
-        value, low, high = interval(KINDS[name].coordinate, mean[k], sd[k])
+        ends = mean[k] + 1.96 * sd[k] * np.array([0.0, -1.0, 1.0])
+        value, low, high = natural(ends, KINDS[name].coordinate).tolist()
         if k in fixed:
             verdict, value = UNKNOWN, prior
         else:
