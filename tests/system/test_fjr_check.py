@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-import fjr_core
 from fjr_core.config.scenario import load_scenario
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing
@@ -111,15 +110,6 @@ def test_a_reference_beyond_the_limits_is_named(arm: str) -> None:
     motion = "reference.amplitude:=[0.1, 4.0, 0.1]", "reference.frequency:=[1.0, 2.0, 1.0]"
     rows = figures(fjr_here("check", arm, *(part for text in motion for part in ("--set", text))))
     assert rows["reference"] == "BEYOND the position limits of elbow; BEYOND the velocity limits of elbow"
-
-
-def test_the_papers_gains_on_the_stiff_arm_are_unstable_with_exit_code_1() -> None:
-    paper = fjr_core.PAPER_GAINS
-    names = ("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md")
-    changes = [part for name in names for part in ("--set", f"gains.{name}:={[float(getattr(paper, name))] * 7}")]
-    output = fjr_here("check", "arm7", *changes, code=1)
-    assert figures(output)["as sampled"] == "UNSTABLE"
-    assert "fjr: scenario arm7 is unstable as sampled at 1000 Hz: spectral radius" in output
 
 
 def test_a_wrist_without_a_tool_on_a_stiff_spring_is_named(tmp_path: Path) -> None:

@@ -68,18 +68,6 @@ def test_killed_study_is_resumed(tmp_path: Path) -> None:
     assert table(tmp_path / "killed") == table(tmp_path / "whole")
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [(["--runs", "60"], "runs is 120, not 60"), (["--set", "gains.K_ld:=[0.7]"], "scenario_text differs")],
-)
-def test_a_folder_of_another_sweep_is_refused(tmp_path: Path, change: list[str], words: str) -> None:
-    name = sweep_file(tmp_path)
-    plan = _planned(name)
-    with open_store(tmp_path / "joint", plan.text, plan.loop.fingerprint):
-        pass
-    assert words in fjr_here("sweep", name, *change, "--output", str(tmp_path), code=1)
-
-
 @pytest.mark.slow
 def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, local_cluster: Any) -> None:
     from distributed import Client

@@ -187,16 +187,6 @@ def test_motor_side_laws_are_refused_if_springs_cannot_balance_gravity() -> None
     assert tune("feedback_linearisation", y).same_bandwidth
 
 
-def test_seven_joint_arm_is_tuned() -> None:
-    arm = arm7()
-    q_0 = np.array([0.3, 0.2, -0.1, -1.5, 0.1, 0.5, 0.1])
-    M = arm.robot.M_l(q_0)
-    gains = fjr.Gains(14.0, 14.0**2 * M, 14.0 * M, 14.0, np.diag(arm.K), 14 * np.diag(arm.M_m))
-    y = BaselineTarget(arm.robot, fjr.Sine(np.full(7, 0.2), 2.0, q_0), gains)
-    for name in ("pd_gravity", "lqr", "backstepping"):
-        assert tune(name, y).same_bandwidth
-
-
 ARM7_OFFSET = np.array([0.0, 0.5, 0.2, -1.2, -0.2, 0.8, 0.4])
 
 

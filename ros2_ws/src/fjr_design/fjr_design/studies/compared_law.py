@@ -29,6 +29,7 @@ from .imperfections import MotionDemand, fields_of, imperfection
 from .sweep import Sweep
 from .sweep_file import check_keys, mapping, number, whole
 from .tune import (
+    FEW,
     FINALISTS,
     GOAL,
     HERE,
@@ -45,7 +46,6 @@ from .tune import (
     with_better_start,
 )
 
-FEW = 4  # configurations of the reference at which a loop is checked
 NUMBERS: Mapping[str, Callable[[str, object, str], float]] = {"seed": whole, "duration": number, "settle_after": number}
 MOST = 10**6  # candidates, draws
 LONGEST = 600.0  # s

@@ -21,12 +21,13 @@ from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
 from fjr_design.batch.draws import SMOOTHING
 
+from .sweep import REACH
+
 INSTANTS = 4096
 CONFIGURATIONS = 16
 HORIZON = 60.0  # s of the reference that are evaluated, at most
 STANDING = 1e-9  # rad; RMS of a reference at rest
 NOISE_BANDWIDTH = 100.0  # rad/s; velocity noise equals that of positions differentiated by a filter of this bandwidth
-STEEPEST = 2.0  # largest friction_rate times the step; Runge-Kutta of order 4 is stable up to 2.78
 Fields = dict[str, Array]
 
 
@@ -103,7 +104,7 @@ def _noise(level: float, _demand: MotionDemand, _step: float) -> Fields:
 def _friction(level: float, demand: MotionDemand, step: float) -> Fields:
     """Apply Coulomb friction, half on each side of the spring, with the steepest slope that is numerically stable."""
     half = level / 2 * demand.torque
-    smoothing = max(SMOOTHING, level / 2 * demand.friction_rate * step / STEEPEST)
+    smoothing = max(SMOOTHING, level / 2 * demand.friction_rate * step / REACH)
     return {"coulomb_l": half, "coulomb_m": half, "smoothing": np.array(smoothing)}
 
 

@@ -48,9 +48,8 @@ def read(document: Mapping[str, Any]) -> dict[str, Any]:
         raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {distributions.FORM}")
     success = {name: number(f"success.{name}", value) for name, value in given["success"].items()}
     wholes = {key: whole(key, document[key]) for key in WHOLE if key in document}
-    return {"vary": vary, "success": success, **wholes} | {
-        key: number(key, document[key]) for key in SECONDS if key in document
-    }
+    numbers = {key: number(key, document[key]) for key in SECONDS if key in document}
+    return {"vary": vary, "success": success, **wholes, **numbers}
 
 
 def usual(sample_period: float) -> dict[str, Distribution]:
