@@ -18,7 +18,7 @@ from pathlib import Path
 
 from bench.figures import markdown, put
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
-from fjr_monitor.diagnosis.thresholds import Axes
+from fjr_monitor.diagnosis.thresholds import JointTolerances
 
 from . import cases, faults
 from .bags import read_record, write_bag
@@ -92,7 +92,7 @@ class Outcome:
 def outcome(case: Case) -> Outcome:
     """Simulate a fault and compare the first finding with the label."""
     loop = case.run(duration_of(case))
-    axes = Axes.of(loop.scenario.controller_values, loop.scenario.robot)
+    axes = JointTolerances.of(loop.scenario.controller_values, loop.scenario.robot)
     findings = diagnose(loop.record(), loop.scenario.tracking_law, axes=axes).findings
     if not findings:
         return Outcome(case.kind, HEALTHY, case.kind == HEALTHY)

@@ -12,7 +12,7 @@ from fjr_core.stability.linearization import linearize
 from fjr_monitor.diagnosis.causes import closed_loop
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.thresholds import Axes
+from fjr_monitor.diagnosis.thresholds import JointTolerances
 from monitor.diagnosis.loops import PERIOD, recorded
 from monitor.diagnosis.test_diagnosis import DURATION, LAW, REFERENCE, record
 
@@ -54,7 +54,7 @@ def test_the_grade_compares_the_error_with_the_tolerance() -> None:
     run = record(stiffness=29.0)
     error = diagnose(run, LAW).errors["model mismatch"][0]
     for factor, kind in ((0.8, "violated"), (1.3, "degraded")):
-        axes = Axes(("elbow",), ("m",), np.array([factor * error]))
+        axes = JointTolerances(("elbow",), ("m",), np.array([factor * error]))
         verdict = diagnose(run, LAW, axes=axes)
         assert verdict.kind == kind
         assert f"{1e3 * error:.2g} mm at elbow" in verdict.detail
@@ -87,4 +87,4 @@ def test_closed_loop_map_has_the_spectral_radius_of_the_linearisation() -> None:
 )
 def test_axes_of_the_wrong_shape_are_refused(tolerance: list[float], units: tuple[str, ...], sentence: str) -> None:
     with pytest.raises(fjr.StateError, match=sentence):
-        Axes(("joint1",), units, np.array(tolerance))
+        JointTolerances(("joint1",), units, np.array(tolerance))

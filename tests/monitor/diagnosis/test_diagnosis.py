@@ -14,7 +14,7 @@ from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.record import Ends, Record, innovations, needed
-from fjr_monitor.diagnosis.thresholds import Axes
+from fjr_monitor.diagnosis.thresholds import JointTolerances
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 2.5
@@ -57,7 +57,7 @@ def test_healthy_run_is_holding(measured: bool) -> None:
     assert (verdict.kind, verdict.causes) == ("holding", ())
     assert verdict.figures["violated share"] == 0.0
     assert verdict.figures["spectral radius"] < 1
-    strict = Axes(("joint1",), ("rad",), np.array([1e-9]))
+    strict = JointTolerances(("joint1",), ("rad",), np.array([1e-9]))
     assert diagnose(record(measured=measured), LAW, axes=strict).kind == "holding"
 
 

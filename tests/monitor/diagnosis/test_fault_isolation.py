@@ -17,13 +17,13 @@ from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
 from fjr_monitor.diagnosis.fault_isolation import UNKNOWN, unexplained, velocity_faults
 from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Finding, Hypothesis, body_torques
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.thresholds import Axes
+from fjr_monitor.diagnosis.thresholds import JointTolerances
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 1.5
 MODEL = fjr.planar_two_link()
 NAMES = ("shoulder", "elbow")
-AXES = replace(Axes.plain(2), names=NAMES)
+AXES = replace(JointTolerances.plain(2), names=NAMES)
 
 
 @cache

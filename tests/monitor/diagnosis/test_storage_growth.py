@@ -16,10 +16,10 @@ import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
-from fjr_monitor.diagnosis.diagnosis import Judged, diagnose
+from fjr_monitor.diagnosis.diagnosis import BlockStatistics, diagnose
 from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, Axes
+from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, JointTolerances
 from monitor.diagnosis.loops import Certified, recorded
 
 ROBOT = fjr.planar_two_link()
@@ -130,7 +130,7 @@ def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) ->
     blocks = StorageBudget(causes, nothing, nothing, nothing, np.ones(count, dtype=bool))
     peaks = np.zeros((count, 4, 2))
     peaks[:above, 2] = error
-    judged = Judged(0.9, Axes.plain(2))
+    judged = BlockStatistics(0.9, JointTolerances.plain(2))
     judged.add(blocks, CauseErrors(peaks, np.zeros((count, 2))))
     return judged.conclude(grown, {}).kind
 

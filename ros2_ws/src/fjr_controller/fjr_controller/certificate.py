@@ -22,7 +22,7 @@ from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import CertificateStruct, StepLibrary
 from fjr_monitor.diagnosis.diagnosis import unknown
 from fjr_monitor.diagnosis.online_diagnosis import Latency, LatestIntervals, OnlineDiagnosis
-from fjr_monitor.diagnosis.thresholds import LONGEST, Axes
+from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED, JointTolerances
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array
 from fjr_msgs_py.native.loop import NativeMessage
@@ -49,7 +49,7 @@ class LiveCertificate:
         library: StepLibrary,
         limit: Array,
         robust: Robust,
-        axes: Axes,
+        axes: JointTolerances,
     ) -> None:
         """library: the control step; limit (n,) [N m]: of the efforts; axes: names and grades of the joints."""
         self._node, self._ffi, self._law = node, program.ffi, law
@@ -62,7 +62,7 @@ class LiveCertificate:
         self._message = NativeMessage(program, float_array(",".join(LABELS), len(LABELS)), (len(LABELS),))
         certificate, prediction = Certificate(law).function, Prediction(law).function
         functions = {"certify": certificate, "predict": prediction, "law": law.measured_function}
-        self._struct = CertificateStruct(program.ffi, functions, law, LONGEST)
+        self._struct = CertificateStruct(program.ffi, functions, law, LONGEST_JUDGED)
         self.pointer, self.message = self._struct.pointer, self._message.pointer
         self.pointer.bounded, self.pointer.beta = not self._why_not, self._rate()
         self.recertify: Callable[[Any, Any], None] = lambda gains, beta: None

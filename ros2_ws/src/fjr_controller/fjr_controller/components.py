@@ -21,7 +21,7 @@ from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot import robot_name
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.runtime.control_step import ControlStep
-from fjr_monitor.diagnosis.thresholds import Axes
+from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_msgs_py.messages.trajectories import follow_messages
 from fjr_msgs_py.node.reports import EventWriter
 
@@ -148,7 +148,7 @@ class Control:
         if not isinstance(self._law, TrackingLaw):
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
-        robust, joint_axes = build_robust(self._values, self._robot.n), Axes.of(self._values, self._robot)
+        robust, joint_axes = build_robust(self._values, self._robot.n), JointTolerances.of(self._values, self._robot)
         loop, limit = self._command_loop, effort_limits(self._values, self._robot)
         certificate = LiveCertificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
         loop.certify(certificate)

@@ -38,7 +38,7 @@ from .thresholds import (
     SAME_EFFORT,
     SIGNIFICANT,
     UNSURE,
-    Axes,
+    JointTolerances,
 )
 
 CAUSES = ("model mismatch", "saturation", "delay", "loss")
@@ -249,6 +249,6 @@ def _outdated(found: Innovations, period: float) -> Array:
     return np.asarray((found.law - law) * share[:, None])
 
 
-def detail(causes: Sequence[str], errors: dict[str, Array], axes: Axes) -> str:
+def detail(causes: Sequence[str], errors: dict[str, Array], axes: JointTolerances) -> str:
     """Format causes with the error due to each: "delay makes 0.14 mrad at joint2, sampling"."""
     return ", ".join(f"{cause} makes {axes.largest(errors[cause])}" if cause in errors else cause for cause in causes)

@@ -33,9 +33,9 @@ from .causes import (
     storage_budget,
 )
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
-from .fault_isolation import LONGEST, UNKNOWN, Finding, isolate
+from .fault_isolation import MOST_STATES, UNKNOWN, Finding, isolate
 from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
-from .thresholds import Axes
+from .thresholds import JointTolerances
 
 SAMPLING, SATURATION = "sampling", "saturation"
 NO_DECAY = "V does not decay as guaranteed"
@@ -78,49 +78,51 @@ def diagnose(
     record: Record,
     law: TrackingLaw,
     beta: float | None = None,
-    axes: Axes | None = None,
+    axes: JointTolerances | None = None,
     velocities_measured: bool = True,
     size: int = PART,
 ) -> Diagnosis:
     """Diagnose a record and isolate the faults that explain it.
 
-    beta [1/s]: guaranteed rate of V; None: the rate of the law at configurations of the record. axes: names, units and
-    tolerances of the joints; None: Axes.plain. velocities_measured: false if an observer estimates them; faults are
-    then not isolated, nor in a loop that is unstable at its sample period. size: states that are processed at once.
+    beta [1/s]: guaranteed rate of V; None: the rate of the law at configurations of the reference. axes: names, units
+    and tolerances of the joints; None: JointTolerances.plain. velocities_measured: false if an observer estimates them;
+    faults are then not isolated, nor in a loop that is unstable at its sample period. size: states processed at once.
     """
     step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
     running = PartwiseDiagnosis(law, len(record.t), step, bool(latency(record).any()), axes)
     for part in record.parts(size):
-        running.learn(part)
+        running.first_pass(part)
     for part in record.parts(size):
-        running.judge(part, beta)
+        running.second_pass(part, beta)
     return running.result(velocities_measured)
 
 
 class PartwiseDiagnosis:
-    """Diagnosis of a record that is never in memory as a whole: `learn` every part, then `judge` every part.
+    """Diagnosis of a record that is never in memory as a whole: `first_pass` of all parts, then `second_pass` of all.
 
     Memory does not grow with the record, except by one number for each BLOCK of intervals.
     """
 
-    def __init__(self, law: TrackingLaw, states: int, step: float, timed: bool, axes: Axes | None = None) -> None:
+    def __init__(
+        self, law: TrackingLaw, states: int, step: float, timed: bool, axes: JointTolerances | None = None
+    ) -> None:
         """Start without parts of a record, of which is known what follows.
 
         states: their number. step [s]: median time between two. timed: whether latencies are known. axes: names, units
-        and tolerances of the joints; None: Axes.plain.
+        and tolerances of the joints; None: JointTolerances.plain.
         """
-        self._law, self._axes = law, axes or Axes.plain(law.robot.n)
+        self._law, self._axes = law, axes or JointTolerances.plain(law.robot.n)
         self._step, self._timed, self._stride = step, timed, max(1, states // CONFIGURATIONS)
         self._delay = DelaySums(law.robot.n)
         self._ages = [ActingSums(age, law.robot.n) for age in CANDIDATES]
-        self._ends = Ends(LONGEST // 2)
+        self._ends = Ends(MOST_STATES // 2)
         self._visited: list[Array] = []
-        self._learned = self._states = 0
+        self._intervals = self._states = 0
         self._moving = False
         self._parts = _Parts(law)
-        self._judging: _Judging | None = None
+        self._second: _SecondPass | None = None
 
-    def learn(self, part: Record) -> None:
+    def first_pass(self, part: Record) -> None:
         """Take a part of the record for the first time."""
         with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
             found, begin = self._parts.add(part, None, valued=False), self._parts.begin
@@ -129,30 +131,30 @@ class PartwiseDiagnosis:
             self._delay.add(found, required, regular)
             for age in self._ages:
                 age.add(found, required, regular, begin)
-        self._learned += len(found) - begin
+        self._intervals += len(found) - begin
         self._parts.done(found, len(found) - begin)
         self._ends.add(part)
         self._moving |= bool(np.isfinite(part.velocity).any())
-        q_ld = part.jets[part.begin :, 0]
-        rows = q_ld[-self._states % self._stride :: self._stride]  # a diverging robot may be anywhere else
+        q_ld = part.jets[part.begin :, 0]  # the reference: a diverging robot may be anywhere else
+        rows = q_ld[-self._states % self._stride :: self._stride]
         self._visited.append(rows[np.isfinite(rows).all(axis=1)])
         self._states += len(q_ld)
 
-    def judge(self, part: Record, beta: float | None = None, series: CertificateSeries | None = None) -> None:
-        """Take a part for the second time, once all were learned.
+    def second_pass(self, part: Record, beta: float | None = None, series: CertificateSeries | None = None) -> None:
+        """Take a part for the second time, once all had their first pass.
 
         beta [1/s]: guaranteed rate of V, as of diagnose. series: certificate along the part; None: it is computed here.
         """
-        if not self._learned:
+        if not self._intervals:
             return
         with np.errstate(all="ignore"):
-            if self._judging is None:
+            if self._second is None:
                 visited, age = np.concatenate(self._visited), self._delay.delay()
-                acted = next(each for each in self._ages if each.age[::2] == age[::2])
+                acted = next(a for a in self._ages if (a.age.whole, a.age.measured) == (age.whole, age.measured))
                 acted.age = age
                 beta = self._law.rate(visited).beta if beta is None else beta
-                self._judging = _Judging(self._law, self._axes, beta, self._step, visited, acted, self._learned)
-            self._judging.add(part, series)
+                self._second = _SecondPass(self._law, self._axes, beta, self._step, visited, acted, self._intervals)
+            self._second.add(part, series)
 
     def result(self, velocities_measured: bool = True) -> Diagnosis:
         """Return the diagnosis of all parts, with the faults that explain it; velocities_measured: as of diagnose."""
@@ -160,7 +162,7 @@ class PartwiseDiagnosis:
             return unknown("the states hold no velocities")
         with np.errstate(all="ignore"):
             none = unknown("no state with a command is followed by another state")
-            diagnosis = self._judging.result() if self._judging else none
+            diagnosis = self._second.result() if self._second else none
             if not velocities_measured or SAMPLING in diagnosis.causes:
                 return diagnosis  # the model needs measured velocities and close samples
             findings = isolate(self._ends.record(), self._law, self._axes.names)
@@ -196,11 +198,18 @@ class _Parts:
         self.found = found.rows(slice(end - self.begin, None))
 
 
-class _Judging:
+class _SecondPass:
     """Second pass over the parts of a record: storage budget, tracking errors by cause and growth of V, by blocks."""
 
     def __init__(
-        self, law: TrackingLaw, axes: Axes, beta: float, period: float, visited: Array, acted: ActingSums, total: int
+        self,
+        law: TrackingLaw,
+        axes: JointTolerances,
+        beta: float,
+        period: float,
+        visited: Array,
+        acted: ActingSums,
+        total: int,
     ) -> None:
         """visited (m, n): configurations of the reference. total: number of intervals."""
         self._robot, self._beta, self._acting, self._total = law.robot, beta, acted, total
@@ -208,7 +217,7 @@ class _Judging:
         self._radius = float(linearize(law, visited).radii(period).max())
         whole = total // thresholds.BLOCK * thresholds.BLOCK
         self._propagation = CausePropagation(law.robot, closed_loop(law, visited, period), whole)
-        self._judged = Judged(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
+        self._statistics = BlockStatistics(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
         self._parts, self._done, self._period = _Parts(law), 0, period
         self._rise = (np.inf, np.nan)
         self._highest: Array = np.zeros((2, 0))
@@ -222,30 +231,31 @@ class _Judging:
         self._sample_period, self._limit = part.sample_period, part.effort_limit
         whole = (len(found) - self._parts.begin - AFTER) // thresholds.BLOCK * thresholds.BLOCK
         if whole > 0:
-            self._take(found, whole, whole)
+            self._process(found, whole, whole)
 
     def result(self) -> Diagnosis:
         """Return the diagnosis without findings."""
         if (found := self._parts.found) is not None:
             left = len(found) - self._parts.begin
-            self._take(found, left // thresholds.BLOCK * thresholds.BLOCK, left)
+            self._process(found, left // thresholds.BLOCK * thresholds.BLOCK, left)
         figures = {**self._figures, "spectral radius": self._radius}
         first, last = self._V
         if self._radius >= 1 and not (last < thresholds.FALLEN * first):
             return violated(NO_DECAY, (SAMPLING,), figures)
-        return self._judged.conclude(growth(self._highest, self._judged.floor(self._tolerated)), figures)
+        return self._statistics.conclude(growth(self._highest, self._statistics.floor(self._tolerated)), figures)
 
-    def _take(self, kept: Innovations, whole: int, every: int) -> None:
-        """Process the next `whole` intervals in blocks, and `every` interval for the growth of V and the figures."""
+    def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
+        """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
         robot, period, limit, begin = self._robot, self._sample_period, self._limit, self._parts.begin
         acted = self._acting.acting(kept, needed(kept, robot))
-        blocks, ahead = slice(begin, begin + whole), slice(begin, begin + whole + 1)  # a gap shows in the next law
+        blocks = slice(begin, begin + in_blocks)
+        ahead = slice(begin, begin + in_blocks + 1)  # one more, whose law effort shows what a gap missed
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
         made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
-        self._judged.add(budget, made)
-        self._follow(kept.rows(slice(begin, begin + every)), acted.age)
-        self._done += every
-        self._parts.done(kept, every)
+        self._statistics.add(budget, made)
+        self._follow(kept.rows(slice(begin, begin + count)), acted.age)
+        self._done += count
+        self._parts.done(kept, count)
 
     def _follow(self, found: Innovations, age: float) -> None:
         """Follow V through the next intervals and count what the figures report."""
@@ -266,10 +276,10 @@ class _Judging:
         figures["last V"] = float(found.V1[-1])
 
 
-class Judged:
+class BlockStatistics:
     """The blocks of a loop that is stable at its sample period, counted."""
 
-    def __init__(self, decay: float, axes: Axes) -> None:
+    def __init__(self, decay: float, axes: JointTolerances) -> None:
         """decay: guaranteed factor of V in a block."""
         self._decay, self._axes = decay, axes
         self._envelope = np.zeros(len(axes.tolerance))

@@ -44,7 +44,7 @@ DISCRETISED = 5e-4
 REVERSED = (-3.0, -1.4)
 """Range of the relative error of scale that is reported as a wrong sign."""
 
-LONGEST = 10_000
+MOST_STATES = 10_000
 """Largest number of states used."""
 STARTING = 400
 """Number of states at the start of a record in which the wiring is checked."""
@@ -53,7 +53,7 @@ STARTING = 400
 def isolate(record: Record, law: TrackingLaw, names: Sequence[str]) -> tuple[Finding, ...]:
     """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
-    record: at most LONGEST states, the first and the last of a longer one. names (n,): of the joints.
+    record: at most MOST_STATES states, the first and the last of a longer one. names (n,): of the joints.
     """
     with np.errstate(all="ignore"):
         wiring = wiring_fault(record, law.robot)

@@ -29,10 +29,10 @@ from fjr_monitor.diagnosis.causes import (
     storage_budget,
 )
 from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
-from fjr_monitor.diagnosis.diagnosis import Diagnosis, Judged, unknown
+from fjr_monitor.diagnosis.diagnosis import BlockStatistics, Diagnosis, unknown
 from fjr_monitor.diagnosis.record import Innovations, needed
 
-from .thresholds import BLOCK, OLDEST, Axes
+from .thresholds import BLOCK, OLDEST, JointTolerances
 
 _FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
 """Fields of Innovations, with the names of struct fjr_certified."""
@@ -103,10 +103,12 @@ class LatestIntervals:
 class OnlineDiagnosis:
     """Diagnosis of the latest intervals, one block at a time."""
 
-    def __init__(self, law: TrackingLaw, limit: Array, intervals: LatestIntervals, axes: Axes | None = None) -> None:
-        """Start without blocks; limit (n,) [N m]: effort limits, inf for none; axes: joints, None: Axes.plain."""
+    def __init__(
+        self, law: TrackingLaw, limit: Array, intervals: LatestIntervals, axes: JointTolerances | None = None
+    ) -> None:
+        """Start without blocks; limit (n,) [N m]: effort limits, inf for none; axes: None: JointTolerances.plain."""
         self._law, self._limit, self._intervals = law, limit, intervals
-        self._axes = axes or Axes.plain(law.robot.n)
+        self._axes = axes or JointTolerances.plain(law.robot.n)
         self._blocks: deque[tuple[StorageBudget, CauseErrors, Array]] = deque()
         self._age = EffortDelay()
         self.beta = np.inf
@@ -146,7 +148,7 @@ class OnlineDiagnosis:
             self._age = effort_delay(seen, self._law.robot)
         self._propagation.loops = EMPTY  # linearise again at the current reference
         risen = [each for _, _, each in self._blocks]
-        judged = Judged(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
+        judged = BlockStatistics(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
         for each in self._blocks:
             judged.add(*each[:2])
         grown = growth(np.hstack(risen), judged.floor(self._axes.storage(self._law)))

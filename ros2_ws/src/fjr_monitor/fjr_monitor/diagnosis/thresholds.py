@@ -74,7 +74,7 @@ GAP = 1.85
 """Sample periods from which an interval is a gap."""
 LONGEST_GAP = 20.0
 """Sample periods above which an interval is ignored."""
-LONGEST = LONGEST_GAP * 1e-2
+LONGEST_JUDGED = LONGEST_GAP * 1e-2
 """Time [s] above which the certificate does not compare two samples, at any rate."""
 JUDGED = 0.2
 """Smallest share of blocks with the effort of the law for a diagnosis."""
@@ -90,7 +90,7 @@ LARGE = 0.1  # rad, m; smaller errors are written in thousandths
 
 
 @dataclass(frozen=True)
-class Axes:
+class JointTolerances:
     """Names, units and tolerances of the joints in a diagnosis.
 
     names, units: of n joints; a unit is "rad" or "m". tolerance (n,) [rad, m]: tracking error up to which a violation
@@ -110,13 +110,13 @@ class Axes:
         object.__setattr__(self, "tolerance", tolerance)
 
     @classmethod
-    def of(cls, values: Values, robot: Robot) -> Axes:
+    def of(cls, values: Values, robot: Robot) -> JointTolerances:
         """Return the joints of a controller's parameters; raise ParameterError."""
         units = tuple(each.position for each in robot.units)
         return cls(names(values, "joints"), units, vector(values, CERTIFICATE_TOLERANCE.name, robot.n))
 
     @classmethod
-    def plain(cls, n: int) -> Axes:
+    def plain(cls, n: int) -> JointTolerances:
         """Return n revolute joints called joint1 .. jointn with the default tolerance."""
         return cls(tuple(f"joint{j + 1}" for j in range(n)), ("rad",) * n, np.full(n, TOLERANCE))
 

@@ -8,7 +8,7 @@ read several times rather than held in memory: once to find its states, then par
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -35,7 +35,7 @@ from fjr_monitor.recording.signals import (
     RecordedReference,
     RecordedStates,
     States,
-    StopWatch,
+    StopFinder,
     commands_of,
 )
 from fjr_monitor.recording.timing import CountedTimes
@@ -94,16 +94,19 @@ class RunData(Record):
 class Section:
     """States between two jumps of time: numbers of their messages, send times [ns], what is answered of them.
 
-    begin: number of the message with the first state of the run, the last copy of the first one with a command, if any.
-    start, end: stamps of the first state and of the last one with a command [ns]. count, answered: states of the run,
-    and up to `end`. last: latest stamp. length: number of states, repeated ones as well.
+    number, end_number: of its first message, and of the first one after it.
+    first_number: of the message with which the run begins. The run begins with the first state that has a command, and
+    of the copies of that state with the last one that was sent before the command; None: no state has one.
+    start, end: stamps of the first state of the run and of the last one with a command [ns].
+    count, answered: number of states of the run, and up to `end`. last: latest stamp.
+    length: number of states, repeated ones as well.
     """
 
     number: int
-    stop: int
+    end_number: int
     first_sent: int
     last_sent: int
-    begin: int | None = None
+    first_number: int | None = None
     start: int = 0
     end: int | None = None
     last: int = -1
@@ -114,13 +117,13 @@ class Section:
 
     def add(self, states: States, new: NDArray[np.bool_], sent: Times, duration: float) -> None:
         """Add states, of which only some are new, with the send times of their commands; -1: none."""
-        if self.begin is None:
+        if self.first_number is None:
             answered = np.flatnonzero(new & (sent >= 0))
             if answered.size:
                 row = answered[0]
                 waiting = np.flatnonzero((states.stamp <= states.stamp[row]) & (states.publish_time <= sent[row]))
                 row = int(waiting[-1]) if waiting.size else int(row)
-                self.begin, self.count, self.steps = int(states.number[row]), 0, CountedTimes()
+                self.first_number, self.count, self.steps = int(states.number[row]), 0, CountedTimes()
                 self.start, self.last = int(states.stamp[row]), int(states.stamp[row]) - 1
             elif not self.count and new.any():
                 self.start = int(states.stamp[np.argmax(new)])
@@ -137,7 +140,7 @@ class Section:
         """Return the rows of the first message of each stamp later than `after` and up to the new ones, in order."""
         if not new.any():
             return np.zeros(0, dtype=np.intp)
-        usable = np.flatnonzero(states.number >= (self.number if self.begin is None else self.begin))
+        usable = np.flatnonzero(states.number >= (self.number if self.first_number is None else self.first_number))
         rows = usable[np.unique(states.stamp[usable], return_index=True)[1]]
         stamps = states.stamp[rows]
         inside = (stamps > after) & (stamps >= self.start) & (stamps <= states.stamp[new].max())
@@ -164,7 +167,7 @@ class Recording:
         self._events: list[tuple[Any, int]] = []  # (event, send time) of the controller
         self._reader = RecordedStates(bag, scenario)
         self._topics = [topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)][:1]
-        section = self._section = self._found()
+        section = self._section = self._longest_section()
         self.states, self._last = section.count, section.last
         if not np.isfinite(duration) and section.end is not None:
             self.states, self._last = section.answered, section.end
@@ -173,14 +176,14 @@ class Recording:
         other = known and abs(seen - nominal) > OTHER_RATE * nominal
         self.step, self.sample_period = (seen if known else nominal), (seen if other else nominal)
         rate = f"the scenario's robot sends them every {nominal * 1e3:g} ms"
-        self._odd = (f"states came every {seen * 1e3:.4g} ms; {rate}",) if other else ()
+        self._rate_note = (f"states came every {seen * 1e3:.4g} ms; {rate}",) if other else ()
         self._notes = self._select_notes()
-        self._late_notes: tuple[str, ...] = ()
+        self._notes_of_parts: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """One sentence for each missing or substituted signal."""
-        return (*self._notes, *self._late_notes, *self._odd)
+        return (*self._notes, *self._notes_of_parts, *self._rate_note)
 
     @property
     def velocities_measured(self) -> bool:
@@ -195,9 +198,9 @@ class Recording:
             EstimatedStates(self.scenario) if self._reader.estimated else None,
         )
         certificate, known_torque = self._certificate(), self._reader.known_torque
-        last, count, first_sent, stop = section.start - 1, 0, 0, StopWatch(self._events)
+        last, count, first_sent, stop = section.start - 1, 0, 0, StopFinder(self._events)
         for states, new, window in self._windows((STATES, *tables)):
-            inside = (states.number >= section.number) & (states.number < section.stop)
+            inside = (states.number >= section.number) & (states.number < section.end_number)
             states, new = states.rows(inside), new[inside]
             own = section.rows(states, new, last, self._duration)
             own = own[states.stamp[own] <= self._last]
@@ -237,19 +240,20 @@ class Recording:
         self.reference_mismatch, self.stop = reference.mismatch, stop.stop()
         estimated = "no velocities were measured: positions and velocities are an observer's ({:g} rad/s)"
         estimates = () if estimate is None else (estimated.format(estimate.bandwidth),)
-        self._late_notes = (*estimates, *reference.notes(self.bag.holds(REFERENCE)))
+        self._notes_of_parts = (*estimates, *reference.notes(self.bag.holds(REFERENCE)))
 
-    def _windows(self, topics: tuple[str, ...]) -> Iterator[tuple[States, NDArray[np.bool_], dict[str, JointTable]]]:
-        """Yield states in the order of the bag, which of them are new, and the tables of the topics about them."""
+    def _windows(
+        self, topics: tuple[str, ...], beside: tuple[str, ...] = ()
+    ) -> Iterator[tuple[States, NDArray[np.bool_], dict[str, JointTable]]]:
+        """Yield states in the order of the bag, which of them are new, and the tables of the topics about them.
+
+        beside: topics from which counters and events are kept on the way.
+        """
         kept: dict[str, JointTable] = {}
         first = done = 0
         joints = dict.fromkeys(topics, self.joints) | {STATES: names.state_names(self.joints)}
-        for batch in self.bag.batches((*topics, *self._beside), STATES, self._size):
-            for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
-                for status in message.status:
-                    self.counters[status.name] = {pair.key: pair.value for pair in status.values}
-            if EVENTS in batch:
-                self._events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
+        for batch in self.bag.batches((*topics, *beside), STATES, self._size):
+            self._keep_counters_and_events(batch)
             for topic in topics:
                 table = self.bag.table(batch[topic], joints[topic])
                 kept[topic] = kept[topic].followed_by(table) if topic in kept else table
@@ -267,33 +271,40 @@ class Recording:
                 kept = {topic: table.rows(table.publish_time >= since) for topic, table in kept.items()}
             kept[STATES] = left
 
-    def _found(self) -> Section:
+    def _keep_counters_and_events(self, batch: Mapping[str, Any]) -> None:
+        """Keep the last /diagnostics of each name and the events of the controller in a batch of messages."""
+        for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
+            for status in message.status:
+                self.counters[status.name] = {pair.key: pair.value for pair in status.values}
+        if EVENTS in batch:
+            self._events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
+
+    def _longest_section(self) -> Section:
         """Return the longest section; raise BagError if it is empty."""
-        self._beside = [topic for topic in (DIAGNOSTICS, EVENTS) if self.bag.holds(topic)]
+        beside = tuple(topic for topic in (DIAGNOSTICS, EVENTS) if self.bag.holds(topic))
         best: Section | None = None
         section: Section | None = None
         self._jumps = 0
-        for states, new, window in self._windows((STATES, *self._topics)):
+        for states, new, window in self._windows((STATES, *self._topics), beside):
             if not new.any():
                 continue
             begin = states.number[0] if section is None else section.number
             starts = states.number[1:][np.diff(states.stamp) < -JUMP * 1e9]
             edges = [int(begin), *starts[starts > begin].tolist(), END]
-            for number, stop in pairwise(edges):
-                inside = (states.number >= number) & (states.number < stop)
+            for number, end in pairwise(edges):
+                inside = (states.number >= number) & (states.number < end)
                 part, fresh = states.rows(inside), new[inside]
                 if section is not None and section.number == number:
-                    section.stop = stop
+                    section.end_number = end
                 elif fresh.any():
                     self._jumps += section is not None
-                    section = Section(number, stop, int(part.publish_time[0]), 0)
+                    section = Section(number, end, int(part.publish_time[0]), 0)
                 if section is None or not fresh.any():
                     continue
                 section.last_sent = int(part.publish_time[fresh][-1])
                 section.length += int(fresh.sum())
                 section.add(part, fresh, self._commands(part, window, section)[1], self._duration)
                 best = section if best is None or section.length > best.length else best
-        self._beside = []
         if best is None:
             raise BagError(f"{self.bag.path} holds no complete state on {STATES}")
         return best
@@ -303,12 +314,12 @@ class Recording:
         if not self._topics:
             return commands_of(states, None, False)
         table = window[self._topics[0]]
-        end = section.last_sent + AFTERWARDS if section.stop < END else END
+        end = section.last_sent + AFTERWARDS if section.end_number < END else END
         inside = (table.publish_time >= section.first_sent) & (table.publish_time <= end)
         return commands_of(states, table.rows(inside), self._topics[0] == ANSWERS)
 
     def _select_notes(self) -> tuple[str, ...]:
-        """Return what is said of bag, states and commands."""
+        """Return the notes on bag, states and commands."""
         section, reader = self._section, self._reader
         torn = () if self.bag.complete else ("the bag was not closed: shown is what was written until then",)
         left_out = (f"{reader.left_out} states are incomplete or not finite and left out",) if reader.left_out else ()

@@ -248,7 +248,7 @@ class ControllerStop:
         return f"{self.heading}: {self.reason}"
 
 
-class StopWatch:
+class StopFinder:
     """The first stop among the events of a controller, at the time of the last state before it.
 
     events: each with its send time [ns]. An event without a stamp is assigned to the last state sent before it.

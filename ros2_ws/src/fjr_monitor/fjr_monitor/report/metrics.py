@@ -25,7 +25,7 @@ from fjr_core.model.robot import joined
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, PartwiseDiagnosis, unknown
-from fjr_monitor.diagnosis.thresholds import Axes
+from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.recording.signals import ControllerStop
 from fjr_monitor.recording.timing import Clock, Counts, Timing
@@ -176,14 +176,14 @@ class Metrics:
         visited, law = Visited(run.scenario, run.states), run.scenario.certified_law
         self._diagnosis: PartwiseDiagnosis | None = None
         if law is not None:
-            scales = Axes.of(run.scenario.controller_values, run.scenario.robot)
+            scales = JointTolerances.of(run.scenario.controller_values, run.scenario.robot)
             self._diagnosis = PartwiseDiagnosis(law, run.states, run.step, not run.lockstep, scales)
         self.efforts_known = self.energy_known = self._storage_known = False
         for part in run.parts():
             visited.add(part)
             self.efforts_known |= bool(np.isfinite(part.u).any())
             if self._diagnosis is not None:
-                self._diagnosis.learn(part)
+                self._diagnosis.first_pass(part)
         rate = visited.rate()
         self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
         self.tracked, self.balance = Tracked(run), Balance()
@@ -201,7 +201,7 @@ class Metrics:
             self.decay.add(part)
             self.balance.add(flow)
             if self._diagnosis is not None:
-                self._diagnosis.judge(part, self.decay.beta, part.certificate)
+                self._diagnosis.second_pass(part, self.decay.beta, part.certificate)
             also(part, flow)
             self.seconds = float(part.t[-1])
 
