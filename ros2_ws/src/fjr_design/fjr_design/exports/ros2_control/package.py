@@ -34,7 +34,7 @@ from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfection
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
 from fjr_core.urdf.tree import parse_xml
 from fjr_core.version import __version__
-from fjr_monitor.diagnosis.thresholds import LONGEST
+from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 
 from ..c_code import comment, filled, number, numbers, quoted
 from ..project import recorded_case
@@ -130,7 +130,7 @@ def _certificate_values(scenario: Scenario, loop: ExportedLoop) -> dict[str, str
     The rate is that of the whole range where a closed form proves one, else of the scenario's configurations.
     """
     law, name = loop.certified_law, "fjr_casadi_certificate"
-    values = {"longest": number(LONGEST), "B_numbers": numbers(loop.law.robot.B_m)}
+    values = {"longest": number(LONGEST_JUDGED), "B_numbers": numbers(loop.law.robot.B_m)}
     if law is None:
         absent = {"certificate_declaration": "", "certificate_function": "nullptr", "certified": "false"}
         return {**values, **absent, "bounded": "0", "beta": number(0.0)}
