@@ -12,7 +12,7 @@ import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.runtime.library import step_library
 from fjr_monitor.diagnosis.record import Record, innovations
-from fjr_monitor.diagnosis.thresholds import LONGEST
+from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 from monitor.diagnosis.loops import Certified
 
 MS = 1_000_000  # ns
@@ -49,7 +49,9 @@ def test_machine_code_and_evaluation_in_python_agree_to_rounding() -> None:
     np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * np.abs(there).max())
 
 
-@pytest.mark.parametrize("break_", [{"restarted": True}, {"stamp": 5 * MS}, {"stamp": 6 * MS + round(LONGEST * 1e9)}])
+@pytest.mark.parametrize(
+    "break_", [{"restarted": True}, {"stamp": 5 * MS}, {"stamp": 6 * MS + round(LONGEST_JUDGED * 1e9)}]
+)
 def test_state_after_a_break_follows_no_other(break_: dict[str, Any]) -> None:
     online, state = Certified(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
     assert not online.certify(5 * MS, *state).follows

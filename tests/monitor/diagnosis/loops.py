@@ -17,7 +17,7 @@ from fjr_core.runtime.events import NEVER
 from fjr_core.runtime.library import CertificateStruct, step_library
 from fjr_monitor.diagnosis.online_diagnosis import LatestIntervals
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.thresholds import LONGEST
+from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 
 PERIOD = 1e-3
 LARGEST = 1e3  # rad; a robot beyond this position has diverged
@@ -70,7 +70,7 @@ class Certified(LatestIntervals):
         certificate, prediction = Certificate(law).function, Prediction(law).function
         functions = {"certify": certificate, "predict": prediction, "law": law.measured_function}
         ffi, self._lib = library.ffi, library.lib
-        self.struct = CertificateStruct(ffi, functions, law, LONGEST)
+        self.struct = CertificateStruct(ffi, functions, law, LONGEST_JUDGED)
         self.struct.pointer.gains = self.struct.keep(law)
         kinds = {name: f"struct fjr_{name}" for name in ("certified", "command")}
         self._records = {name: np.zeros(1, record_type(ffi, ffi.typeof(kind))) for name, kind in kinds.items()}
