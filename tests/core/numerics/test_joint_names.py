@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of joints are refused in one sentence wherever they enter: parameters, URDF, settings, exported controllers."""
+"""Names of joints are refused in one sentence wherever they enter: parameters, URDF, settings."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import fjr_core as fjr
-from design.exports.c_program import loop
 from fjr_core.config.parameter import complete
 from fjr_core.config.robot import robot, robot_parameters
 from fjr_core.errors import FjrError
@@ -23,7 +21,6 @@ ENTRIES: dict[str, Callable[[list[str]], object]] = {
     "parameters": lambda names: from_parameters(names),
     "URDF": lambda names: fjr.robot_from_urdf(two_link_urdf(), names, 400.0, 0.1),
     "settings": lambda names: Settings(tuple(names)),
-    "export": lambda names: replace(loop("two_link"), joints=tuple(names)),
 }
 NOT_PRINTABLE = st.characters(categories=("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
 NAMES = st.text(st.characters(categories=("L", "N", "P", "S")), min_size=1, max_size=8)

@@ -103,7 +103,7 @@ def play(**given: Any) -> Any:
     help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
 )
 @click.option("--browser", is_flag=True, help="Show the arm in 3D on a page of this computer.")
-@click.option("--foxglove", is_flag=True, hidden=True)
+@click.option("--foxglove", is_flag=True, hidden=True, help="Served by foxglove_bridge now.")
 @click.option("--port", type=options.PORT, metavar="N", help="Port of the page; 0: any free one. [default: 0]")
 @json_lines
 def watch(**given: Any) -> Any:
