@@ -18,7 +18,7 @@ pytestmark = pytest.mark.system
 EXAMPLE = ROOT / "examples/kr300"
 ARM = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
 FRICTION = ("link_coulomb_friction", "motor_coulomb_friction")
-ROBUST = "    robust: {motor_residual_gain: [30.0, 30.0, 30.0, 30.0, 30.0, 30.0]}\n"
+ROBUST = "    robust: {motor_residual_gain: [10.0, 10.0, 10.0, 10.0, 10.0, 10.0]}\n"
 
 
 def with_drawn_plant(folder: Path) -> Path:

@@ -106,6 +106,15 @@ def test_a_self_contained_scenario_needs_no_other_file(workspace: Path, monkeypa
     assert text.count("<robot") == 1, "shared parameters must be written once"
 
 
+def test_a_self_contained_scenario_keeps_what_the_section_of_a_node_changes(tmp_path: Path) -> None:
+    shared, changed = ("    imperfections: {motor_coulomb_friction: [" + each + "]}\n" for each in ("0.01", "0.02"))
+    head = "/**:\n  ros__parameters:\n    robot: {model: single_link}\n"
+    document = ros_yaml.parse(f"{head}{shared}/**/fjr_plant:\n  ros__parameters:\n{changed}")
+    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
+    alone = parse_scenario("alone", ros_yaml.dump(self_contained(given, tmp_path)))
+    assert alone.plant_values["imperfections.motor_coulomb_friction"] == (0.02,)
+
+
 BAD_FILES = {
     "missing": ("      file: robots/none.yaml", ["robot.file", "cannot read robot file", "none.yaml"]),
     "unknown package": ("      file: package://nobody/a.yaml", ["robot.file", "'nobody'", "AMENT_PREFIX_PATH"]),

@@ -111,7 +111,8 @@ def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> d
     for node, values in given.items():
         merged = robot_file.merged(values, node, folder)
         joints = names(complete([JOINTS], merged), JOINTS.name)
-        whole[node] = motion_inlined(robot_file.inlined(merged), joints)
+        inlined = motion_inlined(robot_file.inlined(merged), joints)
+        whole[node] = {name: value for name, value in inlined.items() if not is_of_others(OWN_PARAMETERS[node], name)}
 
     def is_common(name: str, value: object) -> bool:
         """Return whether every node that has the parameter is given this value."""
