@@ -117,7 +117,7 @@ class NodeHost:
         lib = self._loop.program.lib
         assert lib.fjr_controller_message(self._loop._struct, 0, raw, len(raw), arrival) == lib.FJR_GO_ON
         if self._received % RECORDS == 0:
-            self._loop._report()  # in simulated time a full queue would wait for this
+            self._loop._drain()  # in simulated time a full queue would wait for this
 
     def _refuses(self, each: Input) -> None:
         for parameter in _parameters(each):

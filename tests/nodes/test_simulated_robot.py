@@ -129,7 +129,7 @@ def test_changed_robot_continues_like_one_built_with_the_new_values() -> None:
     run(robot, 10)
     robot.change(BAD)
     other.x, other.pointer.time, other.u = robot.x, robot.time, robot.u
-    other._output, other._sliders = robot.u, np.diff(robot.x[:2])
+    other._actuator_torque, other._sliders = robot.u, np.diff(robot.x[:2])
     assert np.array_equal(run(robot, 10), run(other, 10))
     robot.change(Imperfections(1))
     other.change(Imperfections(1))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command loop of an active controller: a JointState in, an effort out, in C (controller_loop.h) on either host."""
+"""The command loop of an active controller: a JointState in, an effort out, in the C of native/controller_loop.c."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class LoopError(FjrError):
 class CommandLoop:
     """Publish a command on both command topics for each state from `start` to `stop`; otherwise nothing.
 
-    Between the two the controller of `step` is a copy, and the loop is its owner. Listeners and reports get each sample
+    While it is active, it owns the controller, and that of `step` is a copy. Listeners and reports get each sample
     from a queue, a READING_PERIOD later. A conflicting publisher (see CommandTopics) that is found at the first state
     triggers `on_conflict`. program: the compiled loop.
     """
@@ -120,7 +120,7 @@ class CommandLoop:
             except NativeError as error:
                 why = str(error)
             self._node.get_logger().info(f"the command loop runs in rclpy's executor instead of a native thread: {why}")
-        return RclpyControllerHost(self._node, self.program, self._struct, self._controls.raise_failure, self._report)
+        return RclpyControllerHost(self._node, self.program, self._struct, self._controls.raise_failure, self._drain)
 
     @property
     def native(self) -> bool:
@@ -158,7 +158,7 @@ class CommandLoop:
         self._host.serve(self._topics, publishers, process_settings(self._node.values).priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         period = READING_PERIOD_SIMULATED if self._simulated else READING_PERIOD
-        self._timers = [self._node.create_timer(period, self._read, clock=steady)]
+        self._timers = [self._node.create_timer(period, self._poll, clock=steady)]
         if self._simulated:
             clock = self._node.get_clock()
             self._timers.append(self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=clock))
@@ -174,7 +174,7 @@ class CommandLoop:
         self._host.stop()
         self._request("FJR_SEND_STOP")
         self._controls.owner = None
-        self._report()
+        self._drain()
         process.flush(*self._topics.publishers)
         self._topics.close()
 
@@ -226,7 +226,7 @@ class CommandLoop:
         """Let the loop use other gains for the certificate; records with those before are read first."""
         if self.active:
             self.copy()
-            self._report()
+            self._drain()
         self._request("FJR_RECERTIFY", gains, beta)
 
     def _on_silence(self) -> None:
@@ -234,20 +234,20 @@ class CommandLoop:
 
     # What Python reads.
 
-    def _read(self) -> None:
+    def _poll(self) -> None:
         """Read the queue; end the node if the loop has ended by itself."""
         runs = self._host.runs  # before its last records are read
         self.copy()
-        self._report()
+        self._drain()
         if not runs and self.active:
             if isinstance(self._host.reason, BaseException):
                 raise self._host.reason
             raise LoopError(f"the {self._host.name} failed: {self._host.reason}; the stop effort was sent")
         if self.active:
-            self._resolve_doubt()
+            self._settle_conflict()
 
-    def _resolve_doubt(self) -> None:
-        """Listen to publishers that were found before the first command: deactivate, or let the loop answer."""
+    def _settle_conflict(self) -> None:
+        """If another publisher was found before the first command: deactivate; if none is left, let the loop answer."""
         lib, struct = self.program.lib, self._struct
         try:
             if struct.alone == lib.FJR_NOT_ALONE:
@@ -258,11 +258,11 @@ class CommandLoop:
         except CommandConflictError as error:
             self._on_conflict(error)
 
-    def _report(self) -> None:
+    def _drain(self) -> None:
         """Report refused messages, records, events and counters; all records once the loop has ended."""
         self._refusals.report()
         while len(records := self._ring.take(AT_ONCE)):
-            self._on_records(records)
+            self._process_by_stamp(records)
             if self._host.runs:  # other callbacks of the node come first; in simulated time the loop waits
                 break
         if self._ring.lost > self._lost:
@@ -273,8 +273,8 @@ class CommandLoop:
         self._reports.count[ANSWERED] = self._struct.answered
         self._reports.publish_events()
 
-    def _on_records(self, records: NDArray[Any]) -> None:
-        """Process records; a report by their stamps covers all up to its own and none after it."""
+    def _process_by_stamp(self, records: NDArray[Any]) -> None:
+        """Process records in the order of their stamps; a report covers those up to its own time and none after it."""
         start = 0
         for k, stamp in enumerate(records["sample"]["stamp"].tolist() if self._simulated else (), start=1):
             if self._reports.due(stamp) or k == len(records):
@@ -284,6 +284,7 @@ class CommandLoop:
         self._process(records[start:])
 
     def _process(self, records: NDArray[Any]) -> None:
+        """Pass records to certificate and listeners; announce that the controller tracks."""
         if not len(records):
             return
         if self._certificate is not None:

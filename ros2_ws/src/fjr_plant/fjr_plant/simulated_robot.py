@@ -66,7 +66,7 @@ class Sensors:
         return bool(self.pointer.velocities)
 
 
-def _held(name: str, part: Callable[[int], slice], doc: str) -> Any:
+def _array_slice(name: str, part: Callable[[int], slice], doc: str) -> Any:
     """Return a property that copies part of an array of struct fjr_robot, whose place depends on n."""
 
     def values(robot: SimulatedRobot) -> Array:
@@ -92,11 +92,13 @@ class SimulatedRobot:
     bit. pointer: the same as struct fjr_robot*.
     """
 
-    x = _held("state", lambda n: slice(4 * n), "State (4n,).")
-    _output = _held("state", lambda n: slice(4 * n, 5 * n), "Outputs of the actuators behind their lag (n,) [N m].")
-    _sliders = _held("state", lambda n: slice(5 * n, 6 * n), "Sliders of the Maxwell elements (n,) [rad].")
-    u = _held("u", slice, "Command (n,) [N m].")
-    external = _held("external", slice, "Torques on the links (n,) [N m].")
+    x = _array_slice("state", lambda n: slice(4 * n), "State (4n,).")
+    _actuator_torque = _array_slice(
+        "state", lambda n: slice(4 * n, 5 * n), "Torques of the actuators behind their lag (n,) [N m]."
+    )
+    _sliders = _array_slice("state", lambda n: slice(5 * n, 6 * n), "Sliders of the Maxwell elements (n,) [rad].")
+    u = _array_slice("u", slice, "Command (n,) [N m].")
+    external = _array_slice("external", slice, "Torques on the links (n,) [N m].")
 
     def __init__(
         self,
@@ -158,7 +160,7 @@ class SimulatedRobot:
         self._sensors.reset()
 
     def warm_up(self) -> None:
-        """Evaluate all functions, so that the first step is as fast as the later ones."""
+        """Evaluate all functions, so that the first step is as fast as the later ones, also without imperfections."""
         for perfect in (not self.pointer.perfect, bool(self.pointer.perfect)):
             self.pointer.perfect = perfect
             self.advance_to(self._inner_step)
@@ -175,7 +177,7 @@ class SimulatedRobot:
         """
         velocity, output, before = self._velocity(), self._applied(), self._imperfections
         self._use(imperfections)
-        self._output = output
+        self._actuator_torque = output
         self._sliders = np.where(np.asarray(before.hysteresis) > 0, self._sliders, self._deflection(self.x))
         if not _same_load(before, imperfections):
             self.x = self._with_velocity(velocity)
@@ -224,6 +226,7 @@ class SimulatedRobot:
         return all(machine_code(each.function) is not None for each in self._functions.values())
 
     def _use(self, imperfections: Imperfections) -> None:
+        """Check imperfections and use them from now on. Raises ParameterError, then nothing has changed."""
         self._imperfect.check(imperfections)
         self._check_step(imperfections)
         self._imperfections, self.pointer.perfect = imperfections, imperfections.off
@@ -257,9 +260,9 @@ class SimulatedRobot:
         return self._imperfect.measure(self._arrays["state"], self._arrays["parameters"])[0]
 
     def _applied(self) -> Array:
-        """Return the present actuator outputs (n,) [N m]."""
+        """Return the present torques of the actuators (n,) [N m]."""
         perfect = self.pointer.perfect
-        return self.u if perfect else self._imperfect.applied(self._output, self.u, self._arrays["parameters"])
+        return self.u if perfect else self._imperfect.applied(self._actuator_torque, self.u, self._arrays["parameters"])
 
     def _with_velocity(self, velocity: Array) -> Array:
         """Return the state (4n,) at the present position with these velocities (2n,), including the payload."""
