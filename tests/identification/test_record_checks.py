@@ -17,7 +17,7 @@ from bench.identification import draw
 from core.oracles.elastic_joint import ElasticJoint
 from fjr_core.errors import RecordError
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.record_checks import findings
+from fjr_identification.record_checks import findings, jumps
 from fjr_identification.scale_checks import LONGEST, _most_moving, least_seen
 from system.motion_tables import MotionTable, one_joint, two_joints
 
@@ -117,6 +117,17 @@ def test_a_contradiction_is_named_first(label: str) -> None:
     found = findings(change(table).record, table.guess)
     assert sentence in found[0].sentence
     assert len({finding.kind for finding in found}) == 1
+
+
+def test_a_fast_transient_of_a_long_record_is_no_jump() -> None:
+    """The step response of a spring, 5 ms fast at 1 kHz, and then 20 s of slow motion."""
+    t = 1e-3 * np.arange(20_000)
+    transient = np.where(t > 0.5, 1 - np.exp(-(t - 0.5) / 5e-3) * (1 + (t - 0.5) / 5e-3), 0.0)
+    q_l, u = (transient + 0.1 * np.sin(t))[:, None], np.cos(t)[:, None]
+    record = MotionRecord("long", ("joint1",), 1e-3, u, q_l, np.nan * u, np.nan * u)
+    assert list(jumps(record)) == []
+    (found,) = jumps(replace(record, q_l=q_l + 0.2 * (t > 0.6)[:, None]))
+    assert "q_l of joint1 jumps by 0.2" in found.sentence
 
 
 TWO: dict[str, tuple[Change, tuple[str, ...]]] = {

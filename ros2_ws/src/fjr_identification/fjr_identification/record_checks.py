@@ -25,6 +25,7 @@ CLIPPED_RUN = 3  # times as many samples in a row at the extreme value as at oth
 PEAK = 50  # steps of resolution; a parabola falls by 9 where it has left its peak for as long as it stayed there
 SIGNALS = {"q_l": "rad", "q_m": "rad", "torque": "N m"}
 BEND, LEAST_JUMP = 20.0, 0.01  # times the usual change of a step, and share of the signal's range
+AROUND = 12  # samples on each side of a step
 RUN, LEAST_RUN = 0.05, 10  # s and samples of a sensor that is stuck
 LEAST_LOST = 0.1  # way at the speed before, relative to the signal's range
 STEPS = 3.5  # of resolution; a joint that stops by itself takes smaller ones at last
@@ -94,11 +95,16 @@ def constant(record: MotionRecord) -> Iterator[Contradiction]:
 
 
 def jumps(record: MotionRecord) -> Iterator[Contradiction]:
-    """Find steps between samples that no smooth motion makes: a revolution, a spike."""
+    """Find steps between samples that no smooth motion makes: a revolution, a spike.
+
+    They bend a signal at few samples, a fast transient of a long record also at those before or after.
+    """
     for name, joint, x in _changing(record):
         bends = np.abs(np.diff(x, n=2))
-        limit = max(BEND * (float(np.quantile(bends, 0.99)) + 2 * _resolution(x)), LEAST_JUMP * float(np.ptp(x)))
         i = int(np.argmax(bends))
+        near = max(float(np.median(side)) for side in (bends[max(i - AROUND, 0) : i + 1], bends[i : i + 1 + AROUND]))
+        usual = max(float(np.quantile(bends, 0.99)), near)
+        limit = max(BEND * (usual + 2 * _resolution(x)), LEAST_JUMP * float(np.ptp(x)))
         if bends[i] > limit:
             at = i + 1 + int(np.argmax(np.abs(np.diff(x[i : i + 3]))))
             sentence = (
