@@ -40,7 +40,7 @@ class ProofError(FjrError):
 
 
 @dataclass(frozen=True)
-class ProvenRate:
+class CertifiedRate:
     """beta [1/s], proven over the joint range; attained [1/s] at the configuration `at`; boxes in the proof.
 
     complete: beta is at least GOAL times the attained rate. certificate: see rate_certificate.
@@ -70,7 +70,7 @@ def refuse_unprovable(scenario: Scenario) -> None:
         )
 
 
-def cached_rate(scenario: Scenario) -> ProvenRate | None:
+def cached_rate(scenario: Scenario) -> CertifiedRate | None:
     """Return the proven rate that an earlier command has kept for this law and robot; None if there is none.
 
     A kept proof that is not as it was written is emptied; one sentence says that it is not used.
@@ -83,7 +83,7 @@ def cached_rate(scenario: Scenario) -> ProvenRate | None:
     if not content:
         return None
     if is_intact(folder, name):
-        return ProvenRate(**json.loads(content))
+        return CertifiedRate(**json.loads(content))
     with suppress(OSError):
         folder.write(name, b"")
     print(
@@ -94,7 +94,7 @@ def cached_rate(scenario: Scenario) -> ProvenRate | None:
     return None
 
 
-def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
+def certified_rate(scenario: Scenario, seconds: float) -> CertifiedRate:
     """Return the proven rate, kept or proven now; after `seconds`, what is proven by then. Raises ProofError."""
     law = scenario.law
     if not isinstance(law, TrackingLaw):
@@ -111,7 +111,7 @@ def proven_rate(scenario: Scenario, seconds: float) -> ProvenRate:
     return rate
 
 
-def write_certificate(rate: ProvenRate, path: Path) -> None:
+def write_certificate(rate: CertifiedRate, path: Path) -> None:
     """Write the certificate. Raises ProofError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -120,7 +120,7 @@ def write_certificate(rate: ProvenRate, path: Path) -> None:
         raise ProofError(f"{path} cannot be written ({error.strerror}); expected a file in a writable folder") from None
 
 
-def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> ProvenRate:
+def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> CertifiedRate:
     """Prove the rate; report the number that is proven so far on standard error."""
     robot, state = scenario.robot, {"text": "proving a rate over the joint range"}
     end = time.monotonic() + seconds
@@ -135,7 +135,7 @@ def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> Prov
         except RobotError as error:
             raise ProofError(str(error)) from None
     attained = float(proof.rate.attained or np.nan)
-    return ProvenRate(
+    return CertifiedRate(
         beta=proof.rate.beta,
         beta_paper=proof.rate.beta_paper,
         attained=attained,

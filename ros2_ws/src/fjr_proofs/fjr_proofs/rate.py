@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.law.gains import CheckedGains, Gains
-from fjr_core.law.rate import Rate, rate_with
+from fjr_core.law.rate import Rate, rate_from_inertia_bounds
 from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import GOAL, MOST_BOXES, Domain, joint_range
 from fjr_core.numerics.checks import Array
@@ -57,7 +57,9 @@ def proof_of_rate(
     arm, domain = ProvableArm(robot), domain or joint_range(robot)
     inertia = arm.largest_inertia(robot.D_l + gains.K_ld, domain, goal, most_boxes, samples, watch)
     largest = arm.largest_inertia(1.0, domain, goal, 1 + most_boxes // SHARE, samples)
-    return RateProof(rate_with(robot, gains, inertia.bound, inertia.attained, largest.bound), domain, inertia)
+    return RateProof(
+        rate_from_inertia_bounds(robot, gains, inertia.bound, inertia.attained, largest.bound), domain, inertia
+    )
 
 
 def rate_certificate(robot: Robot, gains: CheckedGains, proof: RateProof, joints: Sequence[str]) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = N
     return _of_blocks(robot, gains, beta_sigma_l, largest_inertia, proven)
 
 
-def rate_with(robot: Robot, gains: CheckedGains, bound: float, attained: float, largest: float) -> Rate:
+def rate_from_inertia_bounds(robot: Robot, gains: CheckedGains, bound: float, attained: float, largest: float) -> Rate:
     """Return the rates that are proven by M_l <= bound (D_l + K_ld) and M_l <= largest I.
 
     attained: the value of the first bound at one configuration.

@@ -84,7 +84,7 @@ def check_scenario(
         proofs["error_bound"] = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None)
     if certificate is not None:
         prover = importing.module("fjr_proofs.kept_rate")
-        prover.write_certificate(prover.proven_rate(loaded, seconds), certificate)
+        prover.write_certificate(prover.certified_rate(loaded, seconds), certificate)
     found = check(loaded)
     if prove_sampled:
         proofs["sampled_proof"] = importing.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
@@ -176,7 +176,7 @@ def _in_the_loop(scenario: Scenario) -> dict[str, str]:
 def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], dict[str, Any]]:
     """Return the rows of beta and of the beta of eq. (50), and their numbers as JSON values.
 
-    Proven: by a closed form, or by branch and bound in an earlier command, which has kept its ProvenRate. Then the
+    Proven: by a closed form, or by branch and bound in an earlier command, which has kept its CertifiedRate. Then the
     configuration that attains the smallest rate has a row, too. Otherwise the rate is a minimum over samples.
     """
     rate, exact, kept = law.rate(), scenario.plant_is_the_model, None

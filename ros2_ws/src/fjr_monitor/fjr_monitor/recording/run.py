@@ -193,27 +193,21 @@ class Recording:
     def parts(self) -> Iterator[RunData]:
         """Yield the run in parts; each repeats up to LEAD states of the one before."""
         section, tables = self._section, (*self._topics, *([REFERENCE] if self.bag.holds(REFERENCE) else []))
-        reference, estimate = (
-            RecordedReference(self.scenario),
-            EstimatedStates(self.scenario) if self._reader.estimated else None,
-        )
+        reference = RecordedReference(self.scenario)
+        estimate = EstimatedStates(self.scenario) if self._reader.estimated else None
         certificate, known_torque = self._certificate(), self._reader.known_torque
         last, count, first_sent, stop = section.start - 1, 0, 0, StopFinder(self._events)
         for states, new, window in self._windows((STATES, *tables)):
             inside = (states.number >= section.number) & (states.number < section.end_number)
-            states, new = states.rows(inside), new[inside]
-            own = section.rows(states, new, last, self._duration)
-            own = own[states.stamp[own] <= self._last]
-            if not len(own):
+            states = states.rows(inside)
+            around, place, fresh = self._rows(states, new[inside], last)
+            if not fresh:
                 continue
+            begin = min(LEAD, count, place)  # states of the part before, which the next one repeats
+            cut = slice(place - begin, place + fresh)
             u, answered = self._commands(states, window, section)
-            around = section.rows(states, np.ones_like(new), section.start - 1, self._duration)
-            around = around[states.stamp[around] <= self._last]
-            place = int(np.searchsorted(states.stamp[around], states.stamp[own[0]]))
-            begin = min(LEAD, count, place)
             t = np.asarray((states.stamp[around] - section.start) * 1e-9, dtype=np.float64)
-            rows, cut = around[place - begin : place + len(own)], slice(place - begin, place + len(own))
-            seen, u, answered = states.rows(rows), u[rows], answered[rows]
+            seen, u, answered = states.rows(around[cut]), u[around[cut]], answered[around[cut]]
             if estimate is not None:
                 position, velocity = estimate.of(seen, u, begin)
                 seen = replace(seen, position=position, velocity=velocity)
@@ -236,11 +230,25 @@ class Recording:
                 sent=np.asarray((seen.publish_time - first_sent) * 1e-9, dtype=np.float64),
                 answered=np.where(answered >= 0, (answered - first_sent) * 1e-9, np.nan),
             )
-            last, count = int(seen.stamp[-1]), count + len(own)
+            last, count = int(seen.stamp[-1]), count + fresh
         self.reference_mismatch, self.stop = reference.mismatch, stop.stop()
         estimated = "no velocities were measured: positions and velocities are an observer's ({:g} rad/s)"
         estimates = () if estimate is None else (estimated.format(estimate.bandwidth),)
         self._notes_of_parts = (*estimates, *reference.notes(self.bag.holds(REFERENCE)))
+
+    def _rows(self, states: States, new: NDArray[np.bool_], last: int) -> tuple[NDArray[np.intp], int, int]:
+        """Return the rows of the run's states, the place there of the first one after `last`, and how many are fresh.
+
+        new: states whose turn it is; the others lie around them.
+        """
+        section = self._section
+        fresh, around = (
+            section.rows(states, those, after, self._duration)
+            for those, after in ((new, last), (np.ones_like(new), section.start - 1))
+        )
+        fresh, around = (rows[states.stamp[rows] <= self._last] for rows in (fresh, around))
+        place = int(np.searchsorted(states.stamp[around], states.stamp[fresh[0]])) if len(fresh) else 0
+        return around, place, len(fresh)
 
     def _windows(
         self, topics: tuple[str, ...], beside: tuple[str, ...] = ()
