@@ -19,6 +19,7 @@ from fjr_core.numerics.intervals import Interval, cosine, least_eigenvalue, prod
 finite = st.floats(-1e6, 1e6, allow_nan=False)
 radius = st.floats(0.0, 1.0)
 side = st.sampled_from([-1, 0, 1])
+EXACT = 700  # digits; the product of two doubles, sums with the smallest radius
 
 
 def contains(interval: Interval, value: Any) -> bool:
@@ -38,20 +39,20 @@ def interval(mid: float, rad: float) -> Interval:
 def test_sums_and_products(
     operation: Callable[[Any, Any], Any], a: float, ra: float, i: int, b: float, rb: float, k: int
 ) -> None:
-    with mpmath.workdps(60):
+    with mpmath.workdps(EXACT):
         found = operation(interval(a, ra), interval(b, rb))
         assert contains(found, operation(member(a, ra, i), member(b, rb, k)))
 
 
 @given(finite, radius, side, st.floats(0.5, 1e3), st.floats(0.0, 0.3), side)
 def test_quotients(a: float, ra: float, i: int, b: float, rb: float, k: int) -> None:
-    with mpmath.workdps(60):
+    with mpmath.workdps(EXACT):
         assert contains(interval(a, ra) / interval(b, rb), member(a, ra, i) / member(b, rb, k))
 
 
 @given(st.floats(-10, 10), radius, side)
 def test_cosines_and_sines(a: float, ra: float, i: int) -> None:
-    with mpmath.workdps(60):
+    with mpmath.workdps(EXACT):
         assert contains(cosine(interval(a, ra)), mpmath.cos(member(a, ra, i)))
         assert contains(sine(interval(a, ra)), mpmath.sin(member(a, ra, i)))
 
@@ -59,7 +60,7 @@ def test_cosines_and_sines(a: float, ra: float, i: int) -> None:
 @given(st.lists(st.tuples(finite, radius, side, finite, radius, side), min_size=1, max_size=6))
 def test_inner_products(terms: list[tuple[float, float, int, float, float, int]]) -> None:
     a, ra, i, b, rb, k = (np.array(column) for column in zip(*terms, strict=True))
-    with mpmath.workdps(60):
+    with mpmath.workdps(EXACT):
         exact = sum(member(t[0], t[1], t[2]) * member(t[3], t[4], t[5]) for t in terms)
         assert contains(product(Interval(a[None], ra[None]), Interval(b, rb))[0], exact)
 
