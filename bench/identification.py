@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+import fjr_identification
 from bench.figures import markdown
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError
@@ -31,6 +32,7 @@ from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import program_digest
 from fjr_design.uncertainty.posterior import LOG, UNKNOWN, Identification
 from fjr_identification.estimation.elastic_arm import ElasticArm
 from fjr_identification.estimation.identify import identify
@@ -49,6 +51,8 @@ from fjr_identification.estimation.shooting import HeldEffort, Shooting
 Row = dict[str, Any]
 Key = tuple[str, int, int]
 """Kind of measurement, number of joints, and seed of a case."""
+CODE = program_digest(*(Path(name).parent for name in (fjr_identification.__file__, __file__)))
+"""Of estimator and cases: results of other code do not count."""
 FIRST = 1000
 """First seed, so that no case is one by which the estimator was made."""
 FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
@@ -208,7 +212,7 @@ def identified(key: Key) -> Row:
     """Identify a case; return its estimates beside the truth, or why it was refused."""
     measured, n, seed = key
     case, began = draw(n, seed, measured=measured), time.perf_counter()
-    line: Row = {"measured": measured, "joints": n, "seed": seed}
+    line: Row = {"code": CODE, "measured": measured, "joints": n, "seed": seed}
     try:
         rows = compared(case, identify([case.record], case.robot, case.prior, IdentifyOptions(threads=1)))
     except FjrError as error:
@@ -279,9 +283,10 @@ def summary(line: Row) -> str:
 
 
 def finished(file: Path) -> list[Row]:
-    """Return the results in a file; the last line may have been cut off when the study was killed."""
+    """Return the results of this code in a file; its last line may have been cut off when the study was killed."""
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    return [json.loads(line) for line in lines if line.endswith("}")]
+    rows = (json.loads(line) for line in lines if line.endswith("}"))
+    return [row for row in rows if row.get("code") == CODE]
 
 
 def main() -> None:

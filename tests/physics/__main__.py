@@ -24,13 +24,16 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
-from bench.identification import code  # noqa: E402
+import fjr_identification  # noqa: E402
+from fjr_core.numerics.jit import program_digest  # noqa: E402
 from fjr_msgs_py.console.output import progress_bar  # noqa: E402
 from physics.coverage import CASES, Interval  # noqa: E402
 
 FORM = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
 BATCH = 5  # draws that one process integrates together, in little more time than one
 
+CODE = program_digest(*(Path(name).parent for name in (fjr_identification.__file__, __file__)))
+"""Of estimator and physics: results of other code do not count."""
 Job = tuple[str, int, int, int]
 """Name of a case, number of joints, number of draws, and seed."""
 
@@ -64,7 +67,7 @@ def main(words: list[str]) -> int:
             results[job] = result
             bar.update()
             if given.out:
-                text = json.dumps({"code": code(), "kind": kind, "job": job, "of": result}, default=vars)
+                text = json.dumps({"code": CODE, "kind": kind, "job": job, "of": result}, default=vars)
                 with given.out.open("a", encoding="utf-8") as file:
                     file.write(f"{text}\n")
     done = {name: [_of(results, jobs, name, n) for n in given.joints] for name in names}
@@ -87,7 +90,7 @@ def _finished(file: Path | None, kind: str) -> dict[Job, list[Any]]:
     if file is None or not file.exists():
         return {}
     lines = [json.loads(line, object_hook=_interval) for line in file.read_text(encoding="utf-8").splitlines()]
-    return {tuple(line["job"]): line["of"] for line in lines if (line["code"], line["kind"]) == (code(), kind)}
+    return {tuple(line["job"]): line["of"] for line in lines if (line["code"], line["kind"]) == (CODE, kind)}
 
 
 def _interval(values: dict[str, Any]) -> Any:

@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -245,3 +249,19 @@ def test_a_torque_changes_its_sign_if_both_ends_of_its_deflections_do(shift: flo
     q_l = samples.q_m - draws.arm.offset[0] - shift - 5e-3 * np.sin(40.0 * samples.t)[:, None]
     still = replace(draws, records=[replace(samples, q_l=q_l)], skew=0.0 * draws.skew)
     assert still.changes_sign(0, 0.05).tolist() == [changes]
+
+
+def test_the_command_adds_to_a_file_and_prints_what_it_has(tmp_path: Path) -> None:
+    def said(processes: int) -> list[str]:
+        given = ["--causes", "--draws", "1", "--joints", "1", "--processes", str(processes)]
+        command = [sys.executable, "-m", "tests.physics", *given, "--out", str(tmp_path / "done"), "too heavy"]
+        root = Path(__file__).resolve().parents[2]
+        return subprocess.run(command, cwd=root, check=True, capture_output=True, text=True).stdout.splitlines()
+
+    assert len(said(0)) == 2  # the head alone: nothing is done
+    lines = said(1)
+    assert lines[2].startswith("| links 30 % too heavy in the robot file | ")
+    assert said(0) == lines
+    other = json.loads((tmp_path / "done").read_text(encoding="utf-8")) | {"code": "of another estimator"}
+    (tmp_path / "done").write_text(json.dumps(other), encoding="utf-8")
+    assert len(said(0)) == 2
