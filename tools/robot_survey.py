@@ -177,9 +177,13 @@ def table(outcomes: list[Outcome]) -> list[str]:
 
 def main(names: list[str]) -> int:
     """Run the robots whose name contains one of these, all for none; write the table of all kept results."""
-    for robot in ROBOTS:
-        if not names or any(name.lower() in robot.name.lower() for name in names):
-            print(*row(outcome(robot)), sep=" | ", flush=True)
+    chosen = [each for each in ROBOTS if not names or any(name.lower() in each.name.lower() for name in names)]
+    if not chosen:
+        known_names = ", ".join(each.name for each in ROBOTS)
+        print(f"no robot is called {' or '.join(names)}; expected a part of one of {known_names}", file=sys.stderr)
+        return 2
+    for robot in chosen:
+        print(*row(outcome(robot)), sep=" | ", flush=True)
     known = [outcome(robot) for robot in ROBOTS if kept_result(robot).exists()]
     put(table(known), "robots.md", BEGIN, END)
     return 0
