@@ -234,8 +234,9 @@ def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> N
 
 
 def test_a_study_of_coverage_goes_on_after_a_line_that_was_cut_off(tmp_path: Path) -> None:
-    line = json.dumps({"measured": "both", "joints": 1, "seed": 1000, "rows": []})
+    row = {"code": identification.CODE, "measured": "both", "joints": 1, "seed": 1000, "rows": []}
+    line, older = json.dumps(row), json.dumps(row | {"code": "of another estimator", "seed": 1001})
     file = tmp_path / "coverage.jsonl"
-    file.write_text(f"{line}\n{line[:40]}")
+    file.write_text(f"{older}\n{line}\n{line[:40]}")
     assert [each["seed"] for each in identification.finished(file)] == [1000]
     assert identification.finished(tmp_path / "none.jsonl") == []
