@@ -11,6 +11,7 @@ PYTEST_ARGS ?=
 # Two more than two cores: tests also wait, for discovery, for the clock, for files.
 TEST_WORKERS ?= 4
 TESTS = not full
+DRAWS = same draws
 # Without --max-worker-restart 0 a worker that crashes may end xdist with an internal error (KeyError in loadscope.py).
 # Hundreds of processes import the same modules: let the first one keep what it compiles.
 BYTECODE = PYTHONDONTWRITEBYTECODE=
@@ -41,11 +42,13 @@ demo: ## run the paper's joint and a 7-joint arm on two ROS 2 nodes, record and 
 test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TEST_WORKERS=4)
 	$(SETUP) test
 	@$(ENTER); PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(BYTECODE) "$(VENV)/bin/python" -m pytest $(PLUGINS) \
-		-n $(TEST_WORKERS) --max-worker-restart 0 --dist loadfile --no-loadscope-reorder -m "$(TESTS)" $(PYTEST_ARGS); \
+		-n $(TEST_WORKERS) --max-worker-restart 0 --dist loadfile --no-loadscope-reorder -m "$(TESTS)" \
+		--hypothesis-profile "$(DRAWS)" $(PYTEST_ARGS); \
 	status=$$?; [ -n "$(TEST_STATUS)" ] || exit $$status; echo $$status > "$(TEST_STATUS)"
 
 test-all: TESTS =
-test-all: test ## run the suite with all labelled bags, healthy starts and malformed messages, minutes more
+test-all: DRAWS = new draws
+test-all: test ## run the suite with all labelled bags, healthy starts, malformed messages, and new random draws, minutes more
 
 bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="--document docs/tables/benchmarks.md")
 	$(SETUP) bench
