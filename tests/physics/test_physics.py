@@ -157,7 +157,7 @@ def test_samples_are_read_late_lost_and_rounded() -> None:
     np.testing.assert_allclose(coarse.q_l / 1e-3, np.round(coarse.q_l / 1e-3), atol=1e-9)
 
 
-@pytest.mark.parametrize("turning", [3e-4, 1e-3, 2e-2])
+@pytest.mark.parametrize("turning", [3e-4, pytest.param(1e-3, marks=pytest.mark.full), 2e-2])
 def test_friction_is_identified_wherever_it_turns_over(turning: float) -> None:
     draws = drawn(Case(laws.coulomb(turning), duration=4.0), 2, 2, 3)
     for i in range(2):
@@ -194,7 +194,7 @@ def one_joint_of(case: Case) -> Draws:
     ("case", "draw", "said"),
     [
         (STRAIGHT, 1, ""),
-        (STRAIGHT, 2, ""),
+        pytest.param(STRAIGHT, 2, "", marks=pytest.mark.full),
         (LOOSE, 1, "backlash of about 0.48 mrad"),
         (LOOSE, 0, ""),  # its torque keeps its sign, so that the dead zone is never passed
         (STIFFENING, 1, "the spring is not linear: 21.1 N m/rad at 2.4 mrad, 38"),

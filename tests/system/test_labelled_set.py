@@ -27,7 +27,7 @@ def marked() -> Iterator[Any]:
     """Return the set; every second change of the same parameters is for the full suite alone."""
     tried: Counter[frozenset[str]] = Counter()
     for case in SET:
-        words = frozenset(word for word in case.changes if word.startswith("imperfections.")) or frozenset(case.robot)
+        words = frozenset(case.robot or case.changes)
         yield pytest.param(case, id=case.name, marks=pytest.mark.full if tried[words] % 2 else ())
         tried[words] += bool(words)
 

@@ -273,10 +273,10 @@ def test_the_arm_of_a_running_loop_moves_in_the_browser(browser: Browser) -> Non
     try:
         assert watch.stdout is not None
         address = next(word for word in watch.stdout.readline().split() if word.startswith("http://127.0.0.1:"))
-        browser.open(address)
+        browser.open(address, width=640, height=480)  # the processor draws
         first = browser.value(poses(1))
         limit = Limit(HANG)
-        while browser.value(poses(20)) == first:  # the controller may still load
+        while browser.value(poses(3)) == first:  # the controller may still load
             assert not limit.passed(), "the arm does not move"
         rows = browser.value("[...document.querySelectorAll('#joints th')].map((cell) => cell.textContent)")
         assert rows == ["shoulder", "elbow"]

@@ -56,7 +56,7 @@ CASES = [
     (joint, SWING, T, {"payload": 0.2}),
     (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
     (two_link, TWO_LINK_SWING, T, {}),
-    (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
+    pytest.param(two_link, TWO_LINK_SWING, T, {"payload": 0.1}, marks=pytest.mark.full),
     (joint, EACH_SECOND, 0.0, {"payload": 0.2}),
     (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
     (two_link, TWO_LINK_EACH_SECOND, T, {"payload": 0.1}),
