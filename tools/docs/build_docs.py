@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build the pages and the API reference with Sphinx; a warning is an error. Source the workspace first.
 
-. ros2_ws/install/setup.sh && .venv/bin/python tools/docs/build_docs.py [FOLDER]
+. ros2_ws/install/setup.sh && .venv/bin/python tools/docs/build_docs.py [FOLDER [BUILDER]]
+
+A folder that is used again keeps what Sphinx read: only changed pages and modules are read again. BUILDER `dummy` reads
+and resolves every reference but writes no page.
 """
 
 from __future__ import annotations
@@ -50,28 +53,36 @@ CONTENTS = """fjr
 def main(arguments: Sequence[str]) -> int:
     """Write the sources of the API reference, link the pages, build; return Sphinx's exit code."""
     folder = Path(arguments[0]).resolve() if arguments else ROOT / "build" / "docs"
-    source = folder / "source"
+    builder = arguments[1] if len(arguments) > 1 else "html"
+    source, cache = folder / "source", folder / "cache"
     lay_out(source)
     gc.set_threshold(100_000, 20, 20)  # Sphinx keeps what it makes; the default takes a fifth of its time
-    options = ["-W", "--keep-going", "-q", "-c", str(ROOT / "docs"), "-d", str(folder / "cache")]
-    code = sphinx([*options, str(source), str(folder / "html")])
-    if code == 0:
+    # -a: a reference of an unchanged page may point to what is gone
+    options = ["-a", "-W", "--keep-going", "-q", "-b", builder, "-c", str(ROOT / "docs"), "-d", str(cache)]
+    code = sphinx([*options, str(source), str(folder / builder)])
+    if code != 0:
+        shutil.rmtree(cache, ignore_errors=True)  # what is read from it gives no warning
+    elif builder == "html":
         print(f"open {folder / 'html' / 'index.html'}")
     return code
 
 
 def lay_out(source: Path) -> None:
-    """Create the source folder of Sphinx."""
-    shutil.rmtree(source, ignore_errors=True)
-    (source / "api").mkdir(parents=True)
+    """Create the source folder of Sphinx; a file that stays the same keeps its time."""
+    api = source / "api"
+    api.mkdir(parents=True, exist_ok=True)
     for name in LINKED:
+        (source / name).unlink(missing_ok=True)
         (source / name).symlink_to(ROOT / name)
-    for package in PACKAGES:
-        for name, text in api_pages(package):
-            (source / "api" / f"{name}.rst").write_text(text, encoding="utf-8")
+    texts = {api / f"{name}.rst": text for package in PACKAGES for name, text in api_pages(package)}
+    for gone in set(api.iterdir()) - set(texts):
+        gone.unlink()
     pages = "\n   ".join(["README", "docs/README", *pages_in_order()])
     packages = "\n   ".join(f"api/{package}" for package in PACKAGES)
-    (source / "index.rst").write_text(CONTENTS.format(pages=pages, packages=packages), encoding="utf-8")
+    texts[source / "index.rst"] = CONTENTS.format(pages=pages, packages=packages)
+    for file, text in texts.items():
+        if not file.is_file() or file.read_text(encoding="utf-8") != text:
+            file.write_text(text, encoding="utf-8")
 
 
 def pages_in_order() -> list[str]:
