@@ -25,7 +25,7 @@ def test_a_correct_law_passes_with_its_certificate(robot: fjr.Robot) -> None:
 
 def test_built_in_laws_pass() -> None:
     for name, kind in LAWS.items():
-        law = kind.make(JOINT, kind.standard(JOINT, [0.0], 20.0, kind.usual, 1e-3))
+        law = kind.make(JOINT, kind.tuning_rule(JOINT, [0.0], 20.0, kind.default_damping, 1e-3))
         assert len(fjr.testing.check_law(law)) == (4 if name == "v_dpbc" else 3 if kind.storage else 2)
 
 

@@ -63,7 +63,7 @@ def test_natural_frequency_and_damping_ratio_are_those_of_the_parameters(ros: Ro
     )
     peer.meet_controller()
     kind, robot = LAWS["feedback_linearisation"], fjr.single_link()
-    law = kind.make(robot, kind.standard(robot, np.zeros(1), 30.0, 1.0))
+    law = kind.make(robot, kind.tuning_rule(robot, np.zeros(1), 30.0, 1.0))
     expected, _ = law.measured_command([0.5, 0.5], [0.0, 0.0], fjr.Sine(1.0, 1.0).jets(0.0))
     np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, expected, rtol=1e-9)
 

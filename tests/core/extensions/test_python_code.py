@@ -170,7 +170,7 @@ def test_the_registry_describes_a_law_of_the_user() -> None:
     assert (kind.name, kind.title, kind.storage) == ("own_code:Wrapped", "Wrapped", "given by the law")
     assert isinstance(kind.make(ARM, {"claimed": 0.5}), fjr.PythonLaw)
     with pytest.raises(fjr.GainsError, match="Wrapped has no tuning rule"):
-        kind.standard(ARM, np.zeros(2), 20.0, 1.0)
+        kind.tuning_rule(ARM, np.zeros(2), 20.0, 1.0)
 
 
 def test_the_stop_policy_has_the_damping_of_the_law_or_of_the_springs() -> None:

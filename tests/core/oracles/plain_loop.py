@@ -24,11 +24,9 @@ OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
 
 
 def standard_law(name: str, arm: Arm, omega: float = 20.0, zeta: float = 0.8) -> StaticLaw:
-    """Return the law of this name with its standard gains, v-dPBC with those of the paper."""
+    """Return the law of this name with the gains of its tuning rule."""
     kind = LAWS[name]
-    if kind.standard is None:
-        return fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS)
-    return kind.make(arm.robot, kind.standard(arm.robot, np.zeros(arm.n), omega, zeta))
+    return kind.make(arm.robot, kind.tuning_rule(arm.robot, np.zeros(arm.n), omega, zeta))
 
 
 @dataclass(frozen=True, eq=False)

@@ -301,7 +301,7 @@ def test_distance_to_the_rigid_arm_shrinks_with_stiffness() -> None:
     for stiffness in (31.0, 310.0, 3100.0, 31000.0):
         robot = fjr.single_link(stiffness=stiffness)
         kind = LAWS["singular_perturbation"]
-        law = kind.make(robot, kind.standard(robot, np.zeros(1), 8.0, 0.7))  # type: ignore[misc]
+        law = kind.make(robot, kind.tuning_rule(robot, np.zeros(1), 8.0, 0.7))  # type: ignore[misc]
         x0 = robot.state(0.5, 0.5, 0.0, 0.0)
         run = fjr.simulate(fjr.Plant(robot), law, fjr.Sine(1.0, 1.0), x0, 1.0, inner_step=5e-5)
         t, e0, de0 = run.t, 0.5, -1.0

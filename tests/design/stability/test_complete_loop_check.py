@@ -27,7 +27,7 @@ from fjr_design.studies.compared_law import tuned_law
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
 DRAWS = 60
-BASELINES = [name for name, kind in LAWS.items() if kind.standard is not None]
+BASELINES = [*LAWS]
 MARGIN = 3e-3  # draws with a radius this close to 1 are repeated: a short run cannot decide them
 START, FAR, NOTHING = 1e-7, 1e-3, 1e-12  # rad: initial error, error of a diverging loop, rounding
 Joint = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
@@ -79,8 +79,9 @@ def drawn_law(rng: np.random.Generator, robot: fjr.Robot, q_l: np.ndarray, perio
     predicted = Robust(delay=delay, hold=period) if rng.random() < 0.4 else Robust(hold=period)
     if rng.random() < 0.3:
         kind = law_kind(rng.choice(BASELINES))
-        assert kind.standard is not None
-        return sampled_law(kind.make(robot, kind.standard(robot, q_l, rng.uniform(5, 30), kind.usual)), predicted)
+        return sampled_law(
+            kind.make(robot, kind.tuning_rule(robot, q_l, rng.uniform(5, 30), kind.default_damping)), predicted
+        )
     law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS if robot.n == 1 and rng.random() < 0.5 else scaled(robot, q_l, rng))
     residual = 10 ** rng.uniform(1, 2.3, 2) * rng.integers(0, 2, 2)
     integral = 10 ** rng.uniform(0.7, 2, 2) * rng.integers(0, 2, 2)

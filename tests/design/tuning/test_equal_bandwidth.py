@@ -77,7 +77,7 @@ def test_bandwidths_are_equal_and_peak_efforts_equal_where_reachable(case: str, 
     assert ("saturated" in t.sentence) == (name in PEAK_IS_CUT[case])
     if t.same_peak:
         assert t.peak == pytest.approx(y.peak, rel=0.1)
-    low, high = t.kind.damping
+    low, high = t.kind.damping_range
     assert low * 0.99 <= t.damping <= high * 1.01
 
 
@@ -102,7 +102,7 @@ def half_the_elastic_mode(robot: fjr.Robot) -> float:
 def test_bandwidth_agrees_with_the_closed_form(omega_zeta: tuple[float, float]) -> None:
     """Feedback linearisation: T(s) = A_0 / (s^4 + A_3 s^3 + A_2 s^2 + A_1 s + A_0), in two quadratic factors."""
     y, kind = joint(), LAWS["feedback_linearisation"]
-    law = kind.make(y.robot, kind.standard(y.robot, y.q_0, *omega_zeta))
+    law = kind.make(y.robot, kind.tuning_rule(y.robot, y.q_0, *omega_zeta))
     omega, zeta = omega_zeta
     frequencies = np.linspace(1.0, 140.0, 400_000)
     s = 1j * frequencies

@@ -130,8 +130,8 @@ def _baseline_gains(values: Values, robot: Robot, kind: LawKind) -> Any:
     else:
         q_0 = np.asarray(reference(values, robot.n).jets(0.0))[0]
         frequency, damping = number(values, NATURAL_FREQUENCY.name), number(values, DAMPING_RATIO.name)
-        found = kind.standard(robot, q_0, frequency, damping, sample_period(values))
-    return kind.scaled_gains(found, np.asarray(values[GAIN_FACTORS.name]))
+        found = kind.tuning_rule(robot, q_0, frequency, damping, sample_period(values))
+    return kind.scale(found, np.asarray(values[GAIN_FACTORS.name]))
 
 
 def sample_period(values: Values) -> float:

@@ -18,7 +18,6 @@ from ..law.interfaces import StaticLaw
 from ..law.vdpbc import TrackingLaw
 from .python_code import own_law
 
-Standard = Callable[..., Any]
 V_DPBC = "v_dpbc"
 GROUP = "fjr.laws"
 
@@ -28,25 +27,25 @@ class LawKind:
     """A control law by name.
 
     make: (robot, gains, compile=False) -> law. measures: the joint signals the law needs.
-    standard: tuning rule (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s])
-    -> gains. usual: default damping ratio; damping: its range. The gains of a law of the user are options: no rule.
-    storage: description of V, "" if the law has no storage (V is nan). adds: extension that the paper does not have.
-    scaled: gains, by their names, that `fjr tune` scales; for a law with a tuning rule in addition to its two numbers.
+    tuning_rule: (robot, configuration (n,), natural frequency [rad/s], damping ratio, sample period [s]) -> gains;
+    default_damping: ratio; damping_range: of the ratio. The gains of a law of the user are options: its rule raises.
+    storage: description of V, "" if the law has no storage (V is nan). extension: what its paper does not have.
+    scaled: gains, by their names, that `fjr tune` scales in addition to the two numbers of the rule.
     """
 
     name: str
     title: str
     paper: str
     make: Callable[..., StaticLaw]
-    standard: Standard
+    tuning_rule: Callable[..., Any]
     measures: str = "both sides"
     storage: str = "decays along every reference"
-    usual: float = 0.7
-    damping: tuple[float, float] = (0.5, 2.0)
-    adds: str = ""
+    default_damping: float = 0.7
+    damping_range: tuple[float, float] = (0.5, 2.0)
+    extension: str = ""
     scaled: tuple[str, ...] = ()
 
-    def scaled_gains(self, gains: Any, factors: ArrayLike) -> Any:
+    def scale(self, gains: Any, factors: ArrayLike) -> Any:
         """Return the gains with those of `scaled` multiplied by factors: one for all, or one for each.
 
         Raises GainsError for another number of factors or one that is not positive.
@@ -59,14 +58,14 @@ class LawKind:
         return replace(gains, **{name: factor * np.asarray(getattr(gains, name)) for name, factor in each})
 
 
-_OWN = LawKind(
+_V_DPBC = LawKind(
     V_DPBC,
     "v-dPBC",
     "Reyes-Baez, van der Schaft, Jayawardhana 2018",
     TrackingLaw,
     two_scale_gains,
-    usual=0.3,
-    damping=(0.1, 0.5),
+    default_damping=0.3,
+    damping_range=(0.1, 0.5),
     scaled=("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"),
 )
 
@@ -82,13 +81,13 @@ class Laws(Mapping[str, LawKind]):
         from importlib.metadata import entry_points  # here, because v-dPBC needs none
 
         registered = (kind for point in entry_points(group=GROUP) for kind in point.load())
-        return {_OWN.name: _OWN, **{kind.name: kind for kind in registered}}
+        return {V_DPBC: _V_DPBC, **{kind.name: kind for kind in registered}}
 
     def __getitem__(self, name: str) -> LawKind:
-        return _OWN if name == _OWN.name else self._all[name]
+        return _V_DPBC if name == V_DPBC else self._all[name]
 
     def __contains__(self, name: object) -> bool:
-        return name == _OWN.name or name in self._all
+        return name == V_DPBC or name in self._all
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._all)

@@ -97,21 +97,14 @@ def _sampled(
     inner_step: float,
     delay: float,
 ) -> Trajectory:
-    """Simulate sample by sample. The effort changes within the sample unless the delay is a whole number of samples."""
+    """Simulate sample by sample."""
     n, run = plant.robot.n, _empty_trajectory(plant.robot, t, reference.jets(t))
-    x, u, x_next, V = x0.copy(), np.zeros(n), np.zeros_like(x0), np.zeros(1)
+    x, u, V, none = x0.copy(), np.zeros(n), np.zeros(1), np.zeros(n)
     if isinstance(law, StaticLaw):
         evaluate_law = _static(plant, law, run.jets, x, u, V)
     else:
         evaluate_law = _with_state(plant, law, reference.jets(t + law.lead), t, x, u, V)
-    whole, late = divmod(delay, period)
-    parts = []
-    for age, length in ((int(whole) + 1, late), (int(whole), period - late)):  # the effort is that of `age` samples ago
-        count = int(np.ceil(length / inner_step - 1e-9))
-        if count:
-            effort = np.zeros(n)
-            step = bind(plant.step_function, [x, effort, np.array([length / count])], [x_next])
-            parts.append((age, count, effort, step))
+    segments = _segments(plant, x, period, delay, inner_step)
     for k in range(len(t)):
         if not x.dot(x) < np.inf:
             raise _diverged(t[k])
@@ -119,16 +112,42 @@ def _sampled(
         run.x[k], run.u[k], run.V[k] = x, u, V[0]
         if k + 1 == len(t):
             break
-        for age, count, effort, step in parts:
-            if k >= age:
-                effort[...] = run.u[k - age]
-            try:
-                for _ in range(count):
-                    step()
-                    x[...] = x_next
-            except RuntimeError:
-                raise not_converged(plant.step_function) from None
+        for age, advance in segments:
+            advance(run.u[k - age] if k >= age else none)
     return run
+
+
+def _segments(
+    plant: Plant, x: Array, period: float, delay: float, inner_step: float
+) -> list[tuple[int, Callable[[Array], None]]]:
+    """Divide a sample where the effort changes, unless the delay is a whole number of samples.
+
+    Return, for each segment, the age [samples] of the effort that acts, and the function that advances the array x.
+    """
+    whole, late = divmod(delay, period)
+    found = []
+    for age, length in ((int(whole) + 1, late), (int(whole), period - late)):
+        steps = int(np.ceil(length / inner_step - 1e-9))
+        if steps:
+            found.append((age, _advancing(plant, x, length / steps, steps)))
+    return found
+
+
+def _advancing(plant: Plant, x: Array, dt: float, steps: int) -> Callable[[Array], None]:
+    """Return the function that advances the array x (4n,) by `steps` steps of dt [s] under an effort (n,) [N m]."""
+    effort, x_next = np.zeros(plant.robot.n), np.zeros_like(x)
+    step = bind(plant.step_function, [x, effort, np.array([dt])], [x_next])
+
+    def advance(u: Array) -> None:
+        effort[...] = u
+        try:
+            for _ in range(steps):
+                step()
+                x[...] = x_next
+        except RuntimeError:
+            raise not_converged(plant.step_function) from None
+
+    return advance
 
 
 BoundLaw = Callable[[int], None]

@@ -2,7 +2,7 @@
 """Tune all laws to equal bandwidth and peak effort, so that they can be compared (docs/compare.md).
 
 The gains of a law follow from two numbers, a natural frequency and a damping ratio, by the standard choice of its paper
-(registry.LawKind.standard). The targets are bandwidth and peak effort of v-dPBC with the gains of the scenario:
+(LawKind.tuning_rule). The targets are bandwidth and peak effort of v-dPBC with the gains of the scenario:
 
 1. The natural frequency is chosen for equal bandwidth.
 2. The damping ratio is the usual one of the law, unless another one in its range gives equal peak effort.
@@ -189,10 +189,10 @@ class _Family:
     def chosen(self) -> Tuning:
         """Return the law of the usual damping ratio, or of the one with equal peak effort; bandwidth has priority."""
         kind, peak = self.kind, self.target.peak
-        usual = self._of_bandwidth(kind.usual)
+        usual = self._of_bandwidth(kind.default_damping)
         if usual is not None and usual.same_bandwidth and usual.same_peak:
             return usual
-        tried = (self._of_bandwidth(kind.damping[0]), usual, self._of_bandwidth(kind.damping[1]))
+        tried = (self._of_bandwidth(kind.damping_range[0]), usual, self._of_bandwidth(kind.damping_range[1]))
         known = [each for each in tried if each is not None]
         if not known:
             raise GainsError(
@@ -204,7 +204,9 @@ class _Family:
         for low, high in zip(equal, equal[1:], strict=False):
             if (low.peak - peak) * (high.peak - peak) < 0:
                 return self._of_peak(low, high)
-        return usual if usual in equal else min(equal, key=lambda each: abs(np.log(each.damping / kind.usual)))
+        return (
+            usual if usual in equal else min(equal, key=lambda each: abs(np.log(each.damping / kind.default_damping)))
+        )
 
     def _of_bandwidth(self, damping: float) -> Tuning | None:
         """Return the law of this damping ratio with the target bandwidth, or near its largest; None if unstable."""
@@ -252,7 +254,7 @@ class _Family:
     def _law(self, omega: float, damping: float) -> tuple[StaticLaw, Any]:
         """Return law and gains; the functions of the first law serve all."""
         y = self.target
-        gains = self.kind.standard(y.robot, y.q_0, omega, damping, y.sample_period)
+        gains = self.kind.tuning_rule(y.robot, y.q_0, omega, damping, y.sample_period)
         if self._first is None:
             self._first = self.kind.make(y.robot, gains)
             return self._first, gains

@@ -35,8 +35,8 @@ from .thresholds import (
     AT_LIMIT,
     BLOCK,
     GAP,
+    NOISE_DEVIATIONS,
     SAME_EFFORT,
-    SIGNIFICANT,
     UNSURE,
     JointTolerances,
 )
@@ -87,7 +87,7 @@ def storage_budget(
         causes=causes,
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
-        noise=np.abs(_sums(residual - within) - mismatch) + SIGNIFICANT * uncertain + np.abs(_sums(unsure)),
+        noise=np.abs(_sums(residual - within) - mismatch) + NOISE_DEVIATIONS * uncertain + np.abs(_sums(unsure)),
         judged=_sums(foreign(found, limit).astype(float)) == 0,
     )
 

@@ -93,7 +93,7 @@ class DelaySums:
         fits = [self._fit(difference - sum(steps[:d], np.zeros(_COLUMNS)), step) for d, step in enumerate(steps)]
         whole = min(range(thresholds.OLDEST), key=lambda d: fits[d][1])
         fraction, left = fits[whole]
-        accepted = left < min((1 - thresholds.EXPLAINED) * undelayed, scaled)
+        accepted = left < min((1 - thresholds.DELAY_EXPLAINS) * undelayed, scaled)
         if self._measured:
             measured, residual = self._fit(difference - after, before - after)
             if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:

@@ -38,7 +38,7 @@ RELATIVE = 0.1
 """Additional tracking error due to the causes, as a share of the loop's own error."""
 CAUSE_SHARE = 0.2
 """A cause is reported if it is dominant in at least this share of the violating blocks."""
-SIGNIFICANT = 2.0
+NOISE_DEVIATIONS = 2.0
 """Standard deviations of the contribution of the mean residual that count as noise."""
 PREDICTED = 1.3
 """A block is violated if the causes contribute more than this multiple of hold and noise."""
@@ -52,7 +52,7 @@ CLIPPED_LEVEL = 1e-3
 """Relative width of the torque level of a saturated motor."""
 CLIPPED_FOR = 5
 """Consecutive intervals at that level of a saturated motor."""
-EXPLAINED = 0.5
+DELAY_EXPLAINS = 0.5
 """Share of the motor residual that a delay must explain to be accepted."""
 EXACT = 0.01
 """Accept the measured torque unconditionally if its residual is below this fraction of the motor residual."""
