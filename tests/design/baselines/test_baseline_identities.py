@@ -109,25 +109,6 @@ def test_torque_feedback_shapes_the_motor_inertia(name: str, make, seed: int) ->
 
 @arms
 @seeds
-def test_motors_with_shaped_inertia_are_passive(make, seed: int) -> None:
-    """dS/dt = dtheta' (g_bar - tau) - dtheta' (D_m + D_theta) dtheta, S the energy of shaped motors and K_theta."""
-    arm = make()
-    loop, p = loop_of("torque_feedback", arm), place(arm, seed)
-    g, jets = loop.law.arrays, constant_jets(p.jets[0])  # type: ignore[attr-defined]
-    theta_d = jets[0] + np.linalg.solve(arm.K, arm.links.grad_P(jets[0]))
-
-    def S(x: Array, _jets: Array) -> float:
-        _, theta, _, dtheta = loop.parts(x)
-        return float(dtheta @ g["M_theta"] @ dtheta + (theta - theta_d) @ g["K_theta"] @ (theta - theta_d)) / 2
-
-    q, theta, _, dtheta = loop.parts(p.x)
-    supplied = dtheta @ (gravity_at_rest(arm, theta) - arm.K @ (theta - q))
-    lost = dtheta @ (arm.D_m + g["D_theta"]) @ dtheta
-    assert residual(loop.rate_of(S, p.x, jets, np.zeros_like(jets)), supplied, -lost) < TOLERANCE
-
-
-@arms
-@seeds
 def test_gravity_from_motor_positions_gives_one_equilibrium_for_any_stiffness(make, seed: int) -> None:
     """With the links in equilibrium, only -K_theta (theta - theta_d) acts on the motors; K_theta = 0.01 N m/rad."""
     arm = make()

@@ -101,16 +101,6 @@ def test_all_evaluation_functions_agree(name: str) -> None:
 
 
 @names
-def test_compiled_law_gives_the_same_numbers(name: str) -> None:
-    arm, kind = ARMS[0], LAWS[name]
-    plain = standard_law(name, arm)
-    compiled = kind.make(arm.robot, plain.gains, compile=True)  # type: ignore[attr-defined]
-    p = random_point(arm, 4, same=True)
-    one, other = PlainLoop(arm, plain), PlainLoop(arm, compiled)
-    np.testing.assert_allclose(other.effort(p.x, p.jets), one.effort(p.x, p.jets), rtol=1e-12)
-
-
-@names
 def test_tracks_the_sine_of_the_paper_at_1_khz(name: str) -> None:
     """The run starts with an error of 0.5 rad. Regulators lack the feedforward and keep an error below 0.1 rad."""
     arm = ARMS[0]

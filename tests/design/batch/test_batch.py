@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -94,16 +93,6 @@ def test_run_is_bit_identical_alone_and_among_others() -> None:
     apart = [loop.run(Draws(7, **MANY).taken(part)) for part in (slice(0, 3), [3], [6, 5, 4])]
     rows = every_row(Outcomes.joined(apart))
     assert rows[[0, 1, 2, 3, 6, 5, 4]].tobytes() == every_row(together).tobytes()
-
-
-def test_without_a_compiler_a_run_is_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    program.batch_library.cache_clear()
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(
-        fjr.FjrError,
-        match=r"cannot be compiled: no C compiler \(cc, gcc, clang\) is on the path; expected one: apt-get install",
-    ):
-        paper_loop().run(Draws(1))
 
 
 def normals(seed: int, sample: int, n: int) -> np.ndarray[Any, Any]:
@@ -244,12 +233,3 @@ def test_the_loop_in_c_compiles_without_warnings(tmp_path: Path) -> None:
     (tmp_path / "loop.c").write_text("\n".join(texts))
     command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-c", "loop.c"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
-
-
-def test_loop_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    for _ in range(2):
-        program.batch_library.cache_clear()
-        paper_loop().build()
-    assert len(list((tmp_path / "fjr").glob("simulation_loop-*.so"))) == 1
-    assert os.access(tmp_path, os.W_OK)

@@ -22,7 +22,6 @@ from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import linearize, on_plant, refuse_fast_integral, spectral_radius
-from fjr_design.stability.sampled_loop import check
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
@@ -181,16 +180,6 @@ def test_separation_principle_holds_without_model_error(by_torque: bool) -> None
         (radius,) = linearize(Joint, q_l, sensing=Sensing(bandwidth, by_torque)).radii(period)
         (loop,), (observer,) = linearize(Joint, q_l).radii(period), error_radii(Joint.robot, bandwidth, period, q_l)
         assert radius == pytest.approx(max(loop, observer), abs=1e-6)
-
-
-def test_too_fast_integral_action_is_unstable_in_check_and_simulation() -> None:
-    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
-    for rate, stable in ((15.0, True), (40.0, False)):
-        sampled = sampled_law(law, Robust(integral_gain=rate))
-        found = check(sampled, 1e-3, configurations=[[0.5]])
-        assert found.stable == stable
-        assert converges(Loop(sampled, law.robot, np.array([0.5]), 1e-3, 0.0, Sensing()), 1500) == stable
-    assert check(law, 1e-3, configurations=[[0.5]]).stable
 
 
 def test_radii_with_model_errors_are_those_of_the_changed_plant() -> None:

@@ -11,10 +11,10 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.chains import arm7
-from design.stability.test_sampled_loop import chain3, loop_converges
+from design.stability.test_sampled_loop import chain3
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.motions.domain import Domain
-from fjr_core.stability.linearization import closed_form, spectral_radius
+from fjr_core.stability.linearization import closed_form
 from fjr_design.stability.sampled_loop import check
 from fjr_design.tuning.gain_synthesis import synthesize
 
@@ -114,14 +114,6 @@ def test_gains_for_a_workspace_reach_a_higher_rate() -> None:
         synthesize(robot("arm7"), 6.0, 1e-3)
 
 
-def test_stiff_arm_with_synthesised_gains_is_stable_as_sampled_and_in_simulation() -> None:
-    law = fjr.TrackingLaw(robot("arm7"), workspace_gains())
-    for delay in (0.0, 1e-3):
-        for q_l in workspace(3):
-            assert spectral_radius(law, 1e-3, delay, [q_l])[0] < 1
-            assert loop_converges(law, q_l, 1e-3, delay)
-
-
 def test_rate_named_in_the_error_is_reachable() -> None:
     paper = robot("paper")
     with pytest.raises(fjr.GainsError) as caught:
@@ -133,11 +125,6 @@ def test_rate_named_in_the_error_is_reachable() -> None:
     assert fjr.TrackingLaw(paper, synthesize(paper, 0.99 * reached, 0.005, 0.005)).rate().beta >= 0.98 * reached
     with pytest.raises(fjr.GainsError):
         synthesize(paper, 1.2 * reached, 0.005, 0.005)
-
-
-def test_loop_without_any_reachable_rate_is_reported() -> None:
-    with pytest.raises(fjr.GainsError, match="so are all rates down to"):
-        synthesize(robot("chain"), 1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("beta", [1e300, 1e160, 1e7])
