@@ -69,12 +69,11 @@ def test_the_page_shows_the_set() -> None:
     ("assignment", "wanted"),
     [
         ("imperfections.command_loss:=0.4", "loss"),
-        ("imperfections.effort_limit:=[0.75]", "saturation"),
         ("limits.effort:=[0.75]", "saturation"),
     ],
 )
 def test_diagnosis_of_bags_of_the_real_nodes(assignment: str, wanted: str, tmp_path: Path) -> None:
-    """The tutorial's page runs other causes: holding, sampling, delay and model mismatch."""
+    """The tutorial's page runs holding, sampling, delay and model mismatch; the set saturates the robot itself."""
     arguments = ["run", "paper_k31", "--lockstep", "--no-report", "--duration", "1.25", "--output", str(tmp_path)]
     fjr_here(*arguments, "--set", assignment, codes=(Exit.DONE, Exit.VIOLATED))
     scenario = load_scenario(tmp_path / "paper_k31" / "scenario.yaml")

@@ -37,6 +37,7 @@ PIXELS = """(() => {
 })()"""
 PICTURE = "document.querySelector('.stage canvas').toDataURL()"
 TIME = "Number(document.getElementById('arm').dataset.time)"
+SMALL = {"width": 640, "height": 480}  # the processor draws the arm
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +93,7 @@ def test_comparison_draws_all_runs_and_links_to_their_pages(pages: Path, browser
 
 def test_pointer_shows_values_and_zooms_all_time_plots(pages: Path, browser: Browser) -> None:
     browser.open(pages / "paper_k31" / "report.html")
-    browser.value("document.querySelector('#error').scrollIntoView()")
-    over = "document.querySelector('#error .u-over').getBoundingClientRect()"
-    x, y, width = (browser.value(f"{over}.{what}") for what in ("left", "top", "width"))
+    x, y, width = plot_of_error(browser)
     before = pictures(browser)
     browser.mouse("mouseMoved", x + 0.5 * width, y + 50)
     browser.settle()
@@ -130,14 +129,19 @@ def test_button_switches_the_units(pages: Path, browser: Browser) -> None:
 
 
 @pytest.mark.parametrize("page", ["arm7/report.html", "comparison.html"])
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_narrow_window_needs_no_horizontal_scrolling(pages: Path, browser: Browser, page: str, dark: bool) -> None:
-    browser.open(pages / page, dark=dark)
-    browser.size(390, 800)
-    browser.settle()
+def test_narrow_window_needs_no_horizontal_scrolling(pages: Path, browser: Browser, page: str) -> None:
+    browser.open(pages / page, width=390, height=800)
     inside = "(each) => each.getBoundingClientRect().right <= document.getElementById('arm').clientWidth"
     assert browser.value(f"[...document.querySelectorAll('#arm .controls *')].every({inside})")
     browser.is_sound()
+
+
+def plot_of_error(browser: Browser) -> tuple[float, float, float]:
+    """Scroll to the plot of the tracking error; return its left and top edge and its width [px]."""
+    browser.value("document.querySelector('#error').scrollIntoView()")
+    over = "document.querySelector('#error .u-over').getBoundingClientRect()"
+    left, top, width = (browser.value(f"{over}.{what}") for what in ("left", "top", "width"))
+    return left, top, width
 
 
 def pictures(browser: Browser) -> list[str]:
@@ -182,7 +186,7 @@ KINEMATICS = {  # URDF, positions of the joints that move, of those that do not,
 @pytest.mark.parametrize("name", KINEMATICS)
 def test_the_links_are_posed_as_by_forward_kinematics(pages: Path, browser: Browser, name: str) -> None:
     urdf, moving, locked, q = KINEMATICS[name]
-    browser.open(pages / "arm7" / "report.html")
+    browser.open(pages / "arm7" / "report.html", **SMALL)
     found = browser.value(f"""(() => {{
       const chain = new Arm.Chain({json.dumps(scene(urdf, locked))}, [], () => new THREE.Material());
       chain.pose({json.dumps(moving)});
@@ -197,41 +201,26 @@ def test_the_links_are_posed_as_by_forward_kinematics(pages: Path, browser: Brow
         np.testing.assert_allclose(np.reshape(found[joint], (4, 4)).T, expected, atol=1e-12, err_msg=joint)
 
 
-def test_slider_moves_arm_and_cursors(pages: Path, browser: Browser) -> None:
-    browser.open(pages / "two_link" / "report.html")
+def test_slider_pointer_and_play_move_the_arm(pages: Path, browser: Browser) -> None:
+    browser.open(pages / "two_link" / "report.html", **SMALL)
     first = picture(browser)
     assert change(browser, "time", 1.5) != first
     assert float(browser.value("document.querySelector('#storage .u-legend .u-value').textContent")) == 1.5
     assert change(browser, "time", 0) == first
-    is_quiet(browser)
-
-
-def test_pointer_over_a_plot_moves_the_arm(pages: Path, browser: Browser) -> None:
-    browser.open(pages / "two_link" / "report.html")
-    first = picture(browser)
-    browser.value("document.querySelector('#error').scrollIntoView()")
-    over = "document.querySelector('#error .u-over').getBoundingClientRect()"
-    x, y, width = (browser.value(f"{over}.{what}") for what in ("left", "top", "width"))
+    x, y, width = plot_of_error(browser)
     browser.mouse("mouseMoved", x + 0.5 * width, y + 50)
     assert picture(browser) != first
     assert browser.value(TIME) == pytest.approx(0.5 * DURATION["two_link"], rel=0.02)
-    is_quiet(browser)
-
-
-def test_play_runs_to_the_end_and_stops(pages: Path, browser: Browser) -> None:
-    browser.open(pages / "two_link" / "report.html")
-    first = picture(browser)
     change(browser, "speed", "2")
     stopped = "new Promise((done) => new MutationObserver(() => button.ariaLabel === 'play' && done()).observe("
     started = "const button = document.querySelector('#arm .play'); button.click();"
     browser.value(f"(() => {{ {started} return {stopped} button, {{ attributes: true }})); }})()")
     assert browser.value(TIME) == pytest.approx(DURATION["two_link"], abs=2e-3)
-    assert picture(browser) != first
     is_quiet(browser)
 
 
 def test_ghosts_show_reference_and_magnified_deflection(pages: Path, browser: Browser) -> None:
-    browser.open(pages / "two_link" / "report.html")
+    browser.open(pages / "two_link" / "report.html", **SMALL)
     both = picture(browser)  # the run begins with an error
     without_reference = change(browser, "reference", False, "checked")
     assert without_reference != both
