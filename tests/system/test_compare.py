@@ -445,7 +445,7 @@ def test_rows_are_counted_in_which_a_law_is_best(alike: dict[str, Any], page: Pa
         ({"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of stiffness"),
         ({"imperfections": {"wind": 1.0}}, "unknown imperfection 'wind'"),
         ({"success": 2.0}, "'success' is 2.0; expected 0 to 1"),
-        ({"draws": 0}, "'draws' is 0; expected 1 to"),
+        ({"draws": 0}, "'tune' has 0 as 'draws'; expected 1 to"),
         ({"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),
     ],
 )

@@ -75,17 +75,6 @@ def test_every_gain_changes_the_effort(name: str) -> None:
 
 
 @names
-def test_replacing_gains_equals_building_the_law_with_them(name: str) -> None:
-    arm = ARMS[-1]
-    law, kind = standard_law(name, arm), LAWS[name]
-    gains = kind.tuning_rule(arm.robot, np.full(arm.n, 0.3), 15.0, 1.0)
-    p = random_point(arm, 7, same=True)
-    changed, built = PlainLoop(arm, law.with_gains(gains)), PlainLoop(arm, kind.make(arm.robot, gains))  # type: ignore[arg-type]
-    np.testing.assert_array_equal(changed.effort(p.x, p.jets), built.effort(p.x, p.jets))
-    assert changed.law.measured_function is law.measured_function, "the law must not be rebuilt"
-
-
-@names
 def test_all_evaluation_functions_agree(name: str) -> None:
     """Compare `measured_command`, the command of a state and the SampledLaw of the law."""
     arm = ARMS[2]

@@ -16,12 +16,11 @@ from design.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS, law_kind
 from fjr_core.law.interfaces import SampledLaw
-from fjr_core.law.linearized import equilibria_at
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
-from fjr_core.stability.linear_controller import Sensing, controller
-from fjr_core.stability.linearization import linearize, on_plant, refuse_fast_integral, spectral_radius
+from fjr_core.stability.linear_controller import Sensing
+from fjr_core.stability.linearization import linearize, refuse_fast_integral, spectral_radius
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
@@ -162,14 +161,6 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
         assert converges(loop, samples) == (radius < 1), (radius, loop)
         stable, unstable = stable + (radius < 1), unstable + (radius > 1)
     assert min(stable, unstable) >= 20, (stable, unstable)
-
-
-def test_static_law_is_the_special_case_without_a_controller_state() -> None:
-    for law in (Joint, fjr.TrackingLaw(fjr.planar_two_link(), fjr.Gains(8.0, 20.0, 2.0, 12.0, 40.0, 0.5))):
-        rest = equilibria_at(law.robot, np.full((1, law.robot.n), 0.4))
-        general = on_plant(controller(law, rest, Sensing()), rest, rest, Sensing())
-        for delay in (0.0, 0.7e-3, 2e-3):
-            assert general.radii(1e-3, delay) == pytest.approx(linearize(law, rest.q_l).radii(1e-3, delay), rel=1e-9)
 
 
 @pytest.mark.parametrize("by_torque", [False, True])

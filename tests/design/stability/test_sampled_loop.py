@@ -176,27 +176,6 @@ def test_radius_tends_to_the_continuous_loop() -> None:
             np.testing.assert_allclose(np.log(loop.radii(period)) / period, continuous, rtol=4e3 * period)
 
 
-def test_delay_of_whole_samples_is_the_limit_of_fractional_delays() -> None:
-    for law in small_laws():
-        loop = linearize(law, sample_configurations(law.robot, 3))
-        for whole in (1, 2):
-            for side in (-1e-6, 1e-6):
-                np.testing.assert_allclose(
-                    loop.radii(2e-3, (whole + side) * 2e-3), loop.radii(2e-3, whole * 2e-3), 1e-3
-                )
-
-
-def test_loop_with_another_plant_uses_that_plant() -> None:
-    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
-    soft = fjr.Plant(fjr.single_link(stiffness=10.0))
-    own, real = linearize(law, [[0.2]]), linearize(law, [[0.2]], soft)
-    assert not np.allclose(own.A, real.A)
-    np.testing.assert_array_equal(linearize(law, [[0.2]], fjr.Plant(law.robot)).A, own.A)
-    rest = equilibria_at(soft.robot, np.array([[0.2]]))
-    expected = np.linalg.eigvals(plant_matrices(rest)[0])
-    np.testing.assert_allclose(np.sort(np.linalg.eigvals(real.A)), np.sort(expected), rtol=1e-9)
-
-
 MISTAKEN = {
     "heavy motors": {"motor_inertia": (0.06, 0.03)},
     "light motors": {"motor_inertia": (0.008, 0.004)},

@@ -84,7 +84,7 @@ class LogNormal:
 )
 def test_draws_have_the_requested_distribution(given: dict[str, Any], oracle: Any) -> None:
     one = distributions.read("stiffness", given)
-    values = one.drawn("stiffness", 7, 0, 20_000, 1)
+    values = one.drawn("stiffness", 7, 0, 20_000, 1)[:, 0]
     assert stats.kstest(values, oracle.cdf).pvalue > 1e-3
     assert one.range == pytest.approx(oracle.support())
     shares = np.linspace(0, 1, 11)
@@ -264,7 +264,6 @@ def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
     ("document", "words"),
     [
         ({"scenario": "a", "varry": {}}, "did you mean 'vary'?"),
-        ({"scenario": "a"}, "draws nothing"),
         ({"scenario": "a", "vary": {"stiffness": 1.0}}, "draws nothing"),
         ({"scenario": "a", "vary": [1]}, "expected a mapping"),
         ({"scenario": "a", "vary": {"stiffness": {"uniform": [1.5, 0.5]}}}, "goes from 1.5 to 0.5"),
@@ -278,7 +277,6 @@ def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
         ({"scenario": "a", "success": {"rms": "small"}, "vary": VARY}, "expected a number"),
         ({"scenario": "a", "success": {"rms": np.nan}, "vary": VARY}, "has nan as 'success.rms'; expected a number"),
         ({"scenario": "a", "runs": np.inf, "vary": VARY}, "has inf as 'runs'; expected a whole number"),
-        ({"scenario": "a", "seed": np.nan, "vary": VARY}, "has nan as 'seed'; expected a whole number"),
         ({"scenario": "a", "duration": 10**400, "vary": VARY}, "as 'duration'; expected a number"),
         ({"scenario": "a", "vary": {"stiffness": 10**400}}, "expected a list of finite numbers"),
     ],

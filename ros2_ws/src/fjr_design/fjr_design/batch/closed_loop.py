@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -69,11 +68,6 @@ class Outcomes:
         }
         causes = np.array([_CAUSES.get(int(kind), "") for kind in parts["cause"]], dtype=str)
         return cls(**{**parts, "stable": parts["stable"] != 0, "cause": causes})
-
-    @classmethod
-    def joined(cls, parts: Sequence[Outcomes]) -> Outcomes:
-        """Concatenate the runs of several outcomes."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS))
 
 
 FIELDS = tuple(field.name for field in fields(Outcomes))

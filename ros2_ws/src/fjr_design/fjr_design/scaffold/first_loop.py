@@ -118,13 +118,10 @@ def _pose(robot: Robot, joints: Sequence[str]) -> Array:
     """Return the first pose whose weight is easy to carry, else that of the lightest weight."""
     lower, upper = bounds_of(robot)
     low, high = lower + MARGIN * (upper - lower), upper - MARGIN * (upper - lower)
-    shares = []
     poses = np.clip(sample_configurations(robot, POSES), low, high)
-    for pose in poses:
-        shares.append(np.abs(robot.grad_P_l(pose)) / _effort_limits(robot))
-        if shares[-1].max() <= EASY_WEIGHT:
-            return pose
-    best = int(np.argmin([share.max() for share in shares]))
+    shares = np.abs([robot.grad_P_l(pose) for pose in poses]) / _effort_limits(robot)
+    easy = shares.max(axis=1) <= EASY_WEIGHT
+    best = int(np.argmax(easy) if easy.any() else np.argmin(shares.max(axis=1)))
     worst = int(np.argmax(shares[best]))
     if shares[best][worst] > LARGEST_WEIGHT:
         limit, unit = _effort_limits(robot)[worst], robot.units[worst].effort
@@ -138,12 +135,12 @@ def _pose(robot: Robot, joints: Sequence[str]) -> Array:
 
 def _efforts(robot: Robot, motion: Sine) -> Array:
     """Return the largest effort of each joint (n,) along the motion, of the arm with rigid joints."""
-    largest = np.zeros(robot.n)
-    for t in np.linspace(0, 2 * np.pi / FREQUENCY, INSTANTS, endpoint=False):
-        q, dq, ddq = motion.jets(t)[:3]
-        torque = (robot.M_l(q) + robot.M_m) @ ddq + robot.coriolis(q, dq, dq) + robot.grad_P_l(q)
-        largest = np.maximum(largest, np.abs(np.linalg.solve(robot.B_m, torque)))
-    return largest
+    instants = np.linspace(0, 2 * np.pi / FREQUENCY, INSTANTS, endpoint=False)
+    torques = [
+        (robot.M_l(q) + robot.M_m) @ ddq + robot.coriolis(q, dq, dq) + robot.grad_P_l(q)
+        for q, dq, ddq in motion.jets(instants)[:, :3]
+    ]
+    return np.asarray(np.abs(np.linalg.solve(robot.B_m, np.transpose(torques))).max(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

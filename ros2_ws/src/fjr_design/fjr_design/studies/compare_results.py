@@ -8,7 +8,7 @@ imperfections, errors under imperfections, metrics of the nominal run, and figur
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -103,35 +103,33 @@ class Row:
 
 @dataclass(frozen=True)
 class Metric:
-    """A number of a run or of drawn plants: its name in a row, its key in the results, and its text."""
+    """A number of a run or of drawn plants: its name in a row, its key in the results [SI], the unit of its text."""
 
     name: str
     key: str
-    words: Callable[[float], str]
+    unit: str
     less: bool = True
 
-
-def _mrad(value: float) -> str:
-    return number(value * 1e3, "", 3)
-
-
-def _torque(value: float) -> str:
-    return number(value, "N m")
+    def words(self, value: float) -> str:
+        """Format the number; errors in mrad are without their unit, which the table names."""
+        if self.unit == "%":
+            return percent(value, 1)
+        return number(1e3 * value) if self.unit == "mrad" else number(value, self.unit)
 
 
 DRAWN = (
-    Metric("drawn: RMS error [mrad]", "rms", _mrad),
-    Metric("drawn: its 95 % [mrad]", "rms_outer", _mrad),
-    Metric("drawn: share that tracks", "success", lambda v: percent(v, 1), less=False),
-    Metric("drawn: noise of effort", "effort_noise", _torque),
+    Metric("drawn: RMS error [mrad]", "rms", "mrad"),
+    Metric("drawn: its 95 % [mrad]", "rms_outer", "mrad"),
+    Metric("drawn: share that tracks", "success", "%", less=False),
+    Metric("drawn: noise of effort", "effort_noise", "N m"),
 )
-ERROR, PEAK_EFFORT = Metric("RMS error", "rms", _mrad), Metric("peak effort", "effort_peak", _torque)
+ERROR, PEAK_EFFORT = Metric("RMS error", "rms", "mrad"), Metric("peak effort", "effort_peak", "N m")
 OF_A_RUN = (
-    Metric("largest error", "peak", _mrad),
-    Metric("settled after", "settling", lambda v: number(v, "s")),
-    Metric("RMS effort", "effort_rms", _torque),
+    Metric("largest error", "peak", "mrad"),
+    Metric("settled after", "settling", "s"),
+    Metric("RMS effort", "effort_rms", "N m"),
     PEAK_EFFORT,
-    Metric("mean power", "power", lambda v: number(v, "W")),
+    Metric("mean power", "power", "W"),
 )
 
 

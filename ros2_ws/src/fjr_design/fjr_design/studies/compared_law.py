@@ -47,7 +47,6 @@ from .tune import (
 )
 
 NUMBERS: Mapping[str, Callable[[str, object, str], float]] = {"seed": whole, "duration": number, "settle_after": number}
-MOST = 10**6  # candidates, draws
 LONGEST = 600.0  # s
 OUTER = 0.95  # quantile that is reported beside the median
 
@@ -133,9 +132,6 @@ def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
     found["imperfections"] = {name: imperfection(name).checked(level) for name, level in levels.items()}
     try:
         Goal(**{name: found[name] for name in GOAL})
-        for name in SIZE:
-            if not 1 <= found[name] <= MOST:
-                raise ParameterError(f"'{name}' is {found[name]}; expected 1 to {MOST}")
         if not 0 <= found["settle_after"] < found["duration"] <= LONGEST:
             raise ParameterError(
                 f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "

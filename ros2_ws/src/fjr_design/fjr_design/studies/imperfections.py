@@ -7,7 +7,7 @@ robot; that demand does not depend on the law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -64,10 +64,10 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
 
 @dataclass(frozen=True)
 class Imperfection:
-    """Imperfection of one kind.
+    """Imperfection of one kind; `fields_of` says what it changes.
 
     nominal: 1 for factors, else 0. lowest, highest: ends of the search for margins. first: smallest tested level above
-    a nominal 0. fields: function (level, demand of the motion, integrator step [s]) -> fields of Draws of a run.
+    a nominal 0.
     """
 
     name: str
@@ -76,7 +76,6 @@ class Imperfection:
     lowest: float
     first: float
     highest: float
-    fields: Callable[[float, MotionDemand, float], Fields]
 
     @property
     def is_factor(self) -> bool:
@@ -92,37 +91,16 @@ class Imperfection:
         return float(level)
 
 
-def _equal(*names: str) -> Callable[[float, MotionDemand, float], Fields]:
-    """Return a function that gives the level to each of these fields."""
-    return lambda level, _demand, _step: {name: np.array(level) for name in names}
-
-
-def _noise(level: float, _demand: MotionDemand, _step: float) -> Fields:
-    return {"position_noise": np.array(level), "velocity_noise": np.array(level * NOISE_BANDWIDTH)}
-
-
-def _friction(level: float, demand: MotionDemand, step: float) -> Fields:
-    """Apply Coulomb friction, half on each side of the spring, with the steepest slope that is numerically stable."""
-    half = level / 2 * demand.torque
-    smoothing = max(SMOOTHING, level / 2 * demand.friction_rate * step / REACH)
-    return {"coulomb_l": half, "coulomb_m": half, "smoothing": np.array(smoothing)}
-
-
-def _load(level: float, demand: MotionDemand, _step: float) -> Fields:
-    """Apply a constant torque to all links."""
-    return {"external": level * demand.torque}
-
-
 TORQUE = "of the torque of the motion"
 IMPERFECTIONS = {
     each.name: each
     for each in (
-        Imperfection("stiffness", "times", 1.0, 1 / 30, 1.0, 30.0, _equal("stiffness")),
-        Imperfection("inertia", "times", 1.0, 1 / 10, 1.0, 10.0, _equal("link_inertia", "gravity")),
-        Imperfection("delay", "s", 0.0, 0.0, 5e-5, 0.1, _equal("delay")),
-        Imperfection("noise", "rad", 0.0, 0.0, 1e-6, 1.0, _noise),
-        Imperfection("friction", TORQUE, 0.0, 0.0, 0.01, 10.0, _friction),
-        Imperfection("load", TORQUE, 0.0, 0.0, 0.01, 10.0, _load),
+        Imperfection("stiffness", "times", 1.0, 1 / 30, 1.0, 30.0),
+        Imperfection("inertia", "times", 1.0, 1 / 10, 1.0, 10.0),
+        Imperfection("delay", "s", 0.0, 0.0, 5e-5, 0.1),
+        Imperfection("noise", "rad", 0.0, 0.0, 1e-6, 1.0),
+        Imperfection("friction", TORQUE, 0.0, 0.0, 0.01, 10.0),
+        Imperfection("load", TORQUE, 0.0, 0.0, 0.01, 10.0),
     )
 }
 """Imperfections by their names in a comparison."""
@@ -136,15 +114,27 @@ def imperfection(name: str) -> Imperfection:
 
 
 def fields_of(levels: Mapping[str, float], demand: MotionDemand, step: float) -> Fields:
-    """Return the fields of Draws of a run with all these imperfections, by their names.
+    """Return the fields of Draws of a run with all these imperfections, by their names; raises CompareError.
 
-    The smoothing of friction is adapted to reduced link inertia, which makes friction stiffer.
+    Friction acts half on each side of the springs, with the steepest slope that is stable with this integrator step
+    [s]; reduced link inertia makes it stiffer. The load is a constant torque on all links.
     """
     fields: Fields = {}
     for name, level in levels.items():
-        fields |= imperfection(name).fields(level, demand, step)
-    if "smoothing" in fields:
-        fields["smoothing"] = fields["smoothing"] / min(1.0, float(fields.get("link_inertia", 1.0)))
+        match imperfection(name).name:
+            case "inertia":
+                fields |= {"link_inertia": np.array(level), "gravity": np.array(level)}
+            case "noise":
+                fields |= {"position_noise": np.array(level), "velocity_noise": np.array(level * NOISE_BANDWIDTH)}
+            case "friction":
+                half = level / 2 * demand.torque
+                smoothing = max(SMOOTHING, level / 2 * demand.friction_rate * step / REACH)
+                smoothing /= min(1.0, levels.get("inertia", 1.0))
+                fields |= {"coulomb_l": half, "coulomb_m": half, "smoothing": np.array(smoothing)}
+            case "load":
+                fields["external"] = level * demand.torque
+            case same:
+                fields[same] = np.array(level)
     return fields
 
 

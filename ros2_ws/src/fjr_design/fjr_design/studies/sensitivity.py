@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.numerics.checks import Array
+from fjr_design.batch.closed_loop import PER_JOINT
 
 from ..uncertainty.distributions import Distribution
 from .sweep import OUTCOMES, Sweep
@@ -97,13 +99,9 @@ def interval(count: ArrayLike, of: ArrayLike) -> tuple[Array, Array]:
 
 def _largest(sweep: Sweep, column: ReadColumn, name: str) -> Array:
     """Return an outcome (runs,), the largest over the joints."""
-    if name in ("settling", "power"):
+    if name not in PER_JOINT:
         return column(name)
-    first, *others = (f"{name}.{joint}" for joint in sweep.scenario.joints)
-    largest = np.array(column(first))
-    for other in others:
-        np.maximum(largest, column(other), out=largest)
-    return largest
+    return np.asarray(reduce(np.maximum, (column(f"{name}.{joint}") for joint in sweep.scenario.joints)))
 
 
 def _effect(

@@ -21,7 +21,7 @@ from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws
 from fjr_design.batch.closed_loop import FIELDS, PER_JOINT
-from fjr_design.batch.draws import JOINT, PARAMETERS, POINT, SMOOTHING
+from fjr_design.batch.draws import JOINT, PARAMETERS, SMOOTHING
 from fjr_design.batch.parametric_robot import FRICTION
 
 from ..uncertainty import distributions
@@ -118,11 +118,9 @@ class Sweep:
             raise ParameterError(f"'runs' is {self.runs}; expected 1 to {MOST_RUNS}")
         if not 0 <= self.seed < 2**64:
             raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
-        for name, limit in self.success.items():
+        for name in self.success:
             if name not in OUTCOMES:
                 raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(OUTCOMES)}")
-            if np.isnan(limit):
-                raise ParameterError(f"'success' has {limit} as '{name}'; expected a number")
         refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
         for name, distribution in self.vary.items():
             self._check(name, distribution)
@@ -167,12 +165,8 @@ class Sweep:
         limit = np.asarray(self._settings.effort)
         fixed: dict[str, Any] = {"effort_limit": np.tile(limit, (count, 1))}
         for name, distribution in self.vary.items():
-            values, per = distribution.drawn(name, self.seed, begin, count, n), PARAMETERS[name].per
-            if values.ndim and per != draws.RUN and distribution.kind == distributions.FIXED:
-                values = np.tile(values, (count, 1))
-            elif values.ndim == 1 and per == POINT:  # one number per run for x, y and z
-                values = values[:, None]
-            fixed[name] = values
+            values = distribution.drawn(name, self.seed, begin, count, n)
+            fixed[name] = values[:, 0] if PARAMETERS[name].per_run else values
         if self.identified is not None:
             fixed |= self.identified.drawn(self.seed, begin, count)
         seeds = draws.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]

@@ -116,6 +116,7 @@ GOAL = tuple(each.name for each in fields(Goal))
 SIZE = ("draws", "candidates", "fresh")
 """Keys of the section `tune` of a sweep or a suite: fields of Goal, and numbers of a TuningStudy."""
 HERE = "'tune' "  # start of a message about it
+MOST = 10**7  # candidates, draws
 
 
 def given_goal(section: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -129,7 +130,11 @@ def given_goal(section: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, An
             goal[key] = {str(name): number(f"{key}.{name}", value, HERE) for name, value in given.items()}
         else:
             raise ParameterError(f"{HERE}has {given!r} as '{key}'; expected figures and numbers, e.g. {{rms: 1.0}}")
-    return goal, {key: whole(key, section[key], HERE) for key in SIZE if key in section}
+    size = {key: whole(key, section[key], HERE) for key in SIZE if key in section}
+    for key, count in size.items():
+        if not 1 <= count <= MOST:
+            raise ParameterError(f"{HERE}has {count} as '{key}'; expected 1 to {MOST}")
+    return goal, size
 
 
 def joined(parts: list[Figures]) -> Figures:
@@ -149,7 +154,7 @@ class TuningStudy:
     start: of the search, see coordinates.starts. draws: runs of each candidate. candidates: number of them. fresh: runs
     of the validation. Runs are numbered: the first `draws` are those of the search, the next ones those of the
     selection, then those of the validation, so that each stage sees draws that no earlier one has seen. The seed is
-    that of the sweep. Raises ParameterError.
+    that of the sweep.
     """
 
     sweep: Sweep
@@ -158,11 +163,6 @@ class TuningStudy:
     candidates: int = 300
     fresh: int = 1000
     start: str = SCENARIO
-
-    def __post_init__(self) -> None:
-        for name in SIZE:
-            if not 1 <= getattr(self, name) <= 10**7:
-                raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 1 to {10**7}")
 
     @cached_property
     def coordinates(self) -> SearchCoordinates:
@@ -273,13 +273,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Found:
-    """Result of a search: the start, all candidates in order, the finalists on the draws of the selection, the choice.
-
-    The first finalist is the start.
-    """
+    """Result of a search: all candidates in order, the start first, and the point that is best in the selection."""
 
     candidates: tuple[Candidate, ...]
-    finalists: tuple[Candidate, ...]
     chosen: Point
 
     @property
@@ -304,11 +300,9 @@ def search(study: TuningStudy, evaluate: Evaluate) -> Found:
         strategy.tell(asked, [score.cost for score in scores])
         kept += [Candidate(*each) for each in zip(points, scores, strict=True)]
     ranked = sorted(kept[1:], key=lambda one: one.score.cost)[:FINALISTS]
-    points = [start, *(one.point for one in ranked)]
-    scores = evaluate(points, study.selection_runs)
-    finalists = tuple(Candidate(*each) for each in zip(points, scores, strict=True))
-    chosen = min(finalists, key=lambda one: one.score.cost)
-    return Found(tuple(kept), finalists, chosen.point)
+    finalists = [start, *(one.point for one in ranked)]
+    costs = [score.cost for score in evaluate(finalists, study.selection_runs)]
+    return Found(tuple(kept), finalists[int(np.argmin(costs))])
 
 
 def _strategy(dimension: int, seed: int) -> Any:

@@ -73,12 +73,11 @@ class Distribution:
         return np.asarray((ndtr(normal) - outside) / (1 - 2 * outside))
 
     def drawn(self, name: str, seed: int, first: int, count: int, n: int) -> Array:
-        """Return draws (count, n) of the runs from `first` on, (count,) without each_joint; fixed: its values."""
+        """Return the values of the runs from `first` on: (count, n) with each_joint, else (count, 1); or fixed ones."""
         if self.kind == FIXED:
-            return np.array(self.numbers if len(self.numbers) > 1 else self.numbers[0])
+            return np.tile(self.numbers, (count, 1))
         words = draws.rows((seed, stream(name)), first, count, n if self.each_joint else 1)
-        values = self.at(draws.unit(words))
-        return values if self.each_joint else values[:, 0]
+        return self.at(draws.unit(words))
 
     @property
     def as_yaml(self) -> Any:

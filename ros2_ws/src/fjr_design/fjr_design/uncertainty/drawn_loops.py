@@ -8,7 +8,7 @@ radii. The maps that it does not decide get their eigenvalues.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -201,22 +201,19 @@ FACTORS = (0.7, 0.8, 1.2, 1.3)
 """Ratios of a plant parameter to its value in the model."""
 
 
-def _scaled(*matrices: str) -> Callable[[Equilibria, float], Equilibria]:
-    """Return the function that multiplies matrices of the robot at its equilibria by a factor."""
-
-    def changed(at: Equilibria, factor: float) -> Equilibria:
-        scaled = {name: factor * value for name in matrices if (value := getattr(at.robot, name)) is not None}
-        return replace(at, robot=replace(at.robot, **scaled))
-
-    return changed
-
-
-QUANTITIES: Mapping[str, Callable[[Equilibria, float], Equilibria]] = {
-    "stiffness": _scaled("K", "cubic"),
-    "link inertia": lambda at, factor: replace(at, M_l=factor * at.M_l),
-    "motor inertia": _scaled("M_m"),
-}
+QUANTITIES = ("stiffness", "link inertia", "motor inertia")
 """Parameters that are changed, for all joints at once; the weight of the links stays."""
+
+
+def _changed(at: Equilibria, quantity: str, factor: float) -> Equilibria:
+    """Return the equilibria of a robot one of whose QUANTITIES is multiplied by a factor."""
+    robot = at.robot
+    if quantity == "link inertia":
+        return replace(at, M_l=factor * at.M_l)
+    if quantity == "motor inertia":
+        return replace(at, robot=replace(robot, M_m=factor * robot.M_m))
+    cubic = None if robot.cubic is None else factor * robot.cubic
+    return replace(at, robot=replace(robot, K=factor * robot.K, cubic=cubic))
 
 
 def radii_with_model_errors(
@@ -234,8 +231,8 @@ def radii_with_model_errors(
     sensing, q_l = sensing or Sensing(), checked_configurations(law.robot, configurations)
     own, real = equilibria_at(law.robot, q_l), equilibria_at((plant or Plant(law.robot)).robot, q_l)
     at = controller(law, own, sensing)
+    plants = {(quantity, factor): _changed(real, quantity, factor) for quantity in QUANTITIES for factor in FACTORS}
     return {
-        (quantity, factor): float(np.max(on_plant(at, own, change(real, factor), sensing).radii(sample_period, delay)))
-        for quantity, change in QUANTITIES.items()
-        for factor in FACTORS
+        which: float(on_plant(at, own, plant, sensing).radii(sample_period, delay).max())
+        for which, plant in plants.items()
     }
