@@ -20,7 +20,7 @@ from diagnosis_benchmark.faults import (
     duration_of,
     joints_of,
 )
-from diagnosis_benchmark.tables import KINDS, Outcome, begin, fault_table, outcome, shares
+from diagnosis_benchmark.tables import KINDS, begin, outcome
 from fjr_core.monitoring.certificate import Certificate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,30 +68,23 @@ def test_healthy_runs_have_no_finding(case: Case) -> None:
     assert outcome(case).found == HEALTHY
 
 
-WEAK: dict[str, tuple[dict[str, object], dict[str, object], float]] = {  # effort limits unknown to the controller
-    "paper_k31": (
-        {
-            "effort_limit": [0.8752888529257113],
-            "link_velocity_noise": [0.002808033000353928],
-            "motor_velocity_noise": [0.002808033000353928],
-            "link_position_noise": [6.577704574985669e-06],
-            "motor_position_noise": [6.577704574985669e-06],
-            "link_encoder_bits": [14.0],
-            "motor_encoder_bits": [13.0],
-            "state_delay": 0.00011490071921795886,
-            "seed": 936,
-        },
-        {"joint_stiffness": [29.2363], "motor_inertia": [0.0030914], "link_inertia": [0.0375842]},
-        0.55313696,
-    ),
-}
-
-
-@pytest.mark.parametrize("scenario", WEAK)
-def test_saturated_motor_is_not_diagnosed_as_wrong_wiring(scenario: str) -> None:
-    changes, robot, q = WEAK[scenario]
-    named, start = {f"imperfections.{name}": v for name, v in changes.items()}, {"initial_link_position": [q]}
-    weak = Case(scenario, scenario, HEALTHY, named, robot, {**start, "initial_motor_position": [q]})
+def test_saturated_motor_is_not_diagnosed_as_wrong_wiring() -> None:
+    """The controller does not know the effort limit."""
+    changes: dict[str, object] = {
+        "effort_limit": [0.8752888529257113],
+        "link_velocity_noise": [0.002808033000353928],
+        "motor_velocity_noise": [0.002808033000353928],
+        "link_position_noise": [6.577704574985669e-06],
+        "motor_position_noise": [6.577704574985669e-06],
+        "link_encoder_bits": [14.0],
+        "motor_encoder_bits": [13.0],
+        "state_delay": 0.00011490071921795886,
+        "seed": 936,
+    }
+    robot: dict[str, object] = {"joint_stiffness": [29.2363], "motor_inertia": [0.0030914], "link_inertia": [0.0375842]}
+    start: dict[str, object] = {f"initial_{side}_position": [0.55313696] for side in ("link", "motor")}
+    named = {f"imperfections.{name}": value for name, value in changes.items()}
+    weak = Case("weak motor", "paper_k31", HEALTHY, named, robot, start)
     assert weak.run(0.25).tracker.state.value == "tracking"
 
 
@@ -104,10 +97,3 @@ def test_page_shows_the_set_and_the_required_shares() -> None:
     kind, joint = map(float, re.findall(r"kind right in ([\d.]+) %, joint in ([\d.]+) %", page)[0])
     assert kind >= 90
     assert joint >= 95
-
-
-def test_a_table_counts_joints() -> None:
-    outcomes = [Outcome("inertia", "inertia", True), Outcome("inertia", "unknown", False)]
-    assert shares(outcomes) == (0.5, 0.5)
-    row = next(line for line in fault_table(outcomes) if "inertia" in line)
-    assert row.endswith("| 1/2 |")

@@ -48,13 +48,6 @@ def test_the_files_are_accepted_as_they_are(made: Path) -> None:
     assert said["rows"]["initial position"] == "within the ranges of the joints"
 
 
-def test_comments_name_no_gains_and_the_units_of_the_joints(made: Path) -> None:
-    text = (made / "arm.yaml").read_text(encoding="utf-8")
-    assert "    gains:   # others: fjr gains arm.yaml --write --beta RATE\n" in text
-    assert "# rad\n" in text
-    assert "# rad (m)" not in text
-
-
 def test_the_arm_tracks_over_ros_and_the_report_repeats_the_guesses(made: Path) -> None:
     output = made / "runs"
     options = ("--lockstep", "--duration", "2.2", "--set", "compile:=false", "--output", str(output))

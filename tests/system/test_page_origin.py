@@ -44,16 +44,13 @@ def test_head_names_the_command_that_recorded_the_run_and_the_one_that_wrote_the
     recorded, written = origin(tmp_path / "paper_k31" / "report.html")
     assert "fjr run paper_k31 --lockstep" in recorded
     assert written.startswith(f"Written 2023-11-14 22:13 UTC by fjr {fjr.__version__} · fjr report {run} ")
+    said = f"{platform.system()} {platform.release()}, Python {platform.python_version()}"
     for line in (recorded, written):
         assert line.endswith(machine())
+        assert said in line
+        assert f", {len(os.sched_getaffinity(0))} core" in line
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
     assert report["provenance"] == json.loads((run / "report.json").read_text())["provenance"]
-
-
-def test_machine_is_processor_cores_kernel_and_python() -> None:
-    said = machine()
-    assert f"{platform.system()} {platform.release()}, Python {platform.python_version()}" in said
-    assert f", {len(os.sched_getaffinity(0))} core" in said
 
 
 def test_origin_has_no_name_of_user_or_host(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's claim on the page of the demo: stated with the numbers of two runs, and only if they show it."""
+"""The demo: the claim is stated with the numbers of two runs, and only if they show it; a stopped run is repeated."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from fjr_bringup.cli import run
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.signals import ControllerStop
@@ -15,7 +17,9 @@ from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.metrics import Report
 from fjr_monitor.report.shown import RunSummary
 from fjr_monitor.report.write import compare, report_bag
+from fjr_msgs_py.scenarios import library
 from system.browser import Browser
+from system.executables import scenario
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
@@ -80,3 +84,19 @@ def test_runs_that_do_not_show_the_claim_give_the_reason(summaries: list[RunSumm
         assert made.kind == "unknown"
         assert words in made.sentence
         assert "N m" not in made.sentence
+
+
+def test_a_demonstration_that_is_stopped_in_real_time_is_repeated_in_lock_step(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In real time: test_real_time.py."""
+    stopping = tmp_path / "stopping.yaml"
+    text, _ = library.as_run(Path(scenario("paper_k31")), {"limits.tracking_error": [0.2]})
+    stopping.write_text(text)
+    summary = run._demonstrate(str(stopping), 0.3, tmp_path / "runs")
+    assert summary.report.stop is not None
+    assert summary.report.lockstep
+    said = capsys.readouterr().err
+    assert re.search(r"the run in real time was stopped at 0\S* s, with \d+\S* % of the states .* in lock-step", said)
+    assert ["repeated in lock-step" in note for note in summary.notes] == [True]
+    assert len(list((tmp_path / "runs").glob("stopping-*"))) == 2

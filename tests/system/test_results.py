@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of `fjr` as JSON, runs without pages, progress of long steps, and what a slow machine is told."""
+"""Results of `fjr` as JSON, runs without pages or without certificate, and what a slow machine is told."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.app import main
 from fjr_bringup.cli.run import _result
 from fjr_core.config.scenario import load_scenario
+from fjr_core.extensions.law_registry import LAWS
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.signals import ControllerStop
 from fjr_monitor.report import html
@@ -26,6 +27,7 @@ from fjr_msgs_py.console import output as progress
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.console.output import json_text
 from system.documented import documented_keys
+from system.executables import fjr_here
 from system.shared_runs import shared_run
 from time_limits import Limit
 from two_link_urdf import two_link_urdf
@@ -44,9 +46,10 @@ def summary(tmp_path_factory: pytest.TempPathFactory) -> RunSummary:
     return report_bag("paper_k31", read_bag(run / "bag"), scenario, tmp_path_factory.mktemp("report"))
 
 
-@pytest.mark.parametrize("name", SHOWN)
-def test_every_command_offers_json(name: str) -> None:
-    assert "--json" in {option for each in application.commands[name].params for option in each.opts}
+def test_every_command_offers_json_and_is_documented() -> None:
+    for name in SHOWN:
+        assert "--json" in {option for each in application.commands[name].params for option in each.opts}, name
+    assert {*documented_keys(), "echo", "watch"} == set(SHOWN)
 
 
 @pytest.mark.parametrize(
@@ -72,10 +75,6 @@ def test_result_is_one_json_document_with_the_documented_keys(
     assert set(json.loads(capsys.readouterr().out)) == documented_keys()[line.partition(" ")[0]]
 
 
-def test_every_command_is_documented() -> None:
-    assert {*documented_keys(), "echo", "watch"} == set(SHOWN)
-
-
 def test_result_of_a_run_has_the_documented_keys(summary: RunSummary) -> None:
     found = json.loads(json_text(_result([summary]).values))
     assert set(found) == documented_keys()["run"]
@@ -95,9 +94,8 @@ def test_failed_check_prints_its_numbers_as_json(capsys: pytest.CaptureFixture[s
 def test_report_without_pages_is_the_same(summary: RunSummary, tmp_path: Path) -> None:
     run = Path(summary.report.bag).parent
     bare = report_bag("paper_k31", read_bag(run / "bag"), load_scenario(run / "scenario.yaml"), tmp_path, pages=False)
-    assert [each.name for each in tmp_path.iterdir()] == ["report.json"]
+    assert [each.name for each in tmp_path.iterdir()] == [each.name for each in bare.files] == ["report.json"]
     assert bare.report.as_json() == summary.report.as_json()
-    assert [each.name for each in bare.files] == ["report.json"]
 
 
 def test_result_of_a_report_holds_the_metrics_of_each_run(summary: RunSummary, tmp_path: Path) -> None:
@@ -107,6 +105,29 @@ def test_result_of_a_report_holds_the_metrics_of_each_run(summary: RunSummary, t
     (run,) = said["runs"]
     assert json.loads((Path(run["folder"]) / "report.json").read_text()).items() <= run.items()
     assert Path(run["page"]).is_file()
+
+
+def test_a_run_with_another_law_is_reported_without_v(tmp_path: Path) -> None:
+    changed = ("--set", "law.type:=lqr", "--output", str(tmp_path))
+    fjr_here("run", "paper_k31", "--lockstep", "--duration", "2.5", *changed)
+    report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
+    assert report["verdict"]["kind"] == "unknown"
+    assert report["verdict"]["sentence"] == "no diagnosis: the law lqr has no certificate"
+    assert report["storage"] is None
+    (joint,) = report["joints"]
+    assert joint["peak_error_after_2s_rad"] < 1e-3
+    assert np.isfinite(joint["peak_effort_nm"])
+    assert (tmp_path / "paper_k31" / "report.html").is_file()
+    assert (tmp_path / "paper_k31" / "overview.png").is_file()
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])
+def test_check_reports_another_law_its_gains_and_the_sampled_loop(name: str) -> None:
+    said = fjr_here("check", "paper_k31", "--set", f"law.type:={name}")
+    assert f"{name}: {LAWS[name].title}" in said
+    for words in ("the same bandwidth", "spectral radius", "none for this law", "in the whole range"):
+        assert words in said
+    assert "beta" not in said
 
 
 def test_numbers_that_are_not_finite_are_null() -> None:

@@ -12,12 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fjr_core.config.robot import description
-from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RobotError
 from fjr_monitor import scene as urdf_scene
 from fjr_monitor.scene import Mesh, MeshError, decimated, read_mesh, scene
-from system.executables import scenario
 
 INERTIAL = """<inertial><origin xyz="0 0 0.2"/><mass value="1"/>
   <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
@@ -114,12 +111,6 @@ def test_a_primitive_keeps_size_origin_and_colour_and_a_bone_leads_to_the_joint(
     assert (shape["xyz"], shape["rpy"], shape["colour"]) == ([1, 2, 3], [0.1, 0.2, 0.3], "#ff8000")
     assert kinds(found, "tip") == ["hub"]
     assert found["notes"] == []
-
-
-def test_joints_keep_their_axes_and_where_they_are_locked() -> None:
-    (joint,) = scene(arm(), {"turn": 0.7})["joints"]
-    assert (joint["parent"], joint["child"], joint["xyz"], joint["axis"]) == ("base", "tip", (0, 0, 0.5), (0, 1, 0))
-    assert joint["position"] == 0.7
 
 
 def test_a_urdf_without_visuals_is_a_skeleton() -> None:
@@ -234,13 +225,6 @@ def test_joining_equal_vertices_changes_no_triangle() -> None:
     assert len(joined.vertices) == 4
     shape = joined.vertices[joined.triangles]
     assert np.linalg.norm(np.cross(shape[:, 1] - shape[:, 0], shape[:, 2] - shape[:, 0]), axis=1) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
-def test_the_scenarios_have_shapes_on_every_link(name: str) -> None:
-    found = scene(description(load_scenario(scenario(name)).controller_values))
-    assert found["notes"] == []
-    assert all(found["links"].values())
 
 
 def test_an_undeclared_prefix_and_a_bad_inertia_of_a_link_at_rest_do_not_matter() -> None:

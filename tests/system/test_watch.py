@@ -27,7 +27,7 @@ from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.watch.browser import BrowserPage
 from system.browser import Browser
-from system.executables import TIME_LIMIT, Executable, fjr, fjr_here, lockstep_loop, scenario
+from system.executables import TIME_LIMIT, Executable, fjr_here, lockstep_loop, scenario
 from time_limits import HANG, Limit
 
 pytestmark = pytest.mark.system
@@ -93,13 +93,6 @@ class Terminal:
             self._stream.feed(data)
 
 
-@pytest.fixture(scope="module")
-def loop() -> Iterator[None]:
-    """A plant and a controller in the namespace left."""
-    with lockstep_loop("two_link", "left"):
-        yield
-
-
 @pytest.fixture
 def terminal() -> Iterator[Callable[..., Terminal]]:
     opened: list[Terminal] = []
@@ -114,8 +107,9 @@ def terminal() -> Iterator[Callable[..., Terminal]]:
 
 
 @pytest.fixture
-def own_loop() -> Iterator[dict[str, Executable]]:
-    with lockstep_loop("two_link", "right") as nodes:
+def loop() -> Iterator[dict[str, Executable]]:
+    """A plant and a controller in the namespace left."""
+    with lockstep_loop("two_link", "left") as nodes:
         yield nodes
 
 
@@ -161,13 +155,9 @@ def test_missing_nodes_are_reported_until_ctrl_c(terminal: Callable[..., Termina
     assert watch.interrupt() == 0
 
 
-def test_invalid_remap_is_refused() -> None:
-    assert "expected FROM:=TO" in fjr_here("watch", "--remap", "joint_states", code=2)
-
-
 def test_link_reference_and_motor_are_posed_by_the_view(page: BrowserPage, browser: Browser) -> None:
     urdf = description(load_scenario(scenario("paper_k31")).controller_values)
-    browser.open(page.url)
+    browser.open(page.url, width=640, height=480)
     pictures = []
     for given in (joint(), joint(error=0.1), joint(deflection=0.0), joint(error=None, deflection=None), joint()):
         page.show(view(given), urdf)
@@ -200,6 +190,10 @@ def test_only_this_computer_is_answered(page: BrowserPage, host: str, code: int)
     assert connection.getresponse().status == 404
 
 
+def test_a_used_port_is_refused_in_one_sentence(page: BrowserPage) -> None:
+    assert "cannot be used" in fjr_here("watch", "--browser", "--port", str(urlsplit(page.url).port), code=1)
+
+
 def test_browsers_that_disconnect_early_print_nothing(page: BrowserPage, capfd: pytest.CaptureFixture[str]) -> None:
     at = (urlsplit(page.url).hostname, urlsplit(page.url).port)
     for request in (
@@ -219,18 +213,13 @@ def test_browsers_that_disconnect_early_print_nothing(page: BrowserPage, capfd: 
     assert capfd.readouterr().err == ""
 
 
-def test_a_used_port_is_refused_in_one_sentence(page: BrowserPage) -> None:
-    said = fjr_here("watch", "--browser", "--port", str(urlsplit(page.url).port), code=1)
-    assert "cannot be used" in said
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["--browser", "--once"], "--browser shows the loop until Ctrl-C; expected it without --once"),
-        (["--browser", "--json"], "--browser shows the loop until Ctrl-C; expected it without --json"),
         (["--foxglove"], "--foxglove is served by foxglove_bridge now; expected: ros2 launch foxglove_bridge"),
         (["--port", "9000"], "--port is given without --browser"),
+        (["--remap", "joint_states"], "expected FROM:=TO"),
         (["--browser", "--port", "70000"], "expected 0 to 65535"),
     ],
 )
@@ -239,32 +228,24 @@ def test_options_that_do_not_fit_are_refused(arguments: list[str], words: str) -
 
 
 def test_a_running_loop_is_on_the_screen_until_the_plant_ends(
-    own_loop: dict[str, Executable], terminal: Callable[..., Terminal]
+    loop: dict[str, Executable], terminal: Callable[..., Terminal]
 ) -> None:
-    watch = terminal("watch", "two_link", "--namespace", "right")
-    words = ("state to command", "ok    right/fjr_controller", "right/fjr_plant")
+    watch = terminal("watch", "two_link", "--namespace", "left")
+    words = ("state to command", "ok    left/fjr_controller", "left/fjr_plant")
     screen = watch.until(lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"})
     q_l, dq_l, deflection, error = rows(screen)["elbow"]
     assert abs(q_l) < 2
     assert abs(dq_l) < 20
     assert abs(deflection) < 1
     assert 0 <= error < 2
-    assert "fjr watch right" in screen
+    assert "fjr watch left" in screen
     before = screen
     watch.until(lambda text: text != before and "elbow" in text)
-    own_loop["plant"].kill()
+    loop["plant"].kill()
     watch.until(lambda text: "no state for" in text)
     assert watch.interrupt() == 0
     assert b"\x1b[?1049l" in watch.raw, "the terminal must be restored"
     assert b"Traceback" not in watch.raw
-
-
-@pytest.mark.usefixtures("loop")
-def test_single_view_is_plain_text() -> None:
-    fjr("echo", "left/joint_states", "--once", "--timeout", "600")
-    said = fjr("watch", "--namespace", "/left", "--once")
-    assert "shoulder" in said
-    assert "\x1b" not in said
 
 
 @pytest.mark.usefixtures("loop")
@@ -273,10 +254,10 @@ def test_the_arm_of_a_running_loop_moves_in_the_browser(browser: Browser) -> Non
     try:
         assert watch.stdout is not None
         address = next(word for word in watch.stdout.readline().split() if word.startswith("http://127.0.0.1:"))
-        browser.open(address, width=640, height=480)  # the processor draws
+        browser.open(address, width=400, height=300)  # the processor draws the arm
         first = browser.value(poses(1))
         limit = Limit(HANG)
-        while browser.value(poses(3)) == first:  # the controller may still load
+        while browser.value(poses(2)) == first:  # the controller may still load
             assert not limit.passed(), "the arm does not move"
         rows = browser.value("[...document.querySelectorAll('#joints th')].map((cell) => cell.textContent)")
         assert rows == ["shoulder", "elbow"]

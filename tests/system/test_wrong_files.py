@@ -47,13 +47,12 @@ def refused(command: str, file: str) -> str:
     return sentence
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_misspelled_names_in_a_file_are_refused(folder: Path, command: str) -> None:
+def test_names_that_nothing_reads_are_refused(folder: Path) -> None:
     file = folder / "mine.yaml"
     file.write_text("/**: {ros__parameters: {limits: {efort: [1.0]}}}\n")
-    assert "unknown parameter 'limits.efort'; did you mean 'limits.effort'?" in refused(command, "mine.yaml")
+    assert "unknown parameter 'limits.efort'; did you mean 'limits.effort'?" in refused("check", "mine.yaml")
     file.write_text("robot: {joint_stiffness: [3.1]}\n")
-    assert "has 'robot' at the top, where only sections of nodes are read" in refused(command, "mine.yaml")
+    assert "has 'robot' at the top, where only sections of nodes are read" in refused("check", "mine.yaml")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -63,11 +62,7 @@ def test_a_urdf_in_place_of_a_scenario_names_the_command_that_makes_one(folder: 
 
 @pytest.mark.parametrize("command", LOOPS)
 def test_a_robot_file_in_place_of_a_scenario_names_what_to_do(folder: Path, command: str) -> None:
-    said = refused(command, "arm_robot.yaml")
-    assert said == (
-        "fjr: arm_robot.yaml is a robot file, without motion and gains; expected a scenario, fjr excite arm_robot.yaml "
-        "writes one"
-    )
+    assert refused(command, "arm_robot.yaml").endswith("expected a scenario, fjr excite arm_robot.yaml writes one")
     (folder / "arm.yaml").write_text("/**: {ros__parameters: {robot: {file: arm_robot.yaml}}}\n")
     assert refused(command, "arm_robot.yaml").endswith("expected a scenario, such as arm.yaml, which names it")
 
