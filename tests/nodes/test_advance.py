@@ -11,15 +11,12 @@ from std_srvs.srv import SetBool, Trigger
 from fjr_core import StateError
 from fjr_plant.lock_step import START, LockStepError
 from nodes.harness import Peer, Ros, nanoseconds
-from nodes.plants import PERIOD, CommandLoop, answer, command, integrate, numbers, state_of
+from nodes.plants import PERIOD, CommandLoop, answer, command, integrate, numbers
 
 
 def assert_close(x: np.ndarray, expected: np.ndarray) -> None:
     """Compare states; the oracle is not compiled and rounds each product and sum."""
     np.testing.assert_allclose(x, expected, rtol=1e-13, atol=1e-16)
-
-
-FALLEN = integrate(np.array([0.5, 0.5, 0.0, 0.0]), 0.0, 160)
 
 
 @pytest.mark.usefixtures("either_executor")
@@ -70,16 +67,6 @@ def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -
     count = len(peer.states)
     ros.until(lambda: len(peer.states) > count)
     assert nanoseconds(peer.states[count]) > stamps[-1]
-
-
-@pytest.mark.parametrize("lockstep", [True, False])
-def test_advances_without_effort_to_the_same_states_in_both_time_bases(ros: Ros, peer: Peer, lockstep: bool) -> None:
-    ros.plant(lockstep=lockstep, start_paused=True, advance_samples=40)
-    if lockstep:
-        CommandLoop(peer, effort=lambda _: 0.0).listen()
-    assert peer.advance().success
-    ros.until(lambda: len({nanoseconds(state) for state in peer.states}) == 40 + lockstep, "the states")
-    assert_close(state_of(peer.states[-1]), FALLEN)
 
 
 @pytest.mark.parametrize("lockstep", [True, False])

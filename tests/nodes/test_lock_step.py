@@ -31,18 +31,6 @@ def test_unanswered_state_is_sent_again_and_never_skipped(ros: Ros, peer: Peer) 
     assert count["states unanswered"] == 0
 
 
-def test_it_advances_one_sample_per_answer(ros: Ros, peer: Peer) -> None:
-    peer.plant(lockstep=True)
-    x = state_of(peer.states[-1])
-    assert nanoseconds(peer.states[-1]) == START
-    for k in range(1, 10):
-        effort = 0.1 * k
-        peer.command_publisher.publish(answer(peer.states[-1], effort))
-        ros.until(lambda k=k: nanoseconds(peer.states[-1]) == START + k * PERIOD, "the next state")
-        x = integrate(x, effort, 4)
-        np.testing.assert_allclose(state_of(peer.states[-1]), x, rtol=1e-12, atol=1e-15)
-
-
 def test_only_the_command_for_the_state_advances(ros: Ros, peer: Peer) -> None:
     node = peer.plant(lockstep=True)
     first = peer.states[-1]

@@ -47,10 +47,6 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("controller", {"law__type": "pid"}, "law.type"),
     ("controller", {"law__type": "lqr", "law__start_error": [0.1, 0.2]}, "law.start_error"),
     ("controller", {"law__type": "pd_gravity", "law__tuned": False, "law__natural_frequency": 0.1}, "law.type"),
-    (
-        *("controller", {"law__type": "pd_gravity", "robust__residual_gain": [30.0]}),
-        r"parameters 'robust\.\*' with 'law\.type' 'pd_gravity': .* for the law v_dpbc",
-    ),
     ("controller", {"law__type": "own_code:WrongShape"}, r"u of WrongShape has shape \(2,\)"),
     ("plant", {"plant__type": "own_code:Ideal", "integrator": "implicit_midpoint"}, "expected 'rk4'"),
 ]

@@ -337,10 +337,6 @@ def test_each_parameter_changes_only_the_behaviour_it_names(name: str, usual: di
     assert seen == wanted.get(name, side)
 
 
-def test_seed_also_determines_the_sample_times() -> None:
-    assert behaviour(period_jitter=0.5e-3)[PERIOD] != behaviour(period_jitter=0.5e-3, seed=1)[PERIOD]
-
-
 def test_no_parameter_is_left_out() -> None:
     assert {f"imperfections.{name}" for name in CASES} == {p.name for p in imperfection_parameters(1)}
 

@@ -173,11 +173,6 @@ def test_the_controller_has_gains_and_reference_of_the_parameters(ros: Ros) -> N
     np.testing.assert_allclose(controller_effort(ros, **gains, **sine), expected, rtol=1e-9)
 
 
-def test_controller_joints(ros: Ros, peer: Peer) -> None:
-    peer.controller(joints=["elbow"])
-    assert list(peer.ask(stamped(0.0, names=["elbow", "elbow_motor"])).name) == ["elbow"]
-
-
 def lockstep_state(ros: Ros, model: str = "single_link", samples: int = 20, **parameters: Any) -> JointState:
     """Return the state of a plant node with these parameters after some samples of a constant effort."""
     peer = Peer(ros)
@@ -227,12 +222,6 @@ def test_plant_publish_rate(ros: Ros) -> None:
 def test_plant_wait_for_command_can_be_disabled(ros: Ros, peer: Peer) -> None:
     ros.plant(wait_for_command=False)
     ros.until(lambda: peer.states and peer.states[-1].position[0] < 0.499, "the fall of the link")
-
-
-def test_plant_joints(ros: Ros, peer: Peer) -> None:
-    ros.plant(joints=["elbow"])
-    ros.until(lambda: peer.states)
-    assert list(peer.states[-1].name) == ["elbow", "elbow_motor"]
 
 
 HERE = "joints publish_rate inner_steps integrator wait_for_command robot.model robot.urdf robot.file lockstep"
