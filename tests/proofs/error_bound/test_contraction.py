@@ -98,8 +98,11 @@ def test_three_joints_of_a_description_contract() -> None:
 
 @pytest.mark.parametrize(
     ("law", "reference"),
-    [(joint(), fjr.Sine(0.3, 4 * np.pi)), (joint(), FAST_SINE), (two_link(), SHORT)],
-    ids=["500 samples a period", "samples beside the period", "two links"],
+    [
+        pytest.param(joint(), fjr.Sine(0.3, 4 * np.pi), id="500 samples a period", marks=pytest.mark.full),
+        pytest.param(joint(), FAST_SINE, id="samples beside the period"),
+        pytest.param(two_link(), SHORT, id="two links", marks=pytest.mark.full),
+    ],
 )
 def test_starts_on_the_corners_of_the_tube_end_below_the_offset(law: fjr.TrackingLaw, reference: fjr.Sine) -> None:
     """The delay changes from sample to sample; without it the largest error that remains would be smaller."""
@@ -124,9 +127,8 @@ def test_a_smaller_gain_has_a_smaller_rate() -> None:
     assert rates[0].rate > 1.2 * rates[1].rate  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("period", [5e-3, 6e-3])
-def test_a_delay_beyond_the_margin_is_not_proven(period: float) -> None:
-    law = joint()
+def test_a_delay_beyond_the_margin_is_not_proven() -> None:
+    law, period = joint(), 5e-3
     margin = fjr.check(law, period, configurations=FAST_SINE.configurations(16)).delay_margin
     assert 0 < margin < 1
     assert sampled_contraction(law, FAST_SINE, period, (margin + 0.02, margin + 0.02)) is None
