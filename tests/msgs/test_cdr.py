@@ -167,8 +167,9 @@ def recorded(
     return made
 
 
-@pytest.mark.parametrize("lengths", [(3, 2, 0), (3, 3, 3), (0, 0, 3), (0, 0, 0), (1, 0, 2)])
-@pytest.mark.parametrize("frame", ["", "world"])
+@pytest.mark.parametrize(
+    ("lengths", "frame"), [((3, 2, 0), ""), ((3, 3, 3), "world"), ((0, 0, 0), ""), ((1, 0, 2), "world")]
+)
 def test_stamps_and_numbers_are_those_of_the_recorded(lengths: tuple[int, ...], frame: str) -> None:
     sent = recorded(lengths=lengths, frame=frame)
     arrays = joint_state_arrays([serialize_message(message) for message in sent], sent[0])

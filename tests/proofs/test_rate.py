@@ -11,7 +11,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import redirect_stderr
 from functools import cache, reduce
 from io import StringIO
@@ -32,6 +32,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import JointLimits
 from fjr_core.motions.domain import Domain, tube
 from fjr_proofs.rate import digest, proof_of_rate, rate_certificate
+from fuzzing import places
 
 CHECKER = ROOT / "tools" / "check_certificate.py"
 Certificate = dict[str, Any]
@@ -68,7 +69,7 @@ def smallest_rate(law: TrackingLaw) -> float:
 
 
 def test_proven_rates_are_never_above_those_of_an_adversarial_search_and_close_to_them() -> None:
-    laws = [law_of(1 + k % 7, k) for k in range(20)]
+    laws = [law_of(1 + k % 7, k) for k in range(7)]
     proven = np.array([law.proven_rate(goal=0.9, most_boxes=200).beta for law in laws])
     found = np.array([smallest_rate(law) for law in laws])
     assert np.all(proven > 0)
@@ -153,7 +154,7 @@ def test_certificates_of_proven_rates_are_accepted(chain: tuple[int, int]) -> No
     assert checked(content) == leaves
 
 
-@pytest.mark.parametrize("chain", [(1 + k % 3, k) for k in range(20)])
+@pytest.mark.parametrize("chain", [(1 + k % 3, k) for k in range(6)])
 def test_a_claim_two_percent_above_the_attained_rate_is_refused(chain: tuple[int, int]) -> None:
     content, attained = certificate(*chain), certificate_text(*chain)[1]
     assert content["beta"] <= attained
@@ -222,13 +223,6 @@ def test_changed_certificates_are_refused_by_digest_and_proof(change: str) -> No
         checked(sealed(content))
     with pytest.raises(RefusedError, match="sha256"):
         checked(content)
-
-
-def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield the paths to all values in nested lists and objects."""
-    for key in value if isinstance(value, dict) else range(len(value) if isinstance(value, list) else 0):
-        yield (*path, key)
-        yield from places(value[key], (*path, key))
 
 
 @given(data=st.data())

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -67,9 +68,15 @@ def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> di
     return {each.name: each for each in found.estimates}
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_all_parameters_of_a_joint_are_found_within_their_intervals(seed: int) -> None:
-    found = found_in(noisy(*usual_record(seed), 4e-3), ElasticJoint())
+@cache
+def usual_identification() -> Identification:
+    """Return what is identified from the usual record."""
+    robot = robot_like(ElasticJoint())
+    return identify([noisy(*usual_record(), 4e-3)], robot, Prior.of(robot))
+
+
+def test_all_parameters_of_a_joint_are_found_within_their_intervals() -> None:
+    found = {each.name: each for each in usual_identification().estimates}
     for name, field in TRUTH.items():
         true, estimate = getattr(ElasticJoint(), field), found[name]
         sd = (estimate.high - estimate.low) / 3.92
@@ -108,20 +115,19 @@ def test_a_torque_sensor_does_not_measure_a_spring_that_hardens() -> None:
 
 def test_two_records_give_narrower_intervals_than_one() -> None:
     robot = robot_like(ElasticJoint())
-    records = [noisy(*usual_record(seed), 4e-3) for seed in (0, 1)]
-    widths = []
-    for chosen in (records[:1], records):
-        found = identify(chosen, robot, Prior.of(robot))
-        widths.append([each.high - each.low for each in found.estimates])
+    both = identify([noisy(*usual_record(seed), 4e-3) for seed in (0, 1)], robot, Prior.of(robot))
+    widths = [[each.high - each.low for each in found.estimates] for found in (usual_identification(), both)]
     assert np.median(np.array(widths[1]) / np.array(widths[0])) < 0.8
 
 
-def test_the_resonance_tells_the_stiffness_from_the_motor_side_alone() -> None:
+def test_without_gravity_the_motor_side_reveals_the_stiffness_by_its_resonance_and_not_the_offset() -> None:
     found = found_in(linear_record([0.4, 1.1, 5.0, 15.0, 17.0], 0.15, link=False), LINEAR)
     stiffness = found["joint_stiffness"]
     assert stiffness.verdict == IDENTIFIED
     assert stiffness.low < LINEAR.K < stiffness.high
     assert "link_skew" not in found
+    assert found["offset"].verdict == UNKNOWN
+    assert "measure the link" in found["offset"].reason
 
 
 def test_without_its_resonance_the_motor_side_does_not_tell_the_stiffness() -> None:
@@ -130,12 +136,6 @@ def test_without_its_resonance_the_motor_side_does_not_tell_the_stiffness() -> N
     assert stiffness.verdict == UNKNOWN
     assert stiffness.value == stiffness.prior == pytest.approx(1.4 * LINEAR.K)
     assert "excite the joint near its resonance" in stiffness.reason
-
-
-def test_without_gravity_the_motor_side_does_not_tell_the_offset() -> None:
-    found = found_in(linear_record([0.4, 1.1, 5.0, 15.0, 17.0], 0.15, link=False), LINEAR)
-    assert found["offset"].verdict == UNKNOWN
-    assert "measure the link" in found["offset"].reason
 
 
 def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments() -> None:
@@ -158,8 +158,7 @@ def test_correlated_scores_widen_the_intervals_and_white_ones_do_not() -> None:
 
 
 def test_an_identification_is_read_back_and_draws_respect_signs() -> None:
-    robot = robot_like(ElasticJoint())
-    found = identify([noisy(*usual_record(), 4e-3)], robot, Prior.of(robot))
+    found = usual_identification()
     again = Identification.from_dict(json.loads(json.dumps(found.as_dict())))
     np.testing.assert_array_equal(again.draws(50, 1), found.draws(50, 1))
     names = [each.name for each in found.estimates]
@@ -180,8 +179,8 @@ LATE = 2  # samples by which the link encoder is read later
 
 
 def test_the_deflection_of_another_record_is_predicted_better_than_by_rigid_joints_or_no_skew() -> None:
-    robot, prior = robot_like(ElasticJoint()), Prior.of(robot_like(ElasticJoint()))
-    found = identify([noisy(*usual_record(0), 4e-3)], robot, prior)
+    robot, found = robot_like(ElasticJoint()), usual_identification()
+    prior = Prior.of(robot)
     record = noisy(*usual_record(1), 4e-3)
     deflection = predicted_deflection(record, robot, prior, found)
     assert np.sqrt(np.mean(deflection.measured**2)) > 5e-3

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy.optimize import nnls
 
 from core.oracles.elastic_joint import TRUTH
@@ -59,13 +58,13 @@ def test_the_optimum_fits_as_well_as_the_truth() -> None:
     assert np.all(found.noise < 1.5 * NOISE)
 
 
-@pytest.mark.parametrize("seed", range(50))
-def test_the_step_ends_at_the_nonnegative_least_squares_of_scipy(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    J, r, z = random.standard_normal((12, 4)), random.standard_normal(12), np.full(4, 0.2)
-    expected, _ = nnls(J, r)
-    step = bounded_step(J.T @ J, J.T @ (r - J @ z), z, np.ones(4, dtype=bool))
-    np.testing.assert_allclose(z + step, expected, atol=1e-6)
+def test_the_step_ends_at_the_nonnegative_least_squares_of_scipy() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        J, r, z = random.standard_normal((12, 4)), random.standard_normal(12), np.full(4, 0.2)
+        expected, _ = nnls(J, r)
+        step = bounded_step(J.T @ J, J.T @ (r - J @ z), z, np.ones(4, dtype=bool))
+        np.testing.assert_allclose(z + step, expected, atol=1e-6)
 
 
 def test_entries_without_a_bound_may_become_negative() -> None:

@@ -68,8 +68,6 @@ def test_healthy_run_is_holding(measured: bool) -> None:
         ("link_inertia", 0.034),
         ("motor_inertia", 0.0035),
         ("motor_inertia", 0.0046),
-        ("motor_inertia", 0.0054),
-        ("motor_inertia", 0.007),
         ("link_damping", 0.25),
     ],
 )
@@ -80,7 +78,7 @@ def test_wrong_plant_parameter_is_a_model_mismatch(name: str, value: float) -> N
     assert "differs from the model" in verdict.sentence
 
 
-@pytest.mark.parametrize("delay", [0.7e-3, 1e-3, 2.4e-3, 4e-3])
+@pytest.mark.parametrize("delay", [0.7e-3, 2.4e-3, 4e-3])
 def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
     seen = record(delay=delay)
     found = innovations(seen, Certificate(LAW), Prediction(LAW))
@@ -91,8 +89,7 @@ def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
     assert verdict.figures["effort age"] == pytest.approx(delay, abs=0.02 * PERIOD)
 
 
-@pytest.mark.parametrize("latency", [0.2e-3, 0.35e-3, 0.6e-3])
-@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize(("latency", "measured"), [(0.2e-3, False), (0.6e-3, True)])
 def test_known_latency_within_a_sample_is_holding_and_more_is_a_delay(latency: float, measured: bool) -> None:
     """In real time the previous effort acts until the new one arrives; known send times account for that."""
     late = record(delay=latency, measured=measured)
@@ -143,9 +140,8 @@ def test_efforts_other_than_those_of_the_law_are_no_violation() -> None:
     assert diagnose(replace(seen, effort_limit=np.array([np.inf])), LAW).kind == "holding"
 
 
-@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
-def test_sensor_noise_is_no_violation(noise: float) -> None:
-    assert diagnose(looped(noise=noise), LAW).kind == "holding"
+def test_sensor_noise_is_no_violation() -> None:
+    assert [diagnose(looped(noise=noise), LAW).kind for noise in (1e-4, 1e-2)] == ["holding"] * 2
 
 
 def test_too_slow_sampling_is_violated_by_sampling() -> None:
@@ -179,9 +175,7 @@ def test_inconsistent_record_is_refused() -> None:
         replace(record(), sample_period=0.0)
 
 
-@pytest.mark.parametrize(
-    "changed", [{}, {"delay": 0.7e-3}, {"delay": 2.4e-3, "measured": True}, {"stiffness": 29.0}], ids=str
-)
+@pytest.mark.parametrize("changed", [{"delay": 2.4e-3, "measured": True}, {"stiffness": 29.0}], ids=str)
 def test_a_record_in_parts_has_the_diagnosis_of_the_whole(changed: dict[str, float]) -> None:
     """With gaps, missing commands and known latencies, too; the parts are shorter than a block and longer."""
     seen = record(**changed)

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import fjr_core as fjr
@@ -20,6 +20,7 @@ from fjr_monitor.diagnosis.diagnosis import BlockStatistics, diagnose
 from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, JointTolerances
+from fuzzing import fuzzed
 from monitor.diagnosis.loops import Certified, recorded
 
 ROBOT = fjr.planar_two_link()
@@ -81,11 +82,10 @@ def live(seen: Record) -> list[str]:
 
 
 @pytest.mark.parametrize("wiring", WIRINGS[1:])
-@pytest.mark.parametrize("samples", [83, 400])
 def test_efforts_on_the_wrong_joint_or_with_the_wrong_sign_are_never_holding(
-    wiring: tuple[tuple[float, float], ...], samples: int
+    wiring: tuple[tuple[float, float], ...],
 ) -> None:
-    seen = record(samples, wiring)
+    seen = record(83, wiring)
     assert growth(seen) > 1e3
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -93,7 +93,7 @@ def test_efforts_on_the_wrong_joint_or_with_the_wrong_sign_are_never_holding(
         assert live(seen)[-1] == "violated"
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@fuzzed(12)
 @given(
     samples=st.integers(3, 130),
     wiring=st.sampled_from(WIRINGS),
@@ -157,7 +157,7 @@ def test_two_violated_blocks_of_four_do_not_hold() -> None:
     assert concluded(100, 1, error=1.0) == "holding"
 
 
-@pytest.mark.parametrize("size", [1e10, 1e100, 1e300, np.inf])
+@pytest.mark.parametrize("size", [1e100, np.inf])
 def test_a_record_that_overflows_is_diagnosed_without_warning(size: float) -> None:
     """Neither the offline nor the online diagnosis emits a NumPy warning for numbers near the largest one."""
     seen = record(200)

@@ -28,7 +28,7 @@ from fjr_proofs.verification.control_matrices import (
 from fjr_proofs.verification.inertia_bounds import is_provable, largest_inertia
 from fjr_proofs.verification.inertia_polynomial import inertia_polynomial, pairs
 
-CHAINS = [(n, seed) for n in (1, 2, 3, 5) for seed in range(4)]
+CHAINS = [(n, seed) for n in (1, 2, 3, 5) for seed in range(2)]
 all_chains = pytest.mark.parametrize("chain", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CHAINS])
 
 
