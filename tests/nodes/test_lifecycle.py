@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
 from nodes.harness import Listener, Peer, Ros, nanoseconds, stamped
-from nodes.managed import Manager, trajectory
+from nodes.managed import Manager
 from tracking.tracked import OBSERVED
 
 SINE = fjr.Sine(1.0, 1.0)
@@ -107,21 +107,6 @@ def test_activation_restarts_the_reference(ros: Ros, manager: Manager) -> None:
     assert list(manager.commands[-1].effort) == list(first.effort)
 
 
-def test_activation_discards_pending_requests(ros: Ros, manager: Manager) -> None:
-    manager.controller(limits__tracking_error=[0.6], limits__start_error=[0.6])
-    first = manager.ask(stamped(0.0))
-    assert manager.send(trajectory((0.5, 0.3))).name == "references changed"
-    manager.ask(stamped(0.1))
-    manager.send(trajectory((0.5, 0.3), start=104 * 10**9))  # still pending
-    manager.ask(stamped(0.2, 2.0))
-    ros.until(lambda: "stops" in manager.kinds(), "the stop")
-    assert activated_again(manager, 5.0).effort == first.effort
-    manager.answer(stamped(5.5))
-    np.testing.assert_allclose(manager.references[-1].position, [np.sin(0.5)], rtol=1e-9)
-    assert list(activated_again(manager, 6.0, 2.0).effort) == [0.0]
-    ros.until(lambda: "starts refused" in manager.kinds(), "the refusal")
-
-
 def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, manager: Manager) -> None:
     manager.started(limits__link_velocity=[2.0])
     assert manager.change("deactivate")
@@ -170,8 +155,12 @@ def test_refused_configure_leaves_no_objects_on_the_node(ros: Ros, manager: Mana
 
 def test_invalid_parameters_can_be_corrected_while_unconfigured(ros: Ros, manager: Manager, capfd) -> None:
     node = ros.controller(autostart=False, gains__Pi_l=[-20.0], gains__K_ld="much", robot__joint_stiffness=[3.1])
+    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
     assert not manager.change("configure")
     assert "gains.K_ld" in str(node.trouble)
+    ros.until(lambda: manager.events, "the event of the failed transition")
+    assert (manager.events[0].name, manager.events[0].level) == ("transition failed", b"\x02")
+    assert "gains.K_ld" in manager.events[0].message
     assert manager.set(gains__K_ld=[0.6])[0]
     assert not manager.change("configure")
     assert manager.state() == "unconfigured"
@@ -232,14 +221,6 @@ def test_invalid_gains_change_nothing(ros: Ros, manager: Manager) -> None:
     np.testing.assert_allclose(manager.ask(stamped(0.001)).effort, [effort(0.001)], rtol=1e-9)
     assert list(node.get_parameter("gains.Pi_l").value) == [20.0]
     assert "gains changed" not in manager.kinds()
-
-
-def test_limits_change_between_two_states(ros: Ros, manager: Manager) -> None:
-    manager.started()
-    assert manager.set(limits__effort=[2.0])[0]
-    assert list(manager.ask(stamped(0.001)).effort) == [np.sign(effort(0.001)) * 2.0]
-    assert manager.set(limits__effort=[float("inf")])[0]
-    np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
 
 
 def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
@@ -348,16 +329,6 @@ def test_a_controller_logs_each_transition(ros: Ros, manager: Manager, capfd: py
         "deactivated: no efforts are sent",
         "cleaned up: all parameters may change",
     ]
-
-
-def test_failed_transition_is_an_event(ros: Ros, manager: Manager) -> None:
-    node = ros.controller(autostart=False)
-    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
-    assert manager.set(gains__K_ld=[-1.0])[0]
-    assert not manager.change("configure")
-    ros.until(lambda: manager.events, "the event")
-    assert (manager.events[0].name, manager.events[0].level) == ("transition failed", b"\x02")
-    assert "gains.K_ld" in manager.events[0].message
 
 
 @pytest.mark.parametrize("lockstep", [True, False])
