@@ -98,11 +98,7 @@ def test_table_shows_whether_bound_and_aim_are_met(value: float, verdict: str) -
     figure = Figure("law", value, "", bound=2.0, aim=1.5, parts={"law [us]": 2.5})
     assert figure.row()[4] == verdict
     assert "law [us] 2.5" in table([figure])
-
-
-def test_at_least_bounds_are_met_by_larger_values() -> None:
-    assert Figure("loop", 61.0, "x real time", bound=60.0, at_least=True).holds
-    assert not Figure("loop", 59.0, "x real time", bound=60.0, at_least=True).holds
+    assert Figure("loop", value, "x real time", bound=1.8, at_least=True).holds == (value >= 1.8)
     assert Figure("free", 1e9, "s").holds
 
 

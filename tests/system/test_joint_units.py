@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -17,11 +16,9 @@ from fjr_core.motions.motion_limits import check_motion
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_design.cli.check import check
-from fjr_monitor.report.write import report_run
 from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr_here
-from system.shared_runs import shared_run
 from tracking.tracked import sample
 from watch_text import text
 
@@ -84,13 +81,6 @@ def test_run_names_joint_and_unit_of_each_metric(file: Path, tmp_path: Path) -> 
     page = (tmp_path / "arm" / "report.html").read_text()
     for shown in ("lift [m, N]", "elbow [rad, N m]", "[m, rad]", "[N, N m]", "% of its limit (elbow)"):
         assert shown in page, shown
-
-
-def test_single_joint_is_not_named(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    shutil.copytree(shared_run(tmp_path_factory, "paper_k31"), tmp_path / "paper_k31")
-    report = report_run("paper_k31", tmp_path / "paper_k31", 0.1).report
-    assert report.peak_effort_and_share() == "26.2 N m"
-    assert (report.position_unit, report.effort_unit) == ("rad", "N m")
 
 
 def test_robot_has_the_units_of_its_joints(arm: Scenario) -> None:

@@ -20,6 +20,7 @@ from fjr_core.errors import FjrError
 from fjr_core.model.robot import Robot
 from fjr_design.uncertainty.posterior import DEFLECTION, UNKNOWN, WEAK
 from fjr_identification.estimation.identify import identify
+from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.page import fit_plots
@@ -44,11 +45,22 @@ def reading() -> Reading:
     return Reading(read_map(EXAMPLE / "record.yaml", AXES))
 
 
+Read = tuple[MotionRecord, tuple[str, ...]]
+"""A record and the notes on it."""
+
+
+@pytest.fixture(scope="module")
+def both(kr300: Robot, reading: Reading) -> dict[str, Read]:
+    """Return the two records of the real robot."""
+    names = ("record_a", "record_b")
+    return {name: read_record(EXAMPLE / f"{name}.csv.gz", AXES, kr300, reading) for name in names}
+
+
 @pytest.mark.parametrize("name", ["record_a", "record_b"])
 def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(
-    kr300: Robot, reading: Reading, name: str
+    kr300: Robot, both: dict[str, Read], name: str
 ) -> None:
-    record, notes = read_record(EXAMPLE / f"{name}.csv.gz", AXES, kr300, reading)
+    record, notes = both[name]
     raw = np.genfromtxt(EXAMPLE / f"{name}.csv.gz", delimiter=",", names=True)
     assert record.dt == pytest.approx(4e-3)
     assert np.array_equal(record.q_m[:, 3], raw["a4_motor_rad"])
@@ -64,9 +76,9 @@ def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(
 
 
 def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_other_one(
-    kr300: Robot, reading: Reading
+    kr300: Robot, both: dict[str, Read]
 ) -> None:
-    records = [read_record(EXAMPLE / f"record_{name}.csv.gz", AXES, kr300, reading)[0] for name in "ab"]
+    records = [record for record, _ in both.values()]
     prior, options, found = Prior.of(kr300), IdentifyOptions(position_torque="a2"), []
     for record, held_out in (records, records[::-1]):
         found.append(identify([record], kr300, prior, options))
@@ -88,9 +100,9 @@ def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_o
 
 
 def test_parquet_other_units_signs_and_names_give_the_same_record(
-    kr300: Robot, reading: Reading, tmp_path: Path
+    kr300: Robot, both: dict[str, Read], tmp_path: Path
 ) -> None:
-    whole, _ = read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, reading)
+    whole, _ = both["record_a"]
     with gzip.open(EXAMPLE / "record_a.csv.gz") as file:
         table = pa.csv.read_csv(file)
     columns = {"ms": 1e3 * table["time_s"].to_numpy()}
@@ -110,8 +122,8 @@ def test_parquet_other_units_signs_and_names_give_the_same_record(
         assert getattr(found, name) == pytest.approx(getattr(whole, name), rel=1e-9, abs=1e-12, nan_ok=True)
 
 
-def test_part_of_a_table_is_the_same_rows(kr300: Robot, reading: Reading) -> None:
-    whole, _ = read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, reading)
+def test_part_of_a_table_is_the_same_rows(kr300: Robot, reading: Reading, both: dict[str, Read]) -> None:
+    whole, _ = both["record_a"]
     part, _ = read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, replace(reading, start=1.998, duration=3.0))
     assert part.u.shape == (750, 6)
     assert np.array_equal(part.q_m, whole.q_m[500:1250])
