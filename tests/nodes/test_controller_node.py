@@ -126,6 +126,16 @@ def test_only_older_states_for_longer_than_state_timeout_restart_the_reference(r
     assert list(again.effort) == list(first.effort)
 
 
+def test_a_non_finite_effort_is_never_sent(ros: Ros, peer: Peer) -> None:
+    node = peer.started()
+    for q in (1e308, -1e308):
+        assert list(peer.ask(stamped(0.001, [q, -q], [1e308, -1e308])).effort) == [0.0]  # the stop policy's
+    np.testing.assert_allclose(peer.ask(stamped(0.002)).effort, paper_effort(0.002, 0.5, 0.5), rtol=1e-9)
+    peer.reported(node, "efforts not finite", 2)
+    assert all(np.isfinite(message.data).all() for message in peer.efforts)
+    assert all(np.isfinite(message.effort).all() for message in peer.commands)
+
+
 def test_namespace_and_remap(ros: Ros) -> None:
     peer = Peer(ros, prefix="arm/")
     arguments = ["--ros-args", "-r", "__ns:=/arm", "-r", "fjr_controller:joint_states:=joint_states"]
