@@ -14,7 +14,7 @@ from enum import IntEnum
 from pathlib import Path
 from types import FrameType
 
-from ..node.loading import SIGNALS, signals_blocked
+from ..node.loading import SIGNALS
 
 
 class Exit(IntEnum):
@@ -74,20 +74,24 @@ def in_own_session() -> int | None:
     """
     if sys.platform != "linux":
         return None
-    parent = os.getpid()
-    with signals_blocked():
-        child = os.fork()
-        if child == 0:
-            os.setsid()
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-            if os.getppid() != parent:
-                os._exit(Exit.INTERRUPTED)
-            return None
-        for number in SIGNALS:
-            signal.signal(number, lambda received, _: os.kill(child, received))
-    os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)  # a signal that comes now still finds the child
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
+    parent, waited = os.getpid(), {*SIGNALS, signal.SIGCHLD}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, waited)
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:
+            os._exit(Exit.INTERRUPTED)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return None
+    # The child is not reaped meanwhile: a signal that comes late still finds it. A handler in place of sigwait would
+    # not run for a signal that comes just before a call that blocks.
+    while os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
+        received = signal.sigwait(waited)
+        if received != signal.SIGCHLD:
+            os.kill(child, received)
+    uninterruptible()
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return code if code >= 0 else 128 - code
 
