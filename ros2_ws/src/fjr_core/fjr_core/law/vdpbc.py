@@ -142,7 +142,10 @@ class TrackingLaw(StaticLaw):
         super().__init__(robot, gains.checked(robot.n), compile)
 
     def effort(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Array:
-        """Return the effort u (n,) [N m], eq. (42)."""
+        """Return the effort u (n,) [N m], eq. (42).
+
+        A law of the user has effort(position, velocity, jets) instead: it knows no virtual state (PythonLaw).
+        """
         return self._effort(x_v, x, jets, omega)[0]
 
     def evaluate(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Evaluation:
