@@ -158,11 +158,17 @@ def test_a_scenario_is_tuned_for_the_usual_uncertainties_also_with_another_law(f
     assert len(written.controller_values["law.gain_factors"]) == 2
 
 
+def test_too_many_draws_on_the_command_line_are_refused(study: Path) -> None:
+    said = fjr_here("tune", str(study), "--draws", "20000000", code=Exit.NOT_UNDERSTOOD)
+    assert "'tune' has 20000000 as 'draws'; expected 1 to 10000000" in said
+
+
 @pytest.mark.parametrize(
     ("section", "words"),
     [
         ("{draw: 5}", "'tune' has 'draw'; did you mean 'draws'?"),
         ("{draws: 2.5}", "'tune' has 2.5 as 'draws'; expected a whole number"),
+        ("{draws: 0}", "'tune' has 0 as 'draws'; expected 1 to 10000000"),
         ("{minimise: rms}", "'tune' has 'rms' as 'minimise'; expected figures and numbers"),
         ("{quantile: high}", "'tune' has 'high' as 'quantile'; expected a number"),
         ("{law: 3}", "'tune' has 3 as 'law'; expected the name of a law"),

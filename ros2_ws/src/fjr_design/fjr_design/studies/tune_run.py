@@ -141,8 +141,8 @@ def planned(name: str | None, options: Options, law: str | None, numbers: Mappin
     overrides = {**options.overrides, **({TYPE.name: chosen} if chosen else {})}
     sweep, section = described(path, document, replace(options, overrides=overrides))
     check_keys(section, (LAW, *GOAL, *SIZE), HERE)
-    goal, size = given_goal(section)
-    return TuningStudy(sweep, Goal(**goal), **{**size, **numbers})
+    goal, size = given_goal({**section, **numbers})
+    return TuningStudy(sweep, Goal(**goal), **size)
 
 
 def tune(
