@@ -18,9 +18,9 @@ from scipy.integrate import solve_ivp
 from bench.identification_peers import NAMES, theirs
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN
 from fjr_identification.estimation.parameters import IdentifyOptions
-from physics import laws
+from physics import causes, laws
 from physics.arm import Arm, Array, G, Motion, simulated
-from physics.coverage import identified
+from physics.coverage import Interval, head, identified, line
 from physics.draws import Case, Draws, drawn
 from physics.sensors import Encoder, Sensors, sampled
 from physics.sysid import case_of
@@ -222,6 +222,36 @@ def test_intervals_hold_with_friction_of_bristles(draws: int) -> None:
     away = [each.away for intervals in found for each in intervals or () if each.verdict != UNKNOWN]
     assert np.mean(np.array(away) <= 1.96) > 0.8
     assert max(away) < 6
+
+
+def test_a_row_of_the_table_counts_what_is_inside() -> None:
+    whys = {0.5: "", 3.0: "backlash of about 1 mrad"}
+    intervals = [
+        Interval("joint_stiffness", away, 0.01, "identified", why, meets=not why, width=0.02)
+        for away, why in whys.items()
+    ]
+    row = line("a case", [[intervals, None]])
+    assert len(row.split("|")) == len(head().splitlines()[0].split("|"))
+    assert row.startswith("| a case | 2 (1 refused) | 50.0% | 1/2 |")
+    assert row.endswith("| 3.0 | 2 of 2 | 1 of 2 | 0.01 | 0.02 | 1/2 |")
+
+
+def test_a_row_of_causes_counts_what_is_named_of_joints_that_pass_the_dead_zone() -> None:
+    said = "backlash of about 0.5 mrad: the deflection jumps where the torque changes sign"
+    right, missed = (said, True, False, False), ("", False, True, True)
+    two = [right, ("hysteresis, loop of about 1 mrad", True, False, False)]
+    row = causes.line("backlash 0.5 mrad", [[[right], [missed]], [two, None]])
+    assert row == "| backlash 0.5 mrad | 1 of 2 | 1 of 2 | 2 of 3 | 1 | 1 | 1 hysteresis, 1 records refused |"
+    assert len(row.split("|")) == len(causes.head([1, 2]).splitlines()[0].split("|"))
+
+
+@pytest.mark.parametrize(("shift", "changes"), [(0.0, True), (0.02, False)])
+def test_a_torque_changes_its_sign_if_both_ends_of_its_deflections_do(shift: float, changes: bool) -> None:
+    draws = one_joint_of(LOOSE)
+    samples = draws.records[0]
+    q_l = samples.q_m - draws.arm.offset[0] - shift - 5e-3 * np.sin(40.0 * samples.t)[:, None]
+    still = replace(draws, records=[replace(samples, q_l=q_l)], skew=0.0 * draws.skew)
+    assert still.changes_sign(0, 0.05).tolist() == [changes]
 
 
 def test_the_command_adds_to_a_file_and_prints_what_it_has(tmp_path: Path) -> None:

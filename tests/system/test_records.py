@@ -194,6 +194,16 @@ def test_wrong_mapping_of_a_real_record_is_named(
     assert sentence in str(caught.value)
 
 
+def test_swapped_sides_of_a_real_axis_are_named(kr300: Robot, reading: Reading) -> None:
+    mapping = reading.mapping
+    assert isinstance(mapping, TableMap)
+    motor, link = (dict(mapping.signals[name]) for name in ("motor_position", "link_position"))
+    motor["a3"], link["a3"] = link["a3"], motor["a3"]
+    signals = {**mapping.signals, "motor_position": motor, "link_position": link}
+    with pytest.raises(FjrError, match="q_m - q_l of a3 is -0.8.* expected about 1: sides swapped"):
+        read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, Reading(replace(mapping, signals=signals)))
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
