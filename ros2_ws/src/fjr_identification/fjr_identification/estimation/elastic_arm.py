@@ -5,7 +5,7 @@
     B dv_m = B_m u - tau - D_m v_m - F_m(v_m)
 
 Springs that harden have tau = K zeta + k zeta^3 (cubic_stiffness). F_l and F_m are the friction of
-simulation.nonideal_plant, T is an optional torque of the position of one joint.
+simulation.nonideal_plant, which may grow by a share of |tau|. T is an optional torque of the position of one joint.
 
 The inertia of the links may be corrected. The pseudo-inertia P of a link stays positive definite, hence physically
 consistent, with log-Cholesky parameters theta = (alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3) about that of the robot
@@ -35,7 +35,7 @@ from fjr_core.numerics.symbolic import PackedVector, dense_function, directional
 from fjr_core.simulation.nonideal_plant import friction
 from fjr_design.uncertainty.posterior import Identification
 
-from .parameters import DYNAMIC, HARDENING, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
+from .parameters import DYNAMIC, HARDENING, LOAD, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
 
 LEAST = 1e-9  # of the trace; eigenvalue that is added to a link without extension, so that it has a factor
 ENTRIES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of s12, s23, s13, t1, t2, t3 in U
@@ -55,9 +55,9 @@ class ElasticArm:
 
     @cached_property
     def layout(self) -> PackedVector:
-        """Return the parts of the parameters: DYNAMIC, then the Stribeck velocity."""
+        """Return the parts of the parameters."""
         n = self.robot.n
-        return PackedVector({**{name: size(name, n) for name in DYNAMIC}, "stribeck": n})
+        return PackedVector({name: size(name, n) for name in DYNAMIC})
 
     @cached_property
     def accelerations(self) -> ca.Function:
@@ -114,8 +114,11 @@ class ElasticArm:
         if self.robot.cubic is not None or self._entries((HARDENING,)):
             tau += p.cubic_stiffness * zeta * zeta * zeta
         v_0 = p.friction_smoothing_velocity
-        F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, v_0)
-        F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, v_0)
+        F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck_velocity, v_0)
+        F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck_velocity, v_0)
+        if self._entries(LOAD):
+            F_l += p.link_load_friction * ca.fabs(tau) * ca.tanh(v_l / v_0)
+            F_m += p.motor_load_friction * ca.fabs(tau) * ca.tanh(v_m / v_0)
         T = sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q_l), strict=True))
         on_links = tau - p.link_damping * v_l - F_l - T
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
