@@ -56,10 +56,16 @@ KINDS = {
     "link_coulomb_friction": "F_l",
     "motor_coulomb_friction": "F_m",
     "friction_smoothing_velocity": "v_0",
+    "link_static_friction": "F_s",
+    "motor_static_friction": "F_s",
+    "stribeck_velocity": "v_s",
+    "link_load_friction": "load",
+    "motor_load_friction": "load",
     "offset": "offset",
     "effort_delay": "delay",
     "link_skew": "skew",
 }
+COLUMNS = tuple(dict.fromkeys(KINDS.values()))
 CAUSES = ("backlash", "the spring is", "hysteresis", "kinematic error", "the links of the robot", "does not follow")
 """Words of the reasons that name what the model lacks."""
 ROBOT = """/**:
@@ -132,7 +138,7 @@ def _interval(estimate: Estimate, true: float, softest: float, stiffest: float) 
     """Return where the truth is in an interval; that of a positive parameter has a logarithmic scale."""
     meets = estimate.name != "joint_stiffness" or bool(estimate.low <= stiffest and estimate.high >= softest)
     values = np.array([estimate.low, estimate.value, estimate.high, true])
-    if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity"):
+    if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity", "stribeck_velocity"):
         values = np.log(values)
     low, value, high, truth = values
     side = (value - low if truth < value else high - value) / 1.96
@@ -151,7 +157,7 @@ def head(_: Sequence[int] = ()) -> str:
         "physics",
         "records",
         "inside",
-        *KINDS.values(),
+        *COLUMNS,
         "largest sigma",
         "K identified",
         "of these beyond the secants",
@@ -177,7 +183,7 @@ def line(name: str, of_number: Sequence[Sequence[list[Interval] | None]]) -> str
         name,
         f"{len(results)}" + (f" ({refused} refused)" if refused else ""),
         f"{np.mean([each.inside for each in intervals]):.1%}" if intervals else "",
-        *(_share([each for each in intervals if each.kind == kind]) for kind in KINDS),
+        *(_share([each for each in intervals if KINDS[each.kind] == column]) for column in COLUMNS),
         f"{max((each.away for each in intervals), default=0.0):.1f}",
         f"{len(sure)} of {sum(each.kind == 'joint_stiffness' for result in results for each in result or ())}",
         f"{sum(not each.meets for each in sure)} of {len(sure)}",

@@ -66,8 +66,16 @@ class Draws:
             "effort_delay": np.repeat(self.delay[:, None], n, axis=1),
             "link_skew": self.skew,
         }
-        if arm.friction.turning is not None:
-            values["friction_smoothing_velocity"] = np.broadcast_to(arm.friction.turning, self.skew.shape)
+        friction, none = arm.friction, np.zeros(self.skew.shape)
+        if friction.turning is not None:
+            values["friction_smoothing_velocity"] = none + friction.turning
+            values |= {"link_load_friction": none + friction.share, "motor_load_friction": none + friction.share}
+        if friction.stribeck:
+            values |= {
+                f"{side}_static_friction": (1 + friction.excess) * values[f"{side}_coulomb_friction"]
+                for side in ("link", "motor")
+            }
+            values["stribeck_velocity"] = none + friction.stribeck
         return {name: np.asarray(value[i]) for name, value in values.items()}
 
     def secants(self, i: int) -> Array:

@@ -58,6 +58,7 @@ RUBS = 2.0
 """Friction of a joint that is not 0 by chance, in standard deviations."""
 LIKELIER = 10.0
 """Increase of log L by the parameters of a friction that falls with the velocity, from which on they count."""
+SMOOTHER = (1.0, 0.1)  # times the prior's velocity over which friction turns over
 MOST = 1.0
 """Displacement, relative to the deflection, beyond which a simulation does not predict it."""
 
@@ -138,10 +139,7 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
     """Return the most likely parameters by simulation, without those that the records do not determine."""
     best, converged = _optimum(setup, start, progress)
     if coloured(best) >= COLOURED and not setup.options.static_friction:
-        richer = replace(setup, options=replace(setup.options, static_friction=True))
-        static, reached = _optimum(richer, with_static_friction(best.problem.coordinates.parameters(best.z)), progress)
-        if static.cost < best.cost - LIKELIER:
-            setup, best, converged = richer, static, reached
+        setup, best, converged = _falling_with_speed(setup, best, converged, progress)
     best, converged = with_reversals(best, converged, lambda share: progress("friction of another shape", share))
     progress("intervals", 0.0)
     spurious, held = spurious_information(best), best.problem.coordinates.held
@@ -158,6 +156,26 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
     step = None if converged else parameter_step(last, 0.0)
     estimates = estimates_at(setup, best.projected, spurious, fixed, last.z, doubt, step)
     return Simulation(setup, best, estimates, simulated_fits(last, last.noise), converged)
+
+
+def _falling_with_speed(
+    setup: Estimation, best: PredictedSegments, converged: bool, progress: Progress
+) -> tuple[Estimation, PredictedSegments, bool]:
+    """Return `best`, or the most likely parameters with static friction if the records show it.
+
+    The search starts from two velocities over which friction turns over, because it seldom finds one that is far off.
+    """
+    options, values = replace(setup.options, static_friction=True), setup.prior.values
+    start = with_static_friction(best.problem.coordinates.parameters(best.z))
+    for factor in SMOOTHER:
+        smoother = {SMOOTHING: factor * values[SMOOTHING]}
+        richer = replace(setup, options=options, prior=replace(setup.prior, values={**values, **smoother}))
+        static, reached = _optimum(richer, {**start, **smoother}, progress)
+        if static.cost < best.cost - LIKELIER:
+            setup, best, converged = richer, static, reached
+        if coloured(best) < COLOURED:
+            break
+    return setup, best, converged
 
 
 def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> tuple[PredictedSegments, bool]:

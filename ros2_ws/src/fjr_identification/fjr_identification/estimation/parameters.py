@@ -110,10 +110,11 @@ class IdentifyOptions:
     """What is identified.
 
     free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, load_friction,
-    payload, cubic_stiffness: free these, too (the payload is a point mass on the last link). link_inertia: free a correction of
-    mass and inertia of each link, positive definite and near the robot's own. position_torque: joint with a torque
-    sum_k a_k sin k q + b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. segment [s]: length of the pieces of the record that are
-    predicted; None: from the resonances. threads: number of segments evaluated at the same time.
+    payload, cubic_stiffness: free these, too (the payload is a point mass on the last link); friction also where the
+    records show it. link_inertia: free a correction of mass and inertia of each link, positive definite and near the
+    robot's own. position_torque: joint with a torque sum_k a_k sin k q + b_k cos k q, k = 1, 2, on the link, such as a
+    counterbalance; "": none. segment [s]: length of the pieces of the record that are predicted; None: from the
+    resonances. threads: number of segments evaluated at the same time.
     """
 
     free: tuple[str, ...] = USUAL
@@ -171,7 +172,13 @@ class Prior:
             "link_damping": _diagonal("D_l", robot.D_l),
             "motor_damping": _diagonal("D_m", robot.D_m),
         }
-        complete = {**dict.fromkeys(KINDS, 0.0), SMOOTHING: USUAL_SMOOTHING, STRIBECK: USUAL_STRIBECK, **of_robot, **(values or {})}
+        complete = {
+            **dict.fromkeys(KINDS, 0.0),
+            SMOOTHING: USUAL_SMOOTHING,
+            STRIBECK: USUAL_STRIBECK,
+            **of_robot,
+            **(values or {}),
+        }
         return cls(_shaped(complete, robot.n), _shaped(widths or {}, robot.n))
 
 
