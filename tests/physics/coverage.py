@@ -32,6 +32,7 @@ CASES = {
     "Coulomb + 3 % of the load": Case(laws.loaded(1e-3, 0.03)),
     "backlash 0.2 mrad": Case(spring=laws.backlash(2e-4), cause="backlash"),
     "backlash 0.5 mrad": Case(spring=laws.backlash(5e-4), cause="backlash"),
+    "backlash 0.5 mrad about the hanging arm": Case(spring=laws.backlash(5e-4), aside=0.2, cause="backlash"),
     "backlash 2 mrad": Case(spring=laws.backlash(2e-3), cause="backlash"),
     "cubic, + 30 % at 5 mrad": Case(spring=laws.cubic(0.3, 5e-3), cause="the spring is not linear"),
     "hysteresis, 0.3 K up to 1 mrad": Case(spring=laws.hysteresis(0.3, 1e-3), cause="hysteresis"),

@@ -33,6 +33,7 @@ class Case:
     varied: Callable[[Arm], Arm] = lambda arm: arm
     jitter: float = 0.0
     largest_skew: float = 3e-3  # s
+    aside: float = 0.8  # rad; largest angle between the middle of the motion and hanging down
     duration: float = 6.0  # s
     dt: float = 2e-3  # s
     stated_mass: float = 1.0  # factor of the robot file on masses and inertias of the links
@@ -164,7 +165,7 @@ def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case, don
     number = int(round(case.duration / case.dt)) + 16
     sines = (SINES, count, n)
     frequency, phase = 2 * np.pi * random.uniform(0.2, 1.8, sines), random.uniform(0, 2 * np.pi, sines)
-    amplitude, middle = PEAK / SINES * random.uniform(0.4, 1.0, sines), random.uniform(-0.8, 0.8, (count, n))
+    amplitude, middle = PEAK / SINES * random.uniform(0.4, 1.0, sines), random.uniform(-case.aside, case.aside, (count, n))
     late = delay + case.jitter * random.random((number + 1, count))
     t = case.dt * np.arange(number + 1)[:, None] + np.minimum(late, 0.9 * case.dt + delay)
     angle = frequency[None] * (case.dt * np.arange(number))[:, None, None, None] + phase
