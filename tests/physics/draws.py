@@ -165,7 +165,10 @@ def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case, don
     number = int(round(case.duration / case.dt)) + 16
     sines = (SINES, count, n)
     frequency, phase = 2 * np.pi * random.uniform(0.2, 1.8, sines), random.uniform(0, 2 * np.pi, sines)
-    amplitude, middle = PEAK / SINES * random.uniform(0.4, 1.0, sines), random.uniform(-case.aside, case.aside, (count, n))
+    amplitude, middle = (
+        PEAK / SINES * random.uniform(0.4, 1.0, sines),
+        random.uniform(-case.aside, case.aside, (count, n)),
+    )
     late = delay + case.jitter * random.random((number + 1, count))
     t = case.dt * np.arange(number + 1)[:, None] + np.minimum(late, 0.9 * case.dt + delay)
     angle = frequency[None] * (case.dt * np.arange(number))[:, None, None, None] + phase

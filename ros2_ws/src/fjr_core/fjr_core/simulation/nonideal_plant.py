@@ -211,7 +211,9 @@ class NonidealPlant:
         return numeric("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
 
 
-def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX, of_load: ca.SX) -> ca.SX:
+def friction(
+    v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX, of_load: ca.SX | float = 0.0
+) -> ca.SX:
     """Return the friction torque (n,) at the velocity v (n,), without the viscous damping: v' F >= 0.
 
     of_load (n,): the part of the level that is due to the load, as in gears.
