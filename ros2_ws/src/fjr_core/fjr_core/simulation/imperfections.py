@@ -145,7 +145,10 @@ def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) 
     i = imperfections
     load = np.where(np.isfinite(i.effort_limit), i.effort_limit, 0.0)
     sides = ((M_l, i.coulomb_l, i.static_l, i.load_l), (M_m, i.coulomb_m, i.static_m, i.load_m))
-    slopes = [(np.asarray(M), (np.maximum(Fc, Fs) + share * load) / i.smoothing) for M, Fc, Fs, share in sides]
+    slopes = [
+        (np.asarray(M), (np.maximum(coulomb, static) + np.asarray(share) * load) / np.asarray(i.smoothing))
+        for M, coulomb, static, share in sides
+    ]
     return max(float(np.max(np.linalg.eigvals(np.linalg.solve(M, np.diag(slope))).real)) for M, slope in slopes)
 
 
