@@ -139,7 +139,7 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
     """Return the most likely parameters by simulation, without those that the records do not determine."""
     best, converged = _optimum(setup, start, progress)
     if coloured(best) >= COLOURED and not setup.options.static_friction:
-        setup, best, converged = _falling_with_speed(setup, best, converged, progress)
+        setup, start, best, converged = _falling_with_speed(setup, start, best, converged, progress)
     best, converged = with_reversals(best, converged, lambda share: progress("friction of another shape", share))
     progress("intervals", 0.0)
     spurious, held = spurious_information(best), best.problem.coordinates.held
@@ -159,23 +159,23 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
 
 
 def _falling_with_speed(
-    setup: Estimation, best: PredictedSegments, converged: bool, progress: Progress
-) -> tuple[Estimation, PredictedSegments, bool]:
-    """Return `best`, or the most likely parameters with static friction if the records show it.
+    setup: Estimation, start: Mapping[str, Array], best: PredictedSegments, converged: bool, progress: Progress
+) -> tuple[Estimation, Mapping[str, Array], PredictedSegments, bool]:
+    """Return what is given, or the most likely parameters with static friction, and their start, if records show it.
 
     The search starts from two velocities over which friction turns over, because it seldom finds one that is far off.
     """
     options, values = replace(setup.options, static_friction=True), setup.prior.values
-    start = with_static_friction(best.problem.coordinates.parameters(best.z))
+    near = with_static_friction(best.problem.coordinates.parameters(best.z))
     for factor in SMOOTHER:
         smoother = {SMOOTHING: factor * values[SMOOTHING]}
         richer = replace(setup, options=options, prior=replace(setup.prior, values={**values, **smoother}))
-        static, reached = _optimum(richer, {**start, **smoother}, progress)
+        static, reached = _optimum(richer, {**near, **smoother}, progress)
         if static.cost < best.cost - LIKELIER:
-            setup, best, converged = richer, static, reached
+            setup, start, best, converged = richer, {**near, **smoother}, static, reached
         if coloured(best) < COLOURED:
             break
-    return setup, best, converged
+    return setup, start, best, converged
 
 
 def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> tuple[PredictedSegments, bool]:
