@@ -64,6 +64,8 @@ def everything(n: int) -> Imperfections:
         coulomb_m=0.1 * k,
         static_m=0.15 * k,
         stribeck_m=0.3 * k,
+        load_l=0.04 * k,
+        load_m=0.05 * k,
         smoothing=0.05 * k,
         cubic=40 * k,
         hysteresis=0.6 * k,
@@ -78,9 +80,9 @@ def everything(n: int) -> Imperfections:
     )
 
 
-def friction(v: Array, coulomb: Array, static: Array, stribeck: Array, smoothing: Array) -> Array:
+def friction(v: Array, coulomb: Array, static: Array, stribeck: Array, smoothing: Array, of_load: Array) -> Array:
     """Return the friction torque of the hand-written model."""
-    level = coulomb + np.maximum(static - coulomb, 0) * np.exp(-((v / stribeck) ** 2))
+    level = coulomb + np.maximum(static - coulomb, 0) * np.exp(-((v / stribeck) ** 2)) + of_load
     return level * np.tanh(v / smoothing)
 
 
@@ -92,7 +94,7 @@ def test_each_switch_and_no_other_parameter_enables_the_nonideal_plant() -> None
 
 def test_parameter_vector_contains_every_field() -> None:
     assert set(NAMES) == {field.name for field in fields(Imperfections)} - {"n"}
-    assert everything(3).vector.shape == (15 * 3 + 4,)
+    assert everything(3).vector.shape == (17 * 3 + 4,)
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "implicit_midpoint"])
@@ -116,9 +118,10 @@ def test_power_balance_with_all_imperfections(arm: Arm, seed: int) -> None:
     dq_l, dq_m = dx[:n], dx[n : 2 * n]
     dH = stencil(lambda s: plant.hamiltonian(p.x + s * dx, i.vector), 2e-3 / max(1, float(np.max(np.abs(dx)))))
     ripple = i.ripple * np.sin(i.ripple_periods * p.x[n : 2 * n] + i.ripple_phase)
-    F_l = friction(dq_l, i.coulomb_l, i.static_l, i.stribeck_l, i.smoothing)
-    F_m = friction(dq_m, i.coulomb_m, i.static_m, i.stribeck_m, i.smoothing)
     h = i.hysteresis * np.clip((deflection(p.x) - sliders) / i.slip, -1, 1)
+    load = np.abs(arm.K @ deflection(p.x) + i.cubic * deflection(p.x) ** 3 + h)
+    F_l = friction(dq_l, i.coulomb_l, i.static_l, i.stribeck_l, i.smoothing, i.load_l * load)
+    F_m = friction(dq_m, i.coulomb_m, i.static_m, i.stribeck_m, i.smoothing, i.load_m * load)
     supplied = (dq_m @ arm.B_m @ p.u, dq_l @ push, dq_m @ ripple, dq_l @ h, -dq_m @ h)
     lost = (-dq_l @ arm.D_l @ dq_l, -dq_m @ arm.D_m @ dq_m, -dq_l @ F_l, -dq_m @ F_m)
     assert residual(dH, *supplied, *lost) <= TOLERANCE
@@ -166,6 +169,9 @@ def test_friction_rate_is_the_slope_at_rest() -> None:
         columns.append(((dx[0] - dx[1]) - (plain[0] - plain[1]))[4:] / (2 * h))
     fastest = -np.min(np.linalg.eigvals(np.array(columns).T).real)
     assert friction_rate(i, robot.M_l(q_l), robot.M_m) == pytest.approx(fastest, rel=1e-5)
+    loaded = replaced(Imperfections(2), effort_limit=[2.0, np.inf], load_l=[0.1, 0.3])
+    same = replaced(Imperfections(2), coulomb_l=[0.2, 0.0])
+    assert friction_rate(loaded, robot.M_l(q_l), robot.M_m) == friction_rate(same, robot.M_l(q_l), robot.M_m)
 
 
 # Springs.
