@@ -22,7 +22,6 @@ from time_limits import HANG
 INPUTS = 6
 COMPILERS = [name for name in ("cc", "clang") if shutil.which(name)]
 OPTIONS = (("-O0",), ("-O3", "-march=native"))
-with_a_compiler = pytest.mark.skipif(not COMPILERS, reason="no C compiler (cc, clang) on this machine")
 
 
 def program(operations: int, exact: bool = False) -> ca.Function:
@@ -72,7 +71,6 @@ def results(function: ca.Function, arguments: Array) -> Array:
     return np.concatenate([each.full().ravel() for each in function(*arguments)])
 
 
-@with_a_compiler
 def test_all_compilers_and_processors_give_the_same_bits(tmp_path: Path) -> None:
     """Without -march=native the operation is a function of the C library on most processors."""
     function = program(3 * LONGEST)
@@ -84,7 +82,6 @@ def test_all_compilers_and_processors_give_the_same_bits(tmp_path: Path) -> None
         assert np.allclose(first, results(function, arguments), rtol=1e-9, atol=1e-9)
 
 
-@with_a_compiler
 @pytest.mark.parametrize("longest", [None, 50, LONGEST])
 def test_results_without_rounding_are_those_of_casadi(longest: int | None, tmp_path: Path) -> None:
     function = program(3 * LONGEST, exact=True)
