@@ -111,13 +111,6 @@ def test_circle_is_exact_from_rest_to_its_frequency() -> None:
     assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency is clockwise
 
 
-def test_any_free_coefficients_rest_at_the_start_and_at_the_end_of_each_period() -> None:
-    jets = SERIES.reference(FREE).jets(np.array([0.0, 4.0, 8.0]))
-    moving = np.abs(SERIES.reference(FREE).jets(np.linspace(0, 4, 101))).max(axis=0)
-    assert np.all(np.abs(jets[:, 1:]) < 1e-9 * moving[1:])
-    assert np.allclose(jets[:, 0], jets[0, 0])
-
-
 def test_the_basis_gives_the_jets_of_the_reference() -> None:
     t = np.linspace(0, 5, 23)
     jets = np.einsum("rks,sn->krn", SERIES.jet_basis(t), FREE)

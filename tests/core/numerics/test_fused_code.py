@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -24,6 +25,7 @@ COMPILERS = [name for name in ("cc", "clang") if shutil.which(name)]
 OPTIONS = (("-O0",), ("-O3", "-march=native"))
 
 
+@cache
 def program(operations: int, exact: bool = False) -> ca.Function:
     """Return a random function of two vectors, with results that are read again hundreds of operations later.
 
@@ -50,6 +52,7 @@ def program(operations: int, exact: bool = False) -> ca.Function:
     return ca.Function("program", [x, y], [ca.vertcat(*values[-400:]), ca.vertcat(*values[::7])])
 
 
+@cache
 def generated(function: ca.Function) -> str:
     """Return the C code of CasADi."""
     generator = ca.CodeGenerator(function.name())

@@ -155,14 +155,6 @@ def test_non_finite_input_does_not_persist() -> None:
     assert moving.error < 1e-6
 
 
-def test_compiled_observer_gives_the_same_numbers() -> None:
-    one, other = Moving(ARMS[-1]), Moving(ARMS[-1])
-    other.observer = fjr.VelocityObserver(ARMS[-1].robot, BANDWIDTH, compile=True)
-    for moving in (one, other):
-        moving.begun(exact=False).run(20)
-    np.testing.assert_allclose(one.observer.state, other.observer.state, rtol=1e-11)
-
-
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_linearised_error_of_the_shipped_scenarios_decays_at_the_bandwidth(name: str) -> None:
     loop = scenario(name)

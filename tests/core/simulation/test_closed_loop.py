@@ -138,15 +138,6 @@ def test_delayed_effort_acts_after_the_delay(samples: float) -> None:
         assert u == pytest.approx(law.effort(state, state, jets), rel=1e-12)
 
 
-def test_compiled_run_gives_the_same_numbers() -> None:
-    plant, law, x0 = joint(31.0)
-    here = fjr.Plant(plant.robot, compile=True), fjr.TrackingLaw(law.robot, fjr.PAPER_GAINS, compile=True)
-    for period in (1e-3, None):
-        run, same = (fjr.simulate(*pair, REFERENCE, x0, 0.05, period) for pair in (here, (plant, law)))
-        assert run.x == pytest.approx(same.x, rel=1e-9)
-        assert run.u == pytest.approx(same.u, rel=1e-9)
-
-
 @pytest.mark.parametrize("sample_period", [1e-3, None])
 def test_law_with_another_inertia_receives_the_velocities_of_the_plant(sample_period: float | None) -> None:
     robot, gains, reference = planar_arm()

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, PLANAR, Arm, PlanarTwoLink, SingleLink, random_point
-from core.oracles.chains import ARM7, ARM7_JOINTS, STIFF, PinocchioLinks, random_urdf
+from core.oracles.chains import PinocchioLinks, random_urdf
 from core.oracles.oracle import stencil
 from core.oracles.properties import TOLERANCE, residual
 from fjr_core.model.rigid_arm import closed_form
@@ -368,19 +368,6 @@ def test_command_is_saturated_exactly_and_before_the_lag(lag: float) -> None:
     assert np.array_equal(
         plant.applied([0, 0], [-99.0, 7.0], Imperfections(2, effort_limit=(1.5, np.inf)).vector), [-1.5, 7]
     )
-
-
-# Compiled code, and parameters of other joints.
-
-
-def test_compiled_plant_gives_the_same_numbers() -> None:
-    robot = fjr.robot_from_urdf(ARM7, list(ARM7_JOINTS), **STIFF)
-    rng, i = np.random.default_rng(0), everything(7)
-    compiled, interpreted = plant_of(robot, compile=True), plant_of(robot)
-    x = interpreted.state(rng.uniform(-1, 1, 14), rng.uniform(-1, 1, 14), i.vector)
-    state, u, push = np.r_[x, rng.normal(size=7), rng.uniform(-1, 1, 7)], rng.normal(size=7), rng.normal(size=7)
-    seen, wanted = (plant.step(state, u, push, i.vector, DT) for plant in (compiled, interpreted))
-    np.testing.assert_allclose(seen, wanted, rtol=1e-10, atol=1e-13)
 
 
 def test_imperfections_of_other_joints_are_refused() -> None:
