@@ -7,7 +7,6 @@ import logging
 import os
 import shutil
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import casadi as ca
@@ -20,7 +19,7 @@ from core.numerics.processes import COMPILED, CUBES, output, started
 from fjr_core.errors import CompilerError
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.numerics import jit as compiling
-from fjr_core.numerics.jit import ffi_of, machine_code
+from fjr_core.numerics.jit import ffi_of
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import HEADER, declarations, step_library, text
 from fjr_core.runtime.safety_settings import Settings
@@ -115,15 +114,6 @@ def test_the_compiler_of_the_wheel_ziglang_is_used_where_no_other_is(
     monkeypatch.syspath_prepend(tmp_path)
     assert compiling.compiled(function).class_name() == "External"
     assert (package / "called").read_text() == f"cc {cache / 'zig'}\n"
-
-
-@pytest.mark.skipif(find_spec("ziglang") is None, reason="the wheel ziglang is not installed")
-def test_the_real_ziglang_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch, function: ca.Function) -> None:
-    points, wanted = np.linspace(-2, 2, 300).reshape(3, 100), compiling.compiled(function)
-    monkeypatch.setenv("PATH", "")
-    found = compiling.compiled(function)
-    assert machine_code(found) != machine_code(wanted)
-    np.testing.assert_array_equal(found.map(100)(points).full(), wanted.map(100)(points).full())
 
 
 @pytest.mark.parametrize(
