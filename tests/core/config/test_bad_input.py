@@ -68,6 +68,7 @@ VALUES = [
     ("planar_two_link", {"link_length": (1.0, 1.0, 1.0)}, "link_length", "(3,)", "(2,)"),
     ("planar_two_link", {"gravity": (9.81, 9.81)}, "gravity", "(2,)"),
     ("robot", {"cubic": [-1.0, 2.0]}, "cubic is [-1.0, 2.0] N m/rad^3; expected 0 or more"),
+    ("robot", {"limits": fjr.JointLimits([-1.0], [1.0], [1.0], [1.0])}, "limits are of 1 joints; expected 2"),
     ("body", {"mass": -1.0}, "mass is -1.0 kg; expected 0 or more"),
     ("body", {"mass": NAN}, "mass is nan"),
     ("body", {"rotation": np.diag([1.0, 1.0, -1.0])}, "expected a rotation matrix"),
