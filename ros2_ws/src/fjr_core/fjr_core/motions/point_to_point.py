@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import MISSING, dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,12 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze, joint_vector, number, positive
 from ..numerics.one_line import one_line
+from ..numerics.parameter_field import VECTOR
 from .piecewise_polynomial import SAMPLES, PiecewisePolynomial, PolynomialReference
-from .reference import JETS, MotionBounds, Reference, motion_bounds_on
+from .reference import JETS, MotionBounds, Reference, motion_bounds_on, motion_field, offset_field
 from .sine import phases
+
+_way, _circle = (partial(motion_field, name=f"{group}.") for group in ("point_to_point", "circle"))
 
 
 def standing(q: ArrayLike, dq: ArrayLike = 0.0) -> Array:
@@ -30,7 +33,7 @@ def standing(q: ArrayLike, dq: ArrayLike = 0.0) -> Array:
 class Hold(PolynomialReference):
     """Constant reference q_ld(t) = q (n,) [rad]. Raises TrajectoryError unless q is a vector of finite numbers."""
 
-    q: ArrayLike
+    q: ArrayLike = offset_field()
 
     __repr__ = one_line
 
@@ -52,11 +55,11 @@ class PointToPoint(PolynomialReference):
     Raises TrajectoryError for a wrong shape, non-finite numbers, a duration that is not positive or a dwell < 0.
     """
 
-    q0: ArrayLike
-    q1: ArrayLike
-    duration: float
-    dwell: float = 0.0
-    returns: bool = False
+    q0: ArrayLike = _way(MISSING, "Start position", "rad", name="point_to_point.start", shape=VECTOR)
+    q1: ArrayLike = _way(MISSING, "Goal position", "rad", name="point_to_point.goal", shape=VECTOR)
+    duration: float = _way(MISSING, "Duration of the motion", "s", minimum=1e-3)
+    dwell: float = _way(0.0, "Dwell time at the goal, and at the start if it returns", "s", minimum=0.0)
+    returns: bool = _way(False, "true: repeat back and forth; false: move once")
 
     __repr__ = one_line
 
@@ -98,11 +101,11 @@ class Circle(Reference):
     Raises TrajectoryError for fewer than two joints, non-finite numbers or a ramp that is not positive.
     """
 
-    centre: ArrayLike
-    radius: float
-    frequency: float
-    phase: float = 0.0
-    ramp: float = 1.0
+    centre: ArrayLike = offset_field()
+    radius: float = _circle(MISSING, "Radius of the circle in the plane of the first two joints", "rad", minimum=0.0)
+    frequency: float = _circle(MISSING, "Angular frequency on the circle; negative: opposite direction", "rad/s")
+    phase: float = _circle(0.0, "Initial angle on the circle", "rad")
+    ramp: float = _circle(1.0, "Acceleration time from rest to the angular frequency", "s", minimum=1e-3)
 
     __repr__ = one_line
 
