@@ -138,8 +138,8 @@ def test_friction_rate_is_the_slope_at_rest() -> None:
         columns.append(((dx[0] - dx[1]) - (plain[0] - plain[1]))[4:] / (2 * h))
     fastest = -np.min(np.linalg.eigvals(np.array(columns).T).real)
     assert friction_rate(i, robot.M_l(q_l), robot.M_m) == pytest.approx(fastest, rel=1e-5)
-    loaded = replaced(Imperfections(2), effort_limit=[2.0, np.inf], load_l=[0.1, 0.3])
-    same = replaced(Imperfections(2), coulomb_l=[0.2, 0.0])
+    loaded = Imperfections(2, effort_limit=[2.0, np.inf], load_l=[0.1, 0.3])
+    same = Imperfections(2, coulomb_l=[0.2, 0.0])
     assert friction_rate(loaded, robot.M_l(q_l), robot.M_m) == friction_rate(same, robot.M_l(q_l), robot.M_m)
 
 
