@@ -143,7 +143,12 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
     best, converged = with_reversals(best, converged, lambda share: progress("friction of another shape", share))
     progress("intervals", 0.0)
     spurious, held = spurious_information(best), best.problem.coordinates.held
-    unknown = not_identifiable(best.projected, spurious, setup.coordinates.width, tuple(held))
+    parts = best.projected
+    if held:  # what they change acts on the intervals of the others
+        problem = replace(setup.problem(start), reversals=best.problem.reversals)
+        whole = problem.evaluate(best.z, best.x0, best.noise)
+        parts = whole.projected if whole else parts
+    unknown = not_identifiable(parts, spurious, setup.coordinates.width, tuple(held))
     fixed = tuple(k for k in unknown if k in held or fitted_at_prior(best, (k,)) is not None)
     last = best
     if set(fixed) != held:
@@ -154,7 +159,7 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
         last, converged = refine(problem, z, near.x0, best.noise, again)
     doubt = "" if converged else NOT_CONVERGED
     step = None if converged else parameter_step(last, 0.0)
-    estimates = estimates_at(setup, best.projected, spurious, fixed, last.z, doubt, step)
+    estimates = estimates_at(setup, parts, spurious, fixed, last.z, doubt, step)
     return Simulation(setup, best, estimates, simulated_fits(last, last.noise), converged)
 
 
