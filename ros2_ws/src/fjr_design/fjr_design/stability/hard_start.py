@@ -19,12 +19,16 @@ from fjr_core.errors import StateError
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
+from fjr_core.model.springs import hardening
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.closed_loop import simulate
 from fjr_core.stability.linearization import closed_form
+from fjr_design.batch import ClosedLoop, Draws
+from fjr_design.batch.program import plain_settings
 
-LASTING = 1.0  # s; simulated motion from the start
+LASTING = 1.0  # s; simulated motion from the start, after the ramp of start.ramp_time
+FAR = 1e6  # rad; error of a loop that diverges
 HORIZON, INSTANTS = 60.0, 1024  # s of the reference whose deflections count, at most
 NARROW = 0.02  # of the start error, between a part that is inside and one that is not
 
@@ -53,7 +57,7 @@ def hard_start(scenario: Scenario) -> HardStart | None:
     """Return the start under v-dPBC; None with straight springs, another law, or a transition to the reference."""
     error = scenario.x0[: scenario.robot.n] - scenario.reference.jets(0.0)[0]
     most = np.asarray(safety(scenario.controller_values, scenario.robot).start_error)
-    hard = any(robot.cubic is not None for robot in (scenario.robot, scenario.plant.robot))
+    hard = any(robot.curve for robot in (scenario.robot, scenario.plant.robot))
     if np.any(np.abs(error) > most) or not hard or not isinstance(scenario.law, TrackingLaw):
         return None
     along = _along_reference(scenario)
@@ -83,13 +87,23 @@ def _deflection(scenario: Scenario, share: float, along: Array) -> Array:
     on = np.array([jets[0], q_m, jets[1], dq_m])
     own = np.array([*np.split(scenario.x0[: 2 * n], 2), *robot.velocities(scenario.x0)])
     x = robot.state(*(on + share * (own - on)))
-    inner = T / int(number(scenario.plant_values, "inner_steps"))
-    law, reference = scenario.sampled_law, scenario.reference
-    try:
-        run = simulate(scenario.plant, law, reference, x, LASTING, T, inner, delay=scenario.loop_delay)
-    except StateError:
-        return np.full(n, np.inf)
-    return np.maximum(along, np.abs(run.x[:, n : 2 * n] - run.x[:, :n]).max(axis=0))
+    steps = int(number(scenario.plant_values, "inner_steps"))
+    law, reference, delay = scenario.sampled_law, scenario.reference, scenario.loop_delay
+    own = safety(scenario.controller_values, scenario.robot)
+    if own.ramp_time:  # by the control step, which ramps the effort
+        settings = replace(plain_settings(n), ramp_time=own.ramp_time, on_stop=own.on_stop)
+        bounds = {"inner_steps": steps, "settle_after": 0.0, "lost": FAR, "plant": scenario.plant, "settings": settings}
+        loop = ClosedLoop(robot, law, reference, x, own.ramp_time + LASTING, T, **bounds)
+        outcomes, recorded = loop.recorded(Draws(1, delay=delay))
+        if not outcomes.stable[0]:
+            return np.full(n, np.inf)
+        states = recorded.x[0]
+    else:
+        try:
+            states = simulate(scenario.plant, law, reference, x, LASTING, T, T / steps, delay=delay).x
+        except StateError:
+            return np.full(n, np.inf)
+    return np.maximum(along, np.abs(states[:, n : 2 * n] - states[:, :n]).max(axis=0))
 
 
 def _radius(scenario: Scenario, deflection: Array) -> float:
@@ -103,6 +117,7 @@ def _radius(scenario: Scenario, deflection: Array) -> float:
 
 def _stiffened(robot: Robot, deflection: Array) -> Robot:
     """Return the robot with straight springs as stiff as its own at the deflections (n,)."""
-    if robot.cubic is None:
+    if not robot.curve:
         return robot
-    return replace(robot, K=np.diag(np.diag(robot.K) + 3 * robot.cubic * deflection**2), cubic=None)
+    tangent = np.diag(robot.K) * hardening(robot, deflection[None])[0]
+    return replace(robot, K=np.diag(tangent), cubic=None, torsion=None)
