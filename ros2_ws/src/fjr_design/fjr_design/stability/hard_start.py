@@ -30,6 +30,7 @@ from fjr_design.batch.program import plain_settings
 LASTING = 1.0  # s; simulated motion from the start, after the ramp of start.ramp_time
 FAR = 1e6  # rad; error of a loop that diverges
 HORIZON, INSTANTS = 60.0, 1024  # s of the reference whose deflections count, at most
+SHARES = 65  # of the largest deflections, at which tangents are taken
 NARROW = 0.02  # of the start error, between a part that is inside and one that is not
 
 
@@ -116,8 +117,9 @@ def _radius(scenario: Scenario, deflection: Array) -> float:
 
 
 def _stiffened(robot: Robot, deflection: Array) -> Robot:
-    """Return the robot with straight springs as stiff as its own at the deflections (n,)."""
+    """Return the robot with straight springs as stiff as its own at most up to the deflections (n,)."""
     if not robot.curve:
         return robot
-    tangent = np.diag(robot.K) * hardening(robot, deflection[None])[0]
-    return replace(robot, K=np.diag(tangent), cubic=None, torsion=None)
+    on_the_way = np.linspace(0.0, 1.0, SHARES)[:, None] * deflection  # a table may soften
+    stiffest = np.diag(robot.K) * hardening(robot, on_the_way).max(axis=0)
+    return replace(robot, K=np.diag(stiffest), cubic=None, torsion=None)
