@@ -154,11 +154,11 @@ def _slips(motion: RigidMotion, j: int) -> bool:
     """
     q_l, q_m, tau, friction = _compared(motion, j)
     slips = np.sqrt(np.mean(tau**2)) * FINE
-    elements = slipping_elements(tau, slips)
-    slipped = np.abs(elements) >= slips
+    following = slipping_elements(tau, slips)
+    slipped = np.abs(following) >= slips
     rows = slice(min(int(np.max(np.argmax(slipped, axis=0))), len(tau) // 2), None)
     q_l, q_m, tau, *others = (each[rows] for each in (q_l, q_m, tau, *friction))
-    usual, elements = [tau, *others, np.ones_like(tau)], list(elements[rows].T)
+    usual, elements = [tau, *others, np.ones_like(tau)], list(following[rows].T)
     by_slip, by_ratio = (
         float(np.sum(without(np.column_stack([*usual, *more]), q_m - q_l) ** 2)) for more in (elements, [q_l])
     )

@@ -16,7 +16,7 @@ have the expressions of a matrix K.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import casadi as ca
@@ -52,8 +52,8 @@ class TorsionCurve:
 
     def scaled(self, factor: Any) -> TorsionCurve:
         """Return the curve with factor times the torque."""
-        names = ("torque", "stiffness", "slope", "energy")
-        return replace(self, **{name: [factor * each for each in getattr(self, name)] for name in names})
+        rows = self.torque, self.stiffness, self.slope, self.energy
+        return TorsionCurve(self.edge, *([factor * each for each in row] for row in rows))
 
     def phi(self, zeta: ca.SX) -> ca.SX:
         """Return the torque [N m] at a deflection."""
@@ -155,10 +155,10 @@ def _refuse_coupled(name: str, K: Array) -> None:
 
 def torsion_curve(K: float, deflection: Array, torque: Array) -> TorsionCurve:
     """Return the curve with the slope K [N m/rad] at zero through points (m,) [rad, N m]; zeros: the line K zeta."""
-    if not deflection.any():
-        deflection = np.arange(1.0, len(deflection) + 1)
-        torque = K * deflection
     z, t = np.append(0.0, deflection), np.append(0.0, torque)
+    if not deflection.any():
+        z = np.arange(len(deflection) + 1.0)
+        t = K * z
     half, chord = np.diff(z) / 2, np.diff(t) / np.diff(z)
     at = np.concatenate([[K], 2 * chord[1:] * chord[:-1] / (chord[1:] + chord[:-1]), [0.0]])
     at[-1] = (4 * chord[-1] - at[-2]) / 3

@@ -201,8 +201,11 @@ static void add_torque_noise(const struct fjr_model* m, const struct fjr_compari
     const int middle = c->intervals / 2;
     const double zeta = v->sign[N + j] * c->q[v->from[N + j]][middle] - v->sign[j] * c->q[v->from[j]][middle];
     const double inertia = M[i * N + j];
-    double K = m->K[i * N + j] + (i == j) * 3 * m->cubic[i] * zeta * zeta;
-    if (i == j && m->pieces) on_curve(m, i, zeta, &K);
+    double K = m->K[i * N + j];
+    if (i == j && m->pieces)
+      on_curve(m, i, zeta, &K);
+    else if (i == j)
+      K += 3 * m->cubic[i] * zeta * zeta;
     mean += K * K * (c->q_noise[v->from[j]] + c->q_noise[v->from[N + j]]);
     change += c->rate * (inertia * inertia) * c->dq_noise[v->from[first + j]];
   }

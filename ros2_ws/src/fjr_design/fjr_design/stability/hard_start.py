@@ -88,23 +88,37 @@ def _deflection(scenario: Scenario, share: float, along: Array) -> Array:
     on = np.array([jets[0], q_m, jets[1], dq_m])
     own = np.array([*np.split(scenario.x0[: 2 * n], 2), *robot.velocities(scenario.x0)])
     x = robot.state(*(on + share * (own - on)))
-    steps = int(number(scenario.plant_values, "inner_steps"))
-    law, reference, delay = scenario.sampled_law, scenario.reference, scenario.loop_delay
-    own = safety(scenario.controller_values, scenario.robot)
-    if own.ramp_time:  # by the control step, which ramps the effort
-        settings = replace(plain_settings(n), ramp_time=own.ramp_time, on_stop=own.on_stop)
-        bounds = {"inner_steps": steps, "settle_after": 0.0, "lost": FAR, "plant": scenario.plant, "settings": settings}
-        loop = ClosedLoop(robot, law, reference, x, own.ramp_time + LASTING, T, **bounds)
-        outcomes, recorded = loop.recorded(Draws(1, delay=delay))
-        if not outcomes.stable[0]:
-            return np.full(n, np.inf)
-        states = recorded.x[0]
+    if safety(scenario.controller_values, scenario.robot).ramp_time:
+        states = _ramped(scenario, x)
     else:
+        inner = T / int(number(scenario.plant_values, "inner_steps"))
+        law, reference = scenario.sampled_law, scenario.reference
         try:
-            states = simulate(scenario.plant, law, reference, x, LASTING, T, T / steps, delay=delay).x
+            states = simulate(scenario.plant, law, reference, x, LASTING, T, inner, delay=scenario.loop_delay).x
         except StateError:
             return np.full(n, np.inf)
     return np.maximum(along, np.abs(states[:, n : 2 * n] - states[:, :n]).max(axis=0))
+
+
+def _ramped(scenario: Scenario, x: Array) -> Array:
+    """Return the states (k, 4n) from x (4n,) under the control step, which ramps the effort; zero and inf if lost."""
+    own, n = safety(scenario.controller_values, scenario.robot), scenario.robot.n
+    loop = ClosedLoop(
+        scenario.plant.robot,
+        scenario.sampled_law,
+        scenario.reference,
+        x,
+        own.ramp_time + LASTING,
+        scenario.sample_period,
+        inner_steps=int(number(scenario.plant_values, "inner_steps")),
+        settle_after=0.0,
+        lost=FAR,
+        plant=scenario.plant,
+        settings=replace(plain_settings(n), ramp_time=own.ramp_time, on_stop=own.on_stop),
+    )
+    outcomes, recorded = loop.recorded(Draws(1, delay=scenario.loop_delay))
+    lost = np.repeat([[0.0, np.inf, 0.0, 0.0]], n, axis=1)
+    return np.asarray(recorded.x[0] if outcomes.stable[0] else lost)
 
 
 def _radius(scenario: Scenario, deflection: Array) -> float:
