@@ -46,15 +46,21 @@ def test_a_robot_file_gets_gains(tmp_path: Path) -> None:
     fjr_here("check", f"{target}")
 
 
-def test_springs_that_harden_are_refused_with_the_way_to_a_motion_for_straight_ones(tmp_path: Path) -> None:
+TABLE = ("torsion_deflection:=[0.05, 0.05, 0.1, 0.1]", "torsion_torque:=[2.5, 2.0, 8.0, 6.0]")
+
+
+@pytest.mark.parametrize("curve", [("cubic_stiffness:=[4.0e3, 2.5e3]",), TABLE], ids=["cubic", "table"])
+def test_the_motion_of_springs_with_a_curve_keeps_their_limits(tmp_path: Path, curve: tuple[str, ...]) -> None:
     target = tmp_path / "moves.yaml"
-    given = "excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}"
-    hard = "--set", "robot.cubic_stiffness:=[4.0e3, 2.5e3]"
-    shown = fjr_here(*given, *hard, code=Exit.NOT_UNDERSTOOD)
-    assert "'robot.cubic_stiffness' is [4000.0, 2500.0]; expected straight springs" in shown
-    assert not target.exists()
-    fjr_here(*given, "--set", shown.partition("--set ")[2].strip())
-    assert load_scenario(target).robot.cubic is None
+    given = *(f"robot.{each}" for each in curve), "limits.deflection:=[0.1, 0.06]"
+    sets = [part for each in given for part in ("--set", each)]
+    fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", *sets)
+    loop = load_scenario(target)
+    assert loop.robot.curve
+    run = loop.simulate(DURATION)
+    zeta = np.abs(run.x[:, 2:4] - run.x[:, :2]).max(axis=0)
+    assert np.all(zeta <= [0.1, 0.06])
+    assert np.abs(run.x[:, :2] - run.jets[:, 0]).max() < 2e-3
 
 
 def test_an_earlier_file_is_not_replaced(tmp_path: Path) -> None:

@@ -116,17 +116,20 @@ def test_the_operations_after_one_state_are_bounded() -> None:
     assert 0 <= min(done) < max(done) <= 18 * robot.n + 2
 
 
-@pytest.mark.parametrize("hardens", [False, True], ids=["full matrices", "hardening springs"])
+@pytest.mark.parametrize("springs", ["full matrices", "cubic", "torsion"])
 @pytest.mark.parametrize("wrong_motor", [None, 0, 1])
-def test_both_agree_on_a_robot_with_full_matrices_or_hardening_springs(wrong_motor: int | None, hardens: bool) -> None:
+def test_both_agree_on_a_robot_with_full_matrices_or_curved_springs(wrong_motor: int | None, springs: str) -> None:
     def full(a: float, b: float) -> Array:
         return np.array([[a, 0.2 * b], [0.2 * b, b]])
 
     links = fjr.planar_two_link().links
     robot = fjr.Robot(links, full(0.02, 0.01), full(40, 25), full(0.2, 0.1), full(0.01, 0.02), full(1, 0.8))
-    if hardens:
-        K = np.array([40.0, 25.0])
+    K = np.array([40.0, 25.0])
+    if springs == "cubic":
         robot = replace(robot, K=np.diag(K), cubic=K / 0.05**2)
+    if springs == "torsion":
+        z = np.array([[0.02, 0.03], [0.05, 0.06]])
+        robot = replace(robot, K=np.diag(K), torsion=[z, K * z * [[1.2], [2.0]]])
     plant, rng, x = fjr.Plant(robot), np.random.default_rng(5), robot.state(*np.zeros((4, 2)))
     here, oracle = WiringCheck(robot), NumericCheck(robot)
     for k in range(STATES):

@@ -30,14 +30,15 @@ class Robot:
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
     All five are constant matrices (n, n). limits: joint limits or None; they are not enforced here.
     prismatic: True for each prismatic joint (n,), none by default; its units are m and N.
-    cubic: cubic stiffness k (n,) [N m/rad^3], 0 or more, of hardening springs K zeta + k zeta^3 (model.springs); None
-    for straight springs, also where zeros are given.
+    cubic: cubic stiffness k (n,) [N m/rad^3], 0 or more, of hardening springs K zeta + k zeta^3 (model.springs).
+    torsion (2, m, n) [rad, N m]: deflections and torques of a curve with the slope K at zero, zeros for a straight
+    joint. Both are None for straight springs, also where zeros are given.
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
     Raises RobotError when M_l (at its vertices if known, else at q_l = 0), M_m or K is not symmetric positive definite,
     D_l or D_m not symmetric positive semidefinite, B_m not invertible, or anything is not finite or of the wrong shape,
-    or where a cubic stiffness is negative or comes with a matrix K that is not diagonal.
+    or where a curve is not monotone, comes with another one or with a matrix K that is not diagonal.
     """
 
     links: ArmDynamics
@@ -49,9 +50,11 @@ class Robot:
     limits: JointLimits | None = None
     prismatic: tuple[bool, ...] = ()
     cubic: Array | None = None
+    torsion: Array | None = None
 
     def __repr__(self) -> str:
         cubic = "" if self.cubic is None else f", cubic={brief(self.cubic)}"
+        cubic += f", {self.torsion.shape[1]} points of torsion" if self.torsion is not None else ""
         return f"Robot({joints(self.n)}, K={brief(self.K)}, M_m={brief(self.M_m)}{cubic})"
 
     def __post_init__(self) -> None:
@@ -64,6 +67,10 @@ class Robot:
             checks.freeze(self, name, array)
         if self.cubic is not None:
             object.__setattr__(self, "cubic", springs.checked_cubic(self.cubic, self.K))
+        if self.torsion is not None:
+            object.__setattr__(self, "torsion", springs.checked_torsion(self.torsion, self.K))
+            if self.cubic is not None and self.torsion is not None:
+                raise RobotError("torsion is given with a cubic stiffness; expected one curve")
         if not np.linalg.cond(self.B_m) < 1e12:
             raise RobotError(f"B_m is {self.B_m.tolist()}; expected an invertible matrix")
         if self.limits is not None and self.limits.n != self.n:
@@ -82,6 +89,21 @@ class Robot:
     def units(self) -> tuple[Units, ...]:
         """Units of each joint's position, velocity, acceleration and effort."""
         return tuple(PRISMATIC if slides else REVOLUTE for slides in self.prismatic or (False,) * self.n)
+
+    @property
+    def curve(self) -> str:
+        """Name of the robot parameter that bends the springs, "" for straight ones."""
+        if self.torsion is not None:
+            return "torsion_torque"
+        return "" if self.cubic is None else "cubic_stiffness"
+
+    @cached_property
+    def curves(self) -> tuple[springs.TorsionCurve, ...]:
+        """Torsion curves of the n joints, or none."""
+        if self.torsion is None:
+            return ()
+        pairs = zip(np.diag(self.K), np.moveaxis(self.torsion, 2, 0), strict=True)
+        return tuple(springs.torsion_curve(K, *points) for K, points in pairs)
 
     def M_l(self, q_l: ArrayLike) -> Array:
         """Return the link inertia M_l(q_l) (n, n) [kg m^2] at q_l (n,) [rad]."""
@@ -118,14 +140,14 @@ class Robot:
     def deflection(self, tau: ArrayLike) -> Array:
         """Return the deflection q_m - q_l (n,) [rad] of the springs under torques tau (n,) [N m]."""
         vector = self._vector("tau", tau)
-        if self.cubic is None:
+        if not self.curve:
             return np.asarray(np.linalg.solve(self.K, vector))
         return ca.DM(springs.deflection(self, ca.DM(vector))).full().ravel()
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
         """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eq. (35).
 
-        With a cubic stiffness k the springs store sum k zeta^4 / 4 more.
+        Springs with a curve store its integral (model.springs).
         links: replaces the rigid arm of the robot, e.g. with a payload.
         """
         q_l, q_m, p_l, p_m = symbolic.blocks(x, self.n)
@@ -168,8 +190,8 @@ class Robot:
         digest = hashlib.sha256("\n".join(parts).encode())
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        if self.cubic is not None:
-            digest.update(self.cubic.tobytes())
+        for curve in (self.cubic, self.torsion):
+            digest.update(b"" if curve is None else curve.tobytes())
         return digest.digest()
 
     def _vector(self, name: str, value: ArrayLike) -> Array:

@@ -15,7 +15,7 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
 SCALAR, LIST, VECTOR, MATRIX, ROWS, POINT = "scalar", "list", "vector", "matrix", "rows", "point"
 """Shapes: one value; a list as given; n entries; n or n*n entries; m*n entries; three coordinates."""
-_SHAPE_TEXT = {MATRIX: ", n entries or n*n by rows", ROWS: ", m*n entries: a row of n for each sine"}
+_SHAPE_TEXT = {MATRIX: ", n entries or n*n by rows", ROWS: ", m*n entries: m rows of n"}
 _METADATA = "parameter"
 
 

@@ -44,7 +44,7 @@ LANES = 4
 """Number of interleaved runs."""
 SOURCES = ("loop.h", "noise.c", "loop.c")
 PLANTS = ("plain", "full")
-"""Plants without and with friction and payload."""
+"""Plants without and with the levels of parametric_robot.FULL."""
 
 
 @cache

@@ -139,6 +139,8 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Iden
         raise StateError(
             "link_inertia is of a robot that is no chain of bodies; expected one from a URDF, joints from base to tip"
         )
+    if robot.torsion is not None:
+        raise StateError("torsion is a table, which is not fitted; expected none, or a cubic stiffness instead")
     hardens = robot.cubic is not None or HARDENING in options.names
     if hardens and any(signal == "torque" for signal, _ in measured):
         raise StateError("cubic_stiffness is of records with joint torque sensors; expected motor positions instead")

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import RobotError
+from fjr_core.model import springs
 from fjr_core.model.rigid_arm import ArmDynamics
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.residuals import Residuals, over_rows
@@ -100,7 +101,8 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     """Return stiffness and backlash: torques on the link with their reactions on the motor."""
     n, k = seen.robot.n, seen.robot.K[j, j]
     zeta = seen.q[:, n + j] - seen.q[:, j]
-    linear = seen.placed({j: zeta, n + j: -zeta})
+    bent = springs.torques(seen.robot, seen.q[:, n:] - seen.q[:, :n])[:, j] / k if seen.robot.curve else zeta
+    linear = seen.placed({j: bent, n + j: -bent})
     yield Hypothesis("stiffness", j, JOINT, "%", linear, lambda fitted: 100 * float(fitted[0]) / k)
     for half in FREEPLAYS * np.sqrt(np.mean(zeta**2)):
         torque = -np.clip(zeta, -half, half) * k

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model import springs
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Prediction
 from fjr_core.numerics.checks import Array
@@ -99,8 +100,8 @@ def residuals(record: Record, law: TrackingLaw, found: Innovations, acted: Actin
     q, dq = ((values[first] + values[second]) / 2 for values in (record.position, record.velocity))
     ddq = (record.velocity[second] - record.velocity[first]) / found.dt[:, None]
     u, r = found.sent + late, block_means(raw[kept], block)
-    zeta = q[:, n:] - q[:, :n]
-    scale = np.hstack([np.abs(zeta @ robot.K), np.abs(zeta @ robot.K) + np.abs(u @ robot.B_m.T)])
+    spring = np.abs(springs.torques(robot, q[:, n:] - q[:, :n]))
+    scale = np.hstack([spring, spring + np.abs(u @ robot.B_m.T)])
     noise = deviation(r)
     sigma = np.hypot(noise, FLOOR * np.sqrt(np.mean(scale**2, axis=0)) + 1e-12)
     return Residuals(record, robot, Prediction(law), first, kept, block, r, sigma, noise, q, dq, ddq, u)
