@@ -23,13 +23,9 @@ as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files
 NOBODY = 65534
 
 
-def function() -> ca.Function:
+def assert_compiled() -> None:
     x = ca.SX.sym("x", 3)
-    return ca.Function("cubes", [x], [x**3])
-
-
-def assert_compiled(made: ca.Function | None = None) -> None:
-    made = made or compiling.compiled(function())
+    made = compiling.compiled(ca.Function("cubes", [x], [x**3]))
     assert made.class_name() == "External"
     assert made([1, 2, 3]).full().ravel().tolist() == [1, 8, 27]
 
