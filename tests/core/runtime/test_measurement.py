@@ -73,9 +73,7 @@ def values(**given: object) -> Values:
 
 def test_default_measures_positions_and_velocities() -> None:
     found = measurement(values(), ROBOT)
-    assert (found.velocity, found.motor, found.observed, found.by_torque, found.geared) == (
-        ("measured", "position", False, False, False)
-    )
+    assert (found.velocity, found.motor, found.observed, found.by_torque) == ("measured", "position", False, False)
     assert observer(values(), ROBOT) is None
 
 
