@@ -124,11 +124,11 @@ class Settings:
         for field, parameter in declared(Settings).items():
             value = getattr(self, field)
             if parameter.shape == VECTOR:
-                bounds = limits(f"parameter '{parameter.name}'", value, self.n, ParameterError)
-                if np.any(bounds < parameter.minimum):
+                array = limits(f"parameter '{parameter.name}'", value, self.n, ParameterError)
+                if np.any(array < parameter.minimum):
                     expected = f"expected {parameter.range}, infinite for no limit"
-                    raise ParameterError(f"parameter '{parameter.name}' is {bounds.tolist()}; {expected}")
-                freeze(self, field, bounds)
+                    raise ParameterError(f"parameter '{parameter.name}' is {array.tolist()}; {expected}")
+                freeze(self, field, array)
             elif parameter.constraint == _DURATION and not (value == 0 or value >= SHORTEST):
                 expected = f"0 for none, or at least {SHORTEST} s"
                 raise ParameterError(f"parameter '{parameter.name}' is {value} s; expected {expected}")
