@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.config.controller import measurement, observer, safety
+from fjr_core.numerics.jit import CLibrary
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import KINDS
-from fjr_core.runtime.library import Model, StepLibrary, settings_struct
+from fjr_core.runtime.library import Model, settings_struct
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_design.batch.program import BatchProgram
 from fjr_design.exports.step_code import loop_of
@@ -73,7 +74,7 @@ class Changes(NamedTuple):
     hold_damping: Efforts
 
 
-def changes(library: StepLibrary, sequence: Sequence) -> Changes:
+def changes(library: CLibrary, sequence: Sequence) -> Changes:
     """Return settings and gains of the changed scenario."""
     s = sequence.changed_scenario
     settings = settings_struct(library, safety(s.controller_values, s.robot), s.law)

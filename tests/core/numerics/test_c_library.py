@@ -9,11 +9,11 @@ import pytest
 from cffi import FFI
 
 from core.numerics.processes import output, started
-from fjr_core.numerics.jit import ffi_of
-from fjr_core.runtime.library import HEADER, declarations, text
+from fjr_core.numerics.jit import declarations, ffi_of
+from fjr_core.runtime.library import HEADER, sizes, text
 
 pytestmark = pytest.mark.usefixtures("cache")
-STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
+STEP = declarations(text(HEADER), sizes(3, 2))
 STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")
 READ = """
 import sys
