@@ -21,7 +21,7 @@ from fjr_core.numerics.jit import OPTIONS, SAME_BITS
 from fjr_core.robust.law import Robust
 from fjr_core.runtime import velocity_observer
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.library import HEADER, c_code, constant, sizes, text
+from fjr_core.runtime.library import HEADER, c_text, constant, text
 from fjr_core.runtime.safety_settings import Settings
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
@@ -56,11 +56,6 @@ def compiled(command: Sequence[str], source: str, folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
     (folder / "code.c").write_text(source)
     return built(command, [folder / "code.c"], folder / "built")
-
-
-def c_text(n: int, memory: int) -> str:
-    """Return the translation unit of the step."""
-    return "\n".join([*(f"#define {name} {size}" for name, size in sizes(n, memory).items()), text(HEADER), c_code()])
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)

@@ -15,7 +15,7 @@ from core.oracles.cases import ARMS, Arm, linear
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core import ParameterError, StateError
 from fjr_core.numerics import jit as jit_cache
-from fjr_core.runtime.library import HEADER, c_code, sizes, text
+from fjr_core.runtime.library import c_text
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws, program
 from fjr_design.batch.closed_loop import FIELDS as OUTCOMES
@@ -223,8 +223,7 @@ def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytes
 
 def test_the_loop_in_c_compiles_without_warnings(tmp_path: Path) -> None:
     folder = Path(program.__file__).parent
-    defined = [f"#define {name} {size}" for name, size in (*sizes(2, 3).items(), ("LANES", 4))]
-    texts = [*defined, text(HEADER), c_code(), *((folder / name).read_text() for name in program.SOURCES)]
+    texts = [c_text(2, 3), "#define LANES 4", *((folder / name).read_text() for name in program.SOURCES)]
     (tmp_path / "loop.c").write_text("\n".join(texts))
     command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-c", "loop.c"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)

@@ -67,6 +67,11 @@ def c_code() -> str:
     return "\n".join(text(name).replace(f'#include "{HEADER}"\n', "") for name in SOURCES)
 
 
+def c_text(n: int, memory: int) -> str:
+    """Return the translation unit of the step for n joints and a controller state of `memory` numbers."""
+    return "\n".join([*(f"#define {name} {size}" for name, size in sizes(n, memory).items()), text(HEADER), c_code()])
+
+
 def text(name: str) -> str:
     """Return the text of a file of this folder."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
@@ -74,7 +79,7 @@ def text(name: str) -> str:
 
 def constant(name: str) -> float:
     """Return the number of a macro of step.h or of the C files. Raises KeyError."""
-    return {found: float(number) for found, number in _NUMBER.findall(text(HEADER) + c_code())}[name]
+    return {found: float(number) for found, number in _NUMBER.findall(c_text(1, 1))}[name]
 
 
 class CFunction:
