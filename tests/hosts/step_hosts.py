@@ -15,9 +15,10 @@ from design.exports.c_program import C99, built
 from design.exports.ros2_control import exported_package
 from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.jit import CLibrary
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import KINDS
-from fjr_core.runtime.library import Model, StepLibrary, settings_struct, step_library
+from fjr_core.runtime.library import Model, settings_struct, step_library
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_design.batch.program import BatchProgram
 from fjr_design.exports.project import export, write
@@ -83,7 +84,7 @@ class Changes(NamedTuple):
     hold_damping: Efforts
 
 
-def changes(library: StepLibrary, sequence: Sequence) -> Changes:
+def changes(library: CLibrary, sequence: Sequence) -> Changes:
     """Return settings and gains of the changed scenario."""
     s = sequence.changed_scenario
     settings = settings_struct(library, safety(s.controller_values, s.robot), s.law)

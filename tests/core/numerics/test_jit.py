@@ -19,9 +19,9 @@ from core.numerics.processes import COMPILED, CUBES, output, started
 from fjr_core.errors import CompilerError
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.numerics import jit as compiling
-from fjr_core.numerics.jit import ffi_of
+from fjr_core.numerics.jit import declarations, ffi_of
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.library import HEADER, declarations, step_library, text
+from fjr_core.runtime.library import HEADER, step_library, text
 from fjr_core.runtime.safety_settings import Settings
 
 pytestmark = pytest.mark.usefixtures("cache")
@@ -203,7 +203,7 @@ STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
 STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")
 READ = """
 import sys
-from fjr_core.numerics.jit import ffi_of
+from fjr_core.numerics.jit import declarations, ffi_of
 assert ffi_of("struct point { double x, y; };").sizeof("struct point") == 16
 print("pycparser" in sys.modules)
 """

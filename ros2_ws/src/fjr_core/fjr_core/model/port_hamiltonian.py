@@ -14,7 +14,7 @@ from ..numerics import symbolic
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS, LONGEST_COPIED, step
 from ..numerics.jit import compiled
-from ..numerics.symbolic import NumericFunction, dense_function, numeric
+from ..numerics.symbolic import dense_function, evaluate
 from . import springs
 from .rigid_arm import RigidArm
 from .robot import Robot
@@ -133,15 +133,15 @@ class Plant:
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """Return dx/dt (4n,) at state x (4n,) and effort u (n,) [N m], eq. (36)."""
-        return self._derivative(x, u)[0]
+        return evaluate(self.dynamics, x, u)[0]
 
     def step(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """Return the state (4n,) after one integrator step of dt [s] with u held."""
-        return self._step(x, u, dt)[0]
+        return evaluate(self.step_function, x, u, dt)[0]
 
     def gradient(self, x: ArrayLike) -> Array:
         """Return dH/dx (4n,): (dH/dq_l, dH/dq_m, dq_l, dq_m)."""
-        return self._gradient(x)[0]
+        return evaluate(self._gradient, x)[0]
 
     def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
         """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all are constant."""
@@ -149,14 +149,6 @@ class Plant:
         return J, R, G
 
     @cached_property
-    def _step(self) -> NumericFunction:
-        return NumericFunction(self.step_function)
-
-    @cached_property
-    def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.dynamics)
-
-    @cached_property
-    def _gradient(self) -> NumericFunction:
+    def _gradient(self) -> ca.Function:
         x = ca.SX.sym("x", 4 * self.robot.n)
-        return numeric("gradient", {"x": x}, {"dH": gradient_expression(self.robot, x)})
+        return dense_function("gradient", {"x": x}, {"dH": gradient_expression(self.robot, x)})

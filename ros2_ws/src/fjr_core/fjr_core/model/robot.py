@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError, StateError
 from ..numerics import checks, symbolic
-from ..numerics.checks import Array, floats, freeze
+from ..numerics.checks import Array, freeze, limits
 from ..numerics.one_line import brief, joints, one_line
-from ..numerics.symbolic import NumericFunction, dense_function, numeric, symbols
+from ..numerics.symbolic import dense_function, evaluate, symbols
 from . import springs
 from .rigid_arm import ArmDynamics, RigidArm
 
@@ -124,17 +124,17 @@ class Robot:
 
     def hamiltonian(self, x: ArrayLike) -> float:
         """Return the total energy H(x) [J], eq. (35), at x (4n,)."""
-        return float(self._hamiltonian(checks.vector("x", x, 4 * self.n, StateError))[0][0])
+        return float(evaluate(self._hamiltonian, checks.vector("x", x, 4 * self.n, StateError))[0][0])
 
     def state(self, q_l: ArrayLike, q_m: ArrayLike, dq_l: ArrayLike, dq_m: ArrayLike) -> Array:
         """Return the state x (4n,) for positions [rad] and velocities [rad/s] (n,) of links and motors."""
         parts = (("q_l", q_l), ("q_m", q_m), ("dq_l", dq_l), ("dq_m", dq_m))
         values = [self._vector(name, value) for name, value in parts]
-        return self._state(np.hstack(values[:2]), np.hstack(values[2:]))[0]
+        return evaluate(self.to_state, np.hstack(values[:2]), np.hstack(values[2:]))[0]
 
     def velocities(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at the state x (4n,)."""
-        (velocity,) = self._velocity(checks.vector("x", x, 4 * self.n, StateError))
+        (velocity,) = evaluate(self.to_velocity, checks.vector("x", x, 4 * self.n, StateError))
         return velocity[: self.n], velocity[self.n :]
 
     def deflection(self, tau: ArrayLike) -> Array:
@@ -198,17 +198,9 @@ class Robot:
         return checks.vector(name, value, self.n, StateError)
 
     @cached_property
-    def _hamiltonian(self) -> NumericFunction:
+    def _hamiltonian(self) -> ca.Function:
         x = ca.SX.sym("x", 4 * self.n)
-        return numeric("hamiltonian", {"x": x}, {"H": self.hamiltonian_expression(x)})
-
-    @cached_property
-    def _velocity(self) -> NumericFunction:
-        return NumericFunction(self.to_velocity)
-
-    @cached_property
-    def _state(self) -> NumericFunction:
-        return NumericFunction(self.to_state)
+        return dense_function("hamiltonian", {"x": x}, {"H": self.hamiltonian_expression(x)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,14 +218,9 @@ class JointLimits:
     __repr__ = one_line
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            name, array = field.name, floats(f"{field.name} limit", getattr(self, field.name), RobotError)
-            if array.ndim != 1 or np.any(np.isnan(array)):
-                expected = "one number per joint, infinite for no limit"
-                raise RobotError(f"{name} limit is {array.tolist()}; expected {expected}")
-            if array.shape != np.shape(self.lower):
-                raise RobotError(f"{name} has shape {array.shape}; expected that of lower, {self.lower.shape}")
-            freeze(self, name, array)
+        n = int(np.size(self.lower))
+        for name in ("lower", "upper", "velocity", "effort"):
+            freeze(self, name, limits(f"{name} limit", getattr(self, name), n, RobotError))
         if not np.all(self.lower <= self.upper):
             raise RobotError(f"lower is {self.lower.tolist()}, upper {self.upper.tolist()}; expected lower <= upper")
         for name in ("velocity", "effort"):

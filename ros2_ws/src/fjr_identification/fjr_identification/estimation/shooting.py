@@ -13,7 +13,7 @@ import numpy as np
 
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import c_library
+from fjr_core.numerics.jit import c_library_of
 
 from .elastic_arm import ElasticArm, packed
 from .parameters import SMOOTHING
@@ -130,7 +130,7 @@ class Shooting:
     @cached_property
     def library(self) -> tuple[Any, Any]:
         """Return cffi's types and the compiled loop."""
-        return c_library(__file__, {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors})
+        return c_library_of(__file__, {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors})[:2]
 
     @cached_property
     def function(self) -> Any:
