@@ -33,17 +33,16 @@ def test_publishes_the_effort_of_the_selected_law(ros: Ros, peer: Peer, name: st
         np.testing.assert_allclose(command.effort, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["singular_perturbation", "torque_feedback"])
-def test_tracks_on_two_nodes_in_lock_step_without_a_certificate(ros: Ros, name: str) -> None:
+def test_tracks_on_two_nodes_in_lock_step_without_a_certificate(ros: Ros) -> None:
     heard = Hearer(ros, certificates=True, only=("joint_commands", "fjr_controller/tracking_error"))
-    ros.controller(law__type=name, law__start_error=[0.5])
+    ros.controller(law__type="singular_perturbation", law__start_error=[0.5])
     ros.plant(lockstep=True)
     ros.until(lambda: len(heard.errors) >= 700, "700 answers")
     efforts = np.array([command.effort for command in heard.commands])
     assert np.isfinite(efforts).all()
     assert np.abs(efforts).max() < 60.0
     errors = np.array([error.position[0] for error in heard.errors])
-    assert np.abs(errors[650:700]).max() < (0.1 if name == "torque_feedback" else 0.02)
+    assert np.abs(errors[650:700]).max() < 0.02
     assert not heard.certificates
 
 
