@@ -69,7 +69,7 @@ def test_the_page_shows_the_set() -> None:
 @pytest.mark.parametrize(
     ("assignment", "wanted"),
     [
-        ("imperfections.command_loss:=0.4", "loss"),
+        pytest.param("imperfections.command_loss:=0.4", "loss", marks=pytest.mark.full),
         ("limits.effort:=[0.75]", "saturation"),
     ],
 )
