@@ -134,18 +134,6 @@ def test_trajectory_passes_its_points_and_holds_the_last(ros: Ros, manager: Mana
         np.testing.assert_allclose([*q, *dq], [-0.2, 0.0], atol=1e-9)
 
 
-def test_a_replacement_while_moving_begins_with_the_jets_of_the_active_reference(ros: Ros, manager: Manager) -> None:
-    node = manager.started(0.0)
-    manager.send(move())
-    manager.ask(stamped(0.3, 0.0))
-    tracker = node._control.step
-    before = tracker.jets_at(tracker.last_stamp)
-    manager.send(trajectory((1.0, 0.7)))
-    manager.ask(stamped(0.3, 0.0))
-    np.testing.assert_allclose(tracker.jets_at(tracker.last_stamp), before, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(reference_at(manager, 1.3)[0], [0.7], atol=1e-9)
-
-
 def test_a_trajectory_waits_for_its_start(ros: Ros, manager: Manager) -> None:
     manager.started(0.0)
     manager.send(trajectory((0.5, 0.1), start=ZERO + SECOND // 2))

@@ -10,7 +10,6 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,8 +26,8 @@ from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
 from system.documented import documented_keys
-from system.executables import TIME_LIMIT, Executable, fjr_here
-from time_limits import HANG, Limit
+from system.executables import Executable, fjr_here, wait_for
+from time_limits import HANG
 
 pytestmark = pytest.mark.system
 QUICK: dict[str, Any] = {
@@ -108,10 +107,10 @@ def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, number: i
     arguments = ["compare", str(file), "--output", str(tmp_path / "runs"), "--cores", "1"]
     ended = Executable("fjr_bringup", "fjr", *arguments)
     try:
-        until(lambda: any(kept.glob("*.json")))
+        wait_for(lambda: any(kept.glob("*.json")), "a result")
         ended.signal(number)
         code, said = ended.end()
-        until(lambda: not alive(ended.process.pid))  # the workers must end, too
+        wait_for(lambda: not alive(ended.process.pid), "the end")  # the workers must end, too
     finally:
         ended.kill()
     ctrl_c = number == signal.SIGINT
@@ -165,13 +164,6 @@ def test_key_of_kept_results_depends_on_code(monkeypatch: pytest.MonkeyPatch) ->
     compare_run._source.cache_clear()
     assert job.key == keys[0] == keys[1]
     assert len(set(keys)) == 2
-
-
-def until(happened: Callable[[], bool]) -> None:
-    limit = Limit(TIME_LIMIT)
-    while not happened():
-        assert not limit.passed()
-        time.sleep(0.01)
 
 
 def alive(group: int) -> bool:

@@ -144,18 +144,6 @@ def test_sensor_noise_is_no_violation() -> None:
     assert [diagnose(looped(noise=noise), LAW).kind for noise in (1e-4, 1e-2)] == ["holding"] * 2
 
 
-def test_too_slow_sampling_is_violated_by_sampling() -> None:
-    real = LAW.robot
-    run = fjr.simulate(fjr.Plant(real), LAW, REFERENCE, real.state(0.5, 0.5, 0, 0), 0.4, 0.02)
-    velocity = np.array([np.concatenate(real.velocities(x)) for x in run.x])
-    seen = replace(
-        record(), t=run.t, position=run.x[:, :2], velocity=velocity, jets=run.jets, u=run.u, sample_period=0.02
-    )
-    verdict = diagnose(seen, LAW)
-    assert (verdict.kind, verdict.causes) == ("violated", ("sampling",))
-    assert verdict.figures["spectral radius"] > 1
-
-
 def test_insufficient_data_give_unknown_with_a_reason() -> None:
     whole = record()
     nothing = np.full_like(whole.velocity, np.nan)
