@@ -256,6 +256,8 @@ CASES = {
     "motor_coulomb_friction": (0.08,),
     "motor_static_friction": (0.2,),
     "motor_stribeck_velocity": (0.6,),
+    "link_load_friction": (0.2,),
+    "motor_load_friction": (0.2,),
     "friction_smoothing_velocity": (0.2,),
     "cubic_stiffness": (500.0,),
     "hysteresis_torque": (0.2,),

@@ -174,8 +174,3 @@ def test_what_has_no_inverse_is_refused(cubic: str, more: str, sentence: str) ->
     with pytest.raises(fjr.ParameterError) as refused:
         _ = parse_scenario("hard", SCENARIO.format(cubic=cubic, more=more))
     assert sentence in str(refused.value)
-
-
-def test_a_softening_spring_has_no_inverse() -> None:
-    with pytest.raises(fjr.RobotError, match=r"cubic is \[-1.0, 2.0\] N m/rad\^3; expected 0 or more"):
-        replace(fjr.planar_two_link(), cubic=[-1.0, 2.0])

@@ -18,10 +18,7 @@ from core.numerics.processes import COMPILED, CUBES, output, started
 from fjr_core.numerics import code_cache
 from fjr_core.numerics import jit as compiling
 
-pytestmark = [
-    pytest.mark.usefixtures("cache"),
-    pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc) on this machine"),
-]
+pytestmark = pytest.mark.usefixtures("cache")
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
 NOBODY = 65534
 

@@ -150,16 +150,11 @@ FULL = {
 }
 
 
-def single(stiffness: float, **overrides: Any) -> Arm:
-    values = {
-        "motor_inertia": 0.004,
-        "link_damping": 0.2,
-        "motor_damping": 0.007,
-        "input_gain": 1.0,
-        **overrides,
-    }
-    robot = fjr.single_link(stiffness=stiffness, **overrides)
-    return _arm(f"single-{stiffness}", robot, SingleLink(), {"stiffness": stiffness, **values})
+def single(stiffness: float) -> Arm:
+    values = {"stiffness": stiffness, "motor_inertia": 0.004, "link_damping": 0.2, "motor_damping": 0.007}
+    return _arm(
+        f"single-{stiffness}", fjr.single_link(stiffness=stiffness), SingleLink(), {**values, "input_gain": 1.0}
+    )
 
 
 def planar(name: str, stiffness: Any, **overrides: Any) -> Arm:

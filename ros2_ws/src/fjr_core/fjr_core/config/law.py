@@ -82,7 +82,7 @@ def robust(values: Values, n: int) -> Robust:
     return named(lambda symbol: f"robust.{symbol}", lambda: Robust(**read(ROBUST, values, n)).checked(n))
 
 
-GAINS = declared(Gains, "gains.", PAPER_GAINS)
+GAINS = declared(Gains, "gains.", vars(PAPER_GAINS))
 
 
 def gains(values: Values, n: int) -> Gains:

@@ -9,8 +9,10 @@ from typing import Protocol
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from ..numerics import integrators, symbolic
+from ..errors import ParameterError
+from ..numerics import symbolic
 from ..numerics.checks import Array
+from ..numerics.integrators import INTEGRATORS, LONGEST_COPIED, step
 from ..numerics.jit import compiled
 from ..numerics.symbolic import NumericFunction, dense_function, numeric
 from . import springs
@@ -93,11 +95,11 @@ class Plant:
         return f"Plant({self.robot!r}, integrator={self.integrator!r})"
 
     def __init__(self, robot: Robot, integrator: str = "rk4", compile: bool = False) -> None:
+        if integrator not in INTEGRATORS:
+            raise ParameterError(f"integrator is {integrator!r}; expected one of {', '.join(INTEGRATORS)}")
         self.robot = robot
         self.integrator = integrator
         self.compiles = compile
-        if not self.in_python:
-            self._vm_step = integrators.step(integrator, self.dynamics)
 
     def raise_failure(self) -> None:
         """Raise the error of an evaluation since the last call; only a plant in Python fails."""
@@ -111,7 +113,9 @@ class Plant:
     @cached_property
     def step_function(self) -> ca.Function:
         """The CasADi function (x, u, dt) -> x_next; compiled if requested."""
-        return compiled(integrators.step_to_compile(self.integrator, self.dynamics)) if self.compiles else self._vm_step
+        copied = not self.compiles or self.dynamics.n_instructions() <= LONGEST_COPIED
+        function = step(self.integrator, self.dynamics, copied=copied)
+        return compiled(function) if self.compiles else function
 
     @cached_property
     def output_function(self) -> ca.Function:

@@ -189,20 +189,6 @@ class Robot:
         return NumericFunction(self.to_state)
 
 
-def law_view(plant: Robot, law: Robot) -> ca.Function | None:
-    """Return the CasADi function from the plant's x to the law's x with equal velocities.
-
-    Momenta are computed with the inertia of the law's robot. Return None if both robots have the same inertia: M_m and
-    the expression of M_l; equal functions that are written differently count as different.
-    """
-    M_l = [robot.links.M_l for robot in (plant, law)]
-    if plant is law or (np.array_equal(plant.M_m, law.M_m) and M_l[0].serialize() == M_l[1].serialize()):
-        return None
-    x, positions = ca.SX.sym("x", 4 * plant.n), 2 * plant.n
-    seen = law.to_state(x[:positions], plant.to_velocity(x))
-    return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
-
-
 @dataclass(frozen=True, eq=False)
 class JointLimits:
     """Limits of n joints, each (n,): positions lower, upper [rad], velocity [rad/s] and effort [N m], both > 0.

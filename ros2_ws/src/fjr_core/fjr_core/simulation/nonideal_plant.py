@@ -91,10 +91,11 @@ class NonidealPlant:
         applied, external, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, 3 * n, inputs.numel()])
         p, q_m = layout(n).named(parameters), x[n : 2 * n]
         dx, dq_l, dq_m = self._motion(x, applied, p)
-        F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
-        F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing)
         ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
         h = hysteresis(q_m - x[:n], sliders, p)
+        load = ca.fabs(springs.torque(self.robot, q_m - x[:n], p.cubic) + h)
+        F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing, p.load_l * load)
+        F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing, p.load_m * load)
         dx += ca.vertcat(ca.DM.zeros(2 * n), external + h - F_l, ripple - h - F_m)
         return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
 
@@ -210,13 +211,17 @@ class NonidealPlant:
         return numeric("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
 
 
-def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX) -> ca.SX:
+def friction(
+    v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX, of_load: ca.SX | float = 0.0
+) -> ca.SX:
     """Return the friction torque (n,) at the velocity v (n,), without the viscous damping: v' F >= 0.
+
+    of_load (n,): the part of the level that is due to the load, as in gears.
 
     B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30(7), 1994, with tanh(v / smoothing)
     in place of sign(v) as in S. Andersson, A. Soderberg, S. Bjorklund, Tribology International 40(4), 2007.
     """
-    level = coulomb + ca.fmax(static - coulomb, 0) * ca.exp(-((v / stribeck) ** 2))
+    level = coulomb + ca.fmax(static - coulomb, 0) * ca.exp(-((v / stribeck) ** 2)) + of_load
     return level * ca.tanh(v / smoothing)
 
 

@@ -47,7 +47,11 @@ class HeldEffort:
 
         Each side is given the friction of both, because a fit in progress does not know well how it is divided.
         """
-        levels = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
+        load = np.max(np.abs(self.u), axis=0)
+        levels = [
+            np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) + load * p[f"{side}_load_friction"]
+            for side in ("link", "motor")
+        ]
         v_0, acceleration = np.tile(p[SMOOTHING], 2), np.tile(sum(levels), 2) * self.mobility
         creep = self.dt * acceleration / v_0
         if np.max(creep, initial=0.0) > STABLE * MOST_STIFF_PARTS:
