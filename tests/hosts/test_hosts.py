@@ -81,7 +81,7 @@ def test_nodes_over_the_middleware_and_exported_c_send_the_same_bits_after_reque
 
 def test_every_host_finds_wrong_wiring_with_the_same_sample(comparison: Comparison) -> None:
     """Some hosts compare after the effort was sent, the others before the next one is computed."""
-    sequence = recording.of_wrong_wiring()
+    sequence = recording.of_wrong_wiring(LIMITED)  # with the programs of the first test
     replay = reference_replay(sequence)
     stopped = np.flatnonzero(replay.efforts.any(axis=1))[-1]
     assert replay.counters["stops: wiring"] == 1
