@@ -51,9 +51,25 @@ def test_check_warns_of_a_start_from_which_the_sampled_loop_diverges() -> None:
     assert near["rows"]["start error"].endswith("with springs as stiff as there")
 
 
-def test_a_run_keeps_the_certificate_and_no_wiring_fault_is_seen(tmp_path: Path) -> None:
-    said = fjr_here("run", *HARD, *NEAR, "--lockstep", "--duration", "1.5", "--output", str(tmp_path))
+POINTS = ("robot.torsion_deflection:=[0.02, 0.02, 0.05, 0.05]", "robot.torsion_torque:=[0.9, 0.4, 2.8, 0.9]")
+TABLE = ("two_link", *(part for each in POINTS for part in ("--set", each)))  # the second joint softens
+
+
+@pytest.mark.parametrize("springs", [HARD, TABLE], ids=["cubic", "table"])
+def test_a_run_keeps_the_certificate_and_no_wiring_fault_is_seen(tmp_path: Path, springs: tuple[str, ...]) -> None:
+    said = fjr_here("run", *springs, *NEAR, "--lockstep", "--duration", "1.5", "--output", str(tmp_path))
     assert said.splitlines()[3].endswith("holding"), said
+
+
+def test_check_says_which_springs_of_a_table_are_stiffer_and_which_softer() -> None:
+    found = checked(*TABLE)
+    assert found["stable"]
+    softer, stiffer = (
+        [float(each) for each in part.split("[")[1].split("]")[0].split(",")]
+        for part in found["rows"]["springs"].split("% softer")
+    )
+    assert softer[1] > 1 > softer[0]
+    assert stiffer[0] > 1 > stiffer[1]
 
 
 @pytest.mark.parametrize(

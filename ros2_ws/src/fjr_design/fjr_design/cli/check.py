@@ -205,14 +205,14 @@ def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], dict[s
 
 
 def _springs(scenario: Scenario) -> dict[str, str]:
-    """Return how much stiffer than joint_stiffness springs that harden are at rest; no row for straight springs."""
+    """Return how much stiffer or softer than joint_stiffness springs with a curve are at rest, else no row."""
     robot = scenario.plant.robot
     if not robot.curve:
         return {}
-    most = 100 * (equilibria_at(robot, scenario.configurations()).hardening.max(axis=0) - 1)
-    return {
-        "springs": f"up to {as_list(most)} % stiffer at rest on the reference; radii are of springs under the weight"
-    }
+    more = 100 * (equilibria_at(robot, scenario.configurations()).hardening - 1)
+    softer = f"up to {as_list(-more.min(axis=0))} % softer, " if more.min() < 0 else ""
+    seen = f"{softer}up to {as_list(more.max(axis=0))} % stiffer at rest on the reference"
+    return {"springs": f"{seen}; radii are of springs under the weight"}
 
 
 def _start_error(scenario: Scenario, start: HardStart) -> str:
