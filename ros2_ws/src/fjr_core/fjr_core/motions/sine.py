@@ -195,24 +195,14 @@ def _turns(k: int, m: int) -> Array:
 
 
 def _sine_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> Array:
-    """Return lower, upper, lower_at, upper_at (4, n) of a sin(w t + phase) from t0 to t1 [s]."""
-    edges = np.array([t0, t1 if np.isfinite(t1) else t0])[:, None] + np.zeros_like(a)
-    first = [_first(side * np.sign(a) * np.sign(w), np.abs(w), np.sign(w) * phase, t0) for side in (-1.0, 1.0)]
-    values = a * np.sin(w * edges + phase)
-    low, high, each = values.argmin(axis=0), values.argmax(axis=0), np.arange(len(a))
-    lower, upper = values[low, each], values[high, each]
-    reaches = [(at <= t1) & (a != 0) & (w != 0) for at in first]
-    return np.stack(
-        [
-            np.where(reaches[0], -np.abs(a), lower),
-            np.where(reaches[1], np.abs(a), upper),
-            np.where(reaches[0], first[0], edges[low, each]),
-            np.where(reaches[1], first[1], edges[high, each]),
-        ]
-    )
+    """Return lower, upper, lower_at, upper_at (4, n) of a sin(w t + phase) from t0 to t1 [s].
 
-
-def _first(side: Array, w: Array, phase: Array, t0: float) -> Array:
-    """Return the first time t >= t0 [s] with sin(w t + phase) = side (1 or -1), w > 0; infinite for w = 0."""
-    angle = (side * np.pi / 2 - phase - w * t0) % (2 * np.pi)
-    return t0 + np.divide(angle, w, out=np.full_like(w, np.inf), where=w > 0)
+    They are among the values at both ends, at the first crest and at the first trough.
+    """
+    turns = (np.pi / 2 * np.array([[1.0], [-1.0]]) - w * t0 - phase) * np.sign(w) % (2 * np.pi)
+    first = t0 + np.divide(turns, np.abs(w), out=np.full_like(turns, np.nan), where=w != 0)
+    ends = np.array([t0, t1 if np.isfinite(t1) else t0])[:, None] + np.zeros_like(a)
+    at = np.concatenate([ends, np.where(first <= t1, first, t0)])
+    values, each = a * np.sin(w * at + phase), np.arange(len(a))
+    low, high = values.argmin(axis=0), values.argmax(axis=0)
+    return np.stack([values[low, each], values[high, each], at[low, each], at[high, each]])

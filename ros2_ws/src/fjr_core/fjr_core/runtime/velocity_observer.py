@@ -27,7 +27,6 @@ An unmodelled acceleration a [rad/s^2] causes an error of dq_hat of about 2 a / 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cached_property
 
 import casadi as ca
@@ -42,7 +41,7 @@ from ..model.robot import Robot
 from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled
 from ..numerics.one_line import brief
-from ..numerics.symbolic import bind, symbols
+from ..numerics.symbolic import evaluate, symbols
 
 LONGEST_CALL = 1.5e-3  # s; longer intervals are predicted in several calls
 LONGEST_GAP = 0.1  # s; after a longer gap the observer restarts
@@ -81,8 +80,7 @@ class VelocityObserver:
         self.bandwidth = float(bandwidth)
         self._compile = compile
         self._n = n = robot.n
-        self._x_hat, self._x_next, self._y = np.zeros(4 * n), np.zeros(4 * n), np.zeros(2 * n)
-        self._u, self._dt, self._gain = np.zeros(n), np.zeros(1), np.zeros(2)
+        self._x_hat, self._y = np.zeros(4 * n), np.zeros(2 * n)
         self._dq_l, self._dq_m = self._x_hat[2 * n : 3 * n], self._x_hat[3 * n :]
         self._stamp: int | None = None
         self._k = 0
@@ -129,28 +127,21 @@ class VelocityObserver:
         dt = math.inf if self._stamp is None else (stamp - self._stamp) * 1e-9
         self._stamp, continues = stamp, 0 < dt <= LONGEST_GAP
         if continues:
-            self._u[:] = u
-            self._continue(dt)
+            self._continue(dt, u)
         if not (continues and self._x_hat.dot(self._x_hat) < math.inf):  # the first one, a gap, or not finite
             self._x_hat[: 2 * n], self._x_hat[2 * n :] = self._y, 0.0
             self._k = 0
         return self._dq_l, self._dq_m
 
-    def _continue(self, dt: float) -> None:
+    def _continue(self, dt: float, u: ArrayLike) -> None:
         """Predict over dt [s], in calls of at most LONGEST_CALL, and correct at the end."""
         self._k += 1
         last, first = corrections(self.bandwidth, dt), first_corrections(self._k)
         g, h = first if first[1] > last[1] else last
         calls = math.ceil(dt / LONGEST_CALL)
-        self._dt[0] = dt / calls
         for call in range(1, calls + 1):
-            self._gain[:] = (g, h / dt) if call == calls else 0.0
-            self._advance()
-            self._x_hat[:] = self._x_next
-
-    @cached_property
-    def _advance(self) -> Callable[[], None]:
-        return bind(self.function, [self._x_hat, self._y, self._u, self._dt, self._gain], [self._x_next])
+            gain = np.array([g, h / dt]) if call == calls else np.zeros(2)
+            self._x_hat[:] = evaluate(self.function, self._x_hat, self._y, u, dt / calls, gain)[0]
 
 
 def steps_of(robot: Robot) -> int:
