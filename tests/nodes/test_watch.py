@@ -188,8 +188,9 @@ def test_plant_and_controller_are_found_under_any_names(ros: Ros) -> None:
     watched = Watched("t")
     node = ros.add(Node("watch", context=ros.context, cli_args=rules))
     watch = FjrWatch(node, watched)
-    ros.start(type(ros.plant(lockstep=True)), rules, lockstep=True, compile=False)
-    ros.start(type(ros.controller()), rules, compile=False, use_sim_time=True)
+    for arguments in (None, rules):
+        ros.plant(arguments=arguments, publish_rate=250.0)
+        ros.controller(arguments=arguments)
 
     def complete() -> bool:
         watch.listen(0.0)
