@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
@@ -115,22 +114,14 @@ def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, ma
     assert manager.set(reference__amplitude=[0.4], reference__offset=[0.1], gains__K_ld=[0.9])[0]
     assert manager.change("activate")
     wanted = effort(0.0, fjr.Gains(10.0, 20.0, 0.9, 15.0, 60.0, 0.3), fjr.Sine(0.4, 1.0, 0.1))
-    np.testing.assert_allclose(activated_again(manager, 5.0).effort, [wanted], rtol=1e-9)
+    manager.meet_controller()
+    np.testing.assert_allclose(manager.answer(stamped(5.0)).effort, [wanted], rtol=1e-9)
     manager.answer(stamped(5.5))
     np.testing.assert_allclose(manager.references[-1].position, [0.1 + 0.4 * np.sin(0.5)], rtol=1e-9)
     assert manager.change("deactivate")
     assert manager.set(reference__frequency=[9.0])[0]
     assert not manager.change("activate")
     assert manager.state() == "inactive"
-
-
-def activated_again(manager: Manager, t: float, q: float = 0.5) -> JointState:
-    """Deactivate and activate the controller; return the command for a state at t [s]."""
-    if manager.state() == "active":
-        assert manager.change("deactivate")
-        assert manager.change("activate")
-    manager.meet_controller()
-    return manager.answer(stamped(t, q))
 
 
 def test_refused_configure_leaves_no_objects_on_the_node(ros: Ros, manager: Manager) -> None:

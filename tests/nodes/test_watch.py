@@ -89,22 +89,11 @@ def test_missing_data_are_reported() -> None:
     assert "no state for 2.5 s" in text(dataclasses.replace(FULL, silence=2.5))
 
 
-@pytest.mark.parametrize(
-    ("value", "bar"), [(0.0, "    "), (1e-7, "    "), (1e-3, "██  "), (1.0, "████"), (50.0, "████"), (1e-6, "    ")]
-)
-def test_error_bars_are_logarithmic(value: float, bar: str) -> None:
-    assert log_bar(value, 4) == bar
-
-
-@pytest.mark.parametrize(
-    ("value", "bar"),
-    [(0.0, "   │   "), (-10.0, "███│   "), (5.0, "   │██ "), (1e9, "   │███"), (float("nan"), "   │   ")],
-)
-def test_effort_bars_have_a_sign_and_end_at_the_limit(value: float, bar: str) -> None:
-    assert signed_bar(value, 10.0, 7) == bar
-
-
-def test_a_sparkline_shows_decades() -> None:
+def test_bars_show_decades_of_errors_and_the_sign_of_efforts_up_to_the_limit() -> None:
+    for value, bar in ((0.0, "    "), (1e-7, "    "), (1e-6, "    "), (1e-3, "██  "), (1.0, "████"), (50.0, "████")):
+        assert log_bar(value, 4) == bar
+    for value, bar in ((0.0, "   │   "), (-10.0, "███│   "), (5.0, "   │██ "), (1e9, "   │███"), (NAN, "   │   ")):
+        assert signed_bar(value, 10.0, 7) == bar
     assert sparkline((1.0, 1e-7), 10) == "█▁"
     assert sparkline((1.0, 1.0, 0.0), 2) == "█▁"
     assert sparkline((1.0, 0.99), 2) == "██", "less than a decade is a low bar"
@@ -188,8 +177,9 @@ def test_plant_and_controller_are_found_under_any_names(ros: Ros) -> None:
     watched = Watched("t")
     node = ros.add(Node("watch", context=ros.context, cli_args=rules))
     watch = FjrWatch(node, watched)
-    ros.start(type(ros.plant(lockstep=True)), rules, lockstep=True, compile=False)
-    ros.start(type(ros.controller()), rules, compile=False, use_sim_time=True)
+    for arguments in (None, rules):
+        ros.plant(arguments=arguments, publish_rate=250.0)
+        ros.controller(arguments=arguments)
 
     def complete() -> bool:
         watch.listen(0.0)

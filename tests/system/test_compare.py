@@ -362,21 +362,16 @@ ALIKE: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def tuned_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("tuned_alike")
-
-
-@pytest.fixture(scope="module")
-def page(tuned_folder: Path) -> Path:
-    path = tuned_folder / "page.md"
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tuned_alike") / "page.md"
     first, last = marks("mine")
     path.write_text(f"before\n{first}\n{last}\nbetween\n{BEGIN}\nkept\n{END}\n")
     return path
 
 
 @pytest.fixture(scope="module")
-def alike(tuned_folder: Path, page: Path) -> dict[str, Any]:
-    return compared(tuned_folder, ALIKE, "--cores", "2", "--document", str(page))[0]
+def alike(page: Path) -> dict[str, Any]:
+    return compared(page.parent, ALIKE, "--cores", "2", "--document", str(page))[0]
 
 
 def test_every_law_has_its_figures_on_fresh_draws_and_its_parameters(alike: dict[str, Any]) -> None:

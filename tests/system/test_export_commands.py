@@ -83,12 +83,6 @@ def test_only_an_earlier_export_is_replaced_and_only_with_force(tmp_path: Path) 
     assert (folder / "mine.txt").read_text() == "mine"
 
 
-def test_omitted_parameters_are_named(tmp_path: Path) -> None:
-    output = fjr_here("export-c", "paper_k31", str(tmp_path / "c"), "--set", "imperfections.actuator_lag:=[0.01]")
-    assert "not exported: what imperfections.actuator_lag" in output
-    assert "`imperfections.actuator_lag`" in (tmp_path / "c" / "README.md").read_text()
-
-
 @pytest.mark.skipif(not SOURCED, reason="ros2_control is not sourced: no package controller_interface")
 def test_the_package_builds_without_warnings_and_its_test_passes(tmp_path: Path) -> None:
     fjr_here("export-ros2-control", "two_link", str(tmp_path / "src" / "two_link_ros2_control"))
