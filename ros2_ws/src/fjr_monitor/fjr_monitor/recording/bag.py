@@ -15,8 +15,7 @@ from mcap.records import Message
 from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.files import files_of, read_file
-from fjr_monitor.recording.topic import BagError, Contents, Times, Topic
+from fjr_monitor.recording.files import BagError, Contents, Times, Topic, files_of, read_file
 from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
 
 JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"

@@ -26,8 +26,7 @@ from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import Diagnosis, PartwiseDiagnosis, unknown
 from fjr_monitor.diagnosis.thresholds import JointTolerances
-from fjr_monitor.recording.run import Recording, RunData
-from fjr_monitor.recording.signals import ControllerStop
+from fjr_monitor.recording.run import ControllerStop, Recording, RunData
 from fjr_monitor.recording.timing import Clock, Counts, Timing
 from fjr_monitor.report.performance import (
     Balance,
