@@ -6,72 +6,25 @@ Only measured states and sent efforts are used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.one_line import brief
 from fjr_core.stability.linearization import linearize
 
 from . import thresholds
-from .causes import (
-    CAUSES,
-    CauseErrors,
-    CausePropagation,
-    StorageBudget,
-    closed_loop,
-    detail,
-    foreign,
-    growth,
-    highest,
-    rises,
-    storage_budget,
-)
+from .causes import BlockStatistics, CausePropagation, closed_loop, foreign, growth, highest, rises, storage_budget
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
-from .fault_isolation import MOST_STATES, UNKNOWN, Finding, isolate
+from .fault_isolation import MOST_STATES, isolate
 from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
 from .thresholds import JointTolerances
+from .torque_faults import UNKNOWN
+from .verdict import NO_DECAY, SAMPLING, Diagnosis, unknown, violated
 
-SAMPLING, SATURATION = "sampling", "saturation"
-NO_DECAY = "V does not decay as guaranteed"
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
-_EXPLANATIONS = {
-    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
-    SATURATION: "the effort was saturated at a limit",
-    "delay": "the effort acted late",
-    "loss": "states or efforts were lost",
-    SAMPLING: "the loop is unstable at this sample period",
-}
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """Result of comparing V with its guaranteed decay.
-
-    kind: "holding": V decayed as guaranteed, to the floor that hold and noise predict. "degraded": V exceeds the floor
-    and the resulting tracking error is within the tolerance. "violated": it is not, or V grew. "unknown": too few
-    data. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
-    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the underlying
-    numbers by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
-    detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2". findings: faults of the robot or
-    its signals, by joint, side and kind.
-    """
-
-    kind: Literal["holding", "degraded", "violated", "unknown"]
-    causes: tuple[str, ...]
-    sentence: str
-    figures: dict[str, float]
-    errors: dict[str, Array] = field(default_factory=dict, compare=False)
-    detail: str = ""
-    findings: tuple[Finding, ...] = ()
-
-    def __repr__(self) -> str:
-        return f"Diagnosis({self.kind}: {brief(self.sentence)})"
 
 
 def diagnose(
@@ -274,110 +227,3 @@ class _SecondPass:
         figures["unanswered"] += float((~found.answered).sum())
         figures["largest V"] = float(np.maximum(figures["largest V"], found.V1.max()))
         figures["last V"] = float(found.V1[-1])
-
-
-class BlockStatistics:
-    """The blocks of a loop that is stable at its sample period, counted."""
-
-    def __init__(self, decay: float, axes: JointTolerances) -> None:
-        """decay: guaranteed factor of V in a block."""
-        self._decay, self._axes = decay, axes
-        self._envelope = np.zeros(len(axes.tolerance))
-        self._graded = np.zeros(2, dtype=bool)  # whether any block is judged; of these, any outside a transient
-        self._within = np.ones(2, dtype=bool)
-        self._errors = np.zeros((2, len(CAUSES), len(axes.tolerance)))
-        self._blocks = self._counted = self._above = 0
-        self._strongest = np.zeros(len(CAUSES), dtype=int)
-        self._hold = self._slack = 0.0
-        self._added: list[Array] = []
-
-    def add(self, blocks: StorageBudget, made: CauseErrors) -> None:
-        """Add blocks and the tracking errors by cause in them; only those with `judged` can be violated."""
-        causes = np.maximum(blocks.causes[blocks.judged], 0.0)
-        allowed = (blocks.slack + thresholds.PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
-        above = ~(causes.sum(axis=1) <= allowed)
-        self._blocks += len(blocks.judged)
-        self._counted += len(above)
-        self._above += int(above.sum())
-        self._strongest += np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES))
-        self._hold += float(blocks.hold.sum())
-        self._slack += float(blocks.slack.sum())
-        self._added.append(blocks.hold + blocks.noise)
-        self._grade(made, blocks.judged)
-
-    def _grade(self, made: CauseErrors, judged: NDArray[np.bool_]) -> None:
-        """Keep the largest error (n,) due to each cause in the judged blocks, and in those outside a transient.
-
-        The loop's own error is bounded by an envelope that decays from block to block with the square root of the
-        guaranteed factor of V. A block belongs to a transient if that envelope exceeds both the tolerance (n,) and the
-        errors due to the causes; if all judged blocks do, all count. Within the tolerance: the errors due to the causes
-        are at most the tolerance plus RELATIVE times the envelope.
-        """
-        total, own, tolerance = made.peaks.sum(axis=1), made.own.copy(), self._axes.tolerance
-        for value in own:  # the running maximum, multiplied by the decay from block to block
-            np.maximum(value, np.sqrt(self._decay) * self._envelope, out=value)
-            self._envelope = value
-        settled = judged & ~((own > tolerance) & (own > total)).any(axis=1)
-        within = (total <= tolerance + thresholds.RELATIVE * own).all(axis=1)
-        for i, rows in enumerate((judged, settled)):
-            self._graded[i] |= rows.any()
-            self._within[i] &= within[rows].all()
-            self._errors[i] = np.maximum(self._errors[i], made.peaks[rows].max(axis=0, initial=0.0))
-
-    def floor(self, tolerated: float) -> float:
-        """Return the storage [J] that hold, noise and the tolerated tracking error explain.
-
-        tolerated [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals
-        the lower quartile of what hold and noise add. The quartile keeps a diverging loop from raising its own floor.
-        """
-        if not self._blocks:
-            return tolerated
-        added = np.concatenate(self._added)
-        explained = np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25)
-        return tolerated + thresholds.PREDICTED * float(explained) / max(1 - self._decay, np.finfo(float).eps)
-
-    def conclude(self, grown: float, figures: dict[str, float]) -> Diagnosis:
-        """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""
-        share, strongest = self._above / max(1, self._counted), self._strongest / max(1, self._above)
-        figures = {**figures, "blocks": float(self._counted), "violated share": share, "growth of V": grown}
-        figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
-        order = np.argsort(-strongest, kind="stable")
-        causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
-        if grown > thresholds.DIVERGED:  # the hold is the cause if it added more to V than the decay removed
-            causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
-            return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
-        if self._blocks < thresholds.FEWEST:
-            states = int(figures.get("intervals", self._blocks * thresholds.BLOCK))
-            fewest = thresholds.FEWEST * thresholds.BLOCK
-            return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
-        if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
-            return unknown("most efforts sent are not those of the law", figures)
-        which = int(self._graded[1])
-        errors = dict(zip(CAUSES, self._errors[which], strict=True)) if self._graded[which] else {}
-        often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and self._above >= thresholds.FEWEST)
-        if grown > thresholds.EXCEEDED or often:
-            size, why = detail(causes, errors, self._axes), _why(causes)
-            if causes and self._within[which] and SATURATION not in causes:
-                sentence = f"{size}, within the tolerance: {why}"
-                return Diagnosis("degraded", causes, sentence, figures, errors, size)
-            sentence = f"{NO_DECAY}: {why}" + (f"; {size}" if size else "")
-            return Diagnosis("violated", causes, sentence, figures, errors, size)
-        if share > thresholds.SHARE_OF_FEW:
-            few = f"V exceeds its floor in {self._above} of {self._counted} blocks; expected more blocks"
-            return unknown(few, figures)
-        sentence = "V decays as guaranteed, down to the floor that hold and noise predict"
-        return Diagnosis("holding", (), sentence, figures, errors)
-
-
-def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
-    """Return "unknown" with the reason."""
-    return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
-
-
-def violated(what: str, causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
-    """Return "violated" with what was seen and the causes, the strongest first."""
-    return Diagnosis("violated", causes, f"{what}: {_why(causes)}", figures, {}, ", ".join(causes))
-
-
-def _why(causes: tuple[str, ...]) -> str:
-    return "; ".join(_EXPLANATIONS[cause] for cause in causes) or "the cause is unknown"

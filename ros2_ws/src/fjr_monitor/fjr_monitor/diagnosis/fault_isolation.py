@@ -22,20 +22,18 @@ from fjr_core.runtime.events import WiringFault
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
 from .delay_estimation import acting, effort_delay
-from .hypotheses import Finding, Hypothesis, hypotheses
 from .record import Record, consecutive, innovations, needed
-from .residuals import FEWEST_BLOCKS, Residuals, block_means, deviation, residuals
 from .thresholds import BLOCK, LONGEST_GAP
-
-UNKNOWN = "unknown"
-EXPLAINED = 0.8
-"""Share of a residual (R^2 without noise) that a fault must explain to be reported."""
-SIGNIFICANT = 4.0
-"""Smallest residual torque of a fault, in standard deviations of noise and rounding."""
-ADVANTAGE = 0.7
-"""Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
-NEAREST = 0.1
-"""Smallest share of the residual that the nearest kind must explain to be named where no fault is reported."""
+from .torque_faults import (
+    EXPLAINED,
+    FEWEST_BLOCKS,
+    UNKNOWN,
+    block_means,
+    deviation,
+    residuals,
+    torque_fault,
+)
+from .verdict import Finding
 
 CONTRADICTION = 5.0
 """Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
@@ -188,49 +186,3 @@ def _contradicted(channel: int, e: Array, noise: float, D: Array, dD: Array, nam
         size, what = float(k), f"is that of {names[k % n]}"
     side, joint = ("link", "motor")[channel // n], names[channel % n]
     return Finding(kind, joint, side, size, unit, share, f"{side} of {joint}: the measured velocity {what}")
-
-
-def fits(seen: Residuals) -> list[tuple[float, float, Hypothesis]]:
-    """Return the weighted residual sum of squares, the fitted size and the fault of all hypotheses, best first."""
-    y = (seen.r / seen.sigma).ravel()
-    found = []
-    for fault in hypotheses(seen):
-        X = (fault.columns / seen.sigma[:, None]).reshape(len(y), -1)
-        if not np.isfinite(X).all() or not X.any():
-            continue
-        if fault.nonlinear is None:
-            theta = np.asarray(np.linalg.lstsq(X, y, rcond=1e-8)[0], dtype=float)
-        else:
-            theta = fault.nonlinear(X.T @ X, X.T @ y)
-        size = fault.size(theta)
-        if size is not None:
-            found.append((float(((y - X @ theta) ** 2).sum()), size, fault))
-    return sorted(found, key=lambda fit: fit[0])
-
-
-def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Return the single fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
-
-    A fault is reported if it explains enough and clearly more than the best one of another kind or joint.
-    """
-    power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
-    if not np.isfinite(power).all() or power.max() < SIGNIFICANT**2:
-        return ()
-    total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
-    (left, size, fault), *others = fits(seen)
-    next_best = next(each for each, _, other in others if (other.kind, other.joint) != (fault.kind, fault.joint))
-    share = float(np.clip(1 - max(left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
-    if share < EXPLAINED or max(left - noise, 0.0) > ADVANTAGE * max(next_best - noise, 0.0):
-        return (unexplained(fault, share, names),)
-    what = f"{fault.kind} of {size:.3g} {fault.unit} explains {100 * share:.0f} % of the residual torque"
-    return (
-        Finding(fault.kind, names[fault.joint], fault.side, size, fault.unit, share, f"{fault.place(names)}: {what}"),
-    )
-
-
-def unexplained(nearest: Hypothesis, share: float, names: Sequence[str]) -> Finding:
-    """Return the finding that no fault explains the residual torque, of which the nearest one explains a share."""
-    sentence = "no single fault explains the residual torque"
-    if share >= NEAREST:
-        sentence += f"; the nearest, {nearest.kind} ({nearest.place(names)}), explains {100 * share:.0f} %"
-    return Finding(UNKNOWN, "", "", np.nan, "", share, sentence)

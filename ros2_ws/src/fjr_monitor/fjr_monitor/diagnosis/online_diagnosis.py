@@ -20,6 +20,7 @@ from fjr_core.numerics.jit import record_type
 from fjr_core.runtime.library import StepLibrary
 from fjr_monitor.diagnosis.causes import (
     EMPTY,
+    BlockStatistics,
     CauseErrors,
     CausePropagation,
     StorageBudget,
@@ -29,8 +30,8 @@ from fjr_monitor.diagnosis.causes import (
     storage_budget,
 )
 from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
-from fjr_monitor.diagnosis.diagnosis import BlockStatistics, Diagnosis, unknown
 from fjr_monitor.diagnosis.record import Innovations, needed
+from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
 
 from .thresholds import BLOCK, OLDEST, JointTolerances
 

@@ -24,8 +24,9 @@ from fjr_core.law.rate import NO_RATE, Rate
 from fjr_core.model.robot import joined
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.diagnosis import Diagnosis, PartwiseDiagnosis, unknown
+from fjr_monitor.diagnosis.diagnosis import PartwiseDiagnosis
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
 from fjr_monitor.recording.run import ControllerStop, Recording, RunData
 from fjr_monitor.recording.timing import Clock, Counts, Timing
 from fjr_monitor.report.performance import (
