@@ -11,7 +11,8 @@ import pytest
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.runtime.library import step_library
-from fjr_monitor.diagnosis.record import Record, innovations
+from fjr_monitor.diagnosis.diagnosis import innovations
+from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 from monitor.diagnosis.loops import Certified
 

@@ -12,8 +12,8 @@ import pytest
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
-from fjr_monitor.diagnosis.diagnosis import diagnose
-from fjr_monitor.diagnosis.record import Ends, Record, innovations, needed
+from fjr_monitor.diagnosis.diagnosis import diagnose, innovations
+from fjr_monitor.diagnosis.record import Ends, Record, needed
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from monitor.diagnosis.loops import PERIOD, recorded
 
@@ -199,9 +199,9 @@ def test_a_record_in_parts_has_the_diagnosis_of_the_whole(changed: dict[str, flo
 def test_the_ends_of_a_record_in_parts_are_its_first_and_last_states() -> None:
     whole = record()
     for most, size in ((100, 30), (100, 1000), (5000, 700)):
-        ends = Ends(most)
+        ends: Ends[Record] = Ends(most)
         for part in whole.parts(size):
-            ends.add(part)
+            ends.add(part.new)
         rows = np.unique(np.r_[: min(most, len(whole.t)), max(0, len(whole.t) - most) : len(whole.t)])
         wanted = whole.t[rows]
-        np.testing.assert_array_equal(ends.record().t, wanted)
+        np.testing.assert_array_equal(ends.joined().t, wanted)

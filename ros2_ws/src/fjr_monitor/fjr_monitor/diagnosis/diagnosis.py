@@ -17,14 +17,58 @@ from fjr_core.stability.linearization import linearize
 
 from . import thresholds
 from .causes import BlockStatistics, CausePropagation, closed_loop, foreign, growth, highest, rises, storage_budget
-from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
+from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, EffortDelay, regular_changes
 from .fault_isolation import MOST_STATES, isolate
-from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
+from .record import PART, Ends, Innovations, Record, consecutive, foreseen, held, latency, needed
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
 from .verdict import NO_DECAY, SAMPLING, Diagnosis, unknown, violated
 
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
+
+
+def innovations(
+    record: Record,
+    balance: Certificate,
+    prediction: Prediction,
+    series: CertificateSeries | None = None,
+    before: Array | None = None,
+    valued: bool = True,
+) -> Innovations:
+    """Return the innovations of the intervals that `consecutive` selects; of a part, those that end in it.
+
+    series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
+    state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
+    """
+    k, n = record.u.shape
+    if series is None and valued:
+        series = balance.along(record.position, record.velocity, record.jets)
+    sent, dt = held(record.u, before), np.diff(record.t)
+    first = consecutive(record, before)
+    older = sent[np.maximum(first - 1, 0)]
+    second, q, dq = first + 1, record.position, record.velocity
+    q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
+    unknown = np.full((k, 4 * n), np.nan)
+    V, u_law, slope = (series.V, series.u_law, series.slope) if series else (unknown[:, 0], unknown[:, :n], unknown)
+    predicted = balance.along(q_next, dq_next, record.jets[second]).V if valued else V[second]
+    applied = unknown[:, :n] if record.u_applied is None else record.u_applied
+    return Innovations(
+        dt=dt[first],
+        V0=V[first],
+        V1=V[second],
+        predicted=predicted,
+        sent=sent[first],
+        law=u_law[first],
+        before=applied[first],
+        after=applied[second],
+        error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
+        slope=slope[second],
+        answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
+        older=np.where(np.isfinite(older), older, sent[first]),
+        latency=latency(record)[first] / dt[first],
+        tracking=q[second, :n] - record.jets[second, 0],
+        states=np.stack([np.hstack([q[rows], dq[rows]]) for rows in (first, second)], axis=1),
+    )
 
 
 def diagnose(
@@ -68,7 +112,9 @@ class PartwiseDiagnosis:
         self._step, self._timed, self._stride = step, timed, max(1, states // CONFIGURATIONS)
         self._delay = DelaySums(law.robot.n)
         self._ages = [ActingSums(age, law.robot.n) for age in CANDIDATES]
-        self._ends = Ends(MOST_STATES // 2)
+        self._ends: Ends[Record] = Ends(MOST_STATES // 2)
+        self._innovations: Ends[Innovations] = Ends(MOST_STATES // 2)
+        self._unsaturated: tuple[Innovations, Array] | None = None
         self._visited: list[Array] = []
         self._intervals = self._states = 0
         self._moving = False
@@ -85,8 +131,9 @@ class PartwiseDiagnosis:
             for age in self._ages:
                 age.add(found, required, regular, begin)
         self._intervals += len(found) - begin
+        self._innovations.add(found.rows(slice(begin, None)))
         self._parts.done(found, len(found) - begin)
-        self._ends.add(part)
+        self._ends.add(part.new)
         self._moving |= bool(np.isfinite(part.velocity).any())
         q_ld = part.jets[part.begin :, 0]  # the reference: a diverging robot may be anywhere else
         rows = q_ld[-self._states % self._stride :: self._stride]
@@ -98,13 +145,13 @@ class PartwiseDiagnosis:
 
         beta [1/s]: guaranteed rate of V, as of diagnose. series: certificate along the part; None: it is computed here.
         """
-        if not self._intervals:
-            return
         with np.errstate(all="ignore"):
+            if self._unsaturated is None:
+                self._unsaturated = self._without_saturation()
+            if not self._intervals:
+                return
             if self._second is None:
-                visited, age = np.concatenate(self._visited), self._delay.delay()
-                acted = next(a for a in self._ages if (a.age.whole, a.age.measured) == (age.whole, age.measured))
-                acted.age = age
+                visited, acted = np.concatenate(self._visited), self._acted(self._delay.delay())
                 beta = self._law.rate(visited).beta if beta is None else beta
                 self._second = _SecondPass(self._law, self._axes, beta, self._step, visited, acted, self._intervals)
             self._second.add(part, series)
@@ -118,12 +165,32 @@ class PartwiseDiagnosis:
             diagnosis = self._second.result() if self._second else none
             if not velocities_measured or SAMPLING in diagnosis.causes:
                 return diagnosis  # the model needs measured velocities and close samples
-            findings = isolate(self._ends.record(), self._law, self._axes.names)
+            assert self._unsaturated is not None  # a record has a part
+            findings = isolate(self._ends.joined(), *self._unsaturated, self._law, self._axes.names)
         known = diagnosis.kind in ("degraded", "violated") and "model mismatch" not in diagnosis.causes
         explained = known or diagnosis.kind == "holding"
         findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
         sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
         return replace(diagnosis, sentence=sentence, findings=findings)
+
+    def _acted(self, age: EffortDelay) -> ActingSums:
+        """Return the sums for a delay."""
+        acted = next(each for each in self._ages if (each.age.whole, each.age.measured) == (age.whole, age.measured))
+        return acted.delayed(age)
+
+    def _without_saturation(self) -> tuple[Innovations, Array]:
+        """Return the innovations at both ends in which no motor was saturated, and the effort that acted late (k, n).
+
+        The measured torque reveals a saturated motor; how late efforts act is known by the motion alone.
+        """
+        found = self._innovations.joined()
+        required, usual = needed(found, self._law.robot), foreseen(found)
+        free = ~(self._acted(self._delay.delay()).acting(found, required).cut != 0).any(axis=1)
+        moved = self._acted(self._delay.delay(by_torque=False))
+        if moved.age.late:
+            acted = moved.acting(found, required)
+            usual = usual + acted.late + acted.lost
+        return found.rows(free), usual[free]
 
 
 class _Parts:

@@ -15,14 +15,12 @@ import numpy as np
 
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
-from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
-from .delay_estimation import acting, effort_delay
-from .record import Record, consecutive, innovations, needed
+from .record import Innovations, Record, consecutive
 from .thresholds import BLOCK, LONGEST_GAP
 from .torque_faults import (
     EXPLAINED,
@@ -48,10 +46,13 @@ STARTING = 400
 """Number of states at the start of a record in which the wiring is checked."""
 
 
-def isolate(record: Record, law: TrackingLaw, names: Sequence[str]) -> tuple[Finding, ...]:
+def isolate(
+    record: Record, found: Innovations, late: Array, law: TrackingLaw, names: Sequence[str]
+) -> tuple[Finding, ...]:
     """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
-    record: at most MOST_STATES states, the first and the last of a longer one. names (n,): of the joints.
+    record: at most MOST_STATES states, the first and the last of a longer one. found: innovations of the intervals in
+    which no motor was saturated. late (k, n) [N m]: acting minus sent effort there. names (n,): of the joints.
     """
     with np.errstate(all="ignore"):
         wiring = wiring_fault(record, law.robot)
@@ -62,11 +63,7 @@ def isolate(record: Record, law: TrackingLaw, names: Sequence[str]) -> tuple[Fin
         contradicted = velocity_faults(record, names)
         if contradicted:
             return contradicted
-        found = innovations(record, Certificate(law), Prediction(law))
-        if not len(found):
-            return ()
-        acted = acting(found, effort_delay(found, law.robot), needed(found, law.robot))
-        seen = residuals(record, law, found, acted)
+        seen = residuals(found, late, law)
         return () if seen is None else torque_fault(seen, names)
 
 

@@ -96,9 +96,10 @@ class LatestIntervals:
         rows = slice(max(0, end - count), end)
         found = {name: np.ascontiguousarray(self._kept[field][rows]) for name, field in _FIELDS.items()}
         k = len(found["dt"])
-        unmeasured = {name: np.full((k, self._n), np.nan) for name in ("before", "after")}
+        unmeasured = dict.fromkeys(("before", "after"), np.full((k, self._n), np.nan))
         own = {"latency": self._latencies[rows].copy(), "tracking": self._tracking[rows].copy()}
-        return Innovations(**found, **unmeasured, **own, answered=np.ones(k, dtype=bool))
+        states = np.full((k, 2, 4 * self._n), np.nan)
+        return Innovations(**found, **unmeasured, **own, states=states, answered=np.ones(k, dtype=bool))
 
 
 class OnlineDiagnosis:

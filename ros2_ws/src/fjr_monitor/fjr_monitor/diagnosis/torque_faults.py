@@ -16,11 +16,10 @@ fixed to a link: its joint torques are linear in its ten inertial parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from fjr_core.errors import RobotError
 from fjr_core.law.vdpbc import TrackingLaw
@@ -29,8 +28,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Prediction
 from fjr_core.numerics.checks import Array
 
-from .delay_estimation import Acting, acting, effort_delay
-from .record import Innovations, Record, consecutive, foreseen, held, needed
+from .record import Innovations
 from .thresholds import BLOCK
 from .verdict import Finding
 
@@ -115,11 +113,9 @@ class Residuals:
     acceleration of each interval. u (k, n) [N m]: acting effort.
     """
 
-    record: Record
+    found: Innovations
     robot: Robot
     prediction: Prediction
-    first: NDArray[np.intp]
-    kept: NDArray[np.intp]
     block: int
     r: Array
     sigma: Array
@@ -131,7 +127,7 @@ class Residuals:
 
     def means(self, values: Array) -> Array:
         """Return the block means (b, ...) of values (k, ...) of the intervals."""
-        return block_means(values[self.kept], self.block)
+        return block_means(values, self.block)
 
     def placed(self, signals: dict[int, Array]) -> Array:
         """Return the block means (b, 2n, 1) of signals (k,), each in the equation of its number, zero elsewhere."""
@@ -145,39 +141,32 @@ class Residuals:
 
         The model predicts from q + offset, the robot moves from q.
         """
-        record, first = self.record, self.first
         shift = np.zeros(2 * self.robot.n)
         shift[channel] = offset
-        u, dt = held(record.u)[first], np.diff(record.t)[first]
-        q, dq = record.position[first], record.velocity[first]
-        ahead = [self.prediction.along(q - sign * shift, dq, u, dt)[1] for sign in (0.5, -0.5)]
+        (q, dq), dt = np.split(self.found.states[:, 0], 2, axis=1), self.found.dt
+        ahead = [self.prediction.along(q - sign * shift, dq, self.found.sent, dt)[1] for sign in (0.5, -0.5)]
         return self.means(torques(self.robot, q, (ahead[0] - ahead[1]) / offset, dt))
 
 
-def residuals(record: Record, law: TrackingLaw, found: Innovations, acted: Acting) -> Residuals | None:
-    """Return the residuals of a record; None if it has too few intervals.
+def residuals(found: Innovations, late: Array, law: TrackingLaw) -> Residuals | None:
+    """Return the residuals of intervals in which no motor was saturated; None if they are too few.
 
-    found: innovations of the record. acted: deviations of the acting effort, from the measured torque if available.
+    late (k, n) [N m]: acting minus sent effort.
     """
-    robot, first = law.robot, consecutive(record)
-    if len(first) < FEWEST_BLOCKS:
+    block = int(np.clip(len(found) // (2 * FEWEST_BLOCKS), 1, BLOCK))
+    if len(found) < FEWEST_BLOCKS * block:
         return None
-    block = int(np.clip(len(first) // (2 * FEWEST_BLOCKS), 1, BLOCK))
-    kept = np.flatnonzero(~(acted.cut != 0).any(axis=1))
-    if len(kept) < FEWEST_BLOCKS * block:
-        return None
-    n, late = robot.n, _late(found, robot)
-    raw = torques(robot, record.position[first], found.error[:, 2 * n :], found.dt)
+    robot, n = law.robot, law.robot.n
+    first, second = found.states.transpose(1, 0, 2)
+    (q, dq), ddq = np.split((first + second) / 2, 2, axis=1), (second - first)[:, 2 * n :] / found.dt[:, None]
+    raw = torques(robot, first[:, : 2 * n], found.error[:, 2 * n :], found.dt)
     raw[:, n:] -= late @ robot.B_m.T
-    second = first + 1
-    q, dq = ((values[first] + values[second]) / 2 for values in (record.position, record.velocity))
-    ddq = (record.velocity[second] - record.velocity[first]) / found.dt[:, None]
-    u, r = found.sent + late, block_means(raw[kept], block)
+    u, r = found.sent + late, block_means(raw, block)
     zeta = q[:, n:] - q[:, :n]
     scale = np.hstack([np.abs(zeta @ robot.K), np.abs(zeta @ robot.K) + np.abs(u @ robot.B_m.T)])
     noise = deviation(r)
     sigma = np.hypot(noise, FLOOR * np.sqrt(np.mean(scale**2, axis=0)) + 1e-12)
-    return Residuals(record, robot, Prediction(law), first, kept, block, r, sigma, noise, q, dq, ddq, u)
+    return Residuals(found, robot, Prediction(law), block, r, sigma, noise, q, dq, ddq, u)
 
 
 def torques(robot: Robot, q: Array, change: Array, dt: Array) -> Array:
@@ -198,17 +187,6 @@ def block_means(values: Array, block: int) -> Array:
     count = len(values) // block
     means: Array = values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1)
     return means
-
-
-def _late(found: Innovations, robot: Robot) -> Array:
-    """Return acting minus sent effort (k, n) [N m] from the motion alone, since the measured torque may be faulty."""
-    unmeasured = replace(found, before=np.full_like(found.sent, np.nan), after=np.full_like(found.sent, np.nan))
-    age = effort_delay(unmeasured, robot)
-    usual = foreseen(found)
-    if not age.late:
-        return usual
-    acted = acting(unmeasured, age, needed(unmeasured, robot))
-    return usual + acted.late + acted.lost
 
 
 def deviation(r: Array) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ DEGREE = 5  # of the spline through the recorded velocities: its third derivativ
 @dataclass(frozen=True, kw_only=True)
 class RunData(Record):
     """Part of a run: a record with the certificate along it. Times in s since the first state; NaN: not known."""
+
+    SHARED: ClassVar[tuple[str, ...]] = (*Record.SHARED, "certify")
 
     sent: Array  # (k,) s, send time of each state since that of the first
     answered: Array  # (k,) s, send time of its command, NaN: none

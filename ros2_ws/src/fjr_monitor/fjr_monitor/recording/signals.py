@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from fjr_core.config.controller import measurement
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.bag import Bag, JointTable, Rows, in_order
+from fjr_monitor.diagnosis.record import Rows
+from fjr_monitor.recording.bag import Bag, JointTable, in_order
 from fjr_monitor.recording.files import BagError, Times
 from fjr_monitor.recording.timing import CountedTimes
 from fjr_msgs_py import names
