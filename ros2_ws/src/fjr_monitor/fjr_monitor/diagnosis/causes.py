@@ -172,6 +172,39 @@ def growth(risen: Array, floor: float) -> float:
     return float(np.max(V / (lowest + floor), initial=0.0))
 
 
+class StorageGrowth:
+    """V along the intervals of a record that come in order.
+
+    highest (2, m) [J]: as of `highest`. thirds (2,) [J]: largest V in the first and in the last third of all intervals.
+    figures: numbers of the diagnosis.
+    """
+
+    def __init__(self, total: int) -> None:
+        """total: number of intervals that will come."""
+        self._total, self._done, self._last = total, 0, (np.inf, np.nan)
+        self.highest: Array = np.zeros((2, 0))
+        self.thirds = np.zeros(2)
+        self.figures = {"intervals": float(total), "effort age": 0.0, "gaps": 0.0, "unanswered": 0.0}
+        self.figures |= {"largest V": -np.inf, "last V": np.nan}
+
+    def add(self, found: Innovations, period: float, limit: Array) -> None:
+        """Add the next intervals; period [s]: sample period. limit (n,) [N m]: of the efforts."""
+        if not len(found):
+            return
+        risen = rises(found, limit, *self._last)
+        foreign_last = bool(foreign(found.rows(slice(-1, None)), limit)[0])
+        self._last = (float(risen[1, -1]), np.inf if foreign_last else float(found.V1[-1]))
+        self.highest = highest(np.hstack([self.highest, risen]))
+        third, places = max(1, self._total // 3), self._done + np.arange(len(found))
+        for i, rows in enumerate((places < third, places >= self._total - third)):
+            self.thirds[i] = np.maximum(self.thirds[i], found.V1[rows].max(initial=0.0))
+        self._done += len(found)
+        self.figures["gaps"] += float((found.dt > GAP * period).sum())
+        self.figures["unanswered"] += float((~found.answered).sum())
+        self.figures["largest V"] = float(np.maximum(self.figures["largest V"], found.V1.max()))
+        self.figures["last V"] = float(found.V1[-1])
+
+
 @dataclass(frozen=True)
 class CauseErrors:
     """Tracking errors in b blocks, by cause.

@@ -10,27 +10,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from fjr_core.files import importing
+from fjr_core.law.rate import Rate
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
+from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
 
 from . import thresholds
-from .causes import BlockStatistics, CausePropagation, closed_loop, foreign, growth, highest, rises, storage_budget
+from .causes import BlockStatistics, CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
 from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, EffortDelay, regular_changes
 from .fault_isolation import MOST_STATES, isolate
-from .record import PART, Ends, Innovations, Record, consecutive, foreseen, held, latency, needed
+from .record import PART, Innovations, Record, T, consecutive, foreseen, held, latency, needed
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
 from .verdict import NO_DECAY, SAMPLING, Diagnosis, unknown, violated
 
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
+VISITED = 200  # configurations of a run at which the rate is evaluated
+FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
 
 
 def innovations(
     record: Record,
-    balance: Certificate,
-    prediction: Prediction,
+    law: TrackingLaw,
     series: CertificateSeries | None = None,
     before: Array | None = None,
     valued: bool = True,
@@ -40,7 +44,7 @@ def innovations(
     series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
     state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
     """
-    k, n = record.u.shape
+    (k, n), balance, prediction = record.u.shape, Certificate(law), Prediction(law)
     if series is None and valued:
         series = balance.along(record.position, record.velocity, record.jets)
     sent, dt = held(record.u, before), np.diff(record.t)
@@ -109,14 +113,15 @@ class PartwiseDiagnosis:
         and tolerances of the joints; None: JointTolerances.plain.
         """
         self._law, self._axes = law, axes or JointTolerances.plain(law.robot.n)
-        self._step, self._timed, self._stride = step, timed, max(1, states // CONFIGURATIONS)
+        self._step, self._timed = step, timed
+        self._reference = Visited(law.robot.n, states, CONFIGURATIONS)  # a diverging robot may be anywhere else
+        self.visited = Visited(law.robot.n, states, VISITED)  # known once all parts had their first pass
         self._delay = DelaySums(law.robot.n)
         self._ages = [ActingSums(age, law.robot.n) for age in CANDIDATES]
-        self._ends: Ends[Record] = Ends(MOST_STATES // 2)
-        self._innovations: Ends[Innovations] = Ends(MOST_STATES // 2)
+        self._ends: Record | None = None
+        self._innovations: Innovations | None = None
         self._unsaturated: tuple[Innovations, Array] | None = None
-        self._visited: list[Array] = []
-        self._intervals = self._states = 0
+        self._intervals = 0
         self._moving = False
         self._parts = _Parts(law)
         self._second: _SecondPass | None = None
@@ -130,15 +135,13 @@ class PartwiseDiagnosis:
             self._delay.add(found, required, regular)
             for age in self._ages:
                 age.add(found, required, regular, begin)
+            self._reference.add(part.jets[:, 0], part.begin)
+            self.visited.add(part.position[:, : self._law.robot.n], part.begin)
         self._intervals += len(found) - begin
-        self._innovations.add(found.rows(slice(begin, None)))
+        self._innovations = with_ends(self._innovations, found.rows(slice(begin, None)))
         self._parts.done(found, len(found) - begin)
-        self._ends.add(part.new)
+        self._ends = with_ends(self._ends, part.new)
         self._moving |= bool(np.isfinite(part.velocity).any())
-        q_ld = part.jets[part.begin :, 0]  # the reference: a diverging robot may be anywhere else
-        rows = q_ld[-self._states % self._stride :: self._stride]
-        self._visited.append(rows[np.isfinite(rows).all(axis=1)])
-        self._states += len(q_ld)
 
     def second_pass(self, part: Record, beta: float | None = None, series: CertificateSeries | None = None) -> None:
         """Take a part for the second time, once all had their first pass.
@@ -151,7 +154,7 @@ class PartwiseDiagnosis:
             if not self._intervals:
                 return
             if self._second is None:
-                visited, acted = np.concatenate(self._visited), self._acted(self._delay.delay())
+                visited, acted = np.concatenate(self._reference.some), self._acted(self._delay.delay())
                 beta = self._law.rate(visited).beta if beta is None else beta
                 self._second = _SecondPass(self._law, self._axes, beta, self._step, visited, acted, self._intervals)
             self._second.add(part, series)
@@ -165,8 +168,9 @@ class PartwiseDiagnosis:
             diagnosis = self._second.result() if self._second else none
             if not velocities_measured or SAMPLING in diagnosis.causes:
                 return diagnosis  # the model needs measured velocities and close samples
-            assert self._unsaturated is not None  # a record has a part
-            findings = isolate(self._ends.joined(), *self._unsaturated, self._law, self._axes.names)
+            assert self._ends is not None  # a record has a part
+            assert self._unsaturated is not None
+            findings = isolate(self._ends, *self._unsaturated, self._law, self._axes.names)
         known = diagnosis.kind in ("degraded", "violated") and "model mismatch" not in diagnosis.causes
         explained = known or diagnosis.kind == "holding"
         findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
@@ -183,7 +187,8 @@ class PartwiseDiagnosis:
 
         The measured torque reveals a saturated motor; how late efforts act is known by the motion alone.
         """
-        found = self._innovations.joined()
+        found = self._innovations
+        assert found is not None  # a record has a part
         required, usual = needed(found, self._law.robot), foreseen(found)
         free = ~(self._acted(self._delay.delay()).acting(found, required).cut != 0).any(axis=1)
         moved = self._acted(self._delay.delay(by_torque=False))
@@ -193,11 +198,53 @@ class PartwiseDiagnosis:
         return found.rows(free), usual[free]
 
 
+def with_ends(before: T | None, new: T) -> T:
+    """Return the first and the last rows of a table that has new ones, MOST_STATES in all."""
+    return (new if before is None else before.followed_by(new)).ends(MOST_STATES // 2)
+
+
+class Visited:
+    """The configurations that a run visited: their box, the largest step between two, and `some` of them."""
+
+    def __init__(self, n: int, states: int, most: int) -> None:
+        """n: joints; states: how many will come, of which about `most` are kept."""
+        self._stride, self._count, self._finite = max(1, states // most), 0, True
+        self._least, self._largest, self._step = np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n)
+        self.some: list[Array] = []
+
+    def add(self, q_l: Array, begin: int) -> None:
+        """Add configurations (k, n), of which the first `begin` were there."""
+        new = q_l[begin:]
+        finite = np.asarray(np.isfinite(new).all(axis=1))
+        places = np.arange(-self._count % self._stride, len(new), self._stride)
+        self.some.append(new[places[finite[places]]])
+        self._count, self._finite = self._count + len(new), self._finite and bool(finite.all())
+        self._least = np.minimum(self._least, new.min(axis=0, initial=np.inf))
+        self._largest = np.maximum(self._largest, new.max(axis=0, initial=-np.inf))
+        self._step = np.maximum(self._step, np.max(np.abs(np.diff(q_l, axis=0)), axis=0, initial=0.0))
+
+    def rate(self, law: TrackingLaw) -> Rate:
+        """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations.
+
+        For an arm of a URDF the proof holds on the smallest box that contains all visited positions and the largest
+        step between two of them.
+        """
+        rate = law.rate()
+        if rate.proven or not self._finite:
+            return rate
+        farthest = max(np.abs(self._least).max(), np.abs(self._largest).max())
+        bounds = importing.module_if_there("fjr_proofs.verification.inertia_bounds")
+        if bounds is None or not bounds.is_provable(law.robot) or farthest > FARTHEST:
+            return law.rate(np.concatenate(self.some))
+        domain = Domain(self._least - self._step, self._largest + self._step)
+        return law.proven_rate(domain, most_boxes=bounds.few_boxes(law.robot))
+
+
 class _Parts:
     """The latest intervals of a record that comes in parts: `found`, of which the first `begin` are done."""
 
     def __init__(self, law: TrackingLaw) -> None:
-        self._certificate, self._prediction = Certificate(law), Prediction(law)
+        self._law = law
         self._efforts: Array | None = None
         self.found: Innovations | None = None
         self.begin = 0
@@ -206,7 +253,7 @@ class _Parts:
         """Add the intervals of the next part; return all that are kept."""
         known = self._efforts is not None and len(self._efforts) > part.begin
         before = self._efforts[-part.begin - 1] if known else None  # type: ignore[index]
-        found = innovations(part, self._certificate, self._prediction, series, before, valued)
+        found = innovations(part, self._law, series, before, valued)
         self._efforts = held(part.u, before)
         self.found = found if self.found is None else self.found.followed_by(found)
         return self.found
@@ -232,18 +279,14 @@ class _SecondPass:
         total: int,
     ) -> None:
         """visited (m, n): configurations of the reference. total: number of intervals."""
-        self._robot, self._beta, self._acting, self._total = law.robot, beta, acted, total
+        self._robot, self._beta, self._acting = law.robot, beta, acted
         self._tolerated = axes.storage(law)
         self._radius = float(linearize(law, visited).radii(period).max())
         whole = total // thresholds.BLOCK * thresholds.BLOCK
         self._propagation = CausePropagation(law.robot, closed_loop(law, visited, period), whole)
         self._statistics = BlockStatistics(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
-        self._parts, self._done, self._period = _Parts(law), 0, period
-        self._rise = (np.inf, np.nan)
-        self._highest: Array = np.zeros((2, 0))
-        self._V = np.zeros(2)  # largest in the first and in the last third
-        self._figures = {"intervals": float(total), "effort age": 0.0, "gaps": 0.0, "unanswered": 0.0}
-        self._figures |= {"largest V": -np.inf, "last V": np.nan}
+        self._growth = StorageGrowth(total)
+        self._parts, self._period = _Parts(law), period
 
     def add(self, part: Record, series: CertificateSeries | None) -> None:
         """Add a part; the intervals at its end wait for those that follow."""
@@ -258,11 +301,11 @@ class _SecondPass:
         if (found := self._parts.found) is not None:
             left = len(found) - self._parts.begin
             self._process(found, left // thresholds.BLOCK * thresholds.BLOCK, left)
-        figures = {**self._figures, "spectral radius": self._radius}
-        first, last = self._V
+        figures = {**self._growth.figures, "spectral radius": self._radius}
+        first, last = self._growth.thirds
         if self._radius >= 1 and not (last < thresholds.FALLEN * first):
             return violated(NO_DECAY, (SAMPLING,), figures)
-        return self._statistics.conclude(growth(self._highest, self._statistics.floor(self._tolerated)), figures)
+        return self._statistics.conclude(growth(self._growth.highest, self._statistics.floor(self._tolerated)), figures)
 
     def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
         """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
@@ -273,24 +316,6 @@ class _SecondPass:
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
         made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
         self._statistics.add(budget, made)
-        self._follow(kept.rows(slice(begin, begin + count)), acted.age)
-        self._done += count
+        self._growth.add(kept.rows(slice(begin, begin + count)), self._sample_period, limit)
+        self._growth.figures["effort age"] = acted.age * self._period
         self._parts.done(kept, count)
-
-    def _follow(self, found: Innovations, age: float) -> None:
-        """Follow V through the next intervals and count what the figures report."""
-        if not len(found):
-            return
-        risen = rises(found, self._limit, *self._rise)
-        foreign_last = bool(foreign(found.rows(slice(-1, None)), self._limit)[0])
-        self._rise = (float(risen[1, -1]), np.inf if foreign_last else float(found.V1[-1]))
-        self._highest = highest(np.hstack([self._highest, risen]))
-        third, places = max(1, self._total // 3), self._done + np.arange(len(found))
-        for i, rows in enumerate((places < third, places >= self._total - third)):
-            self._V[i] = np.maximum(self._V[i], found.V1[rows].max(initial=0.0))
-        figures = self._figures
-        figures["effort age"] = age * self._period
-        figures["gaps"] += float((found.dt > thresholds.GAP * self._sample_period).sum())
-        figures["unanswered"] += float((~found.answered).sum())
-        figures["largest V"] = float(np.maximum(figures["largest V"], found.V1.max()))
-        figures["last V"] = float(found.V1[-1])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,11 @@ class Table:
         """Return these rows and later ones."""
         joined = {name: np.concatenate([values, getattr(later, name)]) for name, values in self.columns.items()}
         return replace(self, **joined)  # type: ignore[type-var]
+
+    def ends(self: T, most: int) -> T:
+        """Return the first and the last rows, at most `most` of each."""
+        k = len(self)
+        return self.rows(np.r_[:most, k - most : k]) if k > 2 * most else self
 
 
 @dataclass(frozen=True)
@@ -109,26 +114,6 @@ class Record(Table):
         for start in range(0, len(self.t), size):
             begin = min(LEAD, start)
             yield replace(self.rows(slice(start - begin, start + size)), begin=begin)
-
-
-class Ends(Generic[T]):
-    """The first and the last rows of a table that comes in parts; most: how many of each."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._ends: tuple[T, T] | None = None
-
-    def add(self, new: T) -> None:
-        """Add rows."""
-        first, last = self._ends or (new.rows(slice(0)), new.rows(slice(0)))
-        room = self._most - len(first)
-        first, last = first.followed_by(new.rows(slice(room))), last.followed_by(new.rows(slice(room, None)))
-        self._ends = first, last.rows(slice(-self._most, None))
-
-    def joined(self) -> T:
-        """Return these rows as one table."""
-        assert self._ends is not None  # a record has a part
-        return self._ends[0].followed_by(self._ends[1])
 
 
 @dataclass(frozen=True)
