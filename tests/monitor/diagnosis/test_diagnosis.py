@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
+from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay, needed
 from fjr_monitor.diagnosis.diagnosis import diagnose, innovations
-from fjr_monitor.diagnosis.record import Record, needed
+from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from monitor.diagnosis.loops import PERIOD, recorded
 

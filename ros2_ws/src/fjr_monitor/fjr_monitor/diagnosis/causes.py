@@ -27,8 +27,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import momentum_matrix
 from fjr_core.stability.linearization import SampledLoop
-from fjr_monitor.diagnosis.delay_estimation import Acting
-from fjr_monitor.diagnosis.record import Innovations, foreseen
+from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
+from fjr_monitor.diagnosis.record import Innovations
 
 from . import thresholds
 from .thresholds import AT_LIMIT, BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE, JointTolerances

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.record import Innovations, Table, needed
+from fjr_monitor.diagnosis.record import Innovations, Table
 
 from . import thresholds
 
@@ -53,6 +54,31 @@ class Acting(Table):
     late: Array
     lost: Array
     age: float  # samples, median delay
+
+
+def needed(found: Innovations, robot: Robot) -> Array:
+    """Return the mean effort (k, n) [N m] that the motor equation requires in each interval.
+
+    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: measured minus predicted generalised momenta of
+    the motors, as in A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
+    2003. The part that the known latency explains is subtracted.
+    """
+    residual: Array = found.error[:, 3 * robot.n :] @ _effort(robot) / found.dt[:, None]
+    return found.sent + residual - foreseen(found)
+
+
+def foreseen(found: Innovations) -> Array:
+    """Return the mean deviation (k, n) [N m] from the sent effort due to the known latency.
+
+    The older effort acts until the command arrives.
+    """
+    return np.asarray(found.latency[:, None] * (found.older - found.sent))
+
+
+@lru_cache(maxsize=8)
+def _effort(robot: Robot) -> Array:
+    """Return (B_m^-1 M_m)' (n, n), which maps accelerations to efforts."""
+    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)
 
 
 class DelaySums:

@@ -20,9 +20,19 @@ from fjr_core.stability.linearization import linearize
 
 from . import thresholds
 from .causes import BlockStatistics, CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
-from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, EffortDelay, regular_changes
+from .delay_estimation import (
+    AFTER,
+    BEFORE,
+    CANDIDATES,
+    ActingSums,
+    DelaySums,
+    EffortDelay,
+    foreseen,
+    needed,
+    regular_changes,
+)
 from .fault_isolation import MOST_STATES, isolate
-from .record import PART, Innovations, Record, T, consecutive, foreseen, held, latency, needed
+from .record import PART, Innovations, Record, T
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
 from .verdict import NO_DECAY, SAMPLING, Diagnosis, unknown, violated
@@ -39,7 +49,7 @@ def innovations(
     before: Array | None = None,
     valued: bool = True,
 ) -> Innovations:
-    """Return the innovations of the intervals that `consecutive` selects; of a part, those that end in it.
+    """Return the innovations of the intervals that `Record.consecutive` selects; of a part, those that end in it.
 
     series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
     state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
@@ -47,8 +57,8 @@ def innovations(
     (k, n), balance, prediction = record.u.shape, Certificate(law), Prediction(law)
     if series is None and valued:
         series = balance.along(record.position, record.velocity, record.jets)
-    sent, dt = held(record.u, before), np.diff(record.t)
-    first = consecutive(record, before)
+    sent, dt = record.held(before), np.diff(record.t)
+    first = record.consecutive(before)
     older = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
@@ -69,7 +79,7 @@ def innovations(
         slope=slope[second],
         answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
         older=np.where(np.isfinite(older), older, sent[first]),
-        latency=latency(record)[first] / dt[first],
+        latency=record.known_latency()[first] / dt[first],
         tracking=q[second, :n] - record.jets[second, 0],
         states=np.stack([np.hstack([q[rows], dq[rows]]) for rows in (first, second)], axis=1),
     )
@@ -90,7 +100,7 @@ def diagnose(
     faults are then not isolated, nor in a loop that is unstable at its sample period. size: states processed at once.
     """
     step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
-    running = PartwiseDiagnosis(law, len(record.t), step, bool(latency(record).any()), axes)
+    running = PartwiseDiagnosis(law, len(record.t), step, bool(record.known_latency().any()), axes)
     for part in record.parts(size):
         running.first_pass(part)
     for part in record.parts(size):
@@ -254,7 +264,7 @@ class _Parts:
         known = self._efforts is not None and len(self._efforts) > part.begin
         before = self._efforts[-part.begin - 1] if known else None  # type: ignore[index]
         found = innovations(part, self._law, series, before, valued)
-        self._efforts = held(part.u, before)
+        self._efforts = part.held(before)
         self.found = found if self.found is None else self.found.followed_by(found)
         return self.found
 

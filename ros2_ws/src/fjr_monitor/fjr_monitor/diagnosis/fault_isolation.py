@@ -20,7 +20,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
-from .record import Innovations, Record, consecutive
+from .record import Innovations, Record
 from .thresholds import BLOCK, LONGEST_GAP
 from .torque_faults import (
     EXPLAINED,
@@ -135,7 +135,7 @@ def velocity_faults(record: Record, names: Sequence[str]) -> tuple[Finding, ...]
     The slope D and the mean velocity V of each block of intervals are compared. V - D is regressed on D (scale or
     sign), on -dD/dt (delay) and on D of another joint of the same side minus its own.
     """
-    first = consecutive(record)
+    first = record.consecutive()
     block = int(np.clip(len(first) // FEWEST_BLOCKS, 1, BLOCK))
     if len(first) < FEWEST_BLOCKS or not np.isfinite(record.position[first]).all():
         return ()

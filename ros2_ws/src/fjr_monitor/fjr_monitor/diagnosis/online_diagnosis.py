@@ -29,8 +29,8 @@ from fjr_monitor.diagnosis.causes import (
     rises,
     storage_budget,
 )
-from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
-from fjr_monitor.diagnosis.record import Innovations, needed
+from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay, needed
+from fjr_monitor.diagnosis.record import Innovations
 from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
 
 from .thresholds import BLOCK, OLDEST, JointTolerances

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A record of a run, what was measured and sent at each instant, and innovations along it.
+"""The values of a diagnosis: a record, what was measured and sent at each instant, and innovations along it.
 
 An innovation is a measured state minus its one-step-ahead prediction by the model.
 """
@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints, span
@@ -115,6 +113,31 @@ class Record(Table):
             begin = min(LEAD, start)
             yield replace(self.rows(slice(start - begin, start + size)), begin=begin)
 
+    def consecutive(self, before: Array | None = None) -> NDArray[np.intp]:
+        """Return the rows with two measured consecutive states, without a gap, with a reference and a known effort.
+
+        before: as of `held`. A gap is longer than LONGEST_GAP sample periods.
+        """
+        measured = (np.abs(np.hstack([self.position, self.velocity])) < HUGE).all(axis=1)
+        good = np.asarray(measured & np.isfinite(self.jets).all(axis=(1, 2)))
+        dt, answered = np.diff(self.t), np.asarray(np.isfinite(self.held(before)).all(axis=1))
+        pairs = good[:-1] & good[1:] & answered[:-1]
+        pairs[: max(self.begin - 1, 0)] = False
+        return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * self.sample_period))
+
+    def known_latency(self) -> Array:
+        """Return the time from each state to its command (k,) [s], at most one sample period; 0 where not known."""
+        if self.lockstep or self.sent is None or self.answered is None:
+            return np.zeros(len(self.t))
+        known = np.nan_to_num(np.asarray(self.answered) - np.asarray(self.sent))
+        return np.asarray(np.clip(known, 0.0, self.sample_period))
+
+    def held(self, before: Array | None = None) -> Array:
+        """Return u with the previous effort in place of a missing one; before (n,): the one before all, None: none."""
+        came = np.isfinite(self.u).all(axis=1)
+        last = np.maximum.accumulate(np.where(came, np.arange(len(self.u)), -1))
+        return np.where((last >= 0)[:, None], self.u[np.maximum(last, 0)], np.nan if before is None else before)
+
 
 @dataclass(frozen=True)
 class Innovations(Table):
@@ -145,57 +168,3 @@ class Innovations(Table):
     latency: Array
     tracking: Array
     states: Array
-
-
-def consecutive(record: Record, before: Array | None = None) -> NDArray[np.intp]:
-    """Return the rows with two measured consecutive states, without a gap, with a reference and a known effort.
-
-    before (n,) [N m]: effort sent before the first state, NaN or None: none. A gap is longer than LONGEST_GAP sample
-    periods.
-    """
-    measured = (np.abs(np.hstack([record.position, record.velocity])) < HUGE).all(axis=1)
-    good = np.asarray(measured & np.isfinite(record.jets).all(axis=(1, 2)))
-    dt, answered = np.diff(record.t), np.asarray(np.isfinite(held(record.u, before)).all(axis=1))
-    pairs = good[:-1] & good[1:] & answered[:-1]
-    pairs[: max(record.begin - 1, 0)] = False
-    return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
-
-
-def latency(record: Record) -> Array:
-    """Return the time from each state to its command (k,) [s], at most one sample period; 0 where not known."""
-    if record.lockstep or record.sent is None or record.answered is None:
-        return np.zeros(len(record.t))
-    known = np.nan_to_num(np.asarray(record.answered) - np.asarray(record.sent))
-    return np.asarray(np.clip(known, 0.0, record.sample_period))
-
-
-def held(u: Array, before: Array | None = None) -> Array:
-    """Return efforts (k, n) with the previous one in place of a missing one (NaN); before (n,): the one before all."""
-    came = np.isfinite(u).all(axis=1)
-    last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
-    return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan if before is None else before)
-
-
-def needed(found: Innovations, robot: Robot) -> Array:
-    """Return the mean effort (k, n) [N m] that the motor equation requires in each interval.
-
-    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: measured minus predicted generalised momenta of
-    the motors, as in A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
-    2003. The part that the known latency explains is subtracted.
-    """
-    residual: Array = found.error[:, 3 * robot.n :] @ _effort(robot) / found.dt[:, None]
-    return found.sent + residual - foreseen(found)
-
-
-def foreseen(found: Innovations) -> Array:
-    """Return the mean deviation (k, n) [N m] from the sent effort due to the known latency.
-
-    The older effort acts until the command arrives.
-    """
-    return np.asarray(found.latency[:, None] * (found.older - found.sent))
-
-
-@lru_cache(maxsize=8)
-def _effort(robot: Robot) -> Array:
-    """Return (B_m^-1 M_m)' (n, n), which maps accelerations to efforts."""
-    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)
