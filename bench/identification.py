@@ -41,7 +41,9 @@ from fjr_identification.estimation.multiple_shooting import SKEWS
 from fjr_identification.estimation.parameters import (
     KINDS,
     SMOOTHING,
+    STRIBECK,
     USUAL_SMOOTHING,
+    USUAL_STRIBECK,
     IdentifyOptions,
     Prior,
     size,
@@ -134,7 +136,7 @@ def _true_parameters(rng: np.random.Generator, robot: Robot) -> dict[str, Array]
     found |= {"joint_stiffness": K, "motor_inertia": B}
     found |= {name: damping * rng.uniform(0.004, 0.04, n) for name in ("link_damping", "motor_damping")}
     found |= {f"{side}_coulomb_friction": torque * rng.uniform(0, 0.05, n) for side in ("link", "motor")}
-    found[SMOOTHING] = np.full(n, USUAL_SMOOTHING)
+    found[SMOOTHING], found[STRIBECK] = np.full(n, USUAL_SMOOTHING), np.full(n, USUAL_STRIBECK)
     found["offset"] = rng.uniform(-5e-3, 5e-3, n)
     found["link_skew"] = np.round(rng.uniform(-4e-3, 4e-3, n) / FINE) * FINE
     found["effort_delay"] = np.full(n, np.round(rng.uniform(0, 4e-3) / FINE) * FINE)
@@ -145,7 +147,7 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
     n, dt = robot.n, float(rng.choice([1e-3, 1e-3, 2e-3]))
     fine, samples = round(dt / FINE), round(duration / dt)
     step = Shooting(ElasticArm(robot, ()), ())
-    p = {**truth, "stribeck": np.full(n, 0.1), "effort_delay": np.zeros(n)}  # the efforts are delayed here
+    p = {**truth, "effort_delay": np.zeros(n)}  # the efforts are delayed here
     reference = _reference(rng, n, dt * np.arange(samples, dtype=float))
     x = _rest(robot, truth, reference[0])
     late = round(float(truth["effort_delay"][0]) / FINE)

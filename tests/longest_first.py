@@ -59,7 +59,7 @@ LONGEST_FIRST = (
     "core/numerics/test_fused_code.py",
     "nodes/test_malformed.py",
     "nodes/test_hostile_requests.py",
-    "system/test_echo_and_record.py",
+    "system/test_running_nodes.py",
 )
 
 

@@ -111,19 +111,3 @@ def first_column(page: Path) -> Iterator[list[str]]:
     for row, cell, token in zip(found, found[1:], found[2:], strict=False):
         if (row.type, cell.type) == ("tr_open", "td_open"):
             yield [child.content for child in token.children or () if child.type == "code_inline"]
-
-
-@pytest.mark.parametrize(
-    "cell",
-    [
-        ["model/virtual_system.py::derivative_expression", "virtual_velocities"],
-        ["law/no_such_file.py"],
-        ["law/vdpbc.py::TrackingLaw.no_method"],
-        ["law/test_law.py::test_the_four_error_equations", "test_of_nothing"],
-        ["test_of_nothing"],
-        ["no_such_folder/"],
-    ],
-    ids=lambda cell: cell[-1],
-)
-def test_missing_name_is_detected(cell: list[str]) -> None:
-    assert missing(cell) == [cell[-1]]

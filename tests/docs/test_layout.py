@@ -86,7 +86,7 @@ BUDGETS = {
     "fjr_plant": 1_330,
     "fjr_controller": 1_870,
     "fjr_design": 9_320,
-    "fjr_identification": 6_400,
+    "fjr_identification": 6_500,
     "fjr_proofs": 3_570,
     "fjr_bringup": 1_350,
 }

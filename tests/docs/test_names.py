@@ -14,7 +14,7 @@ from docs.pages import PAGES, ROOT, blocks, inline
 from docs.ros2_lines import Graph
 from docs.shell import NOT_RUN, commands, is_run, program, words
 from fjr_bringup.cli.app import fjr
-from fjr_core.errors import FjrError
+from longest_first import LONGEST_FIRST
 from nodes.harness import Ros
 
 HELD = [c for page in PAGES for b in blocks(page) if b.language == "sh" for c in commands(b.text) if not is_run(c)]
@@ -40,41 +40,17 @@ def test_commands_not_run_are_those_listed() -> None:
     assert {program(command) for command in HELD} <= set(NOT_RUN)
 
 
-def test_names_in_ros2_lines_exist(graph: Graph) -> None:
-    lines = [line for line in starting("ros2") if len(line) > 3]
-    assert len(lines) > 10
-    for line in lines:
+def test_names_in_lines_for_running_nodes_exist(graph: Graph) -> None:
+    ros2 = [line for line in starting("ros2") if len(line) > 3]
+    own = [line for line in starting("fjr") if len(line) > 2 and " ".join(line[:2]) in NOT_RUN]
+    assert len(ros2) > 10
+    assert len(own) > 5
+    for line in (*ros2, *own):
         graph.check(line)
 
 
-def test_names_in_fjr_lines_for_running_nodes_exist(graph: Graph) -> None:
-    lines = [line for line in starting("fjr") if len(line) > 2 and " ".join(line[:2]) in NOT_RUN]
-    assert len(lines) > 5
-    for line in lines:
-        graph.check(line)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "fjr call /fjr_plant/no_service",
-        "fjr call /fjr_plant/pause '{dat: true}'",
-        "fjr set /fjr_plant no_parameter 1.0",
-        "fjr lifecycle /fjr_controller start",
-        "ros2 run fjr_plant no_node",
-        "ros2 launch fjr_bringup tracking.launch.py no_argument:=1",
-        "ros2 param set /fjr_plant no_parameter 1.0",
-        "ros2 param set /fjr_plant imperfections.state_loss 1.5",
-        "ros2 topic echo /fjr_controller/no_topic",
-        "ros2 topic pub --once /fjr_plant/external_torque sensor_msgs/msg/JointState '{efort: [0.5]}'",
-        "ros2 service call /fjr_plant/pause std_srvs/srv/Trigger",
-        "ros2 lifecycle set /fjr_controller start",
-        "ros2 no_verb at all",
-    ],
-)
-def test_line_with_a_missing_name_is_detected(graph: Graph, line: str) -> None:
-    with pytest.raises((AssertionError, LookupError, OSError, FjrError)):
-        graph.check(words(line))
+def test_the_files_of_tests_that_start_first_are_there() -> None:
+    assert [name for name in LONGEST_FIRST if not (ROOT / "tests" / name).is_file()] == []
 
 
 def test_fjr_commands_in_the_text_exist() -> None:

@@ -77,7 +77,7 @@ ROWS = [
     Row("10 % of states and of commands lost, 2 s", "tracks", lossy(0.1), 1e-3, 0.0, mode=STEPPED),
     Row("states 1 ms late, 2 s", "tracks", late(0.001), 1e-3, 0.0, mode=STEPPED, another=True),
     Row("states 3 ms late, 2 s", "tracks", late(0.003), 1e-3, 0.0, mode=STEPPED, another=True),
-    Row("states 5 ms late, 2 s", "tracks", late(0.005), 1e-3, 0.0, mode=STEPPED),
+    Row("states 5 ms late, 2 s", "tracks", late(0.005), 1e-3, 0.0, mode=STEPPED, another=True),
     Row(
         "states 8 ms late, 2 s (margin: 5.45 ms)",
         "oscillates about the reference between the effort limits",

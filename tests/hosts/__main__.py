@@ -22,12 +22,14 @@ import conftest  # noqa: E402, F401 (a ROS domain of its own)
 from faults.fault_rows import ROWS  # noqa: E402
 from fjr_msgs_py.scenarios import installed  # noqa: E402
 from hosts import recording  # noqa: E402
-from hosts.comparison import Compared, Comparison, with_states  # noqa: E402
+from hosts.comparison import HOSTS, Compared, Comparison, with_states  # noqa: E402
 from hosts.inputs import Sequence  # noqa: E402
-from hosts.table import head, line, written  # noqa: E402
 
 DOCUMENT = TESTS.parent / "docs" / "tables" / "hosts.md"
 SAMPLES = 100_000
+BEGIN = "<!-- hosts: written by python -m tests.hosts -->"
+END = "<!-- end of hosts -->"
+TITLES = {"rclpy": "node, rclpy", "native": "node, native thread", "campaign": "study", "C": "exported C"}
 
 
 def main(words: list[str]) -> int:
@@ -62,6 +64,24 @@ def _runs(comparison: Comparison, samples: int) -> dict[str, Callable[[], Compar
     rows = {row.name: partial(of_sequence, partial(recording.of_row, row)) for row in ROWS}
     made = {recording.MISWIRED: recording.of_wrong_wiring, recording.REQUESTS: recording.of_requests}
     return {**scenarios, **rows, **{name: partial(of_sequence, record) for name, record in made.items()}}
+
+
+def head() -> str:
+    """Return the first two lines of the table as Markdown."""
+    titles = " | ".join(TITLES.get(host, host) for host in HOSTS)
+    return f"| states of | states | {titles} |\n| --- | ---: |{' ---: |' * len(HOSTS)}"
+
+
+def line(row: Compared) -> str:
+    """Return the line of a sequence: its states, and the efforts that differ, of those that each host sent."""
+    cells = (f"{row.different[host]} of {row.sent[host]:,}" if host in row.sent else "none" for host in HOSTS)
+    return f"| {row.name} | {row.states:,} | {' | '.join(cells)} |"
+
+
+def written(document: str, text: str) -> str:
+    """Return the document with `text` between its markers."""
+    before, rest = document.split(BEGIN)
+    return f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}"
 
 
 if __name__ == "__main__":

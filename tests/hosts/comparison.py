@@ -14,10 +14,17 @@ from rclpy.context import Context
 from rclpy.logging import LoggingSeverity, get_logger_effective_level, set_logger_level
 
 from fjr_core.config.scenario import Scenario
-from hosts import programs
 from hosts.inputs import Kind, Sequence
 from hosts.node_hosts import EXECUTORS, NodeHost
-from hosts.step_hosts import Efforts, Replay, campaign_efforts, reference_replay
+from hosts.step_hosts import (
+    Efforts,
+    Replay,
+    c_program,
+    campaign_efforts,
+    controller_program,
+    program_efforts,
+    reference_replay,
+)
 
 ROS2_CONTROL = "ros2_control"
 HOSTS = (*EXECUTORS, "campaign", "C", ROS2_CONTROL)
@@ -65,11 +72,11 @@ class Comparison:
         expected = reference_replay(sequence)
         found = {host: self._node_efforts(host, sequence, expected) for host in EXECUTORS}
         found["campaign"] = campaign_efforts(sequence) if study is None else study
-        found["C"] = self._program_efforts(programs.c_program, sequence)
+        found["C"] = self._program_efforts(c_program, sequence)
         different = {host: differences(efforts, expected.efforts) for host, efforts in found.items()}
         if not sequence.has_requests:
             fewer = reference_replay(sequence, repeats=False)
-            found[ROS2_CONTROL] = self._program_efforts(programs.controller_program, sequence)
+            found[ROS2_CONTROL] = self._program_efforts(controller_program, sequence)
             different[ROS2_CONTROL] = differences(found[ROS2_CONTROL], fewer.efforts)
         sent = {host: len(efforts) for host, efforts in found.items()}
         return Compared(sequence.name, sequence.states, sent, different)
@@ -85,7 +92,7 @@ class Comparison:
         key = build.__name__, sequence.document
         if key not in self._programs:
             self._programs[key] = build(sequence.scenario, Path(self._folder.name, str(len(self._programs))))
-        return programs.program_efforts(self._programs[key], sequence)
+        return program_efforts(self._programs[key], sequence)
 
 
 def differences(found: Efforts, expected: Efforts) -> int:

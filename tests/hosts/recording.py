@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from faults.fault_rows import JOINT, Row
-from faults.rig import SECOND, STEPPED, Rig
+from faults.rig import NOTHING, SECOND, STEPPED, Rig
 from faults.watcher import COMMANDS, STATES
 from fjr_core.config.scenario import parse_scenario
 from fjr_design.batch import Draws
@@ -69,9 +69,12 @@ def of_requests() -> Sequence:
     return Sequence(REQUESTS, document, True, tuple(inputs), published=True, changed=changed)
 
 
-def of_wrong_wiring() -> Sequence:
-    """Return states of a joint whose motor velocity has the wrong sign, for which the controller stops."""
-    sequence, _ = of_study(MISWIRED, yaml.safe_dump(JOINT.document({})), 200)
+def of_wrong_wiring(more: Mapping[str, Mapping[str, Any]] = NOTHING) -> Sequence:
+    """Return states of a joint whose motor velocity has the wrong sign, for which the controller stops.
+
+    more: parameters of each node.
+    """
+    sequence, _ = of_study(MISWIRED, yaml.safe_dump(JOINT.document(more)), 200)
     inputs = [replace(each, raw=_reversed(each.raw)) for each in sequence.inputs]
     return replace(sequence, inputs=tuple(inputs))
 

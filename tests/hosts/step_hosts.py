@@ -1,24 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Efforts of a recorded sequence from the control step in Python, and from that of the compiled loop of a study."""
+"""Efforts of a recorded sequence from the control step in Python, in a study, in exported C and in ros2_control."""
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from design.exports.c_program import C99, built
+from design.exports.ros2_control import exported_package
 from fjr_core.config.controller import measurement, observer, safety
+from fjr_core.config.scenario import Scenario
+from fjr_core.numerics.jit import CLibrary
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import KINDS
-from fjr_core.runtime.library import Model, StepLibrary, settings_struct
+from fjr_core.runtime.library import Model, settings_struct, step_library
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_design.batch.program import BatchProgram
+from fjr_design.exports.project import export, write
 from fjr_design.exports.step_code import loop_of
 from hosts.inputs import Kind, Sequence
+from time_limits import HANG
 
 Efforts = NDArray[np.float64]
+HERE = Path(__file__).parent
+CONTROLLER = tuple(name for name in exported_package.SOURCES if name != "elastic_arm")
+SAMPLES = 2  # of the recorded case, which is not used here
 
 
 class Replay(NamedTuple):
@@ -73,7 +84,7 @@ class Changes(NamedTuple):
     hold_damping: Efforts
 
 
-def changes(library: StepLibrary, sequence: Sequence) -> Changes:
+def changes(library: CLibrary, sequence: Sequence) -> Changes:
     """Return settings and gains of the changed scenario."""
     s = sequence.changed_scenario
     settings = settings_struct(library, safety(s.controller_values, s.robot), s.law)
@@ -135,3 +146,36 @@ class _Host:
         gains, damping = (self._ffi.cast("double *", each.ctypes.data) for each in numbers)
         self._lib.fjr_use_gains(self._controller, gains, damping)
         self._lib.fjr_apply(self._controller, settings)
+
+
+def c_program(scenario: Scenario, folder: Path) -> Path:
+    """Export a scenario as C, compile it with the host replay.c and return the program."""
+    write(export(loop_of(scenario), "fjr", SAMPLES), folder)
+    sources = [*folder.glob("fjr*.c"), HERE / "replay.c"]
+    return built([*C99, "-O2"], sources, folder / "replay", f"-I{folder}", f"-I{HERE}")
+
+
+def controller_program(scenario: Scenario, folder: Path) -> Path:
+    """Export a scenario for ros2_control, compile its controller with the host replay.cpp and return the program."""
+    package = exported_package.package_name_of(scenario.name)
+    exported_package.exported(scenario, folder, SAMPLES)
+    return exported_package.linked(folder, package, CONTROLLER, HERE / "replay.cpp")
+
+
+def program_efforts(program: Path, sequence: Sequence) -> Efforts:
+    """Return all efforts (k, n) that a program sends."""
+    inputs, changed = (program.with_name(name) for name in ("inputs", "changed"))
+    inputs.write_bytes(sequence.table.tobytes())
+    changed.write_bytes(_changed(sequence))
+    numbers = map(str, (sequence.rounds, sequence.shift, int(sequence.simulated)))
+    words = [str(program), str(inputs), *numbers, str(changed)]
+    done = subprocess.run(words, stdout=subprocess.PIPE, timeout=HANG, check=True)
+    return np.frombuffer(done.stdout).reshape(-1, len(sequence.scenario.joints))
+
+
+def _changed(sequence: Sequence) -> bytes:
+    """Return what a CHANGE sets, as replay.c reads it."""
+    law = sequence.scenario.sampled_law
+    library = step_library(law.robot.n, len(law.memory))
+    settings, *numbers = changes(library, sequence)
+    return b"".join([bytes(library.ffi.buffer(settings)), *(each.tobytes() for each in numbers)])

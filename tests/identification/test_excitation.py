@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -77,8 +79,9 @@ def test_equal_seeds_design_equal_motions():
     assert np.array_equal(first.amplitude, second.amplitude)
 
 
-def test_the_gradient_of_the_search_is_that_of_its_loss():
-    robot = fjr.planar_two_link()
+@pytest.mark.parametrize("hard", [False, True])
+def test_the_gradient_of_the_search_is_that_of_its_loss(hard):
+    robot = replace(fjr.planar_two_link(), cubic=[4e3, 2.5e3]) if hard else fjr.planar_two_link()
     task = ExcitationDesign(robot, limits(robot, link_velocity=0.5, effort=20.0), NOISE, 2.0, 1e-3)
     rng = np.random.default_rng(2)
     c = 20 * task.start(rng)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -168,6 +169,39 @@ def test_a_robot_file_that_is_wrong_by_a_factor_causes_no_finding(factor: float)
     links = {"link_inertia": joint.M / factor, "gravity_torque": joint.load / factor, "link_damping": joint.D_l}
     guessed = fjr.single_link(factor * joint.K, motor_inertia=factor * joint.B, **links)
     assert findings(one_joint().of(*BOTH).record, guessed) == ()
+
+
+def slipping(torque: float, slip: float, ratio: float) -> MotionRecord:
+    """Return 12 s of the paper's joint along a sine, with a Maxwell element beside its spring and a gear ratio."""
+    t = 2e-3 * np.arange(6000)
+    q_l, dq_l, ddq_l = np.sin(t), np.cos(t), -np.sin(t)
+    tau, k, s, zeta = 0.031 * ddq_l + 0.2 * dq_l + 0.8 * np.sin(q_l), torque / slip, 0.0, np.empty(len(t))
+    for i, needed in enumerate(tau):
+        zeta[i] = (needed + k * s) / (31.0 + k)
+        if abs(zeta[i] - s) > slip:
+            side = np.sign(zeta[i] - s)
+            zeta[i] = (needed - side * torque) / 31.0
+            s = zeta[i] - side * slip
+    dq_m = np.gradient(q_l + zeta, t)
+    u = tau + 0.004 * np.gradient(dq_m, t) + 0.007 * dq_m
+    columns = [each[:, None] for each in (u, q_l, ratio * (q_l + zeta), np.nan * u)]
+    return MotionRecord("slipping", ("joint1",), 2e-3, *columns)
+
+
+@pytest.mark.parametrize(("torque", "slip"), [(0.02, 2e-3), (0.05, 1e-3), (0.05, 5e-3), (0.1, 5e-3), (0.2, 1e-2)])
+def test_hysteresis_is_no_gear_ratio(torque: float, slip: float) -> None:
+    """Along one sine its lag is nearly a ratio of 0.98 to 0.99."""
+    assert findings(slipping(torque, slip, 1.0), fjr.single_link(31.0)) == ()
+
+
+@pytest.mark.parametrize(
+    ("torque", "slip", "ratios"),
+    [(1e-9, 5e-3, (0.98, 0.99, 1.01, 1.02)), (0.02, 2e-3, (0.98, 0.99, 1.01, 1.02)), (0.05, 5e-3, (0.98, 0.99, 1.02))],
+)
+def test_a_gear_ratio_is_refused_without_and_with_hysteresis(torque: float, slip: float, ratios: Any) -> None:
+    for ratio in ratios:
+        found = findings(slipping(torque, slip, ratio), fjr.single_link(31.0))
+        assert [each.kind for each in found] == ["gear_ratio"], ratio
 
 
 def test_smooth_peaks_of_a_coarse_effort_are_not_clipped() -> None:

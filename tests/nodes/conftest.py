@@ -7,7 +7,7 @@ from rclpy.executors import SingleThreadedExecutor
 from nodes.harness import Peer, Ros
 from nodes.managed import Manager
 
-BOTH_HOSTS = ("test_controller_node", "test_lock_step")
+BOTH_HOSTS = ("test_controller_node",)
 """Files whose tests run with the loops of the nodes in rclpy and with the native ones."""
 RCLPY = ("test_malformed", "test_own_code", "test_parameters", "test_wiring")
 """Files whose tests run in rclpy: they call its callbacks, run Python code, or start many robots without a compiler."""

@@ -87,7 +87,6 @@ def test_each_state_of_a_healthy_loop_has_its_certificate_and_the_law_holds(ros:
     ("grade", "cause", "plant", "controller"),
     [
         ("degraded", "model mismatch", {"imperfections__motor_coulomb_friction": [0.01]}, {}),
-        ("violated", "model mismatch", {"robot__joint_stiffness": [22.0]}, {}),
         ("violated", "delay", {"imperfections__state_delay": 0.002}, {"certificate_tolerance": [1e-6]}),
         ("degraded", "loss", {"imperfections__state_loss": 0.4}, {}),
     ],

@@ -70,10 +70,9 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
     assert manager.change("activate")
 
 
-@topics
-def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear, topic: str) -> None:
+def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear) -> None:
     node = manager.controller()
-    other = appear(topic, MANAGER_AND_CONTROLLER)
+    other = appear(EFFORTS, MANAGER_AND_CONTROLLER)
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.ended, "the end")
@@ -103,19 +102,17 @@ def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
     manager.ask(stamped(0.0))
 
 
-@topics
-def test_a_silent_publisher_is_no_conflict(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
-    appear(topic)
+def test_a_silent_publisher_is_no_conflict(ros: Ros, manager: Manager, appear: Appear) -> None:
+    appear(EFFORTS)
     manager.started()
 
 
-@topics
-def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
+def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear) -> None:
     node = manager.started()
-    appear(topic)
+    appear(EFFORTS)
     ros.until(lambda: "other controllers" in manager.kinds(), "the report")
     event = next(event for event in manager.events if event.name == "other controllers")
-    assert f"has begun to publish on {topic}; expected nobody else" in event.message
+    assert f"has begun to publish on {EFFORTS}; expected nobody else" in event.message
     manager.reported(node, "other controllers")
     status = manager.diagnostics[-1].status[0]
     assert status.level == status.ERROR

@@ -104,38 +104,6 @@ def test_malformed_states_are_refused_counted_and_logged_once_and_the_node_conti
     assert "state refused: names are ['joint1']; expected ['joint1_motor'] among them (logged once" in said
 
 
-def test_ignores_an_older_state_and_repeats_the_command_of_a_repeated_one(ros: Ros, peer: Peer) -> None:
-    node = peer.started()
-    newest = peer.ask(stamped(0.3, 0.4))
-    peer.ask(stamped(0.2), answered=False)
-    assert list(peer.ask(stamped(0.3, 0.4)).effort) == list(newest.effort)
-    peer.reported(node, "states older than the last")
-
-
-def test_only_older_states_for_longer_than_state_timeout_restart_the_reference(ros: Ros, peer: Peer) -> None:
-    peer.controller(state_timeout=0.2)
-    first = peer.ask(stamped(0.1))
-    peer.ask(stamped(0.15))
-
-    def restarted() -> bool:
-        peer.state_publisher.publish(stamped(0.0))
-        return any(nanoseconds(command) == 100_000_000_000 for command in peer.commands)
-
-    ros.until(restarted, "the restart")
-    again = next(command for command in peer.commands if nanoseconds(command) == 100_000_000_000)
-    assert list(again.effort) == list(first.effort)
-
-
-def test_a_non_finite_effort_is_never_sent(ros: Ros, peer: Peer) -> None:
-    node = peer.started()
-    for q in (1e308, -1e308):
-        assert list(peer.ask(stamped(0.001, [q, -q], [1e308, -1e308])).effort) == [0.0]  # the stop policy's
-    np.testing.assert_allclose(peer.ask(stamped(0.002)).effort, paper_effort(0.002, 0.5, 0.5), rtol=1e-9)
-    peer.reported(node, "efforts not finite", 2)
-    assert all(np.isfinite(message.data).all() for message in peer.efforts)
-    assert all(np.isfinite(message.effort).all() for message in peer.commands)
-
-
 def test_namespace_and_remap(ros: Ros) -> None:
     peer = Peer(ros, prefix="arm/")
     arguments = ["--ros-args", "-r", "__ns:=/arm", "-r", "fjr_controller:joint_states:=joint_states"]

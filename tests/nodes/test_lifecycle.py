@@ -72,8 +72,10 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager) -
     assert len(manager.efforts) == 2
 
 
-@pytest.mark.parametrize("transition", ["deactivate", "shutdown", "stop"])
-@pytest.mark.parametrize(("on_stop", "last"), [("zero", 0.0), ("gravity_hold", GRAVITY)])
+@pytest.mark.parametrize(
+    ("transition", "on_stop", "last"),
+    [("deactivate", "zero", 0.0), ("shutdown", "gravity_hold", GRAVITY), ("stop", "gravity_hold", GRAVITY)],
+)
 def test_last_command_is_the_stop_effort(ros: Ros, manager: Manager, transition: str, on_stop: str, last) -> None:
     node = manager.started(on_stop=on_stop)
     end = {"deactivate": lambda: manager.change("deactivate"), "shutdown": node.trigger_shutdown, "stop": node.stop}
@@ -172,16 +174,6 @@ def test_invalid_parameters_can_be_corrected_while_unconfigured(ros: Ros, manage
     assert manager.change("activate")
     manager.meet_controller()
     np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
-
-
-def test_robot_can_change_only_while_unconfigured(ros: Ros, manager: Manager) -> None:
-    ros.controller()
-    for transition in (None, "deactivate"):
-        assert transition is None or manager.change(transition)
-        done, reason = manager.set(robot__joint_stiffness=[3.1])
-        assert not done
-        assert "robot.joint_stiffness" in reason
-        assert "unconfigured" in reason
 
 
 def test_gains_change_between_two_states(ros: Ros, manager: Manager) -> None:

@@ -291,9 +291,8 @@ def states_of(host: str, **parameters: Any) -> tuple[list[tuple[int, bytes]], di
         return numbers(peer.states), count
 
 
-@pytest.mark.parametrize("parameters", [{}, BAD], ids=["ideal", "non-ideal"])
-def test_both_hosts_send_the_same_bits_in_lock_step(parameters: dict[str, Any]) -> None:
-    one, other = states_of("events", **parameters), states_of("native", **parameters)
+def test_both_hosts_send_the_same_bits_of_a_non_ideal_robot_in_lock_step() -> None:
+    one, other = states_of("events", **BAD), states_of("native", **BAD)
     assert one == other
     assert len(one[0]) > SAMPLES / 2
 

@@ -60,12 +60,10 @@ def test_invalid_parameters_are_refused(ros: Ros, kind: str, parameters: dict[st
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
-@pytest.mark.parametrize("section", ["/**", "OWN"])
+@pytest.mark.parametrize(("kind", "section"), [(PlantNode, "/**"), (ControllerNode, "fjr_controller")])
 def test_a_misspelled_limit_in_a_file_is_refused(ros: Ros, tmp_path: Path, section: str, kind: type) -> None:
-    named = section.replace("OWN", "fjr_plant" if kind is PlantNode else "fjr_controller")
     with pytest.raises(fjr.ParameterError, match=r"'limits.efort'; did you mean 'limits.effort'\?"):
-        ros.start(kind, in_file(tmp_path, f"{named}: {{ros__parameters: {{limits.efort: [1.0]}}}}"))
+        ros.start(kind, in_file(tmp_path, f"{section}: {{ros__parameters: {{limits.efort: [1.0]}}}}"))
 
 
 @pytest.mark.parametrize("kind", [PlantNode, ControllerNode])

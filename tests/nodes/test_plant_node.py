@@ -90,15 +90,6 @@ def test_stamps_are_the_exact_times_of_the_states(ros: Ros, peer: Peer) -> None:
         np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
 
 
-def test_publishes_efforts_of_spring_and_motor(ros: Ros, peer: Peer) -> None:
-    peer.plant(initial_motor_position=[0.6], robot__joint_stiffness=[20.0])
-    state = peer.states[-1]
-    assert list(state.name) == ["joint1", "joint1_motor"]
-    np.testing.assert_allclose(state.effort, [20.0 * 0.1, 0.0], atol=1e-12)
-    peer.effort_publisher.publish(command(0.25))
-    ros.until(lambda: peer.states[-1].effort[1] == 0.25, "the applied effort")
-
-
 def test_last_command_is_held_until_command_timeout(ros: Ros, peer: Peer) -> None:
     """The effort acts for exactly the timeout after the command, then it is zero."""
     node = peer.plant(command_timeout=0.05)

@@ -263,16 +263,6 @@ def test_repeated_reads_of_an_instant_are_equal() -> None:
         assert all(np.array_equal(one, wanted) for one in seen)
 
 
-def test_noise_repeats_after_a_reset_and_with_the_same_seed_only() -> None:
-    errors = SensorErrors(2, position_l=0.01)
-    sensor = Sensors(errors, seed=6)
-    first, _ = measured(sensor, 50)
-    sensor.reset()
-    assert np.array_equal(measured(sensor, 50)[0], first)
-    assert np.array_equal(measured(Sensors(errors, seed=6), 50)[0], first)
-    assert not np.array_equal(measured(Sensors(errors, seed=5), 50)[0], first)
-
-
 def test_omitting_velocities_leaves_positions_unchanged() -> None:
     errors = SensorErrors(2, position_m=0.01)
     position, velocity = read(Sensors(replace(errors, velocities=False)), 0, POSITION, VELOCITY)

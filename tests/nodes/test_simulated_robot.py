@@ -173,15 +173,6 @@ def test_acting_torque_is_measured() -> None:
         assert robot.measure()[2][1] == applied
 
 
-def test_external_torque_acts_on_an_ideal_robot_and_ends_exactly() -> None:
-    pushed, plain = simulated(), simulated()
-    pushed.external = np.array([0.5])
-    assert not np.allclose(run(pushed, 1), run(plain, 1))
-    pushed.external = np.zeros(1)
-    plain.x = pushed.x.copy()
-    assert np.array_equal(run(pushed), run(plain))
-
-
 @pytest.mark.parametrize("side", ["l", "m"])
 def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str) -> None:
     robot = simulated(BAD)
@@ -265,6 +256,8 @@ CASES = {
     "motor_coulomb_friction": (0.08,),
     "motor_static_friction": (0.2,),
     "motor_stribeck_velocity": (0.6,),
+    "link_load_friction": (0.2,),
+    "motor_load_friction": (0.2,),
     "friction_smoothing_velocity": (0.2,),
     "cubic_stiffness": (500.0,),
     "hysteresis_torque": (0.2,),

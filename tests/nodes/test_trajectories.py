@@ -55,13 +55,6 @@ def test_a_written_message_is_read_back() -> None:
         np.testing.assert_array_equal(found, row)
 
 
-def test_omitted_joints_hold_if_partial_trajectories_are_allowed() -> None:
-    message = trajectory((1.0, [1.0]), joints=("b",), velocities=[[0.0]])
-    waypoints = TrajectoryReader(TWO, allow_partial=True).read(message).completed(np.array([7.0, 8.0]))
-    np.testing.assert_array_equal(waypoints.positions, [[7.0, 1.0]])
-    np.testing.assert_array_equal(waypoints.velocities, [[0.0, 0.0]])
-
-
 def bad_time(sec: int) -> JointTrajectory:
     message = trajectory((1.0, 0.0))
     message.points[0].time_from_start.sec = sec
@@ -141,18 +134,6 @@ def test_trajectory_passes_its_points_and_holds_the_last(ros: Ros, manager: Mana
         np.testing.assert_allclose([*q, *dq], [-0.2, 0.0], atol=1e-9)
 
 
-def test_a_replacement_while_moving_begins_with_the_jets_of_the_active_reference(ros: Ros, manager: Manager) -> None:
-    node = manager.started(0.0)
-    manager.send(move())
-    manager.ask(stamped(0.3, 0.0))
-    tracker = node._control.step
-    before = tracker.jets_at(tracker.last_stamp)
-    manager.send(trajectory((1.0, 0.7)))
-    manager.ask(stamped(0.3, 0.0))
-    np.testing.assert_allclose(tracker.jets_at(tracker.last_stamp), before, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(reference_at(manager, 1.3)[0], [0.7], atol=1e-9)
-
-
 def test_a_trajectory_waits_for_its_start(ros: Ros, manager: Manager) -> None:
     manager.started(0.0)
     manager.send(trajectory((0.5, 0.1), start=ZERO + SECOND // 2))
@@ -194,7 +175,6 @@ def test_a_refused_trajectory_changes_nothing(ros: Ros, manager: Manager) -> Non
     ("limits", "sentence"),
     [
         ({"limits__link_position_upper": [0.2]}, r"point 0 .*joint1.*0\.3 rad.*0\.2"),
-        ({"limits__link_velocity": [0.5]}, r"joint1.*rad/s.*0\.5"),
         ({"limits__acceleration": [1.0]}, r"joint1.*rad/s\^2.*1"),
     ],
 )

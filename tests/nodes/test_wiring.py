@@ -246,7 +246,7 @@ WIRED_BY_GROUP = (
     "constraints.",  # test_follow_action
     "allow_partial_joints",  # test_trajectories
     "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
-    "plant.",  # test_own_code
+    "plant.",  # docs/own_law.md
     "robust.",  # test_other_laws
     "robot.guesses.",  # tests/core/config/test_robot_file.py
 )

@@ -32,6 +32,7 @@ CASES = {
     "Coulomb + 3 % of the load": Case(laws.loaded(1e-3, 0.03)),
     "backlash 0.2 mrad": Case(spring=laws.backlash(2e-4), cause="backlash"),
     "backlash 0.5 mrad": Case(spring=laws.backlash(5e-4), cause="backlash"),
+    "backlash 0.5 mrad about the hanging arm": Case(spring=laws.backlash(5e-4), aside=0.2, cause="backlash"),
     "backlash 2 mrad": Case(spring=laws.backlash(2e-3), cause="backlash"),
     "cubic, + 30 % at 5 mrad": Case(spring=laws.cubic(0.3, 5e-3), cause="the spring is not linear"),
     "hysteresis, 0.3 K up to 1 mrad": Case(spring=laws.hysteresis(0.3, 1e-3), cause="hysteresis"),
@@ -56,10 +57,16 @@ KINDS = {
     "link_coulomb_friction": "F_l",
     "motor_coulomb_friction": "F_m",
     "friction_smoothing_velocity": "v_0",
+    "link_static_friction": "F_s",
+    "motor_static_friction": "F_s",
+    "stribeck_velocity": "v_s",
+    "link_load_friction": "load",
+    "motor_load_friction": "load",
     "offset": "offset",
     "effort_delay": "delay",
     "link_skew": "skew",
 }
+COLUMNS = tuple(dict.fromkeys(KINDS.values()))
 CAUSES = ("backlash", "the spring is", "hysteresis", "kinematic error", "the links of the robot", "does not follow")
 """Words of the reasons that name what the model lacks."""
 ROBOT = """/**:
@@ -132,7 +139,7 @@ def _interval(estimate: Estimate, true: float, softest: float, stiffest: float) 
     """Return where the truth is in an interval; that of a positive parameter has a logarithmic scale."""
     meets = estimate.name != "joint_stiffness" or bool(estimate.low <= stiffest and estimate.high >= softest)
     values = np.array([estimate.low, estimate.value, estimate.high, true])
-    if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity"):
+    if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity", "stribeck_velocity"):
         values = np.log(values)
     low, value, high, truth = values
     side = (value - low if truth < value else high - value) / 1.96
@@ -151,7 +158,7 @@ def head(_: Sequence[int] = ()) -> str:
         "physics",
         "records",
         "inside",
-        *KINDS.values(),
+        *COLUMNS,
         "largest sigma",
         "K identified",
         "of these beyond the secants",
@@ -177,7 +184,7 @@ def line(name: str, of_number: Sequence[Sequence[list[Interval] | None]]) -> str
         name,
         f"{len(results)}" + (f" ({refused} refused)" if refused else ""),
         f"{np.mean([each.inside for each in intervals]):.1%}" if intervals else "",
-        *(_share([each for each in intervals if each.kind == kind]) for kind in KINDS),
+        *(_share([each for each in intervals if KINDS[each.kind] == column]) for column in COLUMNS),
         f"{max((each.away for each in intervals), default=0.0):.1f}",
         f"{len(sure)} of {sum(each.kind == 'joint_stiffness' for result in results for each in result or ())}",
         f"{sum(not each.meets for each in sure)} of {len(sure)}",

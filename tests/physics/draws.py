@@ -33,6 +33,7 @@ class Case:
     varied: Callable[[Arm], Arm] = lambda arm: arm
     jitter: float = 0.0
     largest_skew: float = 3e-3  # s
+    aside: float = 0.8  # rad; largest angle between the middle of the motion and hanging down
     duration: float = 6.0  # s
     dt: float = 2e-3  # s
     stated_mass: float = 1.0  # factor of the robot file on masses and inertias of the links
@@ -66,8 +67,16 @@ class Draws:
             "effort_delay": np.repeat(self.delay[:, None], n, axis=1),
             "link_skew": self.skew,
         }
-        if arm.friction.turning is not None:
-            values["friction_smoothing_velocity"] = np.broadcast_to(arm.friction.turning, self.skew.shape)
+        friction, none = arm.friction, np.zeros(self.skew.shape)
+        if friction.turning is not None:
+            values["friction_smoothing_velocity"] = none + friction.turning
+            values |= {"link_load_friction": none + friction.share, "motor_load_friction": none + friction.share}
+        if friction.stribeck:
+            values |= {
+                f"{side}_static_friction": (1 + friction.excess) * values[f"{side}_coulomb_friction"]
+                for side in ("link", "motor")
+            }
+            values["stribeck_velocity"] = none + friction.stribeck
         return {name: np.asarray(value[i]) for name, value in values.items()}
 
     def secants(self, i: int) -> Array:
@@ -156,7 +165,10 @@ def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case, don
     number = int(round(case.duration / case.dt)) + 16
     sines = (SINES, count, n)
     frequency, phase = 2 * np.pi * random.uniform(0.2, 1.8, sines), random.uniform(0, 2 * np.pi, sines)
-    amplitude, middle = PEAK / SINES * random.uniform(0.4, 1.0, sines), random.uniform(-0.8, 0.8, (count, n))
+    amplitude, middle = (
+        PEAK / SINES * random.uniform(0.4, 1.0, sines),
+        random.uniform(-case.aside, case.aside, (count, n)),
+    )
     late = delay + case.jitter * random.random((number + 1, count))
     t = case.dt * np.arange(number + 1)[:, None] + np.minimum(late, 0.9 * case.dt + delay)
     angle = frequency[None] * (case.dt * np.arange(number))[:, None, None, None] + phase

@@ -17,12 +17,16 @@ Array = NDArray[np.float64]
 class Friction:
     """torque, dw/dt = law(v, level, w, load): of velocities [rad/s], levels, the state, and the load [N m].
 
-    turning: the velocity v_0 [rad/s] of level tanh(v / v_0); None for other shapes.
+    turning: the velocity v_0 [rad/s] of level tanh(v / v_0); None for other shapes. excess: by which the level near
+    rest is higher; stribeck: the velocity [rad/s] over which it falls. share: of the load, by which the level grows.
     """
 
     law: Callable[[Array, Array, Array, Array], tuple[Array, Array]]
     has_state: bool = False
     turning: Any = None
+    excess: float = 0.0
+    stribeck: float = 0.0
+    share: float = 0.0
 
     def __call__(self, v: Array, level: Array, w: Array, load: Array) -> tuple[Array, Array]:
         """Return the friction torque [N m] and the rate of its state."""
@@ -42,13 +46,17 @@ def root(turning: float) -> Friction:
 def stribeck(turning: float, excess: float = 0.5, velocity: float = 0.05) -> Friction:
     """Return friction whose level near rest is `excess` higher, over a Stribeck velocity [rad/s]."""
     return Friction(
-        lambda v, F, w, _: (F * (1 + excess * np.exp(-((v / velocity) ** 2))) * np.tanh(v / turning), 0 * w)
+        lambda v, F, w, _: (F * (1 + excess * np.exp(-((v / velocity) ** 2))) * np.tanh(v / turning), 0 * w),
+        turning=turning,
+        excess=excess,
+        stribeck=velocity,
     )
 
 
 def loaded(turning: float, share: float) -> Friction:
     """Return friction that grows with the torque of the spring by a share of it, as that of gears."""
-    return Friction(lambda v, F, w, load: ((F + share * np.abs(load)) * np.tanh(v / turning), 0 * w))
+    law = lambda v, F, w, load: ((F + share * np.abs(load)) * np.tanh(v / turning), 0 * w)  # noqa: E731
+    return Friction(law, turning=turning, share=share)
 
 
 def dahl(displacement: float) -> Friction:

@@ -173,6 +173,26 @@ def test_friction_is_identified_wherever_it_turns_over(turning: float, joints: i
         assert all(each.error < 0.3 for each in velocities)
 
 
+@pytest.mark.parametrize(
+    ("friction", "freed"),
+    [
+        (laws.stribeck(1e-3), ("link_static_friction", "motor_static_friction", "stribeck_velocity")),
+        (laws.loaded(1e-3, 0.03), ("link_load_friction", "motor_load_friction")),
+    ],
+    ids=["Stribeck", "load"],
+)
+def test_friction_that_falls_with_speed_or_grows_with_load_is_found_where_it_is(
+    friction: laws.Friction, freed: tuple[str, ...]
+) -> None:
+    draws = one_joint_of(Case(friction, duration=4.0))
+    for i in range(2):
+        found = identified(draws, i, IdentifyOptions()) or []
+        assert set(freed) <= {each.kind for each in found}
+        assert max(each.away for each in found if each.verdict != UNKNOWN) < 4
+    straight = identified(one_joint_of(STRAIGHT), 0, IdentifyOptions()) or []
+    assert {each.kind for each in straight}.isdisjoint(freed)
+
+
 STRAIGHT, BRISTLES, LOOSE, STIFFENING, LOOP, GEAR = (
     Case(friction, spring, duration=4.0)
     for friction, spring in (

@@ -111,7 +111,6 @@ NODES = {"plant": ("fjr_plant", "plant_node"), "controller": ("fjr_controller", 
 PROGRAMS = {**NODES, "fjr": ("fjr_bringup", "fjr")}
 Start = Callable[..., Executable]
 """The fixture `start`: start a program of PROGRAMS with arguments; what runs at the end of the test is killed."""
-LOCKSTEP = {"plant": ("-p", "lockstep:=true"), "controller": ("-p", "use_sim_time:=true")}
 SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_timeout:=600.0")}
 """Real time at 200 Hz, for little processor time; a controller that gets no core for long goes on all the same."""
 
@@ -125,11 +124,3 @@ def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[dic
     finally:
         for each in started.values():
             each.kill()
-
-
-@contextmanager
-def lockstep_loop(name: str, namespace: str) -> Iterator[dict[str, Executable]]:
-    """Run the nodes of a scenario in lock-step in a namespace."""
-    first = ("--params-file", scenario(name), "-p", "realtime_priority:=0")  # -p after the file wins
-    with running({node: (*first, *own) for node, own in LOCKSTEP.items()}, "-r", f"__ns:=/{namespace}") as nodes:
-        yield nodes

@@ -12,7 +12,7 @@ import pytest
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import load_scenario
 from fjr_core.runtime.events import State
-from system.executables import fjr_here, scenario
+from system.executables import scenario
 from system.recorded import Recorded, messages, record, recorded_run
 from system.shared_runs import DURATION, shared_run
 from tracking.tracked import Loop
@@ -42,11 +42,6 @@ def test_bag_contains_every_sample_of_the_run(recorded: Recorded) -> None:
     np.testing.assert_array_equal(np.round(np.diff(recorded.t) * 1e9), 1_000_000)
 
 
-def test_the_nodes_know_all_parameters_of_the_scenario(recorded: Recorded) -> None:
-    for node in ("plant_node", "controller_node"):
-        assert "unknown parameter" not in (recorded.folder / f"{node}.log").read_text()
-
-
 def test_all_links_reach_the_reference(recorded: Recorded) -> None:
     since, error = REACHED[recorded.folder.name]
     assert recorded.error[0] >= 0.05 - 1e-9
@@ -54,11 +49,13 @@ def test_all_links_reach_the_reference(recorded: Recorded) -> None:
 
 
 @paper
-def test_peak_effort_is_that_of_the_paper(recorded: Recorded) -> None:
+def test_peak_effort_is_that_of_the_paper_and_the_last_effort_zero(recorded: Recorded) -> None:
     assert np.max(np.abs(recorded.u)) == pytest.approx(PEAK[recorded.folder.name], rel=0.01)
+    *_, (_, last) = messages(recorded.folder, "/effort_controller/commands")
+    assert last.data.tolist() == [0.0]
 
 
-@pytest.mark.parametrize("name", DURATION)
+@pytest.mark.parametrize("name", [*PEAK, "arm7"])
 def test_nodes_agree_with_fjr_core(name: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Lock-step over ROS equals the sampled loop of fjr_core to rounding if no ramp or rate limit acts."""
     loaded = load_scenario(scenario(name))
@@ -91,21 +88,6 @@ def test_the_report_has_the_errors_and_efforts_of_the_bag(recorded: Recorded) ->
     assert counts["missing"] == counts["gaps"] == counts["unanswered"] == 0
 
 
-def test_a_run_writes_page_and_picture_and_prints_the_table(recorded: Recorded) -> None:
-    picture = recorded.folder / "overview.png"
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert picture.stat().st_size > 10_000
-    assert (recorded.folder / "report.html").read_text().startswith("<!doctype html>")
-    assert "peak effort" in recorded.said
-    assert "report.json" in recorded.said
-
-
-@paper
-def test_the_last_effort_in_the_bag_is_zero(recorded: Recorded) -> None:
-    *_, (_, last) = messages(recorded.folder, "/effort_controller/commands")
-    assert last.data.tolist() == [0.0]
-
-
 @arms
 def test_rate_of_a_run_is_proven_for_the_positions_that_it_visits(recorded: Recorded) -> None:
     storage = report_of(recorded)["storage"]
@@ -128,17 +110,11 @@ def test_saved_scenario_is_self_contained(recorded: Recorded, monkeypatch: pytes
     np.testing.assert_array_equal(kept.x0, original.x0)
 
 
-def test_an_override_changes_the_run(tmp_path: Path) -> None:
-    """Doubling the stiffness of the soft joint changes plant, law and metrics."""
-    arguments = ("--lockstep", "--duration", "0.5", "--output", str(tmp_path), "--set", "robot.joint_stiffness:=[6.2]")
-    fjr_here("run", "paper_k3p1", "--no-report", *arguments)
-    report = json.loads((tmp_path / "paper_k3p1" / "report.json").read_text())
-    kept = load_scenario(tmp_path / "paper_k3p1" / "scenario.yaml")
-    assert kept.robot.K.tolist() == kept.plant.robot.K.tolist() == [[6.2]]
-    assert report["tracking"]["peak_effort_nm"] == pytest.approx(np.max(np.abs(kept.simulate(0.5).u)), rel=1e-6)
+FALLS = [(3.451, 0.263), (3.926, 0.263)]  # s
+MORE = [pytest.param(*each, marks=pytest.mark.full) for each in ((3.62, 0.24), (3.663, 0.208), (3.835, 0.233))]
 
 
-@pytest.mark.parametrize(("at", "lost"), [(3.451, 0.263), (3.62, 0.24), (3.663, 0.208), (3.835, 0.233), (3.926, 0.263)])
+@pytest.mark.parametrize(("at", "lost"), [*FALLS, *MORE])
 def test_a_fall_within_the_limits_does_not_end_in_a_stop(at: float, lost: float) -> None:
     """Up to 0.99 of a velocity limit, towards a position limit that no transition of join_time or longer respects."""
     made = load_scenario(scenario("arm7"))

@@ -10,7 +10,6 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,8 +26,8 @@ from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
 from system.documented import documented_keys
-from system.executables import TIME_LIMIT, Executable, fjr_here
-from time_limits import HANG, Limit
+from system.executables import Executable, fjr_here, wait_for
+from time_limits import HANG
 
 pytestmark = pytest.mark.system
 QUICK: dict[str, Any] = {
@@ -108,10 +107,10 @@ def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, number: i
     arguments = ["compare", str(file), "--output", str(tmp_path / "runs"), "--cores", "1"]
     ended = Executable("fjr_bringup", "fjr", *arguments)
     try:
-        until(lambda: any(kept.glob("*.json")))
+        wait_for(lambda: any(kept.glob("*.json")), "a result")
         ended.signal(number)
         code, said = ended.end()
-        until(lambda: not alive(ended.process.pid))  # the workers must end, too
+        wait_for(lambda: not alive(ended.process.pid), "the end")  # the workers must end, too
     finally:
         ended.kill()
     ctrl_c = number == signal.SIGINT
@@ -167,13 +166,6 @@ def test_key_of_kept_results_depends_on_code(monkeypatch: pytest.MonkeyPatch) ->
     assert len(set(keys)) == 2
 
 
-def until(happened: Callable[[], bool]) -> None:
-    limit = Limit(TIME_LIMIT)
-    while not happened():
-        assert not limit.passed()
-        time.sleep(0.01)
-
-
 def alive(group: int) -> bool:
     try:
         os.killpg(group, 0)
@@ -205,19 +197,18 @@ def test_best_of_a_row(numbers: Any, states: str, less: bool, best: str) -> None
     assert row.best == tuple(letter == "y" for letter in best)
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.usefixtures("found")
-def test_the_page_opens_from_disk_and_draws_everything(folder: Path, browser: Browser, dark: bool) -> None:
-    browser.open(folder / "runs" / "compare_mine" / "comparison.html", dark=dark)
+def test_the_page_draws_everything_and_states_the_findings(
+    folder: Path, found: dict[str, Any], browser: Browser
+) -> None:
+    page = folder / "runs" / "compare_mine" / "comparison.html"
+    browser.open(page, dark=True)
+    browser.is_sound()
+    browser.open(page)
     browser.is_sound()
     assert browser.figures() == PLOTS
     browser.size(390, 800)
     browser.settle()
     browser.is_sound()
-
-
-def test_page_states_the_findings(folder: Path, found: dict[str, Any], browser: Browser) -> None:
-    browser.open(folder / "runs" / "compare_mine" / "comparison.html")
     text = browser.value("document.body.innerText")
     assert extent(found)[:-1] in text
     assert "not a ranking" in text
@@ -354,8 +345,8 @@ def test_invalid_robot_is_refused_in_one_sentence(
 TUNE: dict[str, Any] = {
     "vary": {"stiffness": {"log_uniform": [0.5, 2.0]}},
     "imperfections": {"delay": 0.001, "noise": 0.001, "friction": 0.05},
-    "candidates": 12,
-    "draws": 6,
+    "candidates": 6,
+    "draws": 4,
     "fresh": 20,
     "duration": 0.6,
     "settle_after": 0.3,

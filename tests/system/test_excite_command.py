@@ -24,14 +24,21 @@ def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(excitation, "STEPS", 25)
 
 
-def test_the_written_scenario_follows_its_motion_from_rest(tmp_path: Path) -> None:
+def test_the_written_scenario_follows_its_motion_from_rest_and_springs_that_harden_are_refused(tmp_path: Path) -> None:
+    """The refusal says how to design the motion for straight springs, which this test does."""
     target = tmp_path / "moves.yaml"
-    shown = fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", "--json")
+    given = "excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}"
+    hard = "--set", "robot.cubic_stiffness:=[4.0e3, 2.5e3]"
+    shown = fjr_here(*given, *hard, code=Exit.NOT_UNDERSTOOD)
+    assert "'robot.cubic_stiffness' is [4000.0, 2500.0]; expected straight springs" in shown
+    assert not target.exists()
+    shown = fjr_here(*given, "--set", shown.partition("--set ")[2].strip(), "--json")
     values, _ = json.JSONDecoder().raw_decode(shown)
     assert values["scenario_file"] == str(target)
     narrower = np.divide(*(values[f"relative_half_width{end}"]["joint_stiffness"] for end in ("_before", "")))
     assert np.all(narrower > 1)
     loop = load_scenario(target)
+    assert loop.robot.cubic is None
     run = loop.simulate(DURATION)
     n = loop.robot.n
     assert np.abs(run.x[:, :n] - run.jets[:, 0]).max() < 2e-3
@@ -46,15 +53,21 @@ def test_a_robot_file_gets_gains(tmp_path: Path) -> None:
     fjr_here("check", f"{target}")
 
 
-def test_springs_that_harden_are_refused_with_the_way_to_a_motion_for_straight_ones(tmp_path: Path) -> None:
+TABLE = ("torsion_deflection:=[0.05, 0.05, 0.1, 0.1]", "torsion_torque:=[2.5, 2.0, 8.0, 6.0]")
+
+
+@pytest.mark.parametrize("curve", [("cubic_stiffness:=[4.0e3, 2.5e3]",), TABLE], ids=["cubic", "table"])
+def test_the_motion_of_springs_with_a_curve_keeps_their_limits(tmp_path: Path, curve: tuple[str, ...]) -> None:
     target = tmp_path / "moves.yaml"
-    given = "excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}"
-    hard = "--set", "robot.cubic_stiffness:=[4.0e3, 2.5e3]"
-    shown = fjr_here(*given, *hard, code=Exit.NOT_UNDERSTOOD)
-    assert "'robot.cubic_stiffness' is [4000.0, 2500.0]; expected straight springs" in shown
-    assert not target.exists()
-    fjr_here(*given, "--set", shown.partition("--set ")[2].strip())
-    assert load_scenario(target).robot.cubic is None
+    given = *(f"robot.{each}" for each in curve), "limits.deflection:=[0.1, 0.06]"
+    sets = [part for each in given for part in ("--set", each)]
+    fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", *sets)
+    loop = load_scenario(target)
+    assert loop.robot.curve
+    run = loop.simulate(DURATION)
+    zeta = np.abs(run.x[:, 2:4] - run.x[:, :2]).max(axis=0)
+    assert np.all(zeta <= [0.1, 0.06])
+    assert np.abs(run.x[:, :2] - run.jets[:, 0]).max() < 2e-3
 
 
 def test_an_earlier_file_is_not_replaced(tmp_path: Path) -> None:

@@ -36,8 +36,7 @@ def test_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, s
     ended_by(controller, number)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("lockstep", ["true", "false"])
+@pytest.mark.parametrize(("number", "lockstep"), [(signal.SIGINT, "true"), (signal.SIGTERM, "false")])
 def test_a_signal_ends_the_plant_with_code_0(ros: Ros, start: Start, number: int, lockstep: str) -> None:
     peer = Peer(ros)
     plant = start("plant", "--ros-args", "-p", f"lockstep:={lockstep}")

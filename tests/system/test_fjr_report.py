@@ -110,7 +110,6 @@ def test_healthy_run_is_holding_and_its_power_balance_closes(run: Path) -> None:
 @pytest.mark.parametrize(
     ("storage", "compression"),
     [
-        (StoragePlugin.SQLITE3, CompressionMode.NONE),
         (StoragePlugin.MCAP, CompressionMode.NONE),
         (StoragePlugin.SQLITE3, CompressionMode.FILE),
         (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
@@ -201,14 +200,14 @@ def looped(topic: str, message: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("change", "topics", "amplitude"),
+    ("duration", "change", "topics", "amplitude"),
     [
-        (None, None, None),
-        (None, None, [0.123, 0.321]),
-        (None, (STATES, EFFORTS), None),
-        (without(lambda _: True, "velocity"), None, None),
-        (without(lambda name: not name.endswith("_motor")), None, None),
-        (looped, None, None),
+        (np.inf, None, None, None),
+        (0.4, None, None, [0.123, 0.321]),
+        (0.4, None, (STATES, EFFORTS), None),
+        (0.4, without(lambda _: True, "velocity"), None, None),
+        (0.4, without(lambda name: not name.endswith("_motor")), None, None),
+        (np.inf, looped, None, None),
     ],
     ids=["whole", "other reference", "efforts without stamps", "no velocities", "links only", "looped"],
 )
@@ -217,10 +216,12 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
     in_order: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    duration: float,
     change: Any,
     topics: Any,
     amplitude: Any,
 ) -> None:
+    """Up to its end, or up to a planned duration."""
     bag = rewritten(in_order, tmp_path / "copy", topics=topics, change=change) if change or topics else in_order
     document = yaml.safe_load((run / "scenario.yaml").read_text())
     if amplitude:
@@ -228,27 +229,26 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
         section["ros__parameters"]["reference"]["amplitude"] = amplitude
     (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(document))
     model = load_scenario(tmp_path / "scenario.yaml")
-    for duration in (0.4, np.inf):
-        found = []
-        for size, around in ((10_000, 10_000), (97, 60)):
-            monkeypatch.setattr(signals, "AROUND", around)
-            recording = Recording(read_bag(bag), model, duration, size)
-            parts = list(recording.parts())
-            metrics = Metrics(recording)
-            shown = Shown(metrics)
-            metrics.read(shown.add)
-            found.append((parts, metrics.report("run", 1.0).as_json(), shown))
-        (one, whole, shown), (many, pieces, in_parts) = found
-        assert len(one) == 1
-        assert len(many) > 3
-        for name in ("t", "position", "velocity", "jets", "u", "sent", "answered", "torque"):
-            values = np.concatenate([getattr(part, name)[part.begin :] for part in many])
-            rounding = 1e-5 if name == "jets" else 1e-9  # the fourth derivative of a spline
-            np.testing.assert_allclose(values, getattr(one[0], name), rtol=rounding, atol=rounding)
-        assert_close(pieces, whole)
-        for columns, others in ((shown.states, in_parts.states), (shown.steps, in_parts.steps)):
-            for name in columns.names:
-                np.testing.assert_allclose(others[name], columns[name], rtol=1e-6, atol=1e-9)
+    found = []
+    for size, around in ((10_000, 10_000), (97, 60)):
+        monkeypatch.setattr(signals, "AROUND", around)
+        recording = Recording(read_bag(bag), model, duration, size)
+        parts = list(recording.parts())
+        metrics = Metrics(recording)
+        shown = Shown(metrics)
+        metrics.read(shown.add)
+        found.append((parts, metrics.report("run", 1.0).as_json(), shown))
+    (one, whole, shown), (many, pieces, in_parts) = found
+    assert len(one) == 1
+    assert len(many) > 3
+    for name in ("t", "position", "velocity", "jets", "u", "sent", "answered", "torque"):
+        values = np.concatenate([getattr(part, name)[part.begin :] for part in many])
+        rounding = 1e-5 if name == "jets" else 1e-9  # the fourth derivative of a spline
+        np.testing.assert_allclose(values, getattr(one[0], name), rtol=rounding, atol=rounding)
+    assert_close(pieces, whole)
+    for columns, others in ((shown.states, in_parts.states), (shown.steps, in_parts.steps)):
+        for name in columns.names:
+            np.testing.assert_allclose(others[name], columns[name], rtol=1e-6, atol=1e-9)
 
 
 def test_messages_that_were_received_late_have_their_place_by_the_time_they_were_sent(

@@ -114,6 +114,7 @@ def test_a_search_that_was_cut_off_ends_with_the_same_result_on_another_number_o
         assert (other / name).read_bytes() == (whole / name).read_bytes()
 
 
+@pytest.mark.full  # test_fjr_sweep.py has a cluster, too
 @pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_search_and_result(
     folder: Path, study: Path, said: str, local_cluster: Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr identify`: from the bag of a run to a robot file that is a scenario, too, a JSON file and a page."""
+"""`fjr identify`: from the bag of a run to a robot file that is a scenario, too, to JSON, a page, and its posterior."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from fjr_identification.cli.identify import unconfirmed
 from fjr_identification.estimation.validation import HoldOut
 from fjr_identification.page import autocorrelation, groups
 from fjr_identification.robot_file import IdentifiedRobot, nominal_robot
+from fjr_msgs_py.console.ending import Exit
 from system.browser import Browser
 from system.executables import fjr_here
 from system.shared_runs import shared_run
@@ -96,14 +97,18 @@ def test_a_robot_file_says_where_friction_turns_over_and_robot_yaml_what_was_fou
     path.write_text(GUESSED)
     level = Estimate("motor_coulomb_friction", "joint1", "N m", 0.1, 0.09, 0.11, 0.0, IDENTIFIED)
     turn = Estimate("friction_smoothing_velocity", "joint1", "rad/s", 3e-3, 2e-3, 4e-3, 0.01, IDENTIFIED)
+    falls = replace(level, name="stribeck_velocity", unit="rad/s", value=0.05)
+    grows = replace(level, name="motor_load_friction", unit="", value=0.03)
     for found, written in ((3e-3, 3e-3), (1e-6, 8.3e-5)):
-        estimates = (level, replace(turn, value=found))
+        estimates = (level, falls, grows, replace(turn, value=found))
         known = Identification(("joint1",), estimates, (), (), np.zeros(0), np.zeros((0, 0)))
         text = IdentifiedRobot(nominal_robot(path), known).file(tmp_path, ["a record"], "robot.yaml").text
         assert "# friction_smoothing_velocity of joint1: " in text
         (tmp_path / "robot.yaml").write_text(text)
         values = load_scenario(tmp_path / "robot.yaml").plant_values
         assert values["imperfections.friction_smoothing_velocity"] == pytest.approx((written,), rel=0.1)
+        assert [values[f"imperfections.{side}_stribeck_velocity"] for side in ("link", "motor")] == [(0.05,), (0.05,)]
+        assert values["imperfections.motor_load_friction"] == (0.03,)
 
 
 def test_json_has_the_posterior_and_names_records_robot_and_hold_out(folder: Path) -> None:
@@ -239,3 +244,41 @@ def test_bad_input_is_one_sentence(
     said = fjr_here("identify", *arguments, codes=(1, 2))
     assert sentence in said
     assert "Traceback" not in said
+
+
+# Commands that use the posterior.
+
+
+@pytest.fixture
+def posterior(tmp_path: Path) -> Path:
+    """Write the posterior of the paper's joint, with a damping that is not identifiable."""
+    values = {"joint_stiffness": 31.0, "motor_inertia": 0.004}
+    estimates = [Estimate(k, "joint1", "", v, 0.9 * v, 1.1 * v, v, IDENTIFIED) for k, v in values.items()]
+    estimates.append(Estimate("link_damping", "joint1", "", 0.2, 0.0, 1.0, 0.2, UNKNOWN, "the joint stands still"))
+    mean, covariance = np.log(list(values.values())), np.array([[4e-4, 1e-4], [1e-4, 4e-4]])
+    found = Identification(("joint1",), tuple(estimates), (0, 1), (LOG, LOG), mean, covariance)
+    path = tmp_path / "identification.json"
+    path.write_text(json.dumps(found.as_dict()), encoding="utf-8")
+    return path
+
+
+def test_gains_are_confirmed_on_fresh_draws_of_the_posterior(posterior: Path) -> None:
+    shown = fjr_here("gains", "paper_k31", "--beta", "5", "--from", f"{posterior}", "--json")
+    values, _ = json.JSONDecoder().raw_decode(shown)
+    assert (values["fresh_draws"], values["lost_draws"], values["confidence"]) == (4603, 0, 0.99)
+    assert values["largest_lost_share"] == pytest.approx(1e-3, rel=1e-3)
+    assert values["not_drawn"] == ["link_damping of joint1"]
+    assert "not identifiable, so not drawn: link_damping of joint1" in shown
+
+
+def test_an_identification_of_other_joints_is_refused(posterior: Path) -> None:
+    shown = fjr_here("gains", "two_link", "--beta", "5", "--from", f"{posterior}", code=Exit.NOT_UNDERSTOOD)
+    assert "is of joints joint1; expected those of the scenario" in shown
+
+
+def test_a_sweep_draws_from_the_posterior_next_to_it(posterior: Path, tmp_path: Path) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text("{scenario: paper_k31, posterior: identification.json, runs: 20, duration: 1.5}", encoding="utf-8")
+    shown = fjr_here("sweep", f"{study}", "--output", f"{tmp_path / 'sweeps'}")
+    assert "20 runs succeed" in shown or "of 20 succeed" in shown
+    assert "stiffness.joint1" in shown

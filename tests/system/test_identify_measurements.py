@@ -91,7 +91,7 @@ def test_a_joint_that_stands_still_keeps_all_guesses(tmp_path: Path) -> None:
     assert len(robot.robot_warnings) == 2
 
 
-@pytest.mark.parametrize("signals", [("link", "motor"), ("motor", "torque")])
+@pytest.mark.parametrize("signals", [("link", "motor"), pytest.param(("motor", "torque"), marks=pytest.mark.full)])
 def test_a_joint_that_stands_still_next_to_one_that_moves_is_not_guessed(
     tmp_path: Path, signals: tuple[str, ...]
 ) -> None:
@@ -102,7 +102,7 @@ def test_a_joint_that_stands_still_next_to_one_that_moves_is_not_guessed(
         assert "the joint stands still" in shoulder[name].reason
 
 
-@pytest.mark.parametrize("signals", [("motor",), ("motor", "torque")])
+@pytest.mark.parametrize("signals", [("motor",), pytest.param(("motor", "torque"), marks=pytest.mark.full)])
 def test_without_gravity_and_link_the_first_of_two_offsets_is_not_revealed(
     tmp_path: Path, signals: tuple[str, ...]
 ) -> None:

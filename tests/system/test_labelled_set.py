@@ -24,11 +24,12 @@ SET = cases(VALIDATION_SEED)
 
 
 def marked() -> Iterator[Any]:
-    """Return the set; every second change of the same parameters is for the full suite alone."""
+    """Return the set; further changes of the same parameters are for the full suite alone, but for one stable rate."""
     tried: Counter[frozenset[str]] = Counter()
     for case in SET:
-        words = frozenset(case.robot or case.changes)
-        yield pytest.param(case, id=case.name, marks=pytest.mark.full if tried[words] % 2 else ())
+        stable = {"stable"} if case.changes.get("publish_rate", 0.0) >= 200.0 else set()  # Hz
+        words = frozenset(case.robot or case.changes) | stable
+        yield pytest.param(case, id=case.name, marks=pytest.mark.full if tried[words] else ())
         tried[words] += bool(words)
 
 
@@ -68,7 +69,7 @@ def test_the_page_shows_the_set() -> None:
 @pytest.mark.parametrize(
     ("assignment", "wanted"),
     [
-        ("imperfections.command_loss:=0.4", "loss"),
+        pytest.param("imperfections.command_loss:=0.4", "loss", marks=pytest.mark.full),
         ("limits.effort:=[0.75]", "saturation"),
     ],
 )

@@ -15,6 +15,7 @@ from build_wheels import PACKAGES
 from fjr_msgs_py.console.ending import Exit
 from system.executables import Start, fjr_here
 from time_limits import HANG
+from two_link_urdf import two_link_urdf
 
 pytestmark = pytest.mark.system
 
@@ -51,10 +52,11 @@ def fjr(folder: Path, *lines: str) -> list[tuple[int, str]]:
 
 
 def test_commands_run_without_identification_and_proofs(tmp_path: Path) -> None:
-    found = fjr(tmp_path, "check arm7", "gains two_link --beta 1", "--help")
-    assert [code for code, _ in found] == [0, 0, 0], found
-    assert "near the reference" not in found[0][1]  # nothing is proven
-    assert (" identify " in found[2][1], " check " in found[2][1]) == (False, True)
+    (tmp_path / "arm.urdf").write_text(two_link_urdf(), encoding="utf-8")
+    found = fjr(tmp_path, "new arm.urdf", "check arm.yaml", "gains two_link --beta 1", "--help")
+    assert [code for code, _ in found] == [0, 0, 0, 0], found
+    assert "near the reference" not in found[1][1]  # nothing is proven
+    assert (" identify " in found[3][1], " check " in found[3][1]) == (False, True)
 
 
 NEEDS = {

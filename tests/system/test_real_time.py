@@ -22,9 +22,9 @@ from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from nodes.harness import Listener, Ros, seconds
 from system.documented import documented_keys
-from system.executables import NODES, SLOW, fjr, running, scenario
+from system.executables import NODES, SLOW, fjr, fjr_here, running, scenario
 from system.network import Network, RefusedError
-from system.test_send_command import MOTION, T, holding, motion_file
+from system.test_running_nodes import MOTION, T, holding, motion_file
 from time_limits import HANG
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
@@ -122,7 +122,7 @@ def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, tmp_path: Path)
 
 
 def test_the_demo_runs_the_paper_and_an_arm_in_real_time(tmp_path: Path) -> None:
-    said = fjr("demo", "--duration", "0.5", "--output", str(tmp_path))
+    said = fjr_here("demo", "--duration", "0.5", "--output", str(tmp_path))
     for name in ("paper_k31", "paper_k3p1", "arm7"):
         counts = json.loads((tmp_path / name / "report.json").read_text())["counts"]
         assert counts["nominal"] == counts["published"] + counts["missing"]

@@ -20,13 +20,14 @@ from fjr_core.errors import FjrError
 from fjr_core.model.robot import Robot
 from fjr_design.uncertainty.posterior import DEFLECTION, UNKNOWN, WEAK
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.motion_record import MotionRecord, TimeWindow
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.page import fit_plots
 from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import TableMap, read_map
 from fjr_identification.sensors import lacking
+from fjr_identification.table_record import record_of_table
 from system.bags import rewritten
 from system.shared_runs import shared_run
 
@@ -99,9 +100,7 @@ def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_o
             assert one.value == pytest.approx(other.value, rel=0.15)
 
 
-def test_parquet_other_units_signs_and_names_give_the_same_record(
-    kr300: Robot, both: dict[str, Read], tmp_path: Path
-) -> None:
+def test_parquet_other_units_signs_and_names_give_the_same_record(both: dict[str, Read], tmp_path: Path) -> None:
     whole, _ = both["record_a"]
     with gzip.open(EXAMPLE / "record_a.csv.gz") as file:
         table = pa.csv.read_csv(file)
@@ -117,14 +116,14 @@ def test_parquet_other_units_signs_and_names_give_the_same_record(
         "effort: {column: [u1, u2, u3, u4, u5, u6], unit: mN m,\n"
         "  gear_ratio: [256.86, 267.43, 252.33, 221, 239.62, 154.32]}\n"
     )
-    found, _ = read_record(tmp_path / "a.parquet", AXES, kr300, Reading(read_map(tmp_path / "map.yaml", AXES)))
+    found, _ = record_of_table(tmp_path / "a.parquet", read_map(tmp_path / "map.yaml", AXES), AXES, TimeWindow())
     for name in ("u", "q_l", "q_m"):
         assert getattr(found, name) == pytest.approx(getattr(whole, name), rel=1e-9, abs=1e-12, nan_ok=True)
 
 
-def test_part_of_a_table_is_the_same_rows(kr300: Robot, reading: Reading, both: dict[str, Read]) -> None:
+def test_part_of_a_table_is_the_same_rows(reading: Reading, both: dict[str, Read]) -> None:
     whole, _ = both["record_a"]
-    part, _ = read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, replace(reading, start=1.998, duration=3.0))
+    part, _ = record_of_table(EXAMPLE / "record_a.csv.gz", reading.mapping, AXES, TimeWindow(1.998, 3.0))
     assert part.u.shape == (750, 6)
     assert np.array_equal(part.q_m, whole.q_m[500:1250])
 

@@ -27,7 +27,7 @@ from fjr_core.config.robot import description
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.watch.browser import BrowserPage
 from system.browser import Browser
-from system.executables import TIME_LIMIT, Executable, fjr_here, lockstep_loop, scenario
+from system.executables import SLOW, TIME_LIMIT, Executable, fjr_here, running, scenario
 from time_limits import HANG, Limit
 
 pytestmark = pytest.mark.system
@@ -106,10 +106,11 @@ def terminal() -> Iterator[Callable[..., Terminal]]:
         one.close()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def loop() -> Iterator[dict[str, Executable]]:
-    """A plant and a controller in the namespace left."""
-    with lockstep_loop("two_link", "left") as nodes:
+    """A plant and a controller in the namespace left; the last test ends the plant."""
+    parameters = {node: ("--params-file", scenario("two_link"), *SLOW[node]) for node in SLOW}
+    with running(parameters, "-p", "realtime_priority:=0", "-r", "__ns:=/left") as nodes:
         yield nodes
 
 
@@ -227,27 +228,6 @@ def test_options_that_do_not_fit_are_refused(arguments: list[str], words: str) -
     assert words in fjr_here("watch", *arguments, code=2)
 
 
-def test_a_running_loop_is_on_the_screen_until_the_plant_ends(
-    loop: dict[str, Executable], terminal: Callable[..., Terminal]
-) -> None:
-    watch = terminal("watch", "two_link", "--namespace", "left")
-    words = ("state to command", "ok    left/fjr_controller", "left/fjr_plant")
-    screen = watch.until(lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"})
-    q_l, dq_l, deflection, error = rows(screen)["elbow"]
-    assert abs(q_l) < 2
-    assert abs(dq_l) < 20
-    assert abs(deflection) < 1
-    assert 0 <= error < 2
-    assert "fjr watch left" in screen
-    before = screen
-    watch.until(lambda text: text != before and "elbow" in text)
-    loop["plant"].kill()
-    watch.until(lambda text: "no state for" in text)
-    assert watch.interrupt() == 0
-    assert b"\x1b[?1049l" in watch.raw, "the terminal must be restored"
-    assert b"Traceback" not in watch.raw
-
-
 @pytest.mark.usefixtures("loop")
 def test_the_arm_of_a_running_loop_moves_in_the_browser(browser: Browser) -> None:
     watch = subprocess.Popen([FJR, "watch", "--browser", "--namespace", "left"], stdout=subprocess.PIPE, text=True)
@@ -270,3 +250,24 @@ def test_the_arm_of_a_running_loop_moves_in_the_browser(browser: Browser) -> Non
     finally:
         watch.kill()
         watch.communicate()
+
+
+def test_a_running_loop_is_on_the_screen_until_the_plant_ends(
+    loop: dict[str, Executable], terminal: Callable[..., Terminal]
+) -> None:
+    watch = terminal("watch", "two_link", "--namespace", "left")
+    words = ("state to command", "ok    left/fjr_controller", "left/fjr_plant")
+    screen = watch.until(lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"})
+    q_l, dq_l, deflection, error = rows(screen)["elbow"]
+    assert abs(q_l) < 2
+    assert abs(dq_l) < 20
+    assert abs(deflection) < 1
+    assert 0 <= error < 2
+    assert "fjr watch left" in screen
+    before = screen
+    watch.until(lambda text: text != before and "elbow" in text)
+    loop["plant"].kill()
+    watch.until(lambda text: "no state for" in text)
+    assert watch.interrupt() == 0
+    assert b"\x1b[?1049l" in watch.raw, "the terminal must be restored"
+    assert b"Traceback" not in watch.raw

@@ -67,11 +67,6 @@ def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str
     assert "0.7" in broken.sentence
 
 
-@pytest.mark.parametrize("name", LIMITED)
-def test_nothing_is_violated_without_limits(name: str) -> None:
-    assert stop_at(ControlStep(TWO, Hold([0.0, 0.0]), settings(2)), name, 0, 1e9) is None
-
-
 def test_the_time_in_saturation_is_that_between_the_stamps_joint_by_joint() -> None:
     tracker = passing(2, effort=[1.0, 2.0])
     for k, u in enumerate([[3.0, 0.0], [-3.0, 5.0], [0.0, -5.0], [0.0, 0.0], [0.0, 0.0]]):

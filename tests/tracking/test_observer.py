@@ -171,22 +171,6 @@ def test_with_an_observer_the_effort_has_no_step_after_a_reset(stop: str) -> Non
     assert loop.error < 2e-3
 
 
-def test_the_law_never_uses_velocities_that_have_not_settled() -> None:
-    x0 = LAW.robot.state(0.0, 0.0, 1.0, 1.0)
-    loop = Loop(LAW, SINE, settings(), x0, observer=fjr.VelocityObserver(LAW.robot, 150.0))
-    for beginning in (20 * SECOND, SECOND):
-        loop.x, loop.now = x0, beginning
-        if beginning == SECOND:  # a jump back, whose first sample is unconfirmed
-            assert loop.tracker.command(loop.sample(), loop.now) is None
-            loop.now += MS
-        for k in range(30):
-            velocity = np.concatenate(LAW.robot.velocities(loop.x))
-            command = loop.step()
-            if np.isfinite(command.V):
-                np.testing.assert_allclose(command.velocity, velocity, atol=0.05)
-            assert np.isfinite(command.V) == (k >= OBSERVED)
-
-
 def test_sample_without_velocities_requires_an_observer() -> None:
     bare = sample(0, 0.5, 0.5)
     bare.dq_l = None

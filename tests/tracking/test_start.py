@@ -128,9 +128,8 @@ def test_a_start_begins_with_a_transition_from_the_first_state() -> None:
     assert loop.error < 1e-4
 
 
-@pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
+@pytest.mark.parametrize(("policy", "quiet"), [("zero", 0.06), ("gravity_hold", 0.4)])
 @pytest.mark.parametrize("arm", ARMS)
-@pytest.mark.parametrize("quiet", [0.06, 0.4])
 def test_tracking_recovers_from_a_silence_without_a_step(arm: str, policy: str, quiet: float) -> None:
     law, reference, x0, step = ARMS[arm]
     loop = Loop(law, reference, settings(law.robot.n, state_timeout=0.05, on_stop=policy), x0)

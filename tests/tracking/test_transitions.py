@@ -64,20 +64,6 @@ def test_a_transition_is_the_shortest_within_its_limits(far: float, velocity: fl
     np.testing.assert_allclose(jets[-1], Hold([0.0]).jets(0.0), atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_no_transition_of_a_moving_arm_exceeds_its_limits(seed: int) -> None:
-    """From any state well within the limits to a reference well within them."""
-    rng = np.random.default_rng(seed)
-    limits = {"link_velocity": 3.0, "motor_velocity": 3.5, "link_position_lower": -2.5, "link_position_upper": 2.5}
-    reference = fjr.Sine(rng.uniform(0.2, 0.6, 2), rng.uniform(0.5, 3.0, 2), rng.uniform(-0.5, 0.5, 2))
-    for _ in range(10):
-        q, dq = rng.uniform(-1.2, 1.2), rng.uniform(-0.8, 0.8)
-        _, duration, jets = joined(reference, q, dq, TWO, **limits)
-        assert 1.0 <= duration <= 20.0
-        assert np.abs(jets[:, 1]).max() < 3.0
-        assert np.abs(jets[:, 0]).max() < 2.5
-
-
 def braking(tracker: ControlStep) -> float:
     """Return how long the arm brakes before its transition [s]; 0 if it does not."""
     brake = tracker.controller.supervisor.reference.brake

@@ -36,7 +36,9 @@ ROBOT = f"/**:\n  ros__parameters:\n    joints: {JOINTS}\n    robot: {{urdf: arm
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("hostile")
+    made = tmp_path_factory.mktemp("hostile")
+    assert load(made, SCENARIO) == "", "without a change the scenario must be valid"
+    return made
 
 
 def load(folder: Path, content: str | bytes) -> str:
@@ -45,20 +47,10 @@ def load(folder: Path, content: str | bytes) -> str:
     return answer(lambda: load_scenario(path))
 
 
-def test_the_unmodified_scenario_is_valid(folder: Path) -> None:
-    assert load(folder, SCENARIO) == ""
-
-
-@fuzzed(60)
-@given(text=documents(yaml.safe_load(SCENARIO)))
-def test_scenarios_with_misplaced_values(folder: Path, text: str) -> None:
-    load(folder, text)
-
-
-@fuzzed(60)
-@given(data=texts(SCENARIO))
-def test_scenarios_of_arbitrary_bytes(folder: Path, data: bytes) -> None:
-    load(folder, data)
+@fuzzed(120)
+@given(content=st.one_of(documents(yaml.safe_load(SCENARIO)), texts(SCENARIO)))
+def test_scenarios_with_misplaced_values_or_arbitrary_bytes(folder: Path, content: str | bytes) -> None:
+    load(folder, content)
 
 
 @fuzzed(60)
@@ -125,10 +117,6 @@ def test_json_that_is_no_object_raises_value_error(folder: Path) -> None:
             text_file.read_json(path)
 
 
-def build(urdf: object) -> str:
-    return answer(lambda: fjr.robot_from_urdf(urdf, JOINTS, STIFFNESS, MOTOR_INERTIA))
-
-
 WORDS = ["0", "-1", "1e308", "nan", "inf", "", "1_0", "0x10", "a", "1 2", "prismatic", "floating", "\u0661", "x" * 999]
 
 
@@ -142,15 +130,13 @@ def urdfs(draw: st.DrawFn) -> str:
     return '"'.join(pieces)
 
 
-@fuzzed(60)
-@given(text=urdfs())
-def test_urdfs_with_misplaced_values(text: str) -> None:
-    build(text)
+def build(urdf: object) -> str:
+    return answer(lambda: fjr.robot_from_urdf(urdf, JOINTS, STIFFNESS, MOTOR_INERTIA))
 
 
-@fuzzed(60)
-@given(data=bytes_of(two_link_urdf().encode()))
-def test_urdfs_of_arbitrary_bytes(folder: Path, data: bytes) -> None:
+@fuzzed(120)
+@given(data=st.one_of(urdfs().map(str.encode), bytes_of(two_link_urdf().encode())))
+def test_urdfs_with_misplaced_values_or_arbitrary_bytes(folder: Path, data: bytes) -> None:
     (folder / "some.urdf").write_bytes(data)
     build(folder / "some.urdf")
 

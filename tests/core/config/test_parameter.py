@@ -42,7 +42,7 @@ DEFAULTS = Example(gain=4.0)
 
 
 def test_fields_declare_names_units_and_defaults() -> None:
-    found = declared(Example, "group.", DEFAULTS)
+    found = declared(Example, "group.", vars(DEFAULTS))
     assert list(found) == ["gain", "rate", "limit", "sines", "place"]
     names = ["own_name", "rate", "limits.limit", "sines", "place"]
     assert [parameter.name for parameter in found.values()] == [f"group.{name}" for name in names]
@@ -52,7 +52,7 @@ def test_fields_declare_names_units_and_defaults() -> None:
 
 
 def test_values_are_read_in_the_declared_shape() -> None:
-    declarations = declared(Example, "", DEFAULTS)
+    declarations = declared(Example, "", vars(DEFAULTS))
     given = {"own_name": [1.0, 2.0, 3.0, 4.0], "sines": [1.0] * 6, "place": [1.0, 2.0, 3.0]}
     found = read(declarations, complete(table(declarations, 2), given), 2)
     assert found["rate"] == 2.0
@@ -64,7 +64,7 @@ def test_values_are_read_in_the_declared_shape() -> None:
 
 @pytest.mark.parametrize("name", ["limits.limit", "own_name", "sines", "place"])
 def test_a_wrong_length_is_rejected_by_name(name: str) -> None:
-    declarations = declared(Example, "", DEFAULTS)
+    declarations = declared(Example, "", vars(DEFAULTS))
     values = complete(table(declarations, 2), {name: [1.0] * 5})
     with pytest.raises(fjr.ParameterError, match=f"'{name}' has 5 entries"):
         read(declarations, values, 2)

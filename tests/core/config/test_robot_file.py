@@ -79,9 +79,17 @@ def test_robot_file_and_its_relative_urdf_path_are_resolved(workspace: Path, kin
     assert_same_robot(loaded.plant.robot, fjr.planar_two_link())
 
 
+CHANGES = """
+    imperfections: {motor_coulomb_friction: [0.01]}
+/**/fjr_plant:
+  ros__parameters: {imperfections.motor_coulomb_friction: [0.02]}
+/**/fjr_controller:
+  ros__parameters: {robot.joint_stiffness: [30.0, 20.0]}
+"""
+
+
 def test_scenario_overrides_the_robot_file(workspace: Path) -> None:
-    changes = "/**/fjr_controller:\n  ros__parameters:\n    robot.joint_stiffness: [30.0, 20.0]\n"
-    path = scenario(workspace, "      file: robots/two_link.yaml\n      link_damping: [0.5, 0.6]", changes)
+    path = scenario(workspace, "      file: robots/two_link.yaml\n      link_damping: [0.5, 0.6]", CHANGES)
     loaded = load_scenario(path)
     np.testing.assert_array_equal(np.diag(loaded.robot.K), [30.0, 20.0])
     np.testing.assert_array_equal(np.diag(loaded.plant.robot.K), STIFFNESS)
@@ -90,8 +98,7 @@ def test_scenario_overrides_the_robot_file(workspace: Path) -> None:
 
 
 def test_a_self_contained_scenario_needs_no_other_file(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    changes = "/**/fjr_controller:\n  ros__parameters:\n    robot.joint_stiffness: [30.0, 20.0]\n"
-    path = scenario(workspace, "      file: package://my_arm/robots/two_link.yaml", changes)
+    path = scenario(workspace, "      file: package://my_arm/robots/two_link.yaml", CHANGES)
     document = ros_yaml.read(path, "scenario")
     given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
     text = ros_yaml.dump(self_contained(given, path.parent))
@@ -104,15 +111,7 @@ def test_a_self_contained_scenario_needs_no_other_file(workspace: Path, monkeypa
     assert_same_robot(alone.robot, expected.robot)
     assert_same_robot(alone.plant.robot, expected.plant.robot)
     assert text.count("<robot") == 1, "shared parameters must be written once"
-
-
-def test_a_self_contained_scenario_keeps_what_the_section_of_a_node_changes(tmp_path: Path) -> None:
-    shared, changed = ("    imperfections: {motor_coulomb_friction: [" + each + "]}\n" for each in ("0.01", "0.02"))
-    head = "/**:\n  ros__parameters:\n    robot: {model: single_link}\n"
-    document = ros_yaml.parse(f"{head}{shared}/**/fjr_plant:\n  ros__parameters:\n{changed}")
-    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
-    alone = parse_scenario("alone", ros_yaml.dump(self_contained(given, tmp_path)))
-    assert alone.plant_values["imperfections.motor_coulomb_friction"] == (0.02,)
+    assert alone.plant_values["imperfections.motor_coulomb_friction"] == (0.02,), "the section of the node counts"
 
 
 BAD_FILES = {
@@ -137,22 +136,12 @@ def test_an_invalid_robot_file_is_one_sentence_with_the_parameter(workspace: Pat
     refused(fjr.ParameterError, lambda: load_scenario(scenario(workspace, robot)), *words)
 
 
-def urdf_values(**changes: object) -> dict[str, object]:
-    given: dict[str, object] = {
-        "joints": JOINTS,
-        "robot.model": "urdf",
-        "robot.urdf": two_link_urdf(wrist_mass=0.5),
-        "robot.joint_stiffness": STIFFNESS,
-        "robot.motor_inertia": MOTOR_INERTIA,
-    }
-    given |= {f"robot.{name}": value for name, value in changes.items()}
-    return {name: value for name, value in given.items() if value is not None}
-
-
 def urdf_robot(**changes: object) -> fjr.Robot:
-    given = urdf_values(**changes)
-    known = all_parameters(controller_parameters, given)
-    return build_robot(parameter.complete(known, given))
+    """Return the arm with a wrist whose parameters robot.* differ by the changes; None: not given."""
+    elastic = {"joint_stiffness": STIFFNESS, "motor_inertia": MOTOR_INERTIA}
+    values = {"model": "urdf", "urdf": two_link_urdf(wrist_mass=0.5), **elastic, **changes}
+    given = {f"robot.{name}": value for name, value in values.items() if value is not None} | {"joints": JOINTS}
+    return build_robot(parameter.complete(all_parameters(controller_parameters, given), given))
 
 
 BAD_VALUES = [
@@ -178,12 +167,8 @@ def test_an_invalid_urdf_robot_is_one_sentence_with_the_parameter(changes: dict[
 
 
 def test_urdf_robot_requires_joint_names() -> None:
-    refused(
-        fjr.ParameterError,
-        lambda: all_parameters(controller_parameters, {"robot.model": "urdf"}),
-        "'joints' is not given",
-        "urdf",
-    )
+    without = {"robot.model": "urdf"}
+    refused(fjr.ParameterError, lambda: all_parameters(controller_parameters, without), "'joints' is not given", "urdf")
 
 
 def test_motor_inertia_is_reflected_unless_a_gear_ratio_is_given() -> None:
@@ -200,9 +185,7 @@ def test_locked_joint_stays_at_its_locked_position() -> None:
 
 @pytest.mark.parametrize(("name", "joints"), [("single_link", ["a"]), ("planar_two_link", ["a", "b"])])
 def test_parameters_of_closed_form_robots_keep_their_defaults(name: str, joints: list[str]) -> None:
-    given: dict[str, object] = {"robot.model": name, "joints": joints}
-    known = all_parameters(plant_parameters, given)
-    assert_same_robot(build_robot(parameter.complete(known, given)), getattr(fjr, name)())
+    assert_same_robot(build_robot(values_of(robot__model=name, joints=joints)), getattr(fjr, name)())
 
 
 def test_gains_are_read_back_from_a_parameter_file() -> None:
@@ -294,17 +277,14 @@ def test_values_that_equal_their_guess_are_counted() -> None:
     assert inertia.startswith("motor inertia of joint b is a guess")
 
 
-@pytest.mark.parametrize("stiffness", ["41.0, 25.0", "41.0, 1.0, 1.0, 25.0"])
-def test_a_replaced_value_is_no_guess_any_more(stiffness: str) -> None:
-    assert "joint stiffness of joint b is a guess" in loaded(stiffness).robot_warnings[0]
-
-
-def test_without_guesses_there_is_no_warning() -> None:
-    assert loaded(guesses="").robot_warnings == ()
+def test_a_replaced_value_is_no_guess_any_more() -> None:
+    for stiffness in ("41.0, 25.0", "41.0, 1.0, 1.0, 25.0"):
+        assert "joint stiffness of joint b is a guess" in loaded(stiffness).robot_warnings[0]
     assert loaded("41.0, 26.0", "guesses: {joint_stiffness: [40.0, 25.0]}").robot_warnings == ()
 
 
-def test_guesses_do_not_change_the_robot() -> None:
+def test_without_guesses_the_robot_is_the_same_and_there_is_no_warning() -> None:
+    assert loaded(guesses="").robot_warnings == ()
     assert loaded().robot.fingerprint() == loaded(guesses="").robot.fingerprint()
 
 
@@ -325,20 +305,15 @@ def package(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["package://arm_description/meshes/link.stl", "../meshes/link.stl"])
 def test_a_mesh_next_to_the_urdf_gets_its_path(package: Path, name: str) -> None:
-    text = located(urdf(name), package / "urdf")
+    (package / "urdf" / "arm.urdf").write_text(urdf(name))
+    text = str(inlined({"robot.urdf": str(package / "urdf" / "arm.urdf")})["robot.urdf"])
     path = Path(text.split("file://")[1].split('"')[0])
     assert path.is_absolute()
     assert path.samefile(package / "meshes" / "link.stl")
     assert text.replace(f"file://{path}", name) == urdf(name)
+    assert inlined({"robot.urdf": text})["robot.urdf"] == text
 
 
 @pytest.mark.parametrize("name", ["package://other/meshes/link.stl", "none.stl", "file:///none.stl", "/none.stl", ""])
 def test_a_mesh_that_is_elsewhere_stays_as_it_is(package: Path, name: str) -> None:
     assert located(urdf(name), package / "urdf") == urdf(name)
-
-
-def test_the_text_of_a_scenario_has_the_paths(package: Path) -> None:
-    (package / "urdf" / "arm.urdf").write_text(urdf("../meshes/link.stl"))
-    text = str(robot_file.inlined({"robot.urdf": str(package / "urdf" / "arm.urdf")})["robot.urdf"])
-    assert "file:///" in text
-    assert robot_file.inlined({"robot.urdf": text})["robot.urdf"] == text

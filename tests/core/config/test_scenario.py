@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,19 +25,21 @@ SCENARIOS = sorted(path.stem for path in (BRINGUP / "scenarios").glob("*.yaml"))
 ARMS = ("two_link", "arm7")
 
 
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Resolve package://fjr_bringup to the source folder."""
-    (tmp_path / "share").mkdir()
-    (tmp_path / "share" / "fjr_bringup").symlink_to(BRINGUP)
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    prefix = tmp_path_factory.mktemp("installed")
+    (prefix / "share").mkdir()
+    (prefix / "share" / "fjr_bringup").symlink_to(BRINGUP)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("AMENT_PREFIX_PATH", str(prefix))
+        yield
 
 
 def load(name: str) -> Scenario:
     return load_scenario(BRINGUP / "scenarios" / f"{name}.yaml")
 
 
-@pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_shipped_scenario_is_valid_and_both_nodes_have_the_same_robot(name: str) -> None:
     scenario = load(name)
@@ -53,7 +56,6 @@ ROBOTS = {
 }
 
 
-@pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_robot_files_equal_the_defaults_of_the_closed_forms(name: str) -> None:
     robot, expected = load(name).robot, ROBOTS[name]()
@@ -64,41 +66,27 @@ def test_robot_files_equal_the_defaults_of_the_closed_forms(name: str) -> None:
     np.testing.assert_array_equal(robot.grad_P_l(q_l), expected.grad_P_l(q_l))
 
 
-@pytest.mark.usefixtures("installed")
-@pytest.mark.parametrize("name", ARMS)
-def test_arms_start_in_equilibrium(name: str) -> None:
-    """The springs carry the weight; the remaining force is due to the rounded numbers in the file."""
-    scenario = load(name)
-    n = scenario.robot.n
-    rate = scenario.plant.derivative(scenario.x0, np.zeros(n))
-    np.testing.assert_allclose(rate[: 3 * n], 0.0, atol=1e-4)
-
-
-@pytest.mark.usefixtures("installed")
-def test_arm7_starts_at_rest_with_0p05_rad_error_to_a_0p3_rad_half_hertz_sine() -> None:
-    scenario = load("arm7")
-    jets, n = scenario.reference.jets(0.0), 7
-    np.testing.assert_allclose(np.abs(scenario.x0[:n] - jets[0]), 0.05, atol=1e-9)
-    np.testing.assert_allclose(scenario.reference.amplitude, 0.3)
-    np.testing.assert_allclose(scenario.reference.frequency, math.pi)
-    np.testing.assert_allclose(jets[1], 0.0, atol=1e-9)
-
-
-@pytest.mark.usefixtures("installed")
-def test_arm7_has_the_limits_of_its_urdf_and_the_reference_respects_them() -> None:
+def test_arm7_starts_at_rest_0p05_rad_beside_a_half_hertz_sine_within_the_limits_of_its_urdf() -> None:
     scenario = load("arm7")
     limits, jets = scenario.robot.limits, scenario.reference.jets(np.linspace(0, 2, 201))
+    np.testing.assert_allclose(np.abs(scenario.x0[:7] - jets[0, 0]), 0.05, atol=1e-9)
+    np.testing.assert_allclose(scenario.reference.amplitude, 0.3)
+    np.testing.assert_allclose(scenario.reference.frequency, math.pi)
+    np.testing.assert_allclose(jets[0, 1], 0.0, atol=1e-9)
     np.testing.assert_array_equal(limits.effort, [176, 176, 110, 110, 110, 40, 40])
     assert np.all((limits.lower < jets[:, 0]) & (jets[:, 0] < limits.upper))
     assert np.all(np.abs(jets[:, 1]) < limits.velocity)
 
 
-@pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("name", ARMS)
-def test_arms_converge_within_3_s_and_respect_their_limits(name: str) -> None:
+def test_arms_converge_within_3_s_from_equilibrium_and_respect_their_limits(name: str) -> None:
+    """At the start the springs carry the weight, but for the rounded numbers of the file."""
     scenario = load(name)
+    n = scenario.robot.n
+    at_start = scenario.plant.derivative(scenario.x0, np.zeros(n))
+    np.testing.assert_allclose(at_start[: 3 * n], 0.0, atol=1e-4)
     run = scenario.simulate(3.5)
-    error = np.abs(run.x[:, : scenario.robot.n] - run.jets[:, 0]).max(axis=1)
+    error = np.abs(run.x[:, :n] - run.jets[:, 0]).max(axis=1)
     assert np.max(error[run.t >= 3.0]) < 1e-4
     if scenario.robot.limits is not None:
         assert np.all(np.abs(run.u).max(axis=0) < scenario.robot.limits.effort)
@@ -132,48 +120,11 @@ def test_document_round_trips() -> None:
     assert "&" not in ros_yaml.dump({"a": shared, "b": shared})  # ROS reads no aliases
 
 
-def changed(name: str, **parameters: object) -> Scenario:
-    """Return a shipped scenario with changed values of both nodes, or of one by the prefix plant__ or controller__."""
-    made = load(name)
-    values = {"plant": dict(made.plant_values), "controller": dict(made.controller_values)}
-    for key, value in parameters.items():
-        node, _, parameter = key.partition("__")
-        values[node][parameter.replace("__", ".")] = value
-    return Scenario(name, values["plant"], values["controller"])
-
-
-@pytest.mark.usefixtures("installed")
 def test_plant_equals_the_model_unless_one_of_them_is_changed() -> None:
-    assert changed("two_link").plant_is_the_model
-    assert not changed("two_link", plant__robot__motor_inertia=(0.06, 0.03)).plant_is_the_model
-
-
-@pytest.mark.usefixtures("installed")
-def test_configurations_cover_the_range_of_every_joint() -> None:
-    """Sampling the slowest sine at equal intervals would alias its multiples to a constant."""
-    swing = {"controller__reference__amplitude": (0.5, 3.0), "controller__reference__phase": (0.0, 0.0)}
-    for frequency in ((0.125, 4.0), (1.0, 1.0), (4.0, 0.125), (0.0, 2.0)):
-        made = changed("two_link", **swing, controller__reference__frequency=frequency)
-        q_l = made.configurations()[1:] - np.asarray(made.reference.offset)
-        for j, amplitude in enumerate((0.5, 3.0)):
-            reached = np.ptp(q_l[:, j]) / (2 * amplitude)
-            assert reached > 0.95 if frequency[j] else reached == 0.0
-
-
-@pytest.mark.usefixtures("installed")
-def test_joints_of_one_frequency_keep_their_phases_in_configurations() -> None:
-    made = changed("two_link", controller__reference__frequency=(2.0, 2.0), controller__reference__phase=(0.0, 0.0))
-    q_l = made.configurations()[1:] - np.asarray(made.reference.offset)
-    first, second = (q_l / np.asarray(made.reference.amplitude)).T
-    assert second == pytest.approx(first)
-
-
-def test_plant_and_controller_with_different_joints_are_rejected(tmp_path: Path) -> None:
-    path = tmp_path / "order.yaml"
-    node = "/**/{}:\n  ros__parameters: {{joints: [{}], robot: {{model: planar_two_link}}}}\n"
-    path.write_text(node.format("fjr_plant", "a, b") + node.format("fjr_controller", "b, a"))
-    with pytest.raises(fjr.ParameterError, match="'joints' is .* expected the same"):
-        load_scenario(path)
+    made = load("two_link")
+    assert made.plant_is_the_model
+    heavier = {**made.plant_values, "robot.motor_inertia": (0.06, 0.03)}
+    assert not Scenario("heavier", heavier, made.controller_values).plant_is_the_model
 
 
 @pytest.mark.parametrize("values", [{"a": 1, "a.b": 2}, {"a.b": 2, "a.b.c": 1}])
@@ -214,6 +165,7 @@ REFUSED = {
     "{/**/fjr_plant: {ros__parameters: {gains.K_ld: [1.0]}}}": "'gains.K_ld'; it is a parameter of another node",
     "{/**: {ros__parameters: {limits.efort: [1.0], gain.K_ld: [1.0]}}}": "'gain.K_ld' (and limits.efort); did you mean",
     "{/**: {ros__parameters: {camera: {rate: 5.0}}}}": "'camera.rate'; expected one of, or a name in,",
+    "{fjr_plant: {ros__parameters: {joints: [a]}}, fjr_controller: {ros__parameters: {joints: [b]}}}": "the same",
 }
 
 

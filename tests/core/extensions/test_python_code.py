@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -29,9 +29,16 @@ START = ARM.state([0.1, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, 0.0])
 REACH = 0.05  # s
 
 
+PLANT = own_plant("own_code:Ideal", ARM, {})
+
+
 @pytest.mark.parametrize("period", [None, 1e-3])
-def test_a_run_is_that_of_the_same_law_made_of_expressions(period: float | None) -> None:
-    runs = [fjr.simulate(fjr.Plant(ARM), law, MOTION, START, REACH, period) for law in (VDPBC, OWN)]
+@pytest.mark.parametrize(("plant", "law"), [(fjr.Plant(ARM), OWN), (PLANT, VDPBC)], ids=["law", "plant"])
+def test_a_run_is_that_of_the_same_equations_made_of_expressions(
+    plant: fjr.Plant, law: fjr.TrackingLaw, period: float | None
+) -> None:
+    expressions = fjr.Plant(ARM), VDPBC
+    runs = [fjr.simulate(*loop, MOTION, START, REACH, period) for loop in (expressions, (plant, law))]
     for name in ("x", "u", "V"):
         np.testing.assert_allclose(getattr(runs[1], name), getattr(runs[0], name), rtol=1e-9, atol=1e-12)
 
@@ -74,21 +81,21 @@ def test_results_of_another_version_of_the_module_have_another_fingerprint(tmp_p
     assert len(set(fingerprints)) == 2
 
 
-@pytest.mark.parametrize("period", [None, 1e-3])
-def test_a_failure_in_a_run_is_one_sentence_with_file_and_line(period: float | None) -> None:
-    law = fjr.PythonLaw(own_code.Fails(JOINT), JOINT)
+FAILS = fjr.PythonLaw(own_code.Fails(JOINT), JOINT)
+FAR = fjr.Sine(1.0, 1.0), JOINT.state(0.8, 0.8, 0, 0), REACH
+FAILURES: dict[str, Callable[[], object]] = {
+    "run": lambda: fjr.simulate(fjr.Plant(JOINT), FAILS, *FAR),
+    "sampled run": lambda: fjr.simulate(fjr.Plant(JOINT), FAILS, *FAR, 1e-3),
+    "study": lambda: ClosedLoop(JOINT, sampled_law(FAILS), *FAR, 1e-3, settle_after=0.01).run(Draws(1)),
+    "stability check": lambda: fjr.spectral_radius(FAILS, 1e-3, 0.0, [[0.9]]),
+}
+
+
+@pytest.mark.parametrize("where", FAILURES)
+def test_a_failure_is_one_sentence_with_file_and_line_and_reported_once(where: str) -> None:
     with pytest.raises(fjr.UserCodeError, match=r"^Fails raises ZeroDivisionError: too far \(own_code.py, line \d+\)"):
-        fjr.simulate(fjr.Plant(JOINT), law, fjr.Sine(1.0, 1.0), JOINT.state(0.8, 0.8, 0, 0), REACH, period)
-    law.raise_failure()  # reported once
-
-
-def test_a_failure_in_a_study_or_a_stability_check_is_one_sentence() -> None:
-    law = sampled_law(fjr.PythonLaw(own_code.Fails(JOINT), JOINT))
-    loop = ClosedLoop(JOINT, law, fjr.Sine(1.0, 1.0), JOINT.state(0.8, 0.8, 0, 0), REACH, 1e-3, settle_after=0.01)
-    with pytest.raises(fjr.UserCodeError, match="too far"):
-        loop.run(Draws(1))
-    with pytest.raises(fjr.UserCodeError, match="too far"):
-        fjr.spectral_radius(law, 1e-3, 0.0, [[0.9]])
+        FAILURES[where]()
+    FAILS.raise_failure()
 
 
 @pytest.fixture
@@ -182,14 +189,6 @@ def test_the_stop_policy_has_the_damping_of_the_law_or_of_the_springs() -> None:
 
 
 # The plant.
-
-PLANT = own_plant("own_code:Ideal", ARM, {})
-
-
-@pytest.mark.parametrize("period", [None, 1e-3])
-def test_a_run_of_the_plant_is_that_of_the_same_equations(period: float | None) -> None:
-    runs = [fjr.simulate(plant, VDPBC, MOTION, START, REACH, period) for plant in (fjr.Plant(ARM), PLANT)]
-    np.testing.assert_allclose(runs[1].x, runs[0].x, rtol=1e-10, atol=1e-12)
 
 
 def test_options_change_the_motion() -> None:

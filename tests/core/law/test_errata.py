@@ -55,14 +55,6 @@ def test_exact_rate_of_the_storage_detects_the_printed_coupling(
     assert residual <= TOLERANCE if coupling == "right" else residual > FAILS
 
 
-@cases
-def test_only_the_motor_equation_reveals_the_printed_coupling(arm: Arm, gains: GainSet, coupling: str) -> None:
-    residuals = error_dynamics(fresh_loop(arm, gains), random_point(arm, 1))
-    q_tilde_m = residuals.pop("q_tilde_m")
-    assert max(residuals.values()) <= TOLERANCE
-    assert q_tilde_m <= TOLERANCE if coupling == "right" else q_tilde_m > FAILS
-
-
 def along(loop: Loop, run: fjr.Trajectory, i: int) -> Point:
     """Return the i-th instant of a closed-loop run."""
     x, jets = run.x[i], run.jets[i]

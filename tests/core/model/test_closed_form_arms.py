@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots: inertia, energy and Coriolis terms agree with closed forms and have the required structure."""
+"""Robots: inertia, energy and Coriolis terms agree with closed forms; configurations are sampled over their ranges."""
 
 from __future__ import annotations
 
 import inspect
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.constants
+from scipy.stats import qmc
 
 import fjr_core as fjr
-from core.oracles.cases import ARMS, HARD, PLANAR, Arm, random_state
+from core.oracles.cases import ARMS, HARD, Arm, PlanarTwoLink, SingleLink, random_state
+from core.oracles.chains import arm7
+from fjr_core.model.configuration_sampling import bounds_of, loop_configurations, sample_configurations
 
 arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 seeds = pytest.mark.parametrize("seed", range(4))
@@ -33,10 +37,15 @@ def test_closed_forms_of_inertia_coriolis_and_gravity(arm: Arm, seed: int) -> No
     assert arm.robot.grad_P_l(q) == pytest.approx(arm.links.grad_P(q), rel=1e-13)
 
 
-@arms
-def test_constant_matrices(arm: Arm) -> None:
-    for name in ("K", "M_m", "D_l", "D_m", "B_m"):
-        assert np.array_equal(getattr(arm.robot, name), getattr(arm, name)), name
+def test_each_parameter_of_the_links_enters_the_closed_forms() -> None:
+    """The other arms have the default links; none of these numbers is a default."""
+    joint = fjr.single_link(link_inertia=0.05, gravity_torque=0.3), SingleLink(0.05, 0.3)
+    m, c, inertia = (1.3, 0.7), (0.16, 0.11), (0.012, 0.006)
+    arm = fjr.planar_two_link(link_mass=m, link_length=(0.4, 0.2), link_com=c, link_inertia=inertia, gravity=3.7)
+    for robot, links in (joint, (arm, PlanarTwoLink(m, 0.4, c, inertia, 3.7))):
+        q = np.linspace(0.4, -0.9, robot.n)
+        assert robot.M_l(q) == pytest.approx(links.M(q), rel=1e-14)
+        assert robot.grad_P_l(q) == pytest.approx(links.grad_P(q), rel=1e-13)
 
 
 def test_the_default_links_of_the_planar_arm_are_bodies_of_their_length() -> None:
@@ -78,16 +87,38 @@ def test_single_link_has_the_values_of_table_1() -> None:
     assert robot.P_l([0.7]) == pytest.approx(0.8 * (1 - np.cos(0.7)), rel=1e-15)
 
 
-def test_planar_two_link_hangs_straight_down_at_zero_with_zero_energy() -> None:
-    robot = fjr.planar_two_link(**PLANAR)
-    assert robot.P_l([0, 0]) == 0
-    assert np.array_equal(robot.grad_P_l([0, 0]), [0, 0])
-    assert robot.P_l([0.3, 0]) > 0 < robot.P_l([0, -0.3])
-
-
 def test_robot_is_immutable() -> None:
     robot = fjr.single_link()
     with pytest.raises(AttributeError):
         robot.K = np.eye(1)
     with pytest.raises(ValueError, match="read-only"):
         robot.K[0, 0] = 2.0
+
+
+# Configurations: the Halton sequence over the joint ranges; larger sets contain smaller ones.
+
+
+@pytest.mark.parametrize("robot", [fjr.single_link(), fjr.planar_two_link(), arm7().robot], ids=["one", "two", "seven"])
+def test_the_sequence_is_that_of_halton_within_the_joint_ranges(robot: fjr.Robot) -> None:
+    lower, upper = bounds_of(robot)
+    found = sample_configurations(robot, 200)
+    np.testing.assert_array_equal(found[0], np.clip(0.0, lower, upper))
+    halton = qmc.Halton(robot.n, scramble=False).random(200)[1:]  # its first is 0
+    np.testing.assert_allclose(found[1:], qmc.scale(halton, lower, upper), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(sample_configurations(robot, 60), found[:60])
+
+
+def test_half_of_the_configurations_of_a_loop_align_axes() -> None:
+    found = loop_configurations(fjr.planar_two_link())
+    sampled = sample_configurations(fjr.planar_two_link(), 1024)
+    np.testing.assert_array_equal(found[:512], sampled[:512])
+    aligned = found[512:] == 0
+    np.testing.assert_array_equal(found[512:][~aligned], sampled[512:][~aligned])
+    assert 0.4 < aligned.mean() < 0.6
+
+
+def test_a_side_without_a_limit_is_pi_or_pi_beyond_the_other() -> None:
+    limits = SimpleNamespace(lower=np.array([-np.inf, 1.0, -np.inf, -1.0]), upper=np.array([-2.0, np.inf, np.inf, 2.0]))
+    lower, upper = bounds_of(SimpleNamespace(n=4, limits=limits))
+    np.testing.assert_allclose(lower, [-2 - np.pi, 1, -np.pi, -1])
+    np.testing.assert_allclose(upper, [-2, 1 + np.pi, np.pi, 2])

@@ -12,7 +12,6 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import PLANAR, Array
 from core.oracles.chains import Chain, random_chain
-from fjr_core.model.rigid_arm import z_aligned
 
 CHAINS = [(n, seed) for n in range(1, 10) for seed in range(4)]
 all_chains = pytest.mark.parametrize("chain", [pytest.param(c, id=f"{c[0]}-joints-{c[1]}") for c in CHAINS])
@@ -36,14 +35,6 @@ def relative(left: Array, right: Array, scale: float = 0.0) -> float:
 def columns(product: Any, n: int) -> Array:
     """Return the matrix of a product that is linear in w."""
     return np.column_stack([product(e).full().ravel() for e in np.eye(n)])
-
-
-def test_an_aligned_chain_is_aligned() -> None:
-    """Aligning it again changes nothing: all axes are z, and nearly exact rotations are exact."""
-    aligned = z_aligned(random_chain(7, 0).links.bodies)
-    for body, again in zip(aligned, z_aligned(aligned), strict=True):
-        for name in ("rotation", "translation", "axis", "com", "inertia"):
-            np.testing.assert_allclose(getattr(again, name), getattr(body, name), rtol=0, atol=1e-12, err_msg=name)
 
 
 @all_chains
@@ -82,48 +73,3 @@ def test_the_bodies_of_a_closed_form_arm_have_its_inertia_and_coriolis_product(r
     chain = fjr.serial_chain(robot.links.bodies)
     assert relative(chain.M_l(q), robot.M_l(q)) < 1e-14
     assert relative(value(chain.C(q, v, w)), robot.coriolis(q, v, w), 1.0) < 1e-13
-
-
-def test_point_mass_on_a_prismatic_joint_loads_it_along_its_axis() -> None:
-    slide = fjr.Body(np.eye(3), (0, 0, 1), (0, 0, -2), 3.0, (0.1, 0.2, 0.3), np.zeros((3, 3)), prismatic=True)
-    links = fjr.serial_chain([slide], (0, 0, -10))
-    assert float(links.M_l(0.4)) == pytest.approx(3.0)
-    assert float(links.grad_P_l(0.4)) == pytest.approx(-30.0)
-    assert float(links.P_l(0.4)) == pytest.approx(3.0 * 10 * (1 + 0.3 - 0.4))
-
-
-GOOD: dict[str, Any] = {
-    "rotation": np.eye(3),
-    "translation": (0, 0, 0),
-    "axis": (0, 0, 1),
-    "mass": 1.0,
-    "com": (0, 0, 0),
-    "inertia": np.eye(3),
-}
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong", "sentence"),
-    [
-        ("mass", -1.0, "mass is -1.0 kg; expected 0 or more"),
-        ("rotation", np.diag([1.0, 1.0, -1.0]), "expected a rotation matrix"),
-        ("mass", np.nan, "mass is nan"),
-        ("axis", (0, 0, 0), "axis is zero; expected a direction"),
-        ("axis", (0, 1), r"axis has shape \(2,\)"),
-        ("com", (0, np.inf, 0), "com is .*; expected finite numbers"),
-        ("translation", "here", "translation is 'here'; expected numbers"),
-        ("rotation", np.eye(2), r"rotation has shape \(2, 2\)"),
-        ("inertia", np.diag([1.0, 1.0, -0.1]), "inertia has smallest eigenvalue -0.1"),
-        ("inertia", [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "inertia is not symmetric"),
-    ],
-)
-def test_invalid_bodies_are_refused(name: str, wrong: Any, sentence: str) -> None:
-    with pytest.raises(fjr.RobotError, match=sentence):
-        fjr.Body(**{**GOOD, name: wrong})
-
-
-def test_chain_requires_bodies_and_a_gravity_vector() -> None:
-    with pytest.raises(fjr.RobotError, match="expected at least one"):
-        fjr.serial_chain([])
-    with pytest.raises(fjr.RobotError, match=r"gravity has shape \(2,\)"):
-        fjr.serial_chain([fjr.Body(**GOOD)], (0, -9.81))

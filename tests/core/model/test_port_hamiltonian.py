@@ -85,13 +85,3 @@ def test_power_balance(arm: Arm, seed: int) -> None:
     dq_l, dq_m = dx[: arm.n], dx[arm.n : 2 * arm.n]
     dH = stencil(lambda s: arm.robot.hamiltonian(p.x + s * dx), 1e-3)
     assert residual(dH, dq_m @ arm.B_m @ p.u, -dq_l @ arm.D_l @ dq_l, -dq_m @ arm.D_m @ dq_m) <= TOLERANCE
-
-
-@arms
-def test_equilibrium_under_gravity_is_at_rest(arm: Arm) -> None:
-    """The springs balance gravity and the motors balance the springs, so the derivative vanishes."""
-    q_l = np.linspace(0.4, -0.7, arm.n)
-    torque = arm.links.grad_P(q_l)
-    x = arm.robot.state(q_l, q_l + arm.robot.deflection(torque), np.zeros(arm.n), np.zeros(arm.n))
-    dx = fjr.Plant(arm.robot).derivative(x, np.linalg.solve(arm.B_m, torque))
-    assert dx == pytest.approx(np.zeros(4 * arm.n), abs=1e-13)

@@ -15,8 +15,6 @@ from fjr_core.motions.sine import common_period
 from fjr_core.motions.transition import Transition
 from fjr_identification.excitation import logarithmic_harmonics
 
-sines = pytest.mark.parametrize("reference", SINES.values(), ids=SINES)
-
 
 @references
 @pytest.mark.parametrize("t", [0.37, 1.23, 1.54, 2.6, 4.7, 12.3])
@@ -35,30 +33,21 @@ def test_references_are_c4_once_they_have_begun(reference: Reference) -> None:
         assert t <= begin or np.all(np.abs(before - after) < np.maximum(1e-12 * scale, 1e-11)), t
 
 
-@sines
+@pytest.mark.parametrize("reference", SINES.values(), ids=SINES)
 def test_first_row_is_the_sine(reference: fjr.Sine) -> None:
     a, w, c, p = (np.asarray(getattr(reference, key)) for key in ("amplitude", "frequency", "offset", "phase"))
     assert reference.jets(0.9)[0] == pytest.approx(c + a * np.sin(w * 0.9 + p), abs=1e-15)
 
 
 @references
-def test_shapes(reference: Reference) -> None:
-    n = reference.n
-    assert reference.jets(0.5).shape == (5, n)
+def test_jets_at_many_times_are_those_at_each_and_returned_arrays_are_copies(reference: Reference) -> None:
     times = np.array([-0.1, 0.0, 0.5, T0, 1.5, np.nextafter(T1, 0.0), T1, 7.0])
-    assert reference.jets(times).shape == (8, 5, n)
-    np.testing.assert_allclose(reference.jets(times), [reference.jets(t) for t in times], rtol=1e-12, atol=1e-12)
-    assert reference.configurations(17).shape == (17, n)
-    assert reference.configurations(1).shape == (1, n)
-
-
-@references
-def test_returned_arrays_are_copies(reference: Reference) -> None:
-    for t in (0.5, np.array([0.5, 0.7])):
-        first = reference.jets(t)
-        kept = first.copy()
-        first[...] = np.nan
-        np.testing.assert_array_equal(reference.jets(t), kept)
+    alone = [reference.jets(t) for t in times]
+    reference.jets(times)[...] = np.nan
+    reference.jets(0.5)[...] = np.nan
+    np.testing.assert_allclose(reference.jets(times), alone, rtol=1e-12, atol=1e-12)
+    assert alone[0].shape == (5, reference.n)
+    assert [reference.configurations(k).shape for k in (1, 17)] == [(1, reference.n), (17, reference.n)]
 
 
 @references
@@ -76,6 +65,13 @@ def test_configurations_lie_on_the_reference(reference: Reference) -> None:
     assert np.all((q >= e.lower[0] - 1e-12) & (q <= e.upper[0] + 1e-12))
     reach = np.ptp(q, axis=0)
     assert np.all(reach >= 0.9 * (e.upper[0] - e.lower[0]))
+
+
+def test_sines_cover_their_ranges_and_those_of_one_frequency_keep_their_phases() -> None:
+    """Sampling the slowest sine at equal intervals would alias its multiples to a constant."""
+    assert np.all(np.ptp(fjr.Sine((0.5, 3.0), (0.125, 4.0)).configurations(64), axis=0) > (0.95, 5.7))
+    first, second = fjr.Sine((1.0, 0.5), 2.0).configurations(64).T
+    np.testing.assert_allclose(second, first / 2)
 
 
 def test_a_multi_sine_is_the_sum_of_its_sines() -> None:
@@ -113,13 +109,6 @@ def test_circle_is_exact_from_rest_to_its_frequency() -> None:
     np.testing.assert_allclose(circle.jets(9.0), circle.jets(9.0 + np.pi), atol=1e-12)
     (x, y), (dx, dy) = circle.jets(5.0)[:2, :2] - [[0.4, -0.2], [0.0, 0.0]]
     assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency is clockwise
-
-
-def test_any_free_coefficients_rest_at_the_start_and_at_the_end_of_each_period() -> None:
-    jets = SERIES.reference(FREE).jets(np.array([0.0, 4.0, 8.0]))
-    moving = np.abs(SERIES.reference(FREE).jets(np.linspace(0, 4, 101))).max(axis=0)
-    assert np.all(np.abs(jets[:, 1:]) < 1e-9 * moving[1:])
-    assert np.allclose(jets[:, 0], jets[0, 0])
 
 
 def test_the_basis_gives_the_jets_of_the_reference() -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly, make_interp_spline
-from scipy.linalg import solveh_banded
 
 import fjr_core as fjr
 from core.motions.cases import ACCELERATIONS, BEGIN, GIVEN, POSITIONS, START, TIMES, VELOCITIES, K, N
@@ -32,18 +31,15 @@ def test_given_values_are_interpolated(derivatives: dict[str, Any], start: dict[
 
 
 @given
-def test_a_spline_starts_with_the_active_jets_and_ends_with_zero_velocity(derivatives: dict[str, Any]) -> None:
+def test_a_spline_starts_with_the_active_jets_or_at_rest_and_ends_at_rest(derivatives: dict[str, Any]) -> None:
     reference = fjr.Spline(TIMES, POSITIONS, **derivatives, start=START)
     np.testing.assert_allclose(reference.jets(0.0), START, rtol=1e-15)
     assert reference.end == 5.0
     for t in (5.0, 5.1, 1e6):
         np.testing.assert_array_equal(reference.jets(t), fjr.standing(POSITIONS[-1]))
-
-
-def test_without_start_a_spline_starts_with_zero_velocity() -> None:
-    reference = fjr.Spline(TIMES, POSITIONS)
+    without_start = fjr.Spline(TIMES, POSITIONS)
     for t in (-1.0, 0.0, 0.3):
-        np.testing.assert_array_equal(reference.jets(t), fjr.standing(POSITIONS[0]))
+        np.testing.assert_array_equal(without_start.jets(t), fjr.standing(POSITIONS[0]))
 
 
 def test_a_moving_end_is_interpolated_and_constant_after() -> None:
@@ -76,29 +72,18 @@ def test_a_motion_far_from_the_first_point_comes_to_a_standstill_first() -> None
         assert -1.0 < bounds.lower[0, 0] < bounds.upper[0, 0] < 1.0
 
 
-@pytest.mark.parametrize("known", [1, 2, 3])
 @pytest.mark.parametrize("spread", [0, 4], ids=["even", "uneven"])
-def test_long_splines_agree_with_the_banded_solver_of_scipy(known: int, spread: int) -> None:
-    """20,000 knots of two joints; intervals that differ by a factor of up to 10,000."""
-    k, rng = 20_000, np.random.default_rng(known)
-    times = 1e3 + np.cumsum(0.01 * 10.0 ** rng.uniform(-spread, 0.0, k))
-    jets, free = np.zeros((k, 5, 2)), np.zeros((k, 5), dtype=bool)
-    jets[:, :known], free[1:-1, known:] = rng.normal(size=(k, known, 2)), True
-    h = np.diff(times)
-    units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))
-    roots = polynomials._roots_of_jerk(h, units)
-    diagonal, lower = polynomials._normal_blocks(roots, free)
-    band = np.zeros((10, 5 * k))
-    for row, column in np.ndindex(5, 5):
-        if row >= column:
-            band[row - column, column::5] = diagonal[:, row, column]
-        band[5 + row - column, column : 5 * (k - 1) : 5] = lower[:, row, column]
-    expected = taylor(jets, units)
-    for _ in range(polynomials.NEWTON_STEPS):
-        gradient = np.where(free[:, :, None], polynomials._half_gradient(roots, expected), 0.0).reshape(-1, 2)
-        expected -= solveh_banded(band, gradient, lower=True).reshape(expected.shape)
-    found = taylor(polynomials.minimum_jerk(times, jets, free), units)
-    assert np.all(np.abs(found - expected) <= 1e-9 * np.abs(expected).max(axis=1, keepdims=True))
+def test_positions_alone_give_the_quintic_spline_of_scipy_inside(spread: int) -> None:
+    """20,000 knots, with intervals that differ by a factor of up to 10,000; near the ends more is fixed."""
+    k, rng = 20_000, np.random.default_rng(1)
+    times, q = np.cumsum(0.01 * 10.0 ** rng.uniform(-spread, 0.0, k)), rng.normal(size=k)
+    jets, free = np.zeros((k, 5, 1)), np.zeros((k, 5), dtype=bool)
+    jets[:, 0, 0], free[1:-1, 1:] = q, True
+    spline = make_interp_spline(times, q, 5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
+    quintic = np.stack([spline(times, order) for order in range(5)], axis=1)[:, :, None]
+    h = np.minimum(np.diff(times, append=np.inf), np.diff(times, prepend=-np.inf))
+    found, expected = (taylor(each, h)[100:-100] for each in (polynomials.minimum_jerk(times, jets, free), quintic))
+    assert np.all(np.abs(found - expected) <= 1e-8 * np.abs(expected).max(axis=1, keepdims=True))
 
 
 def test_segments_are_hermite_polynomials_of_degree_nine() -> None:
@@ -149,16 +134,6 @@ def test_smooth_data_are_interpolated_with_order_five(rates: int, uneven: float)
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(orders > 4.9), orders
     assert errors[-1] < 1e-6
-
-
-def test_positions_alone_give_the_quintic_spline_inside() -> None:
-    times = np.linspace(0.0, 30.0, 61)
-    q = np.sin(times)
-    jets, free = np.zeros((61, 5, 1)), np.zeros((61, 5), dtype=bool)
-    jets[:, 0, 0], free[1:-1, 1:] = q, True
-    quintic = make_interp_spline(times, q, 5, bc_type=([(1, 0.0), (2, 0.0)],) * 2)
-    chosen = polynomials.minimum_jerk(times, jets, free)[28:33, :, 0]
-    np.testing.assert_allclose(chosen, np.array([quintic(times, order) for order in range(5)]).T[28:33], atol=1e-8)
 
 
 def squared_jerk(times: np.ndarray, jets: np.ndarray) -> float:

@@ -68,6 +68,64 @@ class PlanarTwoLink:
         return np.array([self.g1 * f.sin(q[0]) + outer, outer])
 
 
+class Torsion:
+    """Odd torsion curves through points (2, m, n) with the slope K (n,) at zero, for floats and mpmath numbers.
+
+    Tangents are linear between knots: 0, the points, and the middles between them. At a point the tangent is the
+    harmonic mean of both chords; in a middle it is such that its mean over the interval is the chord; beyond the last
+    middle it is constant. Torque and energy are its integrals, by the trapezoidal rule and Simpson's, which are exact.
+    """
+
+    def __init__(self, K: Array, points: Array) -> None:
+        self.knots, self.tangents = [], []
+        for stiffness, z, t in zip(K, *np.moveaxis(points, 2, 1), strict=True):
+            chord = np.diff(t, prepend=0.0) / np.diff(z, prepend=0.0)
+            at = [stiffness, *(2 / (1 / a + 1 / b) for a, b in zip(chord, chord[1:], strict=False))]
+            knots, tangents = [], []
+            for i, start in enumerate([0.0, *z[:-1]]):
+                last = i + 1 == len(z)
+                beyond = (4 * chord[i] - at[i]) / 3 if last else at[i + 1]
+                knots += [start, (start + z[i]) / 2]
+                tangents += [at[i], beyond if last else 2 * chord[i] - (at[i] + beyond) / 2]
+            self.knots.append(knots)
+            self.tangents.append(tangents)
+
+    def tangent(self, j: int, zeta: Any) -> Any:
+        knots, tangents = self.knots[j], self.tangents[j]
+        size = abs(zeta)
+        for a, b, low, high in zip(knots, knots[1:], tangents, tangents[1:], strict=False):
+            if size < b:
+                return low + (high - low) * (size - a) / (b - a)
+        return tangents[-1] + 0 * size
+
+    def _pieces(self, j: int, zeta: Any) -> list[tuple[Any, Any]]:
+        ends = [knot for knot in self.knots[j] if knot < abs(zeta)] + [abs(zeta)]
+        return list(zip(ends, ends[1:], strict=False))
+
+    def torque(self, j: int, zeta: Any) -> Any:
+        found = sum((b - a) * (self.tangent(j, a) + self.tangent(j, b)) / 2 for a, b in self._pieces(j, zeta))
+        return found if zeta > 0 else -found
+
+    def energy(self, j: int, zeta: Any) -> Any:
+        return sum(
+            (b - a) * (self.torque(j, a) + 4 * self.torque(j, (a + b) / 2) + self.torque(j, b)) / 6
+            for a, b in self._pieces(j, zeta)
+        )
+
+    def deflection(self, j: int, tau: Any, f: Any) -> Any:
+        """Return the root of torque(zeta) = tau on its piece, by the formula for a quadratic equation."""
+        start = max((knot for knot in self.knots[j] if self.torque(j, knot) <= abs(tau)), default=0.0)
+        k, r, d = self.knots[j].index(start), abs(tau) - self.torque(j, start), self.tangent(j, start)
+        last = k + 1 == len(self.knots[j])
+        c = 0 if last else (self.tangents[j][k + 1] - self.tangents[j][k]) / (self.knots[j][k + 1] - start)
+        zeta = start + ((f.sqrt(d * d + 2 * c * r) - d) / c if c else r / d)
+        return zeta if tau > 0 else -zeta
+
+    def each(self, of: Any, *values: Array) -> Array:
+        """Return a function of joint and value at the values (n,) of the joints."""
+        return np.array([of(j, *each) for j, each in enumerate(zip(*values, strict=True))])
+
+
 @dataclass(frozen=True, eq=False)
 class Arm:
     """A robot of fjr_core with the numbers from which it was built."""
@@ -81,6 +139,7 @@ class Arm:
     D_m: Array
     B_m: Array
     cubic: Array
+    torsion: Torsion | None = None
     load: float = 0.0
     """Largest torque [N m] of the springs at random points; 0: they deflect by up to 0.3 rad."""
 
@@ -97,6 +156,8 @@ class Arm:
         return 0.05 if self.cubic.any() else 1.0
 
     def spring(self, zeta: Array) -> Array:
+        if self.torsion is not None:
+            return self.torsion.each(self.torsion.torque, zeta)
         return self.K @ zeta + self.cubic * zeta**3
 
 
@@ -150,16 +211,11 @@ FULL = {
 }
 
 
-def single(stiffness: float, **overrides: Any) -> Arm:
-    values = {
-        "motor_inertia": 0.004,
-        "link_damping": 0.2,
-        "motor_damping": 0.007,
-        "input_gain": 1.0,
-        **overrides,
-    }
-    robot = fjr.single_link(stiffness=stiffness, **overrides)
-    return _arm(f"single-{stiffness}", robot, SingleLink(), {"stiffness": stiffness, **values})
+def single(stiffness: float) -> Arm:
+    values = {"stiffness": stiffness, "motor_inertia": 0.004, "link_damping": 0.2, "motor_damping": 0.007}
+    return _arm(
+        f"single-{stiffness}", fjr.single_link(stiffness=stiffness), SingleLink(), {**values, "input_gain": 1.0}
+    )
 
 
 def planar(name: str, stiffness: Any, **overrides: Any) -> Arm:
@@ -184,6 +240,13 @@ def hardened(arm: Arm, at: float) -> Arm:
     """Return the arm with springs that carry twice the torque of straight ones at a deflection [rad]."""
     cubic = np.diag(arm.K) / at**2
     return replace(arm, name=f"{arm.name}-hard", robot=replace(arm.robot, cubic=cubic), cubic=cubic)
+
+
+def on_torsion_curves(arm: Arm, deflection: Any, torque: Any) -> Arm:
+    """Return the arm with torsion curves through points (m, n) [rad, N m]."""
+    points = np.array([deflection, torque])
+    robot, torsion = replace(arm.robot, torsion=points), Torsion(np.diag(arm.K), points)
+    return replace(arm, name=f"{arm.name}-torsion", robot=robot, torsion=torsion)
 
 
 def gain_set(name: str, n: int, **values: Any) -> GainSet:
@@ -218,6 +281,11 @@ def full() -> GainSet:
 
 
 ARMS = (single(31.0), single(3.1), planar("31", 31.0), planar("3.1", 3.1), planar("full", **FULL))
+TORSION = (
+    on_torsion_curves(ARMS[0], [[0.04], [0.1], [0.25]], [[1.5], [5.0], [20.0]]),
+    on_torsion_curves(ARMS[2], [[0.05, 0.1], [0.15, 0.2]], [[1.8, 2.6], [7.0, 4.3]]),
+)
+"""Springs on a table: the first hardens; of the second one joint hardens, the other one softens."""
 HARD = (hardened(ARMS[0], 0.2), hardened(ARMS[2], 0.4))
 LOOPS = tuple((arm, gains(arm.n)) for arm in ARMS + HARD for gains in (linear, cubic)) + ((ARMS[-1], full()),)
 LOOP_NAMES = tuple(f"{arm.name}-{gains.name}" for arm, gains in LOOPS)

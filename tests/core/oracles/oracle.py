@@ -59,7 +59,7 @@ class LiteralPlant:
     def __init__(self, arm: Arm) -> None:
         self.n, self.links = arm.n, arm.links
         self.K, self.M_m, self.D_l, self.D_m, self.B_m = map(exact, (arm.K, arm.M_m, arm.D_l, arm.D_m, arm.B_m))
-        self.cubic = exact(arm.cubic)
+        self.cubic, self.torsion = exact(arm.cubic), arm.torsion
 
     def split(self, x: Array) -> list[Array]:
         return np.split(x, 4)
@@ -71,26 +71,35 @@ class LiteralPlant:
         q_l, q_m, p_l, p_m = self.split(x)
         zeta = q_m - q_l
         kinetic = p_l @ inverse(self.M_l(q_l)) @ p_l + p_m @ inverse(self.M_m) @ p_m
-        return kinetic / 2 + self.links.P(q_l, mp) + zeta @ self.K @ zeta / 2 + self.cubic @ zeta**4 / 4
+        weight = kinetic / 2 + self.links.P(q_l, mp)
+        if self.torsion is not None:
+            return weight + sum(self.torsion.each(self.torsion.energy, zeta))
+        return weight + zeta @ self.K @ zeta / 2 + self.cubic @ zeta**4 / 4
 
     def spring(self, zeta: Array) -> Array:
+        if self.torsion is not None:
+            return self.torsion.each(self.torsion.torque, zeta)
         return self.K @ zeta + self.cubic * zeta**3
 
     def deflection(self, tau: Array) -> Array:
         """Return the root of spring(zeta) = tau by Newton's method, which is monotone from outside the root."""
+        if self.torsion is not None:
+            return self.torsion.each(self.torsion.deflection, tau, [mp] * self.n)
         zeta = inverse(self.K) @ tau
         for _ in range(200 if np.any(self.cubic) else 0):
             zeta = zeta - (self.spring(zeta) - tau) / (np.diag(self.K) + 3 * self.cubic * zeta**2)
         return zeta
 
     def compliance(self, zeta: Array) -> Array:
+        if self.torsion is not None:
+            return np.diag(1 / self.torsion.each(self.torsion.tangent, zeta))
         if not np.any(self.cubic):
             return inverse(self.K)
         return np.diag(1 / (np.diag(self.K) + 3 * self.cubic * zeta**2))
 
     def secant(self, a: Array, b: Array) -> Array:
         """Return the stiffness between two deflections, the quotient of differences if the springs harden."""
-        if not np.any(self.cubic):
+        if not np.any(self.cubic) and self.torsion is None:
             return self.K
         return np.diag((self.spring(a) - self.spring(b)) / (a - b))
 

@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from core.oracles.cases import Torsion
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
@@ -189,14 +190,22 @@ def _speeds(window: Window, means: _Means) -> _Part:
 def _spring(robot: Robot, means: _Means) -> Array:
     """Return the torque of the springs in the intervals (m - 1, n) [N m]."""
     zeta = means.q[:, robot.n :] - means.q[:, : robot.n]
+    if robot.torsion is not None:
+        curves = Torsion(np.diag(robot.K), robot.torsion)
+        return np.array([curves.each(curves.torque, each) for each in zeta])
     return np.asarray(zeta @ robot.K + (0.0 if robot.cubic is None else robot.cubic) * zeta**3)
 
 
 def _spring_noise(robot: Robot, means: _Means) -> Array:
     """Return the variance (n,) of the noise of the springs' torque [N^2 m^2]."""
-    if robot.cubic is not None:
+    if robot.curve:
         middle = means.q[len(means.q) // 2]
-        tangent = np.diag(robot.K) + 3 * robot.cubic * (middle[robot.n :] - middle[: robot.n]) ** 2
+        zeta = middle[robot.n :] - middle[: robot.n]
+        if robot.cubic is not None:
+            tangent = np.diag(robot.K) + 3 * robot.cubic * zeta**2
+        else:
+            curves = Torsion(np.diag(robot.K), robot.torsion)
+            tangent = curves.each(curves.tangent, zeta)
         return np.asarray(tangent**2 * (means.position[: robot.n] + means.position[robot.n :]))
     return np.asarray(robot.K**2 @ (means.position[: robot.n] + means.position[robot.n :]))
 

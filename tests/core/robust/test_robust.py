@@ -16,7 +16,7 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import GainsError, StateError
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.integral_action import IntegralAction, gain_values
-from fjr_core.robust.law import LONGEST_DELAY, Robust, RobustLaw, sampled_law
+from fjr_core.robust.law import Robust, RobustLaw, sampled_law
 from fjr_core.robust.smith_predictor import EffortBuffer
 from fjr_core.stability.linearization import spectral_radius
 from fjr_design.batch import ClosedLoop, Draws
@@ -68,25 +68,26 @@ def rms(e: np.ndarray) -> float:
 # --- reduction of the tracking error
 
 
-@pytest.mark.parametrize("robust", [ESTIMATE, INTEGRATE, BOTH], ids=["residual", "integral", "both"])
-@pytest.mark.parametrize("reference", [fjr.Hold([0.5]), SINE], ids=["hold", "sine"])
-def test_constant_load_leaves_no_steady_state_error(robust: Robust, reference: fjr.Reference) -> None:
-    robot = pushed(JOINT.robot, 0.3)
-    plain, better = (rms(errors(JOINT, r, reference, robot, 4.0)[-1000:]) for r in (None, robust))
+actions = pytest.mark.parametrize("robust", [ESTIMATE, INTEGRATE, BOTH], ids=["residual", "integral", "both"])
+
+
+@actions
+def test_constant_load_leaves_no_error_of_a_sine(robust: Robust) -> None:
+    """docs/robust.md states the factor of 1000; the error of a hold is that of the test of the equilibrium."""
+    plain, better = (rms(errors(JOINT, r, SINE, pushed(JOINT.robot, 0.3), 4.0)[-1000:]) for r in (None, robust))
     assert plain > 0.01
-    assert plain > 20 * better
-    assert plain > 1000 * better, "docs/robust.md states a factor of 1000"
+    assert plain > 1000 * better
 
 
-@pytest.mark.parametrize(("gravity", "rate"), [(1.0, 60.0), (1.2, 60.0)])
-def test_residual_reduces_the_effect_of_an_inertia_error_threefold(gravity: float, rate: float) -> None:
+@pytest.mark.parametrize("gravity", [pytest.param(1.0, marks=pytest.mark.full), 1.2])
+def test_residual_reduces_the_effect_of_an_inertia_error_threefold(gravity: float) -> None:
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(scenario.robot, scenario.gains, compile=True)
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=scenario.reference.jets(0.5)[0])
     heavier, x0 = Draws(1, link_inertia=1.2, gravity=gravity), on_reference(law.robot, slow)
     plain, better = (
         rms(ClosedLoop(law.robot, sampled_law(law, r), slow, x0, 6.0, PERIOD, settle_after=2.0).run(heavier).rms)
-        for r in (None, Robust(residual_gain=rate))
+        for r in (None, Robust(residual_gain=60.0))
     )
     assert plain > 3 * better
 
@@ -100,19 +101,10 @@ def test_prediction_reduces_the_error_of_a_delay_tenfold(name: str, samples: flo
     assert plain > 10 * better
 
 
-def test_prediction_includes_half_of_the_hold() -> None:
-    """Without it, a third of the error caused by one sample of delay remains."""
-    best, without = (
-        rms(errors(JOINT, Robust(delay=PERIOD, hold=hold), SINE, JOINT.robot, 3.0, PERIOD)[1000:])
-        for hold in (PERIOD, (1 + 1e-6) * PERIOD / LONGEST_DELAY)
-    )
-    assert without > 3 * best
-
-
 # --- linear analysis: equilibrium and its stability
 
 
-@pytest.mark.parametrize("robust", [ESTIMATE, INTEGRATE, BOTH], ids=["residual", "integral", "both"])
+@actions
 @pytest.mark.parametrize("name", LAWS)
 def test_equilibrium_under_load_is_on_the_reference_and_stable(name: str, robust: Robust) -> None:
     law = LAWS[name]
@@ -195,6 +187,7 @@ def test_residual_is_the_torque_through_its_filter(name: str) -> None:
 
 
 def test_residual_at_equilibrium_is_the_torque() -> None:
+    """Without an error of the quadrature."""
     r, w = residual_run(JOINT, 40.0, 1e-3, 1.5)
     np.testing.assert_allclose(r[-1], [0.3, 0.2], atol=1e-9)
     np.testing.assert_allclose(w[-1], 0.3, atol=1e-9)
@@ -300,7 +293,7 @@ def test_integration_over_a_gap_is_limited_to_two_holds(dt: float, counts: float
     np.testing.assert_allclose(after, [1.0 + 30.0 * counts, 2.0 - 40.0 * counts], rtol=1e-12)
 
 
-# --- options, wiring, malformed input
+# --- options and wiring
 
 
 def test_no_options_give_the_nominal_law() -> None:
@@ -324,15 +317,13 @@ def test_no_options_give_the_nominal_law() -> None:
         {"delay": 1e-3, "residual_gain": 30.0, "motor_residual_gain": 20.0, "integral_gain": 3.0},
     ],
 )
-@pytest.mark.parametrize("compiles", [False, True])
-def test_each_option_changes_the_effort_and_compilation_does_not(values: dict[str, Any], compiles: bool) -> None:
-    law = fjr.TrackingLaw(PLANAR.robot, TWO_LINK.gains, compile=compiles)
-    robot, x0 = pushed(law.robot, 0.1), TWO_LINK.x0
-    run = fjr.simulate(fjr.Plant(robot), sampled_law(law, Robust(**values)), TWO_LINK.reference, x0, 0.2, PERIOD)
-    plain = fjr.simulate(fjr.Plant(robot), PLANAR, TWO_LINK.reference, x0, 0.2, PERIOD)
-    assert np.max(np.abs(run.u - plain.u)) > 1e-5
-    slow = fjr.simulate(fjr.Plant(robot), sampled_law(PLANAR, Robust(**values)), TWO_LINK.reference, x0, 0.2, PERIOD)
-    np.testing.assert_allclose(run.u, slow.u, rtol=1e-7, atol=1e-9)
+def test_each_option_changes_the_effort_and_compilation_does_not(values: dict[str, Any]) -> None:
+    plant = fjr.Plant(pushed(PLANAR.robot, 0.1))
+    machine_code = fjr.TrackingLaw(PLANAR.robot, TWO_LINK.gains, compile=True)
+    laws = PLANAR, sampled_law(PLANAR, Robust(**values)), sampled_law(machine_code, Robust(**values))
+    plain, robust, fast = (fjr.simulate(plant, law, TWO_LINK.reference, TWO_LINK.x0, 0.2, PERIOD).u for law in laws)
+    assert np.max(np.abs(robust - plain)) > 1e-5
+    np.testing.assert_allclose(fast, robust, rtol=1e-7, atol=1e-9)
 
 
 def test_other_gains_reuse_the_function() -> None:
@@ -342,26 +333,6 @@ def test_other_gains_reuse_the_function() -> None:
     assert other.step_function is step.step_function
     fresh = RobustLaw(fjr.TrackingLaw(JOINT.robot, gains), BOTH)
     np.testing.assert_array_equal(other.gain_values, fresh.gain_values)
-
-
-@pytest.mark.parametrize(
-    ("values", "sentence"),
-    [
-        ({"residual_gain": -1.0}, "residual_gain is [-1.0] 1/s; expected 0 to 10000"),
-        ({"residual_gain": 1.1e4}, "residual_gain is [11000.0] 1/s; expected 0 to 10000"),
-        ({"motor_integral_gain": 1e200}, "motor_integral_gain is [1e+200] 1/s; expected 0 to 10000"),
-        ({"integral_gain": 1.0, "hold": 0.0}, "hold is 0.0 s with an integral; expected more than 0"),
-        ({"integral_gain": [1.0, 2.0]}, "integral_gain has shape (2,); expected a scalar or (1,)"),
-        ({"motor_integral_gain": np.nan}, "motor_integral_gain is nan; expected finite numbers"),
-        ({"delay": -1e-3}, "delay is -0.001 s; expected a finite number of 0 or more"),
-        ({"delay": 1.0}, "delay is 1.0 s with a hold of 0.001 s; expected at most 32 holds"),
-        ({"delay": 1e-3, "hold": np.inf}, "hold is inf s; expected a finite number of 0 or more"),
-    ],
-)
-def test_inconsistent_options_are_refused(values: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(GainsError) as error:
-        RobustLaw(JOINT, Robust(**values))
-    assert str(error.value) == sentence
 
 
 class Other:

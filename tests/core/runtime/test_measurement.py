@@ -56,14 +56,7 @@ def test_a_conversion_that_overflows_gets_the_stop_effort(
     assert not step.u.any()
 
 
-ROBOT = fjr.planar_two_link(
-    link_mass=(1.2, 0.8),
-    link_length=(0.3, 0.25),
-    link_com=(0.15, 0.12),
-    link_inertia=(0.01, 0.005),
-    stiffness=(40.0, 30.0),
-    motor_inertia=(0.02, 0.01),
-)
+ROBOT = fjr.planar_two_link(stiffness=(40.0, 30.0))
 
 
 def values(**given: object) -> Values:
@@ -71,19 +64,13 @@ def values(**given: object) -> Values:
     return {**complete(measurement_parameters(2), own), "compile": False}
 
 
-def test_default_measures_positions_and_velocities() -> None:
-    found = measurement(values(), ROBOT)
-    assert (found.velocity, found.motor, found.observed, found.by_torque, found.geared) == (
-        ("measured", "position", False, False, False)
-    )
-    assert observer(values(), ROBOT) is None
-
-
 def test_options_reach_measurement_and_observer() -> None:
+    default = measurement(values(), ROBOT)
+    assert (default.velocity, default.motor, default.geared) == ("measured", "position", False)
+    assert observer(values(), ROBOT) is None
     given = values(velocity="observer", observer_bandwidth=80.0, motor="torque")
     found = measurement(given, ROBOT)
-    assert found.observed
-    assert found.by_torque
+    assert (default.observed, default.by_torque, found.observed, found.by_torque) == (False, False, True, True)
     np.testing.assert_array_equal(found.K, np.diag([40.0, 30.0]))
     assert observer(given, ROBOT).bandwidth == 80.0
     assert observer(values(velocity="observer"), ROBOT).bandwidth == BANDWIDTH
@@ -110,13 +97,6 @@ def test_inconsistent_measurement_options_are_refused_in_one_sentence(case: str)
     refused(fjr.ParameterError, lambda: measurement(values(**given), ROBOT), *words)
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"velocity": "some"}, "velocity is 'some'; expected one of"),
-        ({"motor": "some"}, "motor is 'some'; expected one of"),
-        ({"velocity": "observer", "motor": "torque"}, "expected the joint stiffness"),
-    ],
-)
-def test_inconsistent_options_are_refused_on_construction(given: dict[str, str], words: str) -> None:
-    refused(fjr.ParameterError, lambda: fjr.Measurement(1, **given), words)
+def test_a_measurement_is_checked_where_it_is_made() -> None:
+    refused(fjr.ParameterError, lambda: fjr.Measurement(1, velocity="some"), "velocity is 'some'; expected one of")
+    refused(fjr.ParameterError, lambda: fjr.Measurement(1, "observer", "torque"), "expected the joint stiffness")

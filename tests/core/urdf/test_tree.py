@@ -7,7 +7,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-import fjr_core as fjr
 from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS, random_urdf
 from fjr_core.urdf.tree import read_urdf
@@ -62,12 +61,6 @@ def test_a_sliding_joint_moves_along_its_unit_axis_and_a_mimic_joint_follows() -
     links = placed(MIMIC, {"one": 0.25})
     np.testing.assert_allclose(links["a"][:3], [[0, -1, 0, -0.25], [1, 0, 0, 0], [0, 0, 1, 1]], atol=1e-15)
     np.testing.assert_allclose(links["b"], np.eye(4), atol=1e-15)  # -2 * 0.25 + 0.5 = 0
-
-
-@pytest.mark.parametrize(("leader", "words"), [("nobody", "'nobody'"), ("two", "mimics itself")])
-def test_a_joint_that_mimics_itself_or_one_that_is_not_there_is_refused(leader: str, words: str) -> None:
-    with pytest.raises(fjr.RobotError, match=words):
-        placed(MIMIC.replace('mimic joint="one"', f'mimic joint="{leader}"'), {})
 
 
 Joint = tuple[str, str, str]

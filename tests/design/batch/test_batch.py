@@ -17,6 +17,8 @@ from fjr_core import ParameterError, StateError
 from fjr_core.numerics import jit as jit_cache
 from fjr_core.runtime.library import c_text
 from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.simulation.imperfections import Imperfections
+from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws, program
 from fjr_design.batch.closed_loop import FIELDS as OUTCOMES
 
@@ -136,6 +138,7 @@ def test_parameter_factors_equal_simulate_with_another_plant() -> None:
 FIELDS = {
     "stiffness": 0.9, "link_inertia": 1.1, "gravity": 1.2, "motor_inertia": 1.1, "link_damping": 2.0,
     "motor_damping": 2.0, "coulomb_l": 0.05, "coulomb_m": 0.05, "external": 0.1, "delay": 5e-4,
+    "cubic": 500.0, "hysteresis": 0.2,
     "position_noise": 1e-4, "velocity_noise": 1e-3, "resolution": 1e-3, "effort_limit": 5.0,
 }  # fmt: skip
 
@@ -146,10 +149,27 @@ def test_every_drawn_parameter_changes_the_run(name: str) -> None:
     assert result.rms[0] != result.rms[1]
 
 
-def test_payload_position_smoothing_and_seed_change_the_run() -> None:
+@pytest.mark.parametrize("name", ["hysteresis", "cubic"])
+def test_a_spring_of_another_shape_moves_as_in_the_plant_of_the_node(name: str) -> None:
+    """The oracle is NonidealPlant, with sliders of its own, under the efforts that the run sent."""
     loop = paper_loop()
-    base = {"payload_mass": 0.1, "payload_position": [0.2, 0, 0], "coulomb_l": 0.05, "position_noise": 1e-4}
-    changes = [{}, {"payload_position": [0.3, 0, 0]}, {"smoothing": 0.05}, {"seed": 3}]
+    values = {"cubic": 2000.0} if name == "cubic" else {"hysteresis": 0.2, "slip": 5e-3}
+    recorded = loop.recorded(Draws(1, **values))[1]
+    plant, parameters = NonidealPlant(fjr.Plant(loop.robot)), Imperfections(1, **values).vector
+    x = recorded.x[0, 0]
+    state = np.concatenate([x, [0.0], x[1:2] - x[:1]])
+    for k, u in enumerate(recorded.u[0][:-1]):
+        for _ in range(4):
+            state = plant.step(state, u, [0.0], parameters, PERIOD / 4)
+        assert state[:4] == pytest.approx(recorded.x[0, k + 1], rel=AGREE, abs=AGREE)
+    assert np.abs(recorded.x[0][:, 1] - recorded.x[0][:, 0]).max() > 5e-3  # the element slips
+
+
+def test_payload_position_smoothing_slip_and_seed_change_the_run() -> None:
+    loop = paper_loop()
+    base = {"payload_mass": 0.1, "payload_position": [0.2, 0, 0], "coulomb_l": 0.05, "position_noise": 1e-4,
+            "hysteresis": 0.1}  # fmt: skip
+    changes = [{}, {"payload_position": [0.3, 0, 0]}, {"smoothing": 0.05}, {"slip": 0.05}, {"seed": 3}]
     found = [float(loop.run(Draws(1, **{**base, **change})).rms[0, 0]) for change in changes]
     assert len(set(found)) == len(changes)
 

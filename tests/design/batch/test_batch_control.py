@@ -61,7 +61,8 @@ def random_loop(seed: int) -> tuple[ClosedLoop, Draws, Robust]:
     )  # fmt: skip
     draws = Draws(
         5, stiffness=rng.uniform(0.8, 1.2, 5), link_inertia=rng.uniform(0.8, 1.2, 5), external=rng.uniform(-1, 1, 5),
-        coulomb_m=rng.choice([0.0, 0.1], 5), smoothing=0.05, payload_mass=rng.choice([0.0, 0.1], 5),
+        coulomb_m=rng.choice([0.0, 0.1], 5), smoothing=0.05,
+        hysteresis=[0.0, 0.3, 0.0, 0.0, 0.0], slip=5e-3, payload_mass=rng.choice([0.0, 0.1], 5),
         payload_position=[0.1, 0, 0], delay=rng.choice([0.0, 0.4e-3, 1.7e-3], 5), effort_limit=rng.uniform(10, 50, 5),
         position_noise=rng.choice([0.0, 1e-5], 5), velocity_noise=rng.choice([0.0, 1e-3], 5), resolution=1e-6,
         seed=seed,
@@ -126,12 +127,15 @@ def check_motion(recorded: Recorded, draws: Draws, i: int) -> None:
     step, velocity = NumericFunction(plant.step("step")), NumericFunction(plant.velocity("velocity"))
     whole, late = divmod(draws.columns("delay", 2)[i, 0], PERIOD)
     sent = np.vstack([np.zeros((int(whole) + 1, 2)), recorded.u[i]])
+    sliders = recorded.x[i, 0, 2:4] - recorded.x[i, 0, :2]
     for k, (x, x_next) in enumerate(zip(recorded.x[i], recorded.x[i][1:], strict=False)):
+        x = np.append(x, sliders)
         for effort, length in ((sent[k], late), (sent[k + 1], PERIOD - late)):
             steps = int(np.ceil(length / (PERIOD / 4) - 1e-9))
             for _ in range(steps):
                 x = step(x, effort, parameters, length / steps)[0]
-        assert x == pytest.approx(x_next, rel=1e-9, abs=1e-11)
+        sliders = x[8:]
+        assert x[:8] == pytest.approx(x_next, rel=1e-9, abs=1e-11)
     exact = np.array([velocity(x, parameters)[0] for x in recorded.x[i]])
     position, measured = expected_samples(recorded.x[i], exact, draws, i)
     assert recorded.measured[i, :, :4] == pytest.approx(position, abs=1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fjr_core.law.linearized import equilibria_at
 from fjr_design.stability.fast_modes import lag_limit, late_spring
 from fjr_design.tuning.gain_synthesis import synthesize
 
@@ -22,7 +23,7 @@ def one_joint(frequency: float) -> fjr.Robot:
 
 
 def sentence(robot: fjr.Robot, delay: float = 0.0) -> str:
-    return late_spring(robot, [robot.M_l(np.zeros(robot.n))], 1e-3, delay, ("knee", "wrist")[-robot.n :])
+    return late_spring(equilibria_at(robot, np.zeros((1, robot.n))), 1e-3, delay, ("knee", "wrist")[-robot.n :])
 
 
 def test_without_delay_the_limit_is_the_nyquist_frequency() -> None:
@@ -44,10 +45,11 @@ def test_no_gains_exist_beyond_the_limit_and_the_joint_is_named(delay: float) ->
 
 def test_the_inertia_is_the_least_that_the_joint_carries_while_the_other_moves_freely() -> None:
     robot = fjr.planar_two_link([40.0, 1e7])
-    M_l = np.array([robot.M_l([0.0, q]) for q in np.linspace(-3, 3, 13)])
+    where = np.column_stack([np.zeros(13), np.linspace(-3, 3, 13)])
+    M_l = np.array([robot.M_l(q_l) for q_l in where])
     (a, b), (_, d) = np.moveaxis(M_l, 0, -1)
     least = np.min(d - b * b / a)  # Schur complement
-    said = late_spring(robot, M_l, 1e-3)
+    said = late_spring(equilibria_at(robot, where), 1e-3)
     assert f"the spring of joint 2 with the inertia that it carries ({least:.3g} kg m^2)" in said
     assert f"oscillates at {np.sqrt(1e7 / least):.4g} rad/s" in said
 

@@ -11,8 +11,10 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import Array
 from fjr_core.config.scenario import Scenario
+from fjr_design.batch import Draws
 from fjr_design.stability.hard_start import HardStart, hard_start
 from fjr_design.stability.sampled_loop import check
+from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.scenarios import library
 
 AT = 0.1  # rad, at which the springs carry twice the torque of straight ones
@@ -46,6 +48,16 @@ def tracks(scenario: Scenario) -> bool:
 def test_a_start_diverges_where_the_simulation_does(share: float) -> None:
     scenario = started(share, "limits.start_error:=[1.0, 1.0]")
     assert found(scenario).diverges != tracks(scenario)
+
+
+def test_a_ramp_of_the_effort_counts_as_the_control_step_applies_it() -> None:
+    """With a ramp the arm first falls without effort; the oracle is a run of both nodes' code with the same start."""
+    sudden, ramped = (found(started(0.3, f"start.ramp_time:={each}")) for each in (0.0, 0.2))
+    scenario = started(0.3, "start.ramp_time:=0.2")
+    loop = scenario_loop(scenario, scenario.sampled_law, 1.2, settle_after=0.0)
+    x = loop.recorded(Draws(1))[1].x[0]
+    assert np.all(ramped.deflection >= np.abs(x[:, 2:4] - x[:, :2]).max(axis=0) - 1e-9)
+    assert ramped.deflection != pytest.approx(sudden.deflection, rel=1e-3)
 
 
 def stiffened(robot: fjr.Robot, deflection: Array) -> fjr.Robot:

@@ -93,7 +93,10 @@ def alone(name: str) -> dict[str, object]:
     return vars(trial().metrics([{} if name == "nominal" else {name: LEVELS[name]}])[0])
 
 
-LEVELS = {"stiffness": 0.7, "inertia": 1.3, "delay": 2e-3, "noise": 1e-3, "friction": 0.3, "load": 0.2}
+LEVELS = {
+    "stiffness": 0.7, "inertia": 1.3, "delay": 2e-3, "noise": 1e-3, "friction": 0.3, "load": 0.2, "hardening": 0.5,
+    "hysteresis": 0.3,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", list(IMPERFECTIONS))

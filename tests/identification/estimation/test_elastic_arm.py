@@ -25,8 +25,10 @@ from fjr_identification.estimation.parameters import (
     KINDS,
     PSEUDO_INERTIA,
     SMOOTHING,
+    STRIBECK,
     USUAL,
     USUAL_SMOOTHING,
+    USUAL_STRIBECK,
     IdentifyOptions,
     ParameterCoordinates,
     Prior,
@@ -54,7 +56,7 @@ def held(u: Array, dt: float, parts: int) -> HeldEffort:
 
 def values(n: int, **given: float) -> dict[str, Array]:
     zeros = {name: np.zeros(size(name, n)) for name in KINDS}
-    usual = {SMOOTHING: np.full(n, USUAL_SMOOTHING), "stribeck": np.full(n, 0.1)}
+    usual = {SMOOTHING: np.full(n, USUAL_SMOOTHING), STRIBECK: np.full(n, USUAL_STRIBECK)}
     return {**zeros, **usual, **{name: np.full(n, value) for name, value in given.items()}}
 
 

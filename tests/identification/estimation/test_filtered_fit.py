@@ -39,7 +39,7 @@ def setup_of(noise: float = NOISE) -> Estimation:
 def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(optimise, "MOST_ITERATIONS", 0)
     start = setup_of().prior.values
-    monkeypatch.setattr(f"{identify.__module__}.simulation_start", lambda setup, z: {**setup.values, **start})
+    monkeypatch.setattr(f"{identify.__module__}.simulation_start", lambda setup, z: {**setup.prior.values, **start})
     found = found_in(noisy(*usual_record(), 4e-3), JOINT)
     assert {each.verdict for each in found.values()} <= {WEAK, UNKNOWN}
     stiffness = found["joint_stiffness"]
@@ -54,7 +54,7 @@ def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() ->
     longest = []
     for link, motor in ((0.1, 0.0), (0.0, 0.1)):
         values = {
-            **setup.values,
+            **setup.prior.values,
             "link_coulomb_friction": np.array([link]),
             "motor_coulomb_friction": np.array([motor]),
         }

@@ -84,7 +84,7 @@ def bound(i: int, stiffer: float) -> float:
 @pytest.mark.parametrize("i", range(DRAWS))
 def test_a_stiffness_comes_with_the_deflections_that_were_driven(i: int) -> None:
     setup, driven = of_draw(i), np.quantile(draws().deflections(i)[0], (0.01, 0.99))
-    z = setup.coordinates.of_values({**setup.values, **draws().truth(i)})
+    z = setup.coordinates.of_values({**setup.prior.values, **draws().truth(i)})
     np.testing.assert_allclose(deflections(setup, z, 0), driven, atol=2 * NOISE)
 
 
@@ -103,7 +103,7 @@ def test_the_result_says_where_a_stiffness_was_seen_and_what_an_unknown_one_exce
     setup, told = of_draw(0), []
     for verdict, least in ((IDENTIFIED, 1.5), (UNKNOWN, 2e7), (UNKNOWN, 0.0)):
         K = Estimate("joint_stiffness", "joint0", "N m/rad", 2.0, 1.0, 3.0, 2.0, verdict)
-        z = setup.coordinates.of_values({**setup.values, **draws().truth(0)})
+        z = setup.coordinates.of_values({**setup.prior.values, **draws().truth(0)})
         told += withheld(setup, Estimates((K,), z, np.eye(1)), {"joint0": Seen("", least)}).estimates
     result = Identification(("joint0",), tuple(told), (0,), (LOG,), np.zeros(1), np.eye(1))
     again = Identification.from_dict(json.loads(json.dumps(result.as_dict())))

@@ -18,8 +18,9 @@ from std_msgs.msg import Float64MultiArray
 from fjr_core import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import CLibrary
 from fjr_core.robust.law import Robust
-from fjr_core.runtime.library import CertificateStruct, StepLibrary
+from fjr_core.runtime.library import CertificateStruct
 from fjr_monitor.diagnosis.online_diagnosis import Latency, LatestIntervals, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED, JointTolerances
 from fjr_monitor.diagnosis.verdict import unknown
@@ -46,7 +47,7 @@ class LiveCertificate:
         node: Node,
         program: Program,
         law: TrackingLaw,
-        library: StepLibrary,
+        library: CLibrary,
         limit: Array,
         robust: Robust,
         axes: JointTolerances,

@@ -11,9 +11,10 @@ White noise of both encoders enters r at the angular frequency w through A(w), n
     S(w) = A diag(s_l^2, s_m^2) A' + diag(0, s_u^2),    A = [[M_l w^2 - K, K], [K, M_m w^2 - K]]
 
 The information of a record of N samples is F = N mean(J' S^-1 J), J = dr/dp, with S^-1 applied to each frequency of J.
-A is singular at w = 0, where known efforts reveal friction and weight, and at the resonance of the joint, so both
-reveal much as far as s_u permits. M_l is the mean diagonal of the link inertia; damping and the coupling of joints are
-neglected in A, and the links (M_l, gravity) are known. F^-1 is then the Cramer-Rao bound of the covariance.
+On a curve (model.springs), log K is that of a factor on the whole curve, and K elsewhere its mean tangent up to the
+torque limit. A is singular at w = 0, where known efforts reveal friction and weight, and at the resonance of the joint,
+so both reveal much as far as s_u permits. M_l is the mean diagonal of the link inertia; damping and the coupling of
+joints are neglected in A, and the links (M_l, gravity) are known. F^-1 is then the Cramer-Rao bound of the covariance.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import TrajectoryError
+from fjr_core.model import springs
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import JETS, Reference
@@ -125,6 +127,9 @@ def motion_envelope(
     """
     held = settings if robot.limits is None else settings.tightened(robot.limits)
     none, torque = np.full(robot.n, np.inf), np.diag(robot.K) * np.asarray(held.deflection)
+    if robot.curve:
+        deflection = np.where(np.isfinite(torque), held.deflection, 0.0)
+        torque = np.where(np.isfinite(torque), springs.torques(robot, deflection[None])[0], np.inf)
     acceleration = ACCELERATION / share * acceleration
     links, motors = (none, held.link_velocity, acceleration, torque), (none, held.motor_velocity, none, held.effort)
     upper = np.stack([*links, *motors])

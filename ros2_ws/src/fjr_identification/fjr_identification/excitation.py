@@ -116,8 +116,10 @@ class ExcitationDesign:
         Raises TrajectoryError if the record is too short for three of them.
         """
         period = self.duration / max(1, np.ceil(self.duration / LONGEST_PERIOD))
-        M_m = np.diag(self.robot.M_m)
-        resonance = BELOW_RESONANCE * float(np.sqrt(np.diag(self.robot.K) * (1 / self._M_l + 1 / M_m)).min())
+        M_m, softest = np.diag(self.robot.M_m), np.diag(self.robot.K)
+        if self.robot.curves:
+            softest = np.array([np.min(of.stiffness) for of in self.robot.curves])
+        resonance = BELOW_RESONANCE * float(np.sqrt(softest * (1 / self._M_l + 1 / M_m)).min())
         highest = min(resonance / (2 * np.pi), 1 / (SAMPLES_PER_CYCLE * self.sample_period))
         if highest * period < FEWEST:
             raise TrajectoryError(
@@ -130,6 +132,9 @@ class ExcitationDesign:
     def model(self) -> InformationModel:
         """Information of the whole record, from the instants of one period."""
         K, samples = np.diag(self.robot.K), round(self.duration / self.sample_period)
+        if self.robot.curve:
+            most = np.minimum(self.limits.upper[3], self.limits.upper[7])  # torque of the springs, effort
+            K = most / self.robot.deflection(most)
         return InformationModel(K, np.diag(self.robot.M_m), self._M_l, self.noise, self.series.period, samples)
 
     @cached_property

@@ -18,6 +18,7 @@ import numpy as np
 from fjr_core.numerics.checks import Array
 
 from .estimation.elastic_arm import coulomb
+from .estimation.lack_of_fit import slipping_elements
 from .estimation.motion_record import MotionRecord
 from .estimation.parameters import LARGEST_SKEW
 from .rigid_motion import (
@@ -34,6 +35,7 @@ from .rigid_motion import (
     bounded_slope,
     fitted_line,
     rigid_motion,
+    without,
 )
 
 LEAST_DEGREES = 3.0  # rad; larger positions may be degrees
@@ -42,6 +44,7 @@ SPREAD = 10.0  # factor by which stiffness and inertia may differ from those of 
 LEAST_COMPLIANCE = 1 / 3  # of the nominal one; less may be hysteresis or a skew that changes
 UNITS = {"degrees against rad": np.degrees(1.0), "turns against rad": 1.0 / (2.0 * np.pi)}
 SMOOTHING = 0.01  # rad/s; of the friction regressors
+FINE = np.geomspace(0.05, 0.8, 8)  # of the root mean square torque, at which elements slip
 POOR, GOOD = 0.5, 0.25  # unexplained share of an effort without and with a change
 BETTER = 0.5  # unexplained with a change, relative to without
 NEAR = 1.25  # factor; a slope within it is right
@@ -112,28 +115,54 @@ def sides(motion: RigidMotion) -> Iterator[Contradiction]:
         if slopes is None:
             continue
         low, high = slopes
-        middle = (low + high) / 2
+        middle, differs = (low + high) / 2, _differs(slopes) and not _slips(motion, j)
         if high < 0:
             yield Contradiction(
                 SIGN, joint, f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction"
             )
-        elif _differs(slopes) and not _differs(_slopes(exchanged, j)) and _is_spring(exchanged, j):
+        elif differs and not _differs(_slopes(exchanged, j)) and _is_spring(exchanged, j):
             yield Contradiction(
                 SWAPPED, joint, f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped"
             )
-        elif _differs(slopes):
+        elif differs:
             yield _ratio(joint, middle)
 
 
 def _slopes(motion: RigidMotion, j: int) -> tuple[float, float] | None:
     """Return the range of the ratio of q_m to q_l without the deflection; None if it is not known."""
-    if not motion.both[j]:
-        return None
-    compliances = 1.0 / motion.robot.K[j, j] / SPREAD, 1.0 / motion.robot.K[j, j] * SPREAD
+    return _slopes_of(motion, j, *_compared(motion, j)) if motion.both[j] else None
+
+
+def _compared(motion: RigidMotion, j: int) -> tuple[Array, Array, Array, tuple[Array, ...]]:
+    """Return q_l, q_m and the torque of joint j, (k,) each, and what skew and friction change."""
     v = motion.velocity[:, j]
-    skew_and_friction = (v, coulomb(v, SMOOTHING))
-    q_l, q_m, tau = motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j]
-    return bounded_slope(q_l, q_m, tau, skew_and_friction, compliances, motion.independent)
+    return motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j], (v, coulomb(v, SMOOTHING))
+
+
+def _slopes_of(
+    motion: RigidMotion, j: int, q_l: Array, q_m: Array, tau: Array, others: Sequence[Array]
+) -> tuple[float, float] | None:
+    compliances = 1.0 / motion.robot.K[j, j] / SPREAD, 1.0 / motion.robot.K[j, j] * SPREAD
+    return bounded_slope(q_l, q_m, tau, others, compliances, motion.independent)
+
+
+def _slips(motion: RigidMotion, j: int) -> bool:
+    """Return whether hysteresis explains the deflection better than a gear ratio does, which is 1 beside it.
+
+    Hysteresis: elements that follow the torque but slip. Samples count from where each has slipped, since its state at
+    the start is not known, at least the second half.
+    """
+    q_l, q_m, tau, friction = _compared(motion, j)
+    slips = np.sqrt(np.mean(tau**2)) * FINE
+    following = slipping_elements(tau, slips)
+    slipped = np.abs(following) >= slips
+    rows = slice(min(int(np.max(np.argmax(slipped, axis=0))), len(tau) // 2), None)
+    q_l, q_m, tau, *others = (each[rows] for each in (q_l, q_m, tau, *friction))
+    usual, elements = [tau, *others, np.ones_like(tau)], list(following[rows].T)
+    by_slip, by_ratio = (
+        float(np.sum(without(np.column_stack([*usual, *more]), q_m - q_l) ** 2)) for more in (elements, [q_l])
+    )
+    return by_slip < by_ratio and not _differs(_slopes_of(motion, j, q_l, q_m, tau, [*others, *elements]))
 
 
 def _differs(slopes: tuple[float, float] | None) -> bool:

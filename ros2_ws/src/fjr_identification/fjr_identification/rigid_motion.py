@@ -128,7 +128,7 @@ def fitted_line(x: Array, y: Array, others: Sequence[Array], independent: float)
     A regressor that the others explain has the slope 0 with an infinite deviation.
     """
     rest = np.column_stack([*others, np.ones_like(x)])
-    x, y = _without(rest, x), _without(rest, y)
+    x, y = without(rest, x), without(rest, y)
     power, total = float(x @ x), float(y @ y)
     if not power > LEAST_SHARE * len(x) * np.finfo(float).tiny or total == 0:
         return FittedLine(0.0, np.inf, 1.0)
@@ -149,12 +149,12 @@ def bounded_slope(
     free = fitted_line(load, y, (x, *others), independent)
     bounds = np.clip([free.slope - 5 * free.deviation, free.slope + 5 * free.deviation], *compliance)
     lines = [fitted_line(x, y - c * load, others, independent) for c in bounds]
-    rests = not np.any(_without(np.ones((len(x), 1)), x))
+    rests = not np.any(without(np.ones((len(x), 1)), x))
     if rests or any(not max(1.0, abs(line.slope)) > 20 * line.deviation for line in lines):
         return None
     return min(a.slope - 5 * a.deviation for a in lines), max(a.slope + 5 * a.deviation for a in lines)
 
 
-def _without(rest: Array, values: Array) -> Array:
+def without(rest: Array, values: Array) -> Array:
     """Return the values (k,) without their projection on the columns of `rest` (k, m)."""
     return np.asarray(values - rest @ np.linalg.lstsq(rest, values, rcond=None)[0])

@@ -23,21 +23,21 @@ from fjr_core.config.parameter import complete, names, refuse_unknown
 from fjr_core.config.plant import imperfection_parameters
 from fjr_core.config.robot import CUBIC, FILE, GUESSES, guessed_joints, robot_parameters
 from fjr_core.config.robot import robot as build_robot
-from fjr_core.config.robot_file import URDF, is_xml, merged
+from fjr_core.config.robot_file import URDF, merged
 from fjr_core.errors import GainsError, ParameterError, TrajectoryError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.rigid_arm import Body, rotation_to
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
-from fjr_core.urdf.tree import parse_xml, read_urdf
+from fjr_core.urdf.tree import is_xml, parse_xml, read_urdf
 from fjr_design.scaffold.files import path_from
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
 from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Estimate, Identification
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
 from .estimation.elastic_arm import corrected_bodies
-from .estimation.parameters import HARDENING, PAYLOAD, PSEUDO_INERTIA, SMOOTHING
+from .estimation.parameters import HARDENING, PAYLOAD, PSEUDO_INERTIA, SMOOTHING, STRIBECK, USUAL_STRIBECK
 
 GEAR_RATIO = "robot.gear_ratio"
 CORRECTED = "robot.urdf"
@@ -47,6 +47,8 @@ FRICTION = {
     "motor_coulomb_friction": "coulomb_m",
     "link_static_friction": "static_l",
     "motor_static_friction": "static_m",
+    "link_load_friction": "load_l",
+    "motor_load_friction": "load_m",
 }
 MOTION = ("amplitude", "frequency", "offset", "phase")
 STABLE_STEP = 2.0  # friction rate times inner step; Runge-Kutta 4 is stable below 2.78
@@ -237,6 +239,12 @@ class IdentifiedRobot:
             if self._of(name):
                 levels = [significant(max(0.0, level)) for level in self._of_joints(name, 0.0)]
                 lines += [*self._comments(name), f"      {name}: {_list(levels)}"]
+        if self._of(STRIBECK):
+            falling = _list(map(significant, self._of_joints(STRIBECK, USUAL_STRIBECK)))
+            lines += [
+                *self._comments(STRIBECK),
+                *(f"      {side}_stribeck_velocity: {falling}" for side in ("link", "motor")),
+            ]
         if lines:
             written = _list(map(significant, self._smoothing(robot)))
             lines += [*self._comments(SMOOTHING), f"      {SMOOTHING}: {written}   # enough to be integrated"]
@@ -265,7 +273,7 @@ class IdentifiedRobot:
 
     def _left_out(self) -> list[str]:
         """Return comments on what no parameter of a scenario expresses."""
-        placed = {*MATRICES, HARDENING, *FRICTION, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+        placed = {*MATRICES, HARDENING, *FRICTION, STRIBECK, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
         estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
         others = [f"    #   {described(estimate)}" for estimate in estimates if estimate.name not in placed]
         return ["    # Without a parameter here; correct these in the driver:", *others] if others else []

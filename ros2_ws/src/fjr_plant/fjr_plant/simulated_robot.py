@@ -12,6 +12,7 @@ import numpy as np
 from fjr_core import FjrError, ParameterError, Plant, Robot, StateError
 from fjr_core.config.plant import channel_errors, period_jitter, random_seed, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
+from fjr_core.model.springs import hardening
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.numerics.symbolic import not_converged
@@ -242,7 +243,8 @@ class SimulatedRobot:
             return
         robot, dt = self._plant.robot, self._inner_step * 1e-9
         M_l = robot.M_l(self._x0[: self._n])
-        rate = stuck_rate(imperfections, robot.K, M_l, robot.M_m)
+        K = robot.K * hardening(robot, self._deflection(self._x0)[None])
+        rate = stuck_rate(imperfections, K, M_l, robot.M_m)
         if rate * dt > STIFFEST_SPRING:
             raise ParameterError(
                 f"springs with hysteresis oscillate at {rate:.4g} rad/s; expected at most {STIFFEST_SPRING / dt:.4g} "

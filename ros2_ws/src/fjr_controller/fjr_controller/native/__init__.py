@@ -6,8 +6,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+from fjr_core.numerics.jit import CLibrary
 from fjr_core.runtime import library
-from fjr_core.runtime.library import StepLibrary
 from fjr_msgs_py.native.program import Program
 
 FUNCTIONS = (
@@ -20,12 +20,12 @@ FUNCTIONS = (
 @cache
 def controller_program(n: int, memory: int) -> Program:
     """Return the command loop for a step of n joints and a law with `memory` numbers as its controller state."""
-    values, header = {"FJR_N": n, "FJR_MEMORY": max(1, memory)}, library.text(library.HEADER)
+    values, header = library.sizes(n, memory), library.text(library.HEADER)
     files = ["controller_loop.h"], ["controller_loop.c"]
     return Program.hosted("controller_loop", "fjr_controller", *files, "controller_thread", values, header)
 
 
-def step_functions(program: Program, step: StepLibrary) -> dict[str, Any]:
+def step_functions(program: Program, step: CLibrary) -> dict[str, Any]:
     """Return the functions of the step as fields of struct fjr_step_functions."""
     functions = {name: step.ffi.addressof(step.lib, f"fjr_{name}") for name in FUNCTIONS}
     return program.cast("struct fjr_step_functions", functions)

@@ -84,10 +84,10 @@ def measurement_parameters(n: int) -> list[Parameter]:
 def measurement(values: Values, robot: Robot) -> Measurement:
     """Return the measurement model of the values; raises ParameterError if they contradict each other."""
     settings = read(_MEASUREMENT, values, robot.n)
-    if settings["motor"] == TORQUE and robot.cubic is not None:
+    if settings["motor"] == TORQUE and robot.curve:
         raise ParameterError(
-            "parameter 'measurement.motor' is 'torque' with a robot.cubic_stiffness; expected "
-            "'position', or straight springs"
+            f"parameter 'measurement.motor' is 'torque' with a robot.{robot.curve}; expected 'position', or straight "
+            "springs"
         )
     return Measurement(robot.n, **settings, K=robot.K if settings["motor"] == TORQUE else None)
 

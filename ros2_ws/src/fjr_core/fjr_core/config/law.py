@@ -82,7 +82,7 @@ def robust(values: Values, n: int) -> Robust:
     return named(lambda symbol: f"robust.{symbol}", lambda: Robust(**read(ROBUST, values, n)).checked(n))
 
 
-GAINS = declared(Gains, "gains.", PAPER_GAINS)
+GAINS = declared(Gains, "gains.", vars(PAPER_GAINS))
 
 
 def gains(values: Values, n: int) -> Gains:
@@ -111,8 +111,8 @@ def control_law(values: Values, robot: Robot) -> StaticLaw:
     name, compile = str(values[TYPE.name]), bool(values["compile"])
     if name == V_DPBC:
         return TrackingLaw(robot, gains(values, robot.n), compile=compile)
-    if robot.cubic is not None and not is_named(name):
-        raise ParameterError(f"parameter '{TYPE.name}' is {name!r} with a robot.cubic_stiffness; expected '{V_DPBC}'")
+    if robot.curve and not is_named(name):
+        raise ParameterError(f"parameter '{TYPE.name}' is {name!r} with a robot.{robot.curve}; expected '{V_DPBC}'")
     fault = FjrError if is_named(name) else GainsError
     try:
         if is_named(name):

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import ParameterError
 from . import robot_file, ros_yaml
@@ -46,11 +46,6 @@ def is_of_others(own: OwnParameters, name: str) -> bool:
     return name in others or name.startswith(tuple(prefixes))
 
 
-def without_others(own: OwnParameters, merged: Mapping[str, object], given: Mapping[str, object]) -> dict[str, object]:
-    """Return merged values without those of a robot file that only other nodes declare, such as imperfections.*."""
-    return {name: value for name, value in merged.items() if name in given or not is_of_others(own, name)}
-
-
 @cache
 def _all_of_nodes() -> tuple[Parameter, ...]:
     """Return the parameters that the nodes declare for one joint."""
@@ -77,6 +72,44 @@ def given_to_nodes(document: Any) -> dict[str, dict[str, object]]:
     return given
 
 
+class Resolved(NamedTuple):
+    """Parameters of a node, the complete values by name, and the given names that are ignored."""
+
+    parameters: list[Parameter]
+    values: dict[str, Value]
+    ignored: list[str]
+
+
+def resolve(
+    own: OwnParameters,
+    given: Mapping[str, object],
+    node: str,
+    folder: Path,
+    for_any_node: Set[str] = frozenset(),
+    user_code: bool = True,
+) -> Resolved:
+    """Return what a node makes of the values given to it and of the robot file that they name; raises ParameterError.
+
+    node: whose sections of that file count. folder: where relative paths in `given` start. user_code: see
+    all_parameters. Ignored: options where no class of the user is named; names that files give to all nodes
+    (for_any_node), if they are of no group of these nodes and resemble no known name.
+    """
+    merged = robot_file.merged(given, node, folder)
+    taken = {name: value for name, value in merged.items() if name in given or not is_of_others(own, name)}
+    parameters = all_parameters(own, taken, user_code)
+    own_names, others = [each.name for each in parameters], names_of_others(own)
+    known = {*own_names, *others}
+    groups = {name.partition(".")[0] for name in known}
+    foreign = {
+        name
+        for name in for_any_node - known
+        if name.partition(".")[0] not in groups and not resembling(name, known, least=0.8)
+    }
+    ignored = taken.keys() & (foreign | unread_options(parameters, taken, user_code))
+    refuse_unknown(own_names, taken.keys() - ignored, others)
+    return Resolved(parameters, complete(parameters, taken), sorted(ignored))
+
+
 def checked_values(
     document: Any, folder: Path, user_code: bool = True
 ) -> tuple[dict[str, dict[str, Value]], tuple[str, ...]]:
@@ -84,20 +117,13 @@ def checked_values(
 
     user_code: see all_parameters. Raises ParameterError.
     """
-    checked, warnings = {}, []
-    for node, direct in given_to_nodes(document).items():
-        private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
-        own = OWN_PARAMETERS[node]
-        given = without_others(own, robot_file.merged(direct, node, folder), direct)
-        known = all_parameters(own, given, user_code)
-        shared = set(direct) - set(ros_yaml.values_for(node, private))
-        own_names = set(given) - {name for name in shared if is_of_others(own, name)}
-        unread = own_names & unread_options(known, given, user_code)
-        warnings += [
-            f"{node}: parameter '{name}' is ignored: there is no class with options" for name in sorted(unread)
-        ]
-        refuse_unknown([each.name for each in known], own_names - unread, names_of_others(own))
-        checked[node] = complete(known, given)
+    checked, warnings, by_node = {}, [], given_to_nodes(document)
+    private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
+    for node, direct in by_node.items():
+        own, alone = OWN_PARAMETERS[node], ros_yaml.values_for(node, private)
+        given = {name: value for name, value in direct.items() if name in alone or not is_of_others(own, name)}
+        _, checked[node], ignored = resolve(own, given, node, folder, user_code=user_code)
+        warnings += [f"{node}: parameter '{name}' is ignored: there is no class with options" for name in ignored]
     return checked, tuple(warnings)
 
 

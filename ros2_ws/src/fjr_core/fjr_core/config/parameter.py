@@ -171,11 +171,6 @@ def unread_options(parameters: Iterable[Parameter], given: Mapping[str, object],
     }
 
 
-def is_option(parameters: Iterable[Parameter], name: str) -> bool:
-    """Return whether this is the name of an option of a class that one of the parameters may name."""
-    return any(parameter.options and name.startswith(parameter.options) for parameter in parameters)
-
-
 def _option(parameter: Parameter, name: str, argument: str, default: Any) -> Parameter:
     if isinstance(default, np.ndarray):
         default = default.tolist()

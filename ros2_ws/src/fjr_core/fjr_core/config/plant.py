@@ -38,7 +38,7 @@ _OWN = (
     TYPE,
     Parameter("publish_rate", 1000.0, "Rate of /joint_states", "Hz", minimum=1.0, maximum=10000.0),
     Parameter("inner_steps", 4, "Integrator steps per published state", minimum=1, maximum=1000),
-    Parameter("integrator", "rk4", "Integrator", choices=tuple(INTEGRATORS)),
+    Parameter("integrator", "rk4", "Integrator", choices=INTEGRATORS),
     *_INITIAL_STATE.values(),
     Parameter("wait_for_command", True, "Hold the initial state until the first command arrives"),
     Parameter(

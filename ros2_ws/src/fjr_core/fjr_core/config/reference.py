@@ -21,46 +21,9 @@ from ..motions.reference import Reference
 from ..motions.sampled_motion import SampledMotion
 from ..motions.sine import MultiSine, Sine
 from ..numerics.checks import Array
-from .parameter import ROWS, VECTOR, Parameter, Values, names, read
+from ..numerics.parameter_field import declared
+from .parameter import VECTOR, Parameter, Values, names, read
 
-_dynamic = partial(Parameter, dynamic=True)
-_OFFSET = _dynamic(
-    "reference.offset", 0.0, "Offset of the sines, centre of the circle, position of hold", "rad", shape=VECTOR
-)
-_SINE = {
-    "amplitude": _dynamic("reference.amplitude", 1.0, "Amplitude of the sine", "rad", shape=VECTOR),
-    "frequency": _dynamic("reference.frequency", 1.0, "Angular frequency of the sine", "rad/s", 0.0, shape=VECTOR),
-    "offset": _OFFSET,
-    "phase": _dynamic("reference.phase", 0.0, "Phase of the sine", "rad", shape=VECTOR),
-}
-_MULTI_SINE = {
-    "amplitude": _dynamic("reference.multi_sine.amplitude", 1.0, "Amplitudes of the sines", "rad", shape=ROWS),
-    "frequency": _dynamic(
-        "reference.multi_sine.frequency", 1.0, "Angular frequencies of the sines", "rad/s", 0.0, shape=ROWS
-    ),
-    "phase": _dynamic("reference.multi_sine.phase", 0.0, "Phases of the sines", "rad", shape=ROWS),
-    "offset": _OFFSET,
-}
-_POINT_TO_POINT = {
-    "q0": _dynamic("reference.point_to_point.start", 0.0, "Start position", "rad", shape=VECTOR),
-    "q1": _dynamic("reference.point_to_point.goal", 1.0, "Goal position", "rad", shape=VECTOR),
-    "duration": _dynamic("reference.point_to_point.duration", 2.0, "Duration of the motion", "s", 1e-3),
-    "dwell": _dynamic(
-        "reference.point_to_point.dwell", 0.5, "Dwell time at the goal, and at the start if it returns", "s", 0.0
-    ),
-    "returns": _dynamic("reference.point_to_point.returns", True, "true: repeat back and forth; false: move once"),
-}
-_CIRCLE = {
-    "centre": _OFFSET,
-    "radius": _dynamic(
-        "reference.circle.radius", 0.5, "Radius of the circle in the plane of the first two joints", "rad", 0.0
-    ),
-    "frequency": _dynamic(
-        "reference.circle.frequency", 1.0, "Angular frequency on the circle; negative: opposite direction", "rad/s"
-    ),
-    "phase": _dynamic("reference.circle.phase", 0.0, "Initial angle on the circle", "rad"),
-    "ramp": _dynamic("reference.circle.ramp", 1.0, "Acceleration time from rest to the angular frequency", "s", 1e-3),
-}
 FILE_PATH = Parameter(
     "reference.file.path",
     "",
@@ -118,15 +81,19 @@ def forget_files() -> None:
     _motion.cache_clear()
 
 
+_declared = partial(declared, prefix="reference.")
 _TYPES: dict[str, tuple[Callable[..., Reference], Mapping[str, Parameter]]] = {
-    "sine": (Sine, _SINE),
-    "multi_sine": (MultiSine, _MULTI_SINE),
-    "point_to_point": (PointToPoint, _POINT_TO_POINT),
-    "circle": (Circle, _CIRCLE),
-    "hold": (Hold, {"q": _OFFSET}),
+    "sine": (Sine, _declared(Sine, defaults={"amplitude": 1.0, "frequency": 1.0})),
+    "multi_sine": (MultiSine, _declared(MultiSine, defaults={"amplitude": 1.0, "frequency": 1.0})),
+    "point_to_point": (
+        PointToPoint,
+        _declared(PointToPoint, defaults={"q0": 0.0, "q1": 1.0, "duration": 2.0, "dwell": 0.5, "returns": True}),
+    ),
+    "circle": (Circle, _declared(Circle, defaults={"centre": 0.0, "radius": 0.5, "frequency": 1.0})),
+    "hold": (Hold, _declared(Hold, defaults={"q": 0.0})),
     "file": (motion_of_file, {"path": FILE_PATH, "tolerance": TOLERANCE}),
 }
-_TYPE = _dynamic("reference.type", "sine", "Type of the reference trajectory", choices=tuple(_TYPES))
+_TYPE = Parameter("reference.type", "sine", "Type of the reference trajectory", choices=tuple(_TYPES), dynamic=True)
 
 MOTION = (
     Parameter("allow_partial_joints", False, "Accept a trajectory of some joints; the other joints hold", dynamic=True),

@@ -19,7 +19,7 @@ from ..urdf.robot import robot_from_urdf
 from ..urdf.tree import parse_xml
 from ..urdf.writing import Rod, hanging_rod, urdf_of_rods
 from . import robot_file
-from .parameter import LIST, MATRIX, POINT, VECTOR, Parameter, Values, named, names, read, table, vector
+from .parameter import LIST, MATRIX, POINT, ROWS, VECTOR, Parameter, Values, named, names, read, rows, table, vector
 
 JOINTS = Parameter("joints", ("joint1",), "Joint names, in the order of all other lists", shape=LIST)
 FILE = Parameter("robot.file", "", "Parameter file of the robot: a path or package://; values given here override it")
@@ -125,6 +125,13 @@ CUBIC = Parameter(
     minimum=0.0,
     shape=VECTOR,
 )
+TORSION = tuple(
+    Parameter(f"robot.{name}", 0.0, f"{what} of a torsion curve, a row for each point; 0: none", unit, 0.0, shape=ROWS)
+    for name, what, unit in (
+        ("torsion_deflection", "Deflections beyond 0, where the slope is joint_stiffness,", "rad"),
+        ("torsion_torque", "Torques at torsion_deflection", "N m"),
+    )
+)
 GUESSES = {
     name: Parameter(
         f"robot.guesses.{name}",
@@ -139,6 +146,7 @@ GUESSES = {
 _SYMBOLS = {
     "K": "robot.joint_stiffness",
     "cubic": CUBIC.name,
+    "torsion": TORSION[1].name,
     "M_m": "robot.motor_inertia",
     "D_l": "robot.link_damping",
     "D_m": "robot.motor_damping",
@@ -167,7 +175,8 @@ def robot_parameters(given: Mapping[str, object]) -> list[Parameter]:
     n = joints_of(given)
     arguments = inspect.signature(MODELS[model_of(given)]).parameters.values()
     own = [_parameter(argument, n) for argument in arguments if argument.name != "joints"]
-    return [JOINTS, FILE, MODEL, *own, CUBIC.for_joints(n), *table(GUESSES, n)]
+    curves = (each.for_joints(n) for each in (CUBIC, *TORSION))
+    return [JOINTS, FILE, MODEL, *own, *curves, *table(GUESSES, n)]
 
 
 def _parameter(argument: inspect.Parameter, n: int) -> Parameter:
@@ -188,11 +197,16 @@ def robot(values: Values) -> Robot:
     build = MODELS[model]
     arguments = read({name: _ARGUMENTS[name] for name in inspect.signature(build).parameters}, values, n)
     fallback = "robot.urdf" if model == "urdf" else "robot"
-    cubic = vector(values, CUBIC.name, n)
+    cubic, points = vector(values, CUBIC.name, n), [rows(values, each.name, n) for each in TORSION]
+    if len(points[0]) != len(points[1]):
+        raise ParameterError(
+            f"parameter '{TORSION[1].name}' has {len(points[1])} points; expected {len(points[0])}, as "
+            f"'{TORSION[0].name}' has"
+        )
 
     def built() -> Robot:
         straight = build(**arguments)
-        return replace(straight, cubic=cubic) if cubic.any() else straight
+        return replace(straight, cubic=cubic, torsion=np.stack(points)) if cubic.any() or np.any(points) else straight
 
     return named(lambda symbol: _SYMBOLS.get(symbol, fallback), built)
 

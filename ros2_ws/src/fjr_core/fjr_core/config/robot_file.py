@@ -14,6 +14,7 @@ from pathlib import Path
 from ..errors import ParameterError
 from ..files.motion_table import is_text
 from ..files.text_file import read_text
+from ..urdf.tree import is_xml
 from . import ros_yaml
 
 FILE, URDF, MOTION = "robot.file", "robot.urdf", "reference.file.path"
@@ -69,11 +70,6 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
         except (OSError, UnicodeDecodeError) as error:
             raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({error}); expected a URDF") from None
     return alone
-
-
-def is_xml(urdf: str) -> bool:
-    """Return True if the value of robot.urdf is XML text, not a path."""
-    return urdf.lstrip("\ufeff \t\r\n").startswith("<")
 
 
 def resolve(reference: str, folder: Path) -> Path:

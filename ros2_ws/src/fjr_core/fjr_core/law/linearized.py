@@ -40,21 +40,19 @@ class Equilibria:
     @cached_property
     def deflections(self) -> Array:
         """Deflections of the springs (k, n) [rad] under the weights."""
-        if self.robot.cubic is None:
+        if not self.robot.curve:
             return np.asarray(self.weights @ np.linalg.inv(self.robot.K).T)
         return ca.DM(springs.deflection(self.robot, ca.DM(self.weights.T))).full().T
 
     @cached_property
     def hardening(self) -> Array:
         """Tangents phi' of the springs over K (k, n); (1, n) ones for straight springs."""
-        if self.robot.cubic is None:
-            return np.ones((1, self.robot.n))
-        return np.asarray(1 + 3 * self.robot.cubic / np.diag(self.robot.K) * self.deflections**2)
+        return springs.hardening(self.robot, self.deflections) if self.robot.curve else np.ones((1, self.robot.n))
 
     @cached_property
     def K(self) -> Array:
         """Stiffness (n, n), or tangents of springs that harden (k, n, n) [N m/rad]."""
-        return self.robot.K if self.robot.cubic is None else self.robot.K * self.hardening[:, None]
+        return self.robot.K * self.hardening[:, None] if self.robot.curve else self.robot.K
 
     @property
     def u(self) -> Array:

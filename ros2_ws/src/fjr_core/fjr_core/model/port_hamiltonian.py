@@ -9,10 +9,12 @@ from typing import Protocol
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from ..numerics import integrators, symbolic
+from ..errors import ParameterError
+from ..numerics import symbolic
 from ..numerics.checks import Array
+from ..numerics.integrators import INTEGRATORS, LONGEST_COPIED, step
 from ..numerics.jit import compiled
-from ..numerics.symbolic import NumericFunction, dense_function, numeric
+from ..numerics.symbolic import dense_function, evaluate
 from . import springs
 from .rigid_arm import RigidArm
 from .robot import Robot
@@ -93,11 +95,11 @@ class Plant:
         return f"Plant({self.robot!r}, integrator={self.integrator!r})"
 
     def __init__(self, robot: Robot, integrator: str = "rk4", compile: bool = False) -> None:
+        if integrator not in INTEGRATORS:
+            raise ParameterError(f"integrator is {integrator!r}; expected one of {', '.join(INTEGRATORS)}")
         self.robot = robot
         self.integrator = integrator
         self.compiles = compile
-        if not self.in_python:
-            self._vm_step = integrators.step(integrator, self.dynamics)
 
     def raise_failure(self) -> None:
         """Raise the error of an evaluation since the last call; only a plant in Python fails."""
@@ -111,7 +113,9 @@ class Plant:
     @cached_property
     def step_function(self) -> ca.Function:
         """The CasADi function (x, u, dt) -> x_next; compiled if requested."""
-        return compiled(integrators.step_to_compile(self.integrator, self.dynamics)) if self.compiles else self._vm_step
+        copied = not self.compiles or self.dynamics.n_instructions() <= LONGEST_COPIED
+        function = step(self.integrator, self.dynamics, copied=copied)
+        return compiled(function) if self.compiles else function
 
     @cached_property
     def output_function(self) -> ca.Function:
@@ -129,15 +133,15 @@ class Plant:
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
         """Return dx/dt (4n,) at state x (4n,) and effort u (n,) [N m], eq. (36)."""
-        return self._derivative(x, u)[0]
+        return evaluate(self.dynamics, x, u)[0]
 
     def step(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """Return the state (4n,) after one integrator step of dt [s] with u held."""
-        return self._step(x, u, dt)[0]
+        return evaluate(self.step_function, x, u, dt)[0]
 
     def gradient(self, x: ArrayLike) -> Array:
         """Return dH/dx (4n,): (dH/dq_l, dH/dq_m, dq_l, dq_m)."""
-        return self._gradient(x)[0]
+        return evaluate(self._gradient, x)[0]
 
     def structure(self, x: ArrayLike | None = None) -> tuple[Array, Array, Array]:
         """Return J (4n, 4n) skew, R (4n, 4n) positive semidefinite and G (4n, n) of eq. (36); all are constant."""
@@ -145,14 +149,6 @@ class Plant:
         return J, R, G
 
     @cached_property
-    def _step(self) -> NumericFunction:
-        return NumericFunction(self.step_function)
-
-    @cached_property
-    def _derivative(self) -> NumericFunction:
-        return NumericFunction(self.dynamics)
-
-    @cached_property
-    def _gradient(self) -> NumericFunction:
+    def _gradient(self) -> ca.Function:
         x = ca.SX.sym("x", 4 * self.robot.n)
-        return numeric("gradient", {"x": x}, {"dH": gradient_expression(self.robot, x)})
+        return dense_function("gradient", {"x": x}, {"dH": gradient_expression(self.robot, x)})

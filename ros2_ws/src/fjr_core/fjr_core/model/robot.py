@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError, StateError
 from ..numerics import checks, symbolic
-from ..numerics.checks import Array, floats, freeze
+from ..numerics.checks import Array, freeze, limits
 from ..numerics.one_line import brief, joints, one_line
-from ..numerics.symbolic import NumericFunction, dense_function, numeric, symbols
+from ..numerics.symbolic import dense_function, evaluate, symbols
 from . import springs
 from .rigid_arm import ArmDynamics, RigidArm
 
@@ -30,14 +30,15 @@ class Robot:
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
     All five are constant matrices (n, n). limits: joint limits or None; they are not enforced here.
     prismatic: True for each prismatic joint (n,), none by default; its units are m and N.
-    cubic: cubic stiffness k (n,) [N m/rad^3], 0 or more, of hardening springs K zeta + k zeta^3 (model.springs); None
-    for straight springs, also where zeros are given.
+    cubic: cubic stiffness k (n,) [N m/rad^3], 0 or more, of hardening springs K zeta + k zeta^3 (model.springs).
+    torsion (2, m, n) [rad, N m]: deflections and torques of a curve with the slope K at zero, zeros for a straight
+    joint. Both are None for straight springs, also where zeros are given.
 
     The state is x = (q_l, q_m, p_l, p_m), four blocks of n, with p_l = M_l(q_l) dq_l, p_m = M_m dq_m.
 
     Raises RobotError when M_l (at its vertices if known, else at q_l = 0), M_m or K is not symmetric positive definite,
     D_l or D_m not symmetric positive semidefinite, B_m not invertible, or anything is not finite or of the wrong shape,
-    or where a cubic stiffness is negative or comes with a matrix K that is not diagonal.
+    or where a curve is not monotone, comes with another one or with a matrix K that is not diagonal.
     """
 
     links: ArmDynamics
@@ -49,9 +50,11 @@ class Robot:
     limits: JointLimits | None = None
     prismatic: tuple[bool, ...] = ()
     cubic: Array | None = None
+    torsion: Array | None = None
 
     def __repr__(self) -> str:
         cubic = "" if self.cubic is None else f", cubic={brief(self.cubic)}"
+        cubic += f", {self.torsion.shape[1]} points of torsion" if self.torsion is not None else ""
         return f"Robot({joints(self.n)}, K={brief(self.K)}, M_m={brief(self.M_m)}{cubic})"
 
     def __post_init__(self) -> None:
@@ -64,6 +67,10 @@ class Robot:
             checks.freeze(self, name, array)
         if self.cubic is not None:
             object.__setattr__(self, "cubic", springs.checked_cubic(self.cubic, self.K))
+        if self.torsion is not None:
+            object.__setattr__(self, "torsion", springs.checked_torsion(self.torsion, self.K))
+            if self.cubic is not None and self.torsion is not None:
+                raise RobotError("torsion is given with a cubic stiffness; expected one curve")
         if not np.linalg.cond(self.B_m) < 1e12:
             raise RobotError(f"B_m is {self.B_m.tolist()}; expected an invertible matrix")
         if self.limits is not None and self.limits.n != self.n:
@@ -82,6 +89,21 @@ class Robot:
     def units(self) -> tuple[Units, ...]:
         """Units of each joint's position, velocity, acceleration and effort."""
         return tuple(PRISMATIC if slides else REVOLUTE for slides in self.prismatic or (False,) * self.n)
+
+    @property
+    def curve(self) -> str:
+        """Name of the robot parameter that bends the springs, "" for straight ones."""
+        if self.torsion is not None:
+            return "torsion_torque"
+        return "" if self.cubic is None else "cubic_stiffness"
+
+    @cached_property
+    def curves(self) -> tuple[springs.TorsionCurve, ...]:
+        """Torsion curves of the n joints, or none."""
+        if self.torsion is None:
+            return ()
+        pairs = zip(np.diag(self.K), np.moveaxis(self.torsion, 2, 0), strict=True)
+        return tuple(springs.torsion_curve(K, *points) for K, points in pairs)
 
     def M_l(self, q_l: ArrayLike) -> Array:
         """Return the link inertia M_l(q_l) (n, n) [kg m^2] at q_l (n,) [rad]."""
@@ -102,30 +124,30 @@ class Robot:
 
     def hamiltonian(self, x: ArrayLike) -> float:
         """Return the total energy H(x) [J], eq. (35), at x (4n,)."""
-        return float(self._hamiltonian(checks.vector("x", x, 4 * self.n, StateError))[0][0])
+        return float(evaluate(self._hamiltonian, checks.vector("x", x, 4 * self.n, StateError))[0][0])
 
     def state(self, q_l: ArrayLike, q_m: ArrayLike, dq_l: ArrayLike, dq_m: ArrayLike) -> Array:
         """Return the state x (4n,) for positions [rad] and velocities [rad/s] (n,) of links and motors."""
         parts = (("q_l", q_l), ("q_m", q_m), ("dq_l", dq_l), ("dq_m", dq_m))
         values = [self._vector(name, value) for name, value in parts]
-        return self._state(np.hstack(values[:2]), np.hstack(values[2:]))[0]
+        return evaluate(self.to_state, np.hstack(values[:2]), np.hstack(values[2:]))[0]
 
     def velocities(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return the velocities (dq_l, dq_m), each (n,) [rad/s], at the state x (4n,)."""
-        (velocity,) = self._velocity(checks.vector("x", x, 4 * self.n, StateError))
+        (velocity,) = evaluate(self.to_velocity, checks.vector("x", x, 4 * self.n, StateError))
         return velocity[: self.n], velocity[self.n :]
 
     def deflection(self, tau: ArrayLike) -> Array:
         """Return the deflection q_m - q_l (n,) [rad] of the springs under torques tau (n,) [N m]."""
         vector = self._vector("tau", tau)
-        if self.cubic is None:
+        if not self.curve:
             return np.asarray(np.linalg.solve(self.K, vector))
         return ca.DM(springs.deflection(self, ca.DM(vector))).full().ravel()
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
         """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eq. (35).
 
-        With a cubic stiffness k the springs store sum k zeta^4 / 4 more.
+        Springs with a curve store its integral (model.springs).
         links: replaces the rigid arm of the robot, e.g. with a payload.
         """
         q_l, q_m, p_l, p_m = symbolic.blocks(x, self.n)
@@ -168,39 +190,17 @@ class Robot:
         digest = hashlib.sha256("\n".join(parts).encode())
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
             digest.update(np.ascontiguousarray(getattr(self, name)).tobytes())
-        if self.cubic is not None:
-            digest.update(self.cubic.tobytes())
+        for curve in (self.cubic, self.torsion):
+            digest.update(b"" if curve is None else curve.tobytes())
         return digest.digest()
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
         return checks.vector(name, value, self.n, StateError)
 
     @cached_property
-    def _hamiltonian(self) -> NumericFunction:
+    def _hamiltonian(self) -> ca.Function:
         x = ca.SX.sym("x", 4 * self.n)
-        return numeric("hamiltonian", {"x": x}, {"H": self.hamiltonian_expression(x)})
-
-    @cached_property
-    def _velocity(self) -> NumericFunction:
-        return NumericFunction(self.to_velocity)
-
-    @cached_property
-    def _state(self) -> NumericFunction:
-        return NumericFunction(self.to_state)
-
-
-def law_view(plant: Robot, law: Robot) -> ca.Function | None:
-    """Return the CasADi function from the plant's x to the law's x with equal velocities.
-
-    Momenta are computed with the inertia of the law's robot. Return None if both robots have the same inertia: M_m and
-    the expression of M_l; equal functions that are written differently count as different.
-    """
-    M_l = [robot.links.M_l for robot in (plant, law)]
-    if plant is law or (np.array_equal(plant.M_m, law.M_m) and M_l[0].serialize() == M_l[1].serialize()):
-        return None
-    x, positions = ca.SX.sym("x", 4 * plant.n), 2 * plant.n
-    seen = law.to_state(x[:positions], plant.to_velocity(x))
-    return dense_function("law_view", {"x": x}, {"seen": seen}, cse=True)
+        return dense_function("hamiltonian", {"x": x}, {"H": self.hamiltonian_expression(x)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,14 +218,9 @@ class JointLimits:
     __repr__ = one_line
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            name, array = field.name, floats(f"{field.name} limit", getattr(self, field.name), RobotError)
-            if array.ndim != 1 or np.any(np.isnan(array)):
-                expected = "one number per joint, infinite for no limit"
-                raise RobotError(f"{name} limit is {array.tolist()}; expected {expected}")
-            if array.shape != np.shape(self.lower):
-                raise RobotError(f"{name} has shape {array.shape}; expected that of lower, {self.lower.shape}")
-            freeze(self, name, array)
+        n = int(np.size(self.lower))
+        for name in ("lower", "upper", "velocity", "effort"):
+            freeze(self, name, limits(f"{name} limit", getattr(self, name), n, RobotError))
         if not np.all(self.lower <= self.upper):
             raise RobotError(f"lower is {self.lower.tolist()}, upper {self.upper.tolist()}; expected lower <= upper")
         for name in ("velocity", "effort"):

@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Springs of the joints: the torque phi(zeta) = K zeta + k zeta^3 of a deflection zeta = q_m - q_l, and its inverse.
+"""Springs of the joints: the torque phi(zeta) of a deflection zeta = q_m - q_l, straight or on one of two curves.
+
+    cubic     phi = K zeta + k zeta^3, an odd polynomial that hardens for k > 0
+    torsion   odd through the points of a table, with the slope K at zero; parabolas in pieces (TorsionCurve)
 
     energy    zeta' K zeta / 2 + sum k zeta^4 / 4
     tangent   phi'(zeta) = K + 3 k zeta^2
     secant    S(a, b) = K + k (a^2 + a b + b^2),   phi(a) - phi(b) = S(a, b) (a - b)
     inverse   zeta = 2 a sinh(asinh(3 tau / (2 K a)) / 3),   a^2 = K / (3 k)
 
-A joint hardens for k > 0. Then phi is monotone and the inverse its only real root. K is diagonal where a joint has a
-cubic stiffness k [N m/rad^3]. Straight springs (k = None) have the expressions of a matrix K.
+Both are monotone, so the inverse is their only real root. K is diagonal where a joint has a curve. Straight springs
+have the expressions of a matrix K.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import casadi as ca
@@ -21,6 +26,77 @@ from numpy.typing import ArrayLike
 from ..errors import RobotError
 from ..numerics import checks
 from ..numerics.checks import Array
+
+MOST_POINTS = 8
+"""Points of a torsion curve; FJR_PIECES of runtime/step.h has two parabolas for each."""
+
+
+@dataclass(frozen=True, eq=False)
+class TorsionCurve:
+    """Odd and monotone C1 curve of one joint, of k parabolas; x >= 0 is the distance of |zeta| from the k-th edge:
+
+        phi = torque + stiffness x + slope x^2 / 2,   phi' = stiffness + slope x,   int phi = energy + ..
+
+    The tangent at a point of the table is the harmonic mean of the slopes of the chords on both sides (as in SciPy's
+    PCHIP where points are evenly spaced), K at zero. Between two points it is linear in each half of the interval, with
+    the mean of the chord (L. Schumaker, SIAM J. Numer. Anal. 20(4), 1983), and beyond the middle of the last interval
+    constant. The harmonic mean is below twice either slope, so each tangent is positive, and phi and its inverse
+    are in closed form. Fields are (k,) [rad, N m, N m/rad, N m/rad^2, J]; all but edge may be symbols.
+    """
+
+    edge: Array
+    torque: Any
+    stiffness: Any
+    slope: Any
+    energy: Any
+
+    def scaled(self, factor: Any) -> TorsionCurve:
+        """Return the curve with factor times the torque."""
+        rows = self.torque, self.stiffness, self.slope, self.energy
+        return TorsionCurve(self.edge, *([factor * each for each in row] for row in rows))
+
+    def phi(self, zeta: ca.SX) -> ca.SX:
+        """Return the torque [N m] at a deflection."""
+        side, size, edge, torque, stiffness, slope, _ = self._piece(zeta, self.edge)
+        x = size - edge
+        return side * (torque + x * (stiffness + slope * x / 2))
+
+    def stored(self, zeta: ca.SX) -> ca.SX:
+        """Return the energy [J] at a deflection."""
+        _, size, edge, torque, stiffness, slope, energy = self._piece(zeta, self.edge)
+        x = size - edge
+        return energy + x * (torque + x * (stiffness / 2 + slope * x / 6))
+
+    def tangent(self, zeta: ca.SX) -> ca.SX:
+        """Return phi' [N m/rad] at a deflection."""
+        _, size, edge, _, stiffness, slope, _ = self._piece(zeta, self.edge)
+        return stiffness + slope * (size - edge)
+
+    def inverse(self, tau: ca.SX) -> ca.SX:
+        """Return the deflection [rad] at a torque: x = 2 r / (d + (d^2 + 2 c r)^(1/2)) with r = |tau| - torque."""
+        side, size, edge, torque, d, c, _ = self._piece(tau, self.torque)
+        r = size - torque
+        return side * (edge + 2 * r / (d + ca.sqrt(d * d + 2 * c * r)))
+
+    def secant(self, a: ca.SX, b: ca.SX) -> ca.SX:
+        """Return S(a, b) [N m/rad]: on one parabola the tangent in the middle, without a division by a - b."""
+        (side, size, edge, _, d, c, _), (other, length, start, *_) = (self._piece(each, self.edge) for each in (a, b))
+        same = ca.logic_and(side == other, edge == start)
+        apart = ca.if_else(same, 1, a - b)
+        return ca.if_else(same, d + c * ((size - edge) + (length - start)) / 2, (self.phi(a) - self.phi(b)) / apart)
+
+    def _piece(self, value: ca.SX, ends: Any) -> tuple[Any, ...]:
+        """Return side and size of a value, and the fields of its piece, which begins at one of the ends (k,).
+
+        The fields are constant where the value is differentiated; a value at an end belongs to the piece beyond.
+        """
+        side = ca.if_else(value < 0, -1, 1)
+        rows = self.edge, self.torque, self.stiffness, self.slope, self.energy
+        found = [row[0] for row in rows]
+        for k in range(1, len(self.edge)):
+            beyond = side * value >= ends[k]
+            found = [ca.if_else(beyond, row[k], before) for row, before in zip(rows, found, strict=True)]
+        return side, side * value, *found
 
 
 class Springs(Protocol):
@@ -32,7 +108,11 @@ class Springs(Protocol):
 
     @property
     def cubic(self) -> Any:
-        """Cubic stiffness k (n,) [N m/rad^3], or None for straight springs."""
+        """Cubic stiffness k (n,) [N m/rad^3], or None."""
+
+    @property
+    def curves(self) -> Sequence[TorsionCurve]:
+        """Torsion curves of the n joints, or none."""
 
 
 def checked_cubic(value: ArrayLike, K: Array) -> Array | None:
@@ -42,10 +122,52 @@ def checked_cubic(value: ArrayLike, K: Array) -> Array | None:
         raise RobotError(f"cubic is {cubic.tolist()} N m/rad^3; expected 0 or more: a softening spring has no inverse")
     if not cubic.any():
         return None
-    if np.any(K - np.diag(np.diag(K))):
-        raise RobotError("cubic is not 0 with a matrix K that couples the joints; expected a diagonal K")
+    _refuse_coupled("cubic", K)
     cubic.setflags(write=False)
     return cubic
+
+
+def checked_torsion(value: ArrayLike, K: Array) -> Array | None:
+    """Return the points (2, m, n) of the torsion curves of a robot, None if all are zero; raises RobotError."""
+    points = checks.finite("torsion", checks.floats("torsion", value, RobotError), RobotError).copy()
+    if points.ndim != 3 or points.shape[::2] != (2, len(K)) or not 1 <= points.shape[1] <= MOST_POINTS:
+        raise RobotError(f"torsion has shape {points.shape}; expected (2, m, {len(K)}) with m of 1 to {MOST_POINTS}")
+    if not points.any():
+        return None
+    _refuse_coupled("torsion", K)
+    for j, (stiffness, of_joint) in enumerate(zip(np.diag(K), np.moveaxis(points, 2, 0), strict=True), 1):
+        if of_joint.any() and not np.all(np.diff(of_joint, prepend=0.0) > 0):
+            raise RobotError(f"torsion of joint {j} is {of_joint.tolist()}; expected increasing positive numbers")
+        curve = torsion_curve(stiffness, *of_joint)
+        if min(curve.stiffness) <= 0:
+            raise RobotError(
+                f"torsion of joint {j} begins so much flatter than its K of {stiffness:g} N m/rad that it would fall; "
+                "expected a smaller K, or more torque at the first point"
+            )
+    points.setflags(write=False)
+    return points
+
+
+def _refuse_coupled(name: str, K: Array) -> None:
+    if np.any(K - np.diag(np.diag(K))):
+        raise RobotError(f"{name} is not 0 with a matrix K that couples the joints; expected a diagonal K")
+
+
+def torsion_curve(K: float, deflection: Array, torque: Array) -> TorsionCurve:
+    """Return the curve with the slope K [N m/rad] at zero through points (m,) [rad, N m]; zeros: the line K zeta."""
+    z, t = np.append(0.0, deflection), np.append(0.0, torque)
+    if not deflection.any():
+        z = np.arange(len(deflection) + 1.0)
+        t = K * z
+    half, chord = np.diff(z) / 2, np.diff(t) / np.diff(z)
+    at = np.concatenate([[K], 2 * chord[1:] * chord[:-1] / (chord[1:] + chord[:-1]), [0.0]])
+    at[-1] = (4 * chord[-1] - at[-2]) / 3
+    middle = 2 * chord - (at[:-1] + at[1:]) / 2
+    edge, stiffness = (np.column_stack(pair).ravel() for pair in ((z[:-1], z[:-1] + half), (at[:-1], middle)))
+    x, slope = np.repeat(half, 2), np.append(np.diff(stiffness), 0.0) / np.repeat(half, 2)
+    starts = np.column_stack([t[:-1], t[:-1] + half * (at[:-1] + middle) / 2]).ravel()
+    energy = np.append(0.0, np.cumsum(x * (starts + x * (stiffness / 2 + slope * x / 6)))[:-1])
+    return TorsionCurve(edge, starts, stiffness, slope, energy)
 
 
 def torque(springs: Springs, zeta: ca.SX, added: ca.SX | None = None) -> ca.SX:
@@ -53,17 +175,32 @@ def torque(springs: Springs, zeta: ca.SX, added: ca.SX | None = None) -> ca.SX:
     found = springs.K @ zeta
     if springs.cubic is not None:
         found = found + _column(springs.cubic) * zeta * zeta * zeta
+    if springs.curves:
+        found = _joined(springs, TorsionCurve.phi, zeta)
     return found if added is None else found + added * zeta**3
+
+
+def torques(springs: Springs, zeta: Array) -> Array:
+    """Return phi (k, n) [N m] at deflections (k, n) of springs with numeric parameters."""
+    if springs.curves:
+        pairs = zip(springs.curves, zeta.T, strict=True)
+        return np.column_stack([of.phi(ca.DM(column)).full().ravel() for of, column in pairs])
+    straight = np.asarray(zeta @ springs.K)
+    return straight if springs.cubic is None else straight + springs.cubic * zeta**3
 
 
 def energy(springs: Springs, zeta: ca.SX) -> ca.SX:
     """Return the energy of the springs [J] at a deflection (n,)."""
+    if springs.curves:
+        return ca.sum1(_joined(springs, TorsionCurve.stored, zeta))
     found = ca.dot(zeta, springs.K @ zeta) / 2
     return found if springs.cubic is None else found + ca.dot(_column(springs.cubic), (zeta * zeta) ** 2) / 4
 
 
 def deflection(springs: Springs, tau: ca.SX) -> ca.SX:
     """Return phi^-1(tau) (n, ..) [rad] for torques (n, ..) [N m] of springs with numeric parameters."""
+    if springs.curves:
+        return _joined(springs, TorsionCurve.inverse, tau)
     if springs.cubic is None:
         return np.linalg.inv(springs.K) @ tau
     return ca.vertcat(*map(root, np.diag(springs.K), springs.cubic, ca.vertsplit(tau)))
@@ -79,6 +216,8 @@ def root(K: float, cubic: float, tau: Any, f: Any = ca) -> Any:
 
 def secant(springs: Springs, a: ca.SX, b: ca.SX) -> Any:
     """Return S (n, n) [N m/rad] with phi(a) - phi(b) = S (a - b); it is K for straight springs."""
+    if springs.curves:
+        return ca.diag(_joined(springs, TorsionCurve.secant, a, b))
     if springs.cubic is None:
         return springs.K
     return ca.diag(ca.DM(np.diag(springs.K)) + ca.DM(springs.cubic) * (a * a + a * b + b * b))
@@ -86,9 +225,25 @@ def secant(springs: Springs, a: ca.SX, b: ca.SX) -> Any:
 
 def compliance(springs: Springs, zeta: ca.SX) -> Any:
     """Return phi'(zeta)^-1 (n, n) [rad/(N m)] of springs with numeric parameters."""
+    if springs.curves:
+        return ca.diag(1 / _joined(springs, TorsionCurve.tangent, zeta))
     if springs.cubic is None:
         return np.linalg.inv(springs.K)
     return ca.diag(1 / (ca.DM(np.diag(springs.K)) + ca.DM(3 * springs.cubic) * zeta * zeta))
+
+
+def hardening(springs: Springs, zeta: Array) -> Array:
+    """Return the tangents phi' over K (k, n) at deflections (k, n) of springs with numeric parameters."""
+    if springs.curves:
+        pairs = zip(springs.curves, np.abs(zeta).T, strict=True)
+        return np.column_stack([np.interp(size, of.edge, of.stiffness) for of, size in pairs]) / np.diag(springs.K)
+    cubic = np.zeros(len(springs.K)) if springs.cubic is None else springs.cubic
+    return np.asarray(1 + 3 * cubic / np.diag(springs.K) * zeta**2)
+
+
+def _joined(springs: Springs, of: Any, *values: ca.SX) -> ca.SX:
+    """Return a function of the torsion curves (n, ..) at values (n, ..) of the joints."""
+    return ca.vertcat(*(of(*each) for each in zip(springs.curves, *map(ca.vertsplit, values), strict=True)))
 
 
 def _column(cubic: Any) -> ca.SX | ca.DM:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..numerics import symbolic
 from ..numerics.checks import Array
-from ..numerics.symbolic import NumericFunction, numeric
+from ..numerics.symbolic import dense_function, evaluate
 from . import springs
 from .robot import Robot
 
@@ -48,25 +48,25 @@ class VirtualSystem:
 
     def derivative(self, x_v: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return dx_v/dt (4n,), eq. (38), at the virtual state x_v, the measured state x (4n,) and effort u (n,)."""
-        return self._derivative(x_v, x, u)[0]
+        return evaluate(self._derivative, x_v, x, u)[0]
 
     def variational(self, x_v: ArrayLike, x: ArrayLike, delta_x_v: ArrayLike, delta_u: ArrayLike) -> Array:
         """Return d(delta x_v)/dt (4n,), eq. (28), for variations delta_x_v (4n,) and delta_u (n,)."""
-        return self._variational(x_v, x, delta_x_v, delta_u)[0]
+        return evaluate(self._variational, x_v, x, delta_x_v, delta_u)[0]
 
     def _symbols(self) -> dict[str, ca.SX]:
         return symbolic.symbols(x_v=4 * self.robot.n, x=4 * self.robot.n, u=self.robot.n)
 
     @cached_property
-    def _derivative(self) -> NumericFunction:
+    def _derivative(self) -> ca.Function:
         symbols = self._symbols()
-        return numeric("virtual", symbols, {"dx_v": derivative_expression(self.robot, **symbols)})
+        return dense_function("virtual", symbols, {"dx_v": derivative_expression(self.robot, **symbols)})
 
     @cached_property
-    def _variational(self) -> NumericFunction:
+    def _variational(self) -> ca.Function:
         symbols = self._symbols()
         x_v, x, u = symbols.values()
         dx_v = derivative_expression(self.robot, **symbols)
         deltas = symbolic.symbols(delta_x_v=x_v.numel(), delta_u=u.numel())
         variation = symbolic.directional(dx_v, ca.vertcat(x_v, u), ca.vertcat(*deltas.values()))
-        return numeric("variational", {"x_v": x_v, "x": x, **deltas}, {"d_delta_x_v": variation})
+        return dense_function("variational", {"x_v": x_v, "x": x, **deltas}, {"d_delta_x_v": variation})

@@ -58,6 +58,7 @@ class PiecewisePolynomial:
 
     It interpolates the jets of the knots exactly. Before the first time it is constant at the first position. After the
     last time it is constant at the last position, or follows the Taylor polynomial of the last knot if `continues`.
+    With a `period` [s] it repeats itself from t = 0 on, and bounds are those of all times.
     Arguments are not checked. Each half of a segment is a polynomial about its own knot, which preserves the accuracy
     of the fourth derivative.
     """
@@ -65,6 +66,7 @@ class PiecewisePolynomial:
     times: Array
     knots: Array
     continues: bool = False
+    period: float = 0.0
 
     def __repr__(self) -> str:
         return f"PiecewisePolynomial({joints(self.n)}, {len(self.times) - 1} pieces, {span(self.times)})"
@@ -73,6 +75,11 @@ class PiecewisePolynomial:
     def n(self) -> int:
         """Number of joints."""
         return int(self.knots.shape[2])
+
+    @property
+    def end(self) -> float:
+        """Time [s] from which on the polynomial is constant; infinite if it continues or repeats itself."""
+        return inf if self.continues or self.period else float(self.times[-1])
 
     @cached_property
     def table(self) -> tuple[Array, Array, Array, Array]:
@@ -107,6 +114,7 @@ class PiecewisePolynomial:
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
         t, (edges, origins, rates, tables) = np.asarray(t, dtype=float), self.table
+        t = np.maximum(t, 0.0) % self.period if self.period else t
         place = np.searchsorted(edges, t, side="right")
         s = ((t - origins[place]) * rates[place])[..., None, None]
         value = tables[place, -1]
@@ -116,7 +124,7 @@ class PiecewisePolynomial:
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
-        t1 = min(t1, max(t0, self.times[-1]))
+        t0, t1 = (0.0, self.period) if self.period else (t0, min(t1, max(t0, self.times[-1])))
         coarse = np.concatenate([[t0, t1], self._cut(slice(None), 2, t0, t1)])
         seen = self.jets(coarse)[:, :ROWS]
         lower, upper = self._hulls
@@ -132,7 +140,7 @@ class PiecewisePolynomial:
         The bounds are those of the Bezier points of all half segments involved. They exceed the extrema by at most 10/9
         of the largest second difference of these points (Nairn, Peters and Lutterkort, 1999).
         """
-        last = len(self.times) - 2
+        t0, t1, last = *((0.0, self.period) if self.period else (t0, t1)), len(self.times) - 2
         first, end = np.clip(np.searchsorted(self.times, [t0, t1], side="right") - 1, 0, last)
         lower, upper = (bounds[first : end + 1] for bounds in self._hulls)
         return lower.min(axis=0), upper.max(axis=0)
@@ -158,7 +166,7 @@ class PiecewisePolynomial:
 
 
 class PolynomialReference:
-    """Base of the references along `pieces`: constant before the first time and after the last."""
+    """Base of the references along `pieces`."""
 
     pieces: PiecewisePolynomial
 
@@ -169,8 +177,8 @@ class PolynomialReference:
 
     @property
     def end(self) -> float:
-        """Last time [s]; the reference is constant from then on."""
-        return float(self.pieces.times[-1])
+        """Time [s] from which on the reference is constant; infinite if it repeats itself."""
+        return self.pieces.end
 
     def jets(self, t: ArrayLike) -> Array:
         """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
@@ -178,7 +186,7 @@ class PolynomialReference:
 
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad], equally spaced in time from the first time to the last."""
-        return self.jets(np.linspace(self.pieces.times[0], self.end, k))[:, 0]
+        return self.jets(np.linspace(self.pieces.times[0], self.pieces.times[-1], k))[:, 0]
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""

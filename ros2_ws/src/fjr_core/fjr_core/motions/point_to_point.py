@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import MISSING, dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,12 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze, joint_vector, number, positive
 from ..numerics.one_line import one_line
-from .piecewise_polynomial import SAMPLES, PiecewisePolynomial
-from .reference import JETS, ROWS, MotionBounds, Reference, motion_bounds_on
+from ..numerics.parameter_field import VECTOR
+from .piecewise_polynomial import SAMPLES, PiecewisePolynomial, PolynomialReference
+from .reference import JETS, MotionBounds, Reference, motion_bounds_on, motion_field, offset_field
 from .sine import phases
+
+_way, _circle = (partial(motion_field, name=f"{group}.") for group in ("point_to_point", "circle"))
 
 
 def standing(q: ArrayLike, dq: ArrayLike = 0.0) -> Array:
@@ -27,46 +30,24 @@ def standing(q: ArrayLike, dq: ArrayLike = 0.0) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Hold:
+class Hold(PolynomialReference):
     """Constant reference q_ld(t) = q (n,) [rad]. Raises TrajectoryError unless q is a vector of finite numbers."""
 
-    q: ArrayLike
+    q: ArrayLike = offset_field()
 
     __repr__ = one_line
 
     def __post_init__(self) -> None:
         freeze(self, "q", joint_vector("q", self.q))
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(np.size(self.q))
-
-    @property
-    def end(self) -> float:
-        """Zero: the reference is constant from the start."""
-        return 0.0
-
     @cached_property
-    def _jets(self) -> Array:
-        return standing(self.q)
-
-    def jets(self, t: ArrayLike) -> Array:
-        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        return np.tile(self._jets, (np.size(t), 1, 1)) if np.ndim(t) else self._jets.copy()
-
-    def configurations(self, k: int) -> Array:
-        """Return q repeated k times, (k, n) [rad]."""
-        return np.tile(np.asarray(self.q), (k, 1))
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return constant bounds of the position and zero bounds of velocity and acceleration."""
-        rows, at = self._jets[:ROWS], np.full((ROWS, self.n), t0)
-        return MotionBounds(rows, rows, at, at)
+    def pieces(self) -> PiecewisePolynomial:  # type: ignore[override]
+        """The position as a polynomial that ends at t = 0."""
+        return PiecewisePolynomial(np.array([-1.0, 0.0]), np.stack([standing(self.q)] * 2))
 
 
 @dataclass(frozen=True, eq=False)
-class PointToPoint:
+class PointToPoint(PolynomialReference):
     """Motion from q0 to q1 (n,) [rad] in `duration` [s] with four zero derivatives at both ends; constant outside.
 
     returns: periodic motion forth and back, with a dwell [s] at each end. The peak velocity is
@@ -74,30 +55,20 @@ class PointToPoint:
     Raises TrajectoryError for a wrong shape, non-finite numbers, a duration that is not positive or a dwell < 0.
     """
 
-    q0: ArrayLike
-    q1: ArrayLike
-    duration: float
-    dwell: float = 0.0
-    returns: bool = False
+    q0: ArrayLike = _way(MISSING, "Start position", "rad", name="point_to_point.start", shape=VECTOR)
+    q1: ArrayLike = _way(MISSING, "Goal position", "rad", name="point_to_point.goal", shape=VECTOR)
+    duration: float = _way(MISSING, "Duration of the motion", "s", minimum=1e-3)
+    dwell: float = _way(0.0, "Dwell time at the goal, and at the start if it returns", "s", minimum=0.0)
+    returns: bool = _way(False, "true: repeat back and forth; false: move once")
 
     __repr__ = one_line
 
     def __post_init__(self) -> None:
         freeze(self, "q0", joint_vector("q0", self.q0))
-        freeze(self, "q1", checks.vector("q1", self.q1, self.n, TrajectoryError))
+        freeze(self, "q1", checks.vector("q1", self.q1, np.size(self.q0), TrajectoryError))
         positive("duration", self.duration)
         if not (np.isfinite(self.dwell) and self.dwell >= 0):
             raise TrajectoryError(f"dwell is {self.dwell} s; expected 0 or more")
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return int(np.size(self.q0))
-
-    @property
-    def end(self) -> float:
-        """The duration [s]; infinite if it returns."""
-        return np.inf if self.returns else self.duration
 
     @property
     def period(self) -> float:
@@ -105,26 +76,20 @@ class PointToPoint:
         return 2 * (self.duration + self.dwell)
 
     @cached_property
-    def pieces(self) -> PiecewisePolynomial:
-        """The motion as a piecewise polynomial; one period if it returns."""
+    def pieces(self) -> PiecewisePolynomial:  # type: ignore[override]
+        """The motion as a piecewise polynomial."""
         times, knots = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
         if self.returns:
             back = self.period / 2
             times, knots = [*times, back, back + self.duration], [*knots, knots[1], knots[0]]
         kept = np.diff(times, prepend=-1.0) > 0
-        return PiecewisePolynomial(np.array(times)[kept], np.array(knots)[kept])
-
-    def jets(self, t: ArrayLike) -> Array:
-        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        return self.pieces.jets(np.maximum(t, 0.0) % self.period if self.returns else t)
+        return PiecewisePolynomial(
+            np.array(times)[kept], np.array(knots)[kept], period=self.period if self.returns else 0.0
+        )
 
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad], equally spaced between q0 and q1."""
         return np.linspace(np.asarray(self.q0), np.asarray(self.q1), k)
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; of a period if it returns."""
-        return self.pieces.motion_bounds(0.0, self.period) if self.returns else self.pieces.motion_bounds(t0, t1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +101,11 @@ class Circle(Reference):
     Raises TrajectoryError for fewer than two joints, non-finite numbers or a ramp that is not positive.
     """
 
-    centre: ArrayLike
-    radius: float
-    frequency: float
-    phase: float = 0.0
-    ramp: float = 1.0
+    centre: ArrayLike = offset_field()
+    radius: float = _circle(MISSING, "Radius of the circle in the plane of the first two joints", "rad", minimum=0.0)
+    frequency: float = _circle(MISSING, "Angular frequency on the circle; negative: opposite direction", "rad/s")
+    phase: float = _circle(0.0, "Initial angle on the circle", "rad")
+    ramp: float = _circle(1.0, "Acceleration time from rest to the angular frequency", "s", minimum=1e-3)
 
     __repr__ = one_line
 

@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
+from functools import partial
 from math import inf
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, kind_of
+from ..numerics.parameter_field import VECTOR, parameter_field
 
 Indices = NDArray[np.intp]
 
@@ -20,6 +22,15 @@ ROWS = 3  # position, velocity, acceleration
 _REFINEMENTS, _NEWTON_STEPS = 2, 8
 REFERENCE_DERIVATIVES = 4  # q_ld .. d4q_ld: the law has relative degree four
 JETS = REFERENCE_DERIVATIVES + 1
+
+motion_field = partial(parameter_field, dynamic=True)
+"""A field of a reference that is also its parameter reference.*."""
+
+
+def offset_field(default: Any = MISSING) -> Any:
+    """Return the field of the position about which a reference moves; references share its parameter."""
+    description = "Offset of the sines, centre of the circle, position of hold"
+    return motion_field(default, description, "rad", name="offset", shape=VECTOR)
 
 
 class Reference(Protocol):

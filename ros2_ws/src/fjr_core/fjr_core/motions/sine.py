@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import MISSING, dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,9 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from ..numerics.one_line import one_line
-from .reference import ROWS, MotionBounds, Reference, motion_bounds_on
+from ..numerics.parameter_field import ROWS as TABLE
+from ..numerics.parameter_field import VECTOR
+from .reference import ROWS, MotionBounds, Reference, motion_bounds_on, motion_field, offset_field
 
 MOST_CYCLES = 1000
 """Cycles of the fastest sine in a common period of several, up to which their bounds are exact."""
@@ -21,6 +23,7 @@ POINTS_PER_CYCLE = 8
 _ROUNDING = 1e-9  # relative to the highest frequency
 
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets
+_of_rows = partial(motion_field, name="multi_sine.", shape=TABLE)
 
 
 class Sines(Reference):
@@ -87,10 +90,10 @@ class Sine(Sines):
     Raises TrajectoryError for different lengths or a non-finite value.
     """
 
-    amplitude: ArrayLike
-    frequency: ArrayLike
-    offset: ArrayLike = 0.0
-    phase: ArrayLike = 0.0
+    amplitude: ArrayLike = motion_field(MISSING, "Amplitude of the sine", "rad", shape=VECTOR)
+    frequency: ArrayLike = motion_field(MISSING, "Angular frequency of the sine", "rad/s", minimum=0.0, shape=VECTOR)
+    offset: ArrayLike = offset_field(0.0)
+    phase: ArrayLike = motion_field(0.0, "Phase of the sine", "rad", shape=VECTOR)
 
     __repr__ = one_line
 
@@ -110,10 +113,10 @@ class MultiSine(Sines):
     Raises TrajectoryError for different shapes or a non-finite value.
     """
 
-    amplitude: ArrayLike
-    frequency: ArrayLike
-    phase: ArrayLike = 0.0
-    offset: ArrayLike = 0.0
+    amplitude: ArrayLike = _of_rows(MISSING, "Amplitudes of the sines", "rad")
+    frequency: ArrayLike = _of_rows(MISSING, "Angular frequencies of the sines", "rad/s", minimum=0.0)
+    phase: ArrayLike = _of_rows(0.0, "Phases of the sines", "rad")
+    offset: ArrayLike = offset_field(0.0)
 
     __repr__ = one_line
 

@@ -11,6 +11,7 @@ import hashlib
 import logging
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
@@ -20,7 +21,7 @@ from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import _cffi_backend
 import casadi as ca
@@ -40,6 +41,8 @@ _log = logging.getLogger("fjr_core.numerics.jit")
 SOURCES = (".py", ".c", ".h")
 INCLUDED = ("#include <math.h>", "#include <stdint.h>", "#include <string.h>")
 PACKAGE = Path(__file__).parents[1]
+_NUMBER = re.compile(r"^#define (\w+) (\d+)\b.*$", re.MULTILINE)
+_DIRECTIVE = re.compile(r"^#.*$", re.MULTILINE)
 
 
 def c_compiler() -> tuple[str, ...]:
@@ -293,14 +296,37 @@ def _written(declarations: str) -> bytes:
         return code.read_bytes()
 
 
-def c_library(module: str, sizes: Mapping[str, int] = {}, options: Sequence[str] = ()) -> tuple[Any, Any]:
-    """Return cffi's types and the library of <module>.c, whose declarations are in <module>.h.
+def declarations(header: str, values: Mapping[str, int]) -> str:
+    """Return a header as cffi reads it: without directives, and with the macros that are numbers replaced."""
+    numbers = {**values, **{name: int(value) for name, value in _NUMBER.findall(header)}}
+    for name, value in numbers.items():
+        header = re.sub(rf"\b{name}\b", str(value), header)
+    return _DIRECTIVE.sub("", header)
 
-    module: `__file__` of the Python module of the same name. sizes: macros of the code; options: of the compiler.
+
+class CLibrary(NamedTuple):
+    """A compiled library with cffi's types: `ffi` makes structures, `lib` holds the functions."""
+
+    ffi: Any
+    lib: Any
+    path: str
+
+
+def c_library(
+    name: str, headers: str, sources: str, values: Mapping[str, int] = {}, options: Sequence[str] = ()
+) -> CLibrary:
+    """Compile C and open it by cffi, which reads the same headers, so that each structure stands once.
+
+    headers, sources: their texts. values: macros that are numbers, defined before. options: of the compiler.
     Raises CompilerError.
     """
+    defined = "".join(f"#define {macro} {value}\n" for macro, value in values.items())
+    ffi, path = ffi_of(declarations(headers, values)), shared_object(name, f"{defined}{headers}\n{sources}", options)
+    return CLibrary(ffi, ffi.dlopen(path), path)
+
+
+def c_library_of(module: str, values: Mapping[str, int] = {}, options: Sequence[str] = ()) -> CLibrary:
+    """Return the library of <module>.c with <module>.h; module: `__file__` of the Python module of the same name."""
     path = Path(module)
     header, code = (path.with_suffix(suffix).read_text(encoding="utf-8") for suffix in (".h", ".c"))
-    defined = [f"#define {name} {size}" for name, size in sizes.items()]
-    ffi = ffi_of(header)
-    return ffi, ffi.dlopen(shared_object(path.stem, "\n".join([*INCLUDED, *defined, header, code]), options))
+    return c_library(path.stem, "\n".join([*INCLUDED, header]), code, values, options)

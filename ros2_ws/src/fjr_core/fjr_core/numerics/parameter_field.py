@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[str, ...]
 
 SCALAR, LIST, VECTOR, MATRIX, ROWS, POINT = "scalar", "list", "vector", "matrix", "rows", "point"
 """Shapes: one value; a list as given; n entries; n or n*n entries; m*n entries; three coordinates."""
-_SHAPE_TEXT = {MATRIX: ", n entries or n*n by rows", ROWS: ", m*n entries: a row of n for each sine"}
+_SHAPE_TEXT = {MATRIX: ", n entries or n*n by rows", ROWS: ", m*n entries: m rows of n"}
 _METADATA = "parameter"
 
 
@@ -111,10 +111,10 @@ def parameter_field(default: Any, description: str, unit: str = "", *, name: str
     return field(default=default, metadata={_METADATA: Parameter(name, default, description, unit, **properties)})
 
 
-def declared(kind: type, prefix: str = "", defaults: object = None) -> dict[str, Parameter]:
+def declared(kind: type, prefix: str = "", defaults: Mapping[str, Any] | None = None) -> dict[str, Parameter]:
     """Return the parameters that a dataclass declares, by field, with their full names.
 
-    prefix: of the group, as "robust.". defaults: an instance whose values replace the defaults of the fields.
+    prefix: of the group, as "robust.". defaults: by field, in place of those of the fields.
     """
     found = {}
     for each in fields(kind):
@@ -122,7 +122,7 @@ def declared(kind: type, prefix: str = "", defaults: object = None) -> dict[str,
         if parameter is not None:
             own = parameter.name
             name = own + each.name if not own or own.endswith(".") else own
-            default = parameter.default if defaults is None else getattr(defaults, each.name)
+            default = (defaults or {}).get(each.name, parameter.default)
             found[each.name] = replace(parameter, name=prefix + name, default=default)
     return found
 

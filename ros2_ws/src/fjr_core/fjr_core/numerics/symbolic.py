@@ -73,6 +73,14 @@ class NumericFunction(threading.local):
         return tuple([result.copy() for result in self._results])
 
 
+def evaluate(function: ca.Function, *arguments: ArrayLike) -> tuple[Array, ...]:
+    """Evaluate a function as its NumericFunction, which is made at the first call; a function has one."""
+    if not hasattr(function, "numeric"):
+        function.numeric = NumericFunction(function)
+    found: tuple[Array, ...] = function.numeric(*arguments)
+    return found
+
+
 def _assign(name: str, own: Array, given: ArrayLike) -> None:
     try:
         shape = np.shape(given)
@@ -114,11 +122,6 @@ def dense_function(
     """Return a CasADi function of named symbols with dense outputs; cse: eliminate common subexpressions."""
     dense = [ca.densify(e) for e in outputs.values()]
     return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": cse})
-
-
-def numeric(name: str, inputs: dict[str, ca.SX | ca.MX], outputs: dict[str, ca.SX | ca.MX]) -> NumericFunction:
-    """Bind named symbols and expressions to a callable."""
-    return NumericFunction(dense_function(name, inputs, outputs))
 
 
 class PackedVector:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build the control step (step.h and the C files beside it), open it by cffi, and fill its structures.
-
-cffi reads the declarations from step.h itself, so that each structure stands once.
-"""
+"""Build the control step (step.h and the C files beside it), and fill its structures."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,7 +16,7 @@ from ..law.interfaces import SampledLaw, StaticLaw, in_python, ready_step, stati
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..numerics.checks import Array
-from ..numerics.jit import compiled, ffi_of, machine_code, shared_object
+from ..numerics.jit import CLibrary, c_library, compiled, machine_code
 from ..numerics.symbolic import bind, dense_function, symbols
 from .measurement_model import Measurement
 from .safety_settings import GRAVITY_HOLD, Settings
@@ -45,38 +42,34 @@ SOURCES = (
     "auxiliary_rate.c",
 )
 """The C files in the order of their translation unit."""
-_DEFINED = re.compile(r"^#define (\w+) (\d+)\b.*$", re.MULTILINE)
 _NUMBER = re.compile(r"^#define (\w+) ([\d.e+-]+)", re.MULTILINE)
-_DIRECTIVE = re.compile(r"^#.*$", re.MULTILINE)
 
 LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
 """Settings that are the largest magnitude of a quantity, in the order of struct fjr_settings."""
 
 
-class StepLibrary(NamedTuple):
-    """The compiled step with cffi's types: `new` makes structures, `lib` holds the functions of step.h."""
-
-    ffi: Any
-    lib: Any
-    path: str
-
-
 @cache
-def step_library(n: int, memory: int = 1) -> StepLibrary:
+def step_library(n: int, memory: int = 1) -> CLibrary:
     """Return the step for n joints and a law with `memory` numbers as its controller state, compiled and cached.
 
     Raises CompilerError without a C compiler.
     """
-    path = shared_object("control_step", c_text(n, memory))
-    ffi = ffi_of(declarations(text(HEADER), {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
-    return StepLibrary(ffi, ffi.dlopen(path), path)
+    return c_library("control_step", text(HEADER), c_code(), sizes(n, memory))
+
+
+def sizes(n: int, memory: int) -> dict[str, int]:
+    """Return the macros of the step for n joints and a controller state of `memory` numbers."""
+    return {"FJR_N": n, "FJR_MEMORY": max(1, memory)}
+
+
+def c_code() -> str:
+    """Return the text of the C files, to follow that of step.h."""
+    return "\n".join(text(name).replace(f'#include "{HEADER}"\n', "") for name in SOURCES)
 
 
 def c_text(n: int, memory: int) -> str:
     """Return the translation unit of the step for n joints and a controller state of `memory` numbers."""
-    defined = f"#define FJR_N {n}\n#define FJR_MEMORY {max(1, memory)}\n"
-    parts = (text(name).replace(f'#include "{HEADER}"\n', "") for name in SOURCES)
-    return "\n".join([defined, text(HEADER), *parts])
+    return "\n".join([*(f"#define {name} {size}" for name, size in sizes(n, memory).items()), text(HEADER), c_code()])
 
 
 def text(name: str) -> str:
@@ -87,14 +80,6 @@ def text(name: str) -> str:
 def constant(name: str) -> float:
     """Return the number of a macro of step.h or of the C files. Raises KeyError."""
     return {found: float(number) for found, number in _NUMBER.findall(c_text(1, 1))}[name]
-
-
-def declarations(header: str, values: dict[str, int]) -> str:
-    """Return a header as cffi reads it: without directives, and with the macros that are numbers replaced."""
-    values = values | {name: int(value) for name, value in _DEFINED.findall(header)}
-    for name, value in values.items():
-        header = re.sub(rf"\b{name}\b", str(value), header)
-    return _DIRECTIVE.sub("", header)
 
 
 class CFunction:
@@ -143,7 +128,7 @@ class WorkSpace:
             setattr(struct, name, getattr(self, name))
 
 
-def settings_struct(library: StepLibrary, settings: Settings, law: SampledLaw) -> Any:
+def settings_struct(library: CLibrary, settings: Settings, law: SampledLaw) -> Any:
     """Return struct fjr_settings: limits and durations of the settings, B_m and K_md of the law's robot."""
     struct = library.ffi.new("struct fjr_settings *")
     magnitudes = [np.asarray(getattr(settings, name)) for name in LIMITED]
@@ -178,7 +163,7 @@ class Model:
 
     def __init__(
         self,
-        library: StepLibrary,
+        library: CLibrary,
         law: SampledLaw,
         functions: Mapping[str, ca.Function],
         observer: VelocityObserver | None = None,
@@ -261,6 +246,11 @@ def write_robot(model: Any, robot: Robot) -> None:
     for name in ("K", "M_m", "B_m", "D_l", "D_m"):
         setattr(model, name, np.ravel(getattr(robot, name)).tolist())
     model.cubic = [0.0] * robot.n if robot.cubic is None else robot.cubic.tolist()
+    if robot.curves:
+        model.pieces = len(robot.curves[0].edge)
+        for name, field in (("edge", "edge"), ("torsion", "torque"), ("tangent", "stiffness"), ("bend", "slope")):
+            values = np.column_stack([getattr(of, field) for of in robot.curves]).ravel()
+            getattr(model, name)[0 : len(values)] = values.tolist()
 
 
 class CertificateStruct:

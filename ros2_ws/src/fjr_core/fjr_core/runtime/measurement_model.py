@@ -70,7 +70,7 @@ class Measurement:
                 f"measurement.velocity is '{self.velocity}' with measurement.motor 'torque'; expected '{OBSERVER}', "
                 "since a torque sensor does not measure the motor velocity"
             )
-        if self.geared:
+        if np.any(np.asarray(self.gear_ratio) != 1):
             ratio = np.asarray(self.gear_ratio).tolist()
             raise ParameterError(
                 f"measurement.gear_ratio is {ratio} with measurement.motor 'torque'; expected 1, no motor angle is read"
@@ -88,11 +88,6 @@ class Measurement:
     def by_torque(self) -> bool:
         """True if motor positions are computed from joint torques."""
         return self.motor == TORQUE
-
-    @property
-    def geared(self) -> bool:
-        """True if motor angles are divided by a gear ratio."""
-        return bool(np.any(np.asarray(self.gear_ratio) != 1))
 
 
 class JointSample(NamedTuple):

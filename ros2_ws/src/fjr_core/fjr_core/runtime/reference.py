@@ -13,7 +13,7 @@ from ..errors import FjrError, TrajectoryError, UserCodeError
 from ..extensions.python_code import checked
 from ..files.importing import described
 from ..motions.piecewise_polynomial import PiecewisePolynomial, PolynomialReference
-from ..motions.point_to_point import Circle, Hold, PointToPoint
+from ..motions.point_to_point import Circle
 from ..motions.reference import JETS, Reference, check_reference
 from ..motions.sine import Sines
 from ..motions.transition import TimeShifted, Transition
@@ -60,21 +60,15 @@ def reference_table(reference: Any) -> ReferenceTable:
     if owner is Sines:
         arrays = dict(zip(_SINES, reference.rows, strict=True))
         return ReferenceTable("FJR_SINES", np.asarray(reference.offset), reference.end, arrays)
-    if owner is Hold:
-        return ReferenceTable("FJR_HOLD", np.asarray(reference.q), reference.end, {})
     if owner is Circle:
         arrays = dict(zip(_POLYNOMIALS, reference.angle.table, strict=True))
         centre = np.asarray(reference.centre)
         return ReferenceTable("FJR_CIRCLE", centre, reference.end, arrays, radius=reference.radius)
     if owner is PiecewisePolynomial:
-        end = inf if reference.continues else float(reference.times[-1])
         arrays = dict(zip(_POLYNOMIALS, reference.table, strict=True))
-        return ReferenceTable("FJR_POLYNOMIALS", np.zeros(reference.n), end, arrays)
+        return ReferenceTable("FJR_POLYNOMIALS", np.zeros(reference.n), reference.end, arrays, period=reference.period)
     if owner is PolynomialReference:
         return reference_table(reference.pieces)
-    if owner is PointToPoint:
-        period = reference.period if reference.returns else 0.0
-        return replace(reference_table(reference.pieces), end=reference.end, period=period)
     if owner is Transition:
         then, until = reference_table(reference.target), reference.transition_end
         return replace(

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..model.robot import REVOLUTE, JointLimits, Units
-from ..numerics.checks import Array, freeze, joint_names
-from ..numerics.parameter_field import VECTOR, Parameter, declared, parameter_field
+from ..numerics.checks import freeze, joint_names, limits
+from ..numerics.parameter_field import VECTOR, declared, parameter_field
 
 ZERO, GRAVITY_HOLD = "zero", "gravity_hold"
 SHORTEST = 1e-3  # s; shortest duration that is not 0
@@ -124,7 +124,11 @@ class Settings:
         for field, parameter in declared(Settings).items():
             value = getattr(self, field)
             if parameter.shape == VECTOR:
-                freeze(self, field, _bounds(parameter, value, self.n))
+                array = limits(f"parameter '{parameter.name}'", value, self.n, ParameterError)
+                if np.any(array < parameter.minimum):
+                    expected = f"expected {parameter.range}, infinite for no limit"
+                    raise ParameterError(f"parameter '{parameter.name}' is {array.tolist()}; {expected}")
+                freeze(self, field, array)
             elif parameter.constraint == _DURATION and not (value == 0 or value >= SHORTEST):
                 expected = f"0 for none, or at least {SHORTEST} s"
                 raise ParameterError(f"parameter '{parameter.name}' is {value} s; expected {expected}")
@@ -142,24 +146,12 @@ class Settings:
         """Number of joints."""
         return len(self.joints)
 
-    def tightened(self, limits: JointLimits) -> Settings:
+    def tightened(self, robot: JointLimits) -> Settings:
         """Return these settings with the tighter of both limits: range and speed of the links, effort of the motors."""
         return replace(
             self,
-            effort=np.minimum(self.effort, limits.effort),
-            link_velocity=np.minimum(self.link_velocity, limits.velocity),
-            link_position_lower=np.maximum(self.link_position_lower, limits.lower),
-            link_position_upper=np.minimum(self.link_position_upper, limits.upper),
+            effort=np.minimum(self.effort, robot.effort),
+            link_velocity=np.minimum(self.link_velocity, robot.velocity),
+            link_position_lower=np.maximum(self.link_position_lower, robot.lower),
+            link_position_upper=np.minimum(self.link_position_upper, robot.upper),
         )
-
-
-def _bounds(parameter: Parameter, value: ArrayLike, n: int) -> Array:
-    array = np.array(np.broadcast_to(value, (n,)) if np.ndim(value) == 0 else value, dtype=float)
-    if array.shape != (n,):
-        raise ParameterError(f"parameter '{parameter.name}' has {array.size} entries; expected {n}, one per joint")
-    if np.any(np.isnan(array)) or np.any(array < parameter.minimum):
-        kind = "numbers" if parameter.minimum == -math.inf else "numbers of at least 0"
-        raise ParameterError(
-            f"parameter '{parameter.name}' is {array.tolist()}; expected {kind}, infinite for no limit"
-        )
-    return array

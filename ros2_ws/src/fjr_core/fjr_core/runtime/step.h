@@ -21,6 +21,7 @@
 #define FJR_EVENTS 128
 #define FJR_WINDOW 21    /* states that the check of the wiring compares, at most .. */
 #define FJR_INTERVALS 20 /* .. and the intervals between them */
+#define FJR_PIECES 16    /* parabolas of a torsion curve, at most */
 #define FJR_NEVER INT64_MIN /* no stamp */
 
 /* A function in C as CasADi writes it: results in res[i], entries of arg and res may be 0; not 0: it failed. */
@@ -92,6 +93,9 @@ struct fjr_model {
   double K[FJR_N * FJR_N], M_m[FJR_N * FJR_N], B_m[FJR_N * FJR_N]; /* by rows, of the check of the wiring */
   double D_l[FJR_N * FJR_N], D_m[FJR_N * FJR_N];
   double cubic[FJR_N]; /* of springs K zeta + cubic zeta^3, whose K is diagonal [N m/rad^3] */
+  int32_t pieces; /* of torsion curves (model/springs.py), 0: none; fields of these pieces by rows: */
+  double edge[FJR_PIECES * FJR_N], torsion[FJR_PIECES * FJR_N]; /* rad, N m */
+  double tangent[FJR_PIECES * FJR_N], bend[FJR_PIECES * FJR_N]; /* N m/rad, N m/rad^2 */
   const double** arg; /* work space of the functions */
   double** res;
   long long int* iw;

@@ -157,7 +157,16 @@ static int evaluate_arm(const struct fjr_model* m, const struct fjr_comparison* 
   return 1;
 }
 
-/* Write K (q_m - q_l) of joint i, of a spring that hardens with its cubic part. */
+/* Return the torque of the torsion curve of joint i at a deflection, and write its tangent. */
+static double on_curve(const struct fjr_model* m, int i, double zeta, double* tangent) {
+  int at = i;
+  while (at / N + 1 < m->pieces && fabs(zeta) >= m->edge[at + N]) at += N;
+  const double x = fabs(zeta) - m->edge[at];
+  *tangent = m->tangent[at] + m->bend[at] * x;
+  return copysign(m->torsion[at] + x * (m->tangent[at] + m->bend[at] * x / 2), zeta);
+}
+
+/* Write K (q_m - q_l) of joint i, or the torque on its curve. */
 static void spring_torque(const struct fjr_model* m, const struct fjr_comparison* c, const struct wires* v, int i,
                           double* torque) {
   fill(torque, 0, c->intervals);
@@ -166,10 +175,11 @@ static void spring_torque(const struct fjr_model* m, const struct fjr_comparison
     if (K == 0) continue;
     for (int k = 0; k < c->intervals; ++k) torque[k] += (v->sign[N + j] * q_m[k] - v->sign[j] * q_l[k]) * K;
   }
-  if (m->cubic[i] == 0) return;
+  if (m->cubic[i] == 0 && m->pieces == 0) return;
   for (int k = 0; k < c->intervals; ++k) {
     const double zeta = torque[k] / m->K[i * N + i];
-    torque[k] += m->cubic[i] * zeta * zeta * zeta;
+    double tangent;
+    torque[k] = m->pieces ? on_curve(m, i, zeta, &tangent) : torque[k] + m->cubic[i] * zeta * zeta * zeta;
   }
 }
 
@@ -190,7 +200,12 @@ static void add_torque_noise(const struct fjr_model* m, const struct fjr_compari
   for (int j = 0; j < N; ++j) {
     const int middle = c->intervals / 2;
     const double zeta = v->sign[N + j] * c->q[v->from[N + j]][middle] - v->sign[j] * c->q[v->from[j]][middle];
-    const double K = m->K[i * N + j] + (i == j) * 3 * m->cubic[i] * zeta * zeta, inertia = M[i * N + j];
+    const double inertia = M[i * N + j];
+    double K = m->K[i * N + j];
+    if (i == j && m->pieces)
+      on_curve(m, i, zeta, &K);
+    else if (i == j)
+      K += 3 * m->cubic[i] * zeta * zeta;
     mean += K * K * (c->q_noise[v->from[j]] + c->q_noise[v->from[N + j]]);
     change += c->rate * (inertia * inertia) * c->dq_noise[v->from[first + j]];
   }

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..errors import FjrError, StateError
 from ..law.interfaces import SampledLaw, StaticLaw, check_law, raise_failure, ready_step
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot, Units, joined, law_view
+from ..model.robot import Robot, Units, joined
 from ..motions.reference import JETS, Reference, check_reference
 from ..numerics import checks
 from ..numerics.checks import Array
@@ -49,8 +49,8 @@ def simulate(
     delay [s]: the effort for the state at t acts from t + delay on, with zero effort before the first; Trajectory.u is
     the effort computed at t. Only for a sampled loop.
     law: one with a controller state (robust.law.RobustLaw) requires a sample_period; its reference is at t + law.lead.
-    The robots of plant and law may differ (model mismatch). The law then receives the positions and velocities of the
-    plant with momenta by its own inertia, and V is its own; Trajectory.x is the state of the plant.
+    The robots of plant and law may differ (model mismatch). The law receives the positions and velocities of the
+    plant, and V is its own; Trajectory.x is the state of the plant, with momenta by the plant's inertia.
     Raises StateError for wrong shapes or numbers, a law that is none, and if the state is no longer finite;
     TrajectoryError for a reference that is none, such as a function of time; UserCodeError for a failure of a law or
     plant in Python.
@@ -100,15 +100,13 @@ def _sampled(
     """Simulate sample by sample."""
     n, run = plant.robot.n, _empty_trajectory(plant.robot, t, reference.jets(t))
     x, u, V, none = x0.copy(), np.zeros(n), np.zeros(1), np.zeros(n)
-    if isinstance(law, StaticLaw):
-        evaluate_law = _static(plant, law, run.jets, x, u, V)
-    else:
-        evaluate_law = _with_state(plant, law, reference.jets(t + law.lead), t, x, u, V)
+    jets = reference.jets(t + law.lead) if law.lead else run.jets
+    evaluate_law = _bound_law(plant, law, x, u, V)
     segments = _segments(plant, x, period, delay, inner_step)
     for k in range(len(t)):
         if not x.dot(x) < np.inf:
             raise _diverged(t[k])
-        evaluate_law(k)
+        evaluate_law(jets[k], t[k] - t[k - 1] if k else 0.0)
         run.x[k], run.u[k], run.V[k] = x, u, V[0]
         if k + 1 == len(t):
             break
@@ -150,37 +148,25 @@ def _advancing(plant: Plant, x: Array, dt: float, steps: int) -> Callable[[Array
     return advance
 
 
-BoundLaw = Callable[[int], None]
-"""Evaluate the law for sample k, from the state of the plant in an array into efforts (n,) and V (1,)."""
+def _bound_law(plant: Plant, law: SampledLaw, x: Array, u: Array, V: Array) -> Callable[[Array, float], None]:
+    """Return the evaluation of a law at jets (5, n), dt [s] after the last one, from x (4n,) into u (n,) and V (1,).
 
+    The law sees the positions and velocities of the plant. u still holds the effort of the last sample, which was sent.
+    """
+    now, velocity, sent, age = np.zeros((JETS, len(u))), np.zeros(len(x) // 2), np.zeros_like(u), np.zeros(1)
+    memory, gains = law.memory.copy(), np.ascontiguousarray(law.gain_values, dtype=float)
+    after, measured = np.zeros_like(memory), [x[: len(velocity)], velocity, now, gains]
+    see = bind(plant.robot.to_velocity, [x], [velocity])
+    if isinstance(law, StaticLaw):
+        evaluate = bind(law.measured_function, measured, [u, V])
+    else:
+        evaluate = bind(ready_step(law), [*measured, memory, sent, age], [u, V, after])
 
-def _static(plant: Plant, law: StaticLaw, jets: Array, x: Array, u: Array, V: Array) -> BoundLaw:
-    """Bind a static law to the arrays of state x (4n,), effort u (n,) and V (1,)."""
-    now = np.zeros(jets.shape[1:])
-    view = law_view(plant.robot, law.robot)
-    seen = x if view is None else np.zeros_like(x)
-    update_view = bind(view, [x], [seen]) if view else lambda: None
-    evaluate = bind(law.command_function, [seen, now], [u, V])
-
-    def evaluate_law(k: int) -> None:
-        now[...] = jets[k]
-        update_view()
+    def evaluate_law(jets: Array, dt: float) -> None:
+        now[...], sent[...], age[...] = jets, u, dt
+        see()
         evaluate()
-
-    return evaluate_law
-
-
-def _with_state(plant: Plant, law: SampledLaw, jets: Array, t: Array, x: Array, u: Array, V: Array) -> BoundLaw:
-    """Bind a law with a controller state to the arrays of state x (4n,), effort u (n,) and V (1,)."""
-    velocity, memory, gains = np.zeros(len(x) // 2), law.memory, law.gain_values
-    update_view = bind(plant.robot.to_velocity, [x], [velocity])
-    evaluate = NumericFunction(ready_step(law))
-
-    def evaluate_law(k: int) -> None:
-        nonlocal memory
-        update_view()
-        dt = t[k] - t[k - 1] if k else 0.0
-        u[...], V[...], memory = evaluate(x[: len(velocity)], velocity, jets[k], gains, memory, u, dt)
+        memory[...] = after
 
     return evaluate_law
 
@@ -199,22 +185,21 @@ def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t
         if not np.isfinite(found).all():
             raise _diverged(t[k + 1 + int(np.argmin(np.isfinite(found).all(axis=1)))])
     x, u, V = np.zeros_like(x0), np.zeros(plant.robot.n), np.zeros(1)
-    evaluate_law = _static(plant, law, run.jets, x, u, V)
+    evaluate_law = _bound_law(plant, law, x, u, V)
     for k in range(len(t)):
         x[...] = run.x[k]
-        evaluate_law(k)
+        evaluate_law(run.jets[k], dt)
         run.u[k], run.V[k] = u, V[0]
     return run
 
 
 def _closed_loop_step(plant: Plant, law: StaticLaw, dt: float) -> ca.Function:
     """Build the Runge-Kutta step over dt [s] of dx/dt = f(x) + G u(x, x, t): x, jets at start, middle, end -> x."""
-    n = plant.robot.n
+    n, gains = plant.robot.n, ca.DM(law.gain_values)
     x, *stages = ca.MX.sym("x", 4 * n), *(ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
-    view = law_view(plant.robot, law.robot)
 
     def f(x: ca.MX, jets: ca.MX) -> ca.MX:
-        return plant.dynamics(x, law.command_function(view(x) if view else x, jets)[0])
+        return plant.dynamics(x, law.measured_function(x[: 2 * n], plant.robot.to_velocity(x), jets, gains)[0])
 
     inputs = {"x": x, **{each.name(): each for each in stages}}
     return dense_function("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, tuple(stages), dt)})

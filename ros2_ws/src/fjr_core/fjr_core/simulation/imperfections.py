@@ -51,9 +51,10 @@ class Imperfections:
     """Imperfections of n joints; each field except n is a scalar or (n,), stored as (n,). All are off by default.
 
     The fields declare units, ranges and descriptions. Friction of links (_l) and motors (_m) has the level
-    coulomb + (static - coulomb) exp(-(v / stribeck)^2). With tanh(v / smoothing) in place of sign(v), a joint creeps
-    instead of sticking and an explicit integrator stays stable; see friction_rate. The motor torque lags after the
-    saturation of the command. payload_position (3,) is in the frame of the last link. Raises ParameterError.
+    coulomb + (static - coulomb) exp(-(v / stribeck)^2) + load |torque of the spring|. With tanh(v / smoothing) in place
+    of sign(v), a joint creeps instead of sticking and an explicit integrator stays stable; see friction_rate. The motor
+    torque lags after the saturation of the command. payload_position (3,) is in the frame of the last link. Raises
+    ParameterError.
     """
 
     n: int
@@ -73,6 +74,12 @@ class Imperfections:
         "Static (breakaway) friction torque of the motors; ignored if below the Coulomb level",
     )
     stribeck_m: ArrayLike = _per_joint(0.1, "motor_stribeck_velocity", "rad/s", "Stribeck velocity of the motors", 1e-6)
+    load_l: ArrayLike = _per_joint(
+        0.0, "link_load_friction", "1", "Share of the torque of the spring by which the friction of the links grows"
+    )
+    load_m: ArrayLike = _per_joint(
+        0.0, "motor_load_friction", "1", "Share of the torque of the spring by which the friction of the motors grows"
+    )
     smoothing: ArrayLike = _per_joint(
         0.01,
         "friction_smoothing_velocity",
@@ -120,20 +127,28 @@ class Imperfections:
 
 
 NAMES = tuple(field.name for field in fields(Imperfections) if field.name != "n")
-SWITCHES = ("coulomb_l", "static_l", "coulomb_m", "static_m", "cubic", "hysteresis", "ripple", "lag", "payload_mass")
+SWITCHES = (
+    *("coulomb_l", "static_l", "load_l", "coulomb_m", "static_m", "load_m"),
+    *("cubic", "hysteresis", "ripple", "lag", "payload_mass"),
+)
 """If all of these are 0 and there is no effort_limit, the robot equals eq. (36)."""
 
 
 def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) -> float:
     """Return the largest damping rate [1/s] of friction, which occurs in creep at zero velocity.
 
-    Largest eigenvalue of M^-1 diag(level / smoothing) with the inertias M_l, M_m (n, n) and the levels at rest. A
+    Largest eigenvalue of M^-1 diag(level / smoothing) with the inertias M_l, M_m (n, n) and the levels at rest, under
+    the load of effort_limit where there is one. A
     Runge-Kutta step of order 4 is stable below 2.78 / dt (E. Hairer, G. Wanner, Solving Ordinary Differential Equations
     II, sec. IV.2); above, a motion that creeps or reverses would chatter.
     """
     i = imperfections
-    sides = ((M_l, i.coulomb_l, i.static_l), (M_m, i.coulomb_m, i.static_m))
-    slopes = [(np.asarray(M), np.maximum(coulomb, static) / i.smoothing) for M, coulomb, static in sides]
+    load = np.where(np.isfinite(i.effort_limit), i.effort_limit, 0.0)
+    sides = ((M_l, i.coulomb_l, i.static_l, i.load_l), (M_m, i.coulomb_m, i.static_m, i.load_m))
+    slopes = [
+        (np.asarray(M), (np.maximum(coulomb, static) + np.asarray(share) * load) / np.asarray(i.smoothing))
+        for M, coulomb, static, share in sides
+    ]
     return max(float(np.max(np.linalg.eigvals(np.linalg.solve(M, np.diag(slope))).real)) for M, slope in slopes)
 
 

@@ -27,7 +27,7 @@ from ..model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
-from ..numerics.symbolic import NumericFunction, PackedVector, blocks, dense_function, numeric, sparse, symbols
+from ..numerics.symbolic import PackedVector, blocks, dense_function, evaluate, sparse, symbols
 from .imperfections import NAMES, SIZES, Imperfections
 
 SHORTEST_LAG = 1e-12  # s
@@ -57,15 +57,15 @@ class NonidealPlant:
 
     def step(self, state: ArrayLike, u: ArrayLike, external: ArrayLike, parameters: ArrayLike, dt: float) -> Array:
         """Return the state (6n,) after dt [s] under the command u (n,) and external torques (n,) [N m] on the links."""
-        return self._step(state, u, external, parameters, dt)[0]
+        return evaluate(self.step_function, state, u, external, parameters, dt)[0]
 
     def applied(self, a: ArrayLike, u: ArrayLike, parameters: ArrayLike) -> Array:
         """Return the present actuator outputs (n,) for the state a (n,) of the lag and the command u (n,)."""
-        return self._applied(a, u, parameters, 0.0)[0]
+        return evaluate(self._actuators, a, u, parameters, 0.0)[0]
 
     def measure(self, state: ArrayLike, parameters: ArrayLike) -> tuple[Array, Array]:
         """Return velocities (dq_l, dq_m) (2n,) [rad/s] and joint torques (n,) [N m], with h, at a state (6n,)."""
-        velocity, spring = self._measure(state, parameters)
+        velocity, spring = evaluate(self._measure, state, parameters)
         return velocity, spring
 
     def hamiltonian(self, x: ArrayLike, parameters: ArrayLike) -> float:
@@ -73,11 +73,11 @@ class NonidealPlant:
 
         A Maxwell element stores h^2 slip / (2 hysteresis) more.
         """
-        return float(self._hamiltonian(x, parameters)[0][0])
+        return float(evaluate(self._hamiltonian, x, parameters)[0][0])
 
     def state(self, position: ArrayLike, velocity: ArrayLike, parameters: ArrayLike) -> Array:
         """Return x (4n,) from positions and velocities (2n,) of links and motors, with the momenta of the payload."""
-        return self._state(position, velocity, parameters)[0]
+        return evaluate(self._state, position, velocity, parameters)[0]
 
     @cached_property
     def dynamics(self) -> ca.Function:
@@ -91,10 +91,11 @@ class NonidealPlant:
         applied, external, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, 3 * n, inputs.numel()])
         p, q_m = layout(n).named(parameters), x[n : 2 * n]
         dx, dq_l, dq_m = self._motion(x, applied, p)
-        F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing)
-        F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing)
         ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
         h = hysteresis(q_m - x[:n], sliders, p)
+        load = ca.fabs(springs.torque(self.robot, q_m - x[:n], p.cubic) + h)
+        F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing, p.load_l * load)
+        F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing, p.load_m * load)
         dx += ca.vertcat(ca.DM.zeros(2 * n), external + h - F_l, ripple - h - F_m)
         return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
 
@@ -124,9 +125,9 @@ class NonidealPlant:
         applied = {"a": a, "u": u, "parameters": p, "t": t}, {"torque": self.robot.B_m @ self._actuators(a, u, p, t)}
         return {
             "step": self._step_function(as_c=True),
-            "measure": self._measure.function,
+            "measure": self._measure,
             "applied": dense_function("applied", *applied),
-            "state": self._state.function,
+            "state": self._state,
         }
 
     def _step_function(self, as_c: bool) -> ca.Function:
@@ -174,14 +175,6 @@ class NonidealPlant:
         lagged = saturated + (a - saturated) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
         return dense_function("actuators", s, {"applied": ca.if_else(p.lag > 0, lagged, saturated)})
 
-    @cached_property
-    def _step(self) -> NumericFunction:
-        return NumericFunction(self.step_function)
-
-    @cached_property
-    def _applied(self) -> NumericFunction:
-        return NumericFunction(self._actuators)
-
     def _symbols(self, **rows: int) -> tuple[dict[str, ca.SX], SimpleNamespace]:
         """Return symbols with these numbers of rows and `parameters`, and the entries of `parameters`, each by name."""
         parts = layout(self.robot.n)
@@ -189,34 +182,38 @@ class NonidealPlant:
         return s, parts.named(s["parameters"])
 
     @cached_property
-    def _measure(self) -> NumericFunction:
+    def _measure(self) -> ca.Function:
         s, p = self._symbols(state=6 * self.robot.n)
         velocities, torques = self._measured(s["state"], p)
-        return numeric("measure", s, {"velocities": velocities, "springs": torques})
+        return dense_function("measure", s, {"velocities": velocities, "springs": torques})
 
     @cached_property
-    def _hamiltonian(self) -> NumericFunction:
+    def _hamiltonian(self) -> ca.Function:
         s, p = self._symbols(x=4 * self.robot.n)
         q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
         H = self.robot.hamiltonian_expression(s["x"], self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
-        return numeric("nonideal_hamiltonian", s, {"H": H})
+        return dense_function("nonideal_hamiltonian", s, {"H": H})
 
     @cached_property
-    def _state(self) -> NumericFunction:
+    def _state(self) -> ca.Function:
         n = self.robot.n
         s, p = self._symbols(position=2 * n, velocity=2 * n)
         position, velocity = s["position"], s["velocity"]
         momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], self._links(p))
-        return numeric("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
+        return dense_function("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
 
 
-def friction(v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX) -> ca.SX:
+def friction(
+    v: ca.SX, coulomb: ca.SX, static: ca.SX, stribeck: ca.SX, smoothing: ca.SX, of_load: ca.SX | float = 0.0
+) -> ca.SX:
     """Return the friction torque (n,) at the velocity v (n,), without the viscous damping: v' F >= 0.
+
+    of_load (n,): the part of the level that is due to the load, as in gears.
 
     B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30(7), 1994, with tanh(v / smoothing)
     in place of sign(v) as in S. Andersson, A. Soderberg, S. Bjorklund, Tribology International 40(4), 2007.
     """
-    level = coulomb + ca.fmax(static - coulomb, 0) * ca.exp(-((v / stribeck) ** 2))
+    level = coulomb + ca.fmax(static - coulomb, 0) * ca.exp(-((v / stribeck) ** 2)) + of_load
     return level * ca.tanh(v / smoothing)
 
 

@@ -138,7 +138,7 @@ def read_urdf(path_or_xml: str | os.PathLike[str]) -> UrdfTree:
 
 
 def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
-    is_text = isinstance(path_or_xml, str) and path_or_xml.lstrip("\ufeff \t\r\n").startswith("<")
+    is_text = isinstance(path_or_xml, str) and is_xml(path_or_xml)
     source = "the URDF text" if is_text else f"URDF {os.fspath(path_or_xml)}"
     try:
         content = str(path_or_xml).lstrip("\ufeff").strip() if is_text else read_bytes(path_or_xml)
@@ -152,6 +152,11 @@ def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise RobotError(f"{source} contains xacro commands; expected a plain URDF, the output of the program xacro")
     return root
+
+
+def is_xml(urdf: str) -> bool:
+    """Return True for XML text, False for a path."""
+    return urdf.lstrip("\ufeff \t\r\n").startswith("<")
 
 
 def parse_xml(content: bytes | str) -> ET.Element:

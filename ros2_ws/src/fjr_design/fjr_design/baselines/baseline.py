@@ -26,9 +26,9 @@ class Baseline(StaticLaw):
     """
 
     def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
-        if robot.cubic is not None:
+        if robot.curve:
             raise GainsError(
-                f"{type(self).__name__} is given springs with a cubic stiffness, which it does not know; expected the "
+                f"{type(self).__name__} is given springs with a {robot.curve}, which it does not know; expected the "
                 "law v_dpbc, or a robot with straight springs"
             )
         super().__init__(robot, gains, compile)

@@ -201,7 +201,7 @@ class ClosedLoop:
         parts = {name: draws.columns(name, n) for name in parametric_robot.NAMES}
         if self.plant is not None and self.plant.in_python:
             parametric_robot.refuse(parts)
-        full = np.hstack([parts[name] != 0 for name in (*parametric_robot.FRICTION, "payload_mass")]).any(axis=1)
+        full = np.hstack([parts[name] != 0 for name in parametric_robot.FULL]).any(axis=1)
         sensing = [draws.columns(name, n) for name in ("position_noise", "velocity_noise", "resolution")]
         segments, dt = _segments(draws.columns("delay", n)[:, 0], self.sample_period, self.inner_steps)
         return {
@@ -209,7 +209,7 @@ class ClosedLoop:
             "width": parameters.shape[1],
             "sensing": np.ascontiguousarray(np.hstack(sensing)),
             "limit": draws.columns("effort_limit", n),
-            "has_friction_or_load": np.asarray(full, dtype=np.uint8),
+            "is_full": np.asarray(full, dtype=np.uint8),
             "segments": segments,
             "dt": dt,
             "seeds": np.asarray(draws.seed, dtype=np.uint64),

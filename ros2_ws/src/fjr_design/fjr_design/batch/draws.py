@@ -20,6 +20,7 @@ from fjr_core.numerics.checks import Array, floats, freeze
 POSITIVE, NONNEGATIVE, SIGNED = "positive", "non-negative", "signed"
 JOINT, RUN, POINT = "joint", "run", "point"
 SMOOTHING = 0.01  # rad/s
+SLIP = 1e-3  # rad
 WORDS = 4
 """Random words per counter."""
 
@@ -70,7 +71,9 @@ class Draws:
     Factors on plant parameters: stiffness, link_inertia, gravity, motor_inertia, link_damping, motor_damping (see
     parametric_robot for matrices; damping may be 0, gravity of either sign). Levels: coulomb_l, coulomb_m [N m]:
     Coulomb friction of links and motors, times tanh(v / smoothing); smoothing [rad/s] (k,); external [N m]: constant
-    torque on the links; payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the frame of the last link;
+    torque on the links; cubic [N m/rad^3]: stiffness beside the curve of the springs, also negative; hysteresis [N m]
+    and slip [rad]: of a Maxwell element beside each spring (nonideal_plant);
+    payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the frame of the last link;
     delay [s] (k,) from a sample to its effort, any fraction of the sample period; position_noise [rad] and
     velocity_noise [rad/s] (k,): standard deviations of white noise; resolution [rad] (k,) of the encoders, 0: exact;
     effort_limit [N m]: saturation of the command, known to the law. seed (k,) uint64: of the noise; default: number of
@@ -88,6 +91,9 @@ class Draws:
     coulomb_m: ArrayLike = _level("N m", identified="motor_coulomb_friction")
     smoothing: ArrayLike = _level("rad/s", SMOOTHING, sign=POSITIVE, per=RUN)
     external: ArrayLike = _level("N m", sign=SIGNED)
+    cubic: ArrayLike = _level("N m/rad^3", sign=SIGNED)
+    hysteresis: ArrayLike = _level("N m")
+    slip: ArrayLike = _level("rad", SLIP, sign=POSITIVE)
     payload_mass: ArrayLike = _level("kg", per=RUN, identified="payload_mass")
     payload_position: ArrayLike = _level("m", sign=SIGNED, per=POINT, identified="payload_position")
     delay: ArrayLike = _level("s", per=RUN, identified="effort_delay")

@@ -16,7 +16,7 @@ struct run {
   int going;
   const struct fjr_plant* plant;
   const double* parameters;
-  double x[4 * N];
+  double x[5 * N]; /* q_l, q_m, p_l, p_m, sliders of hysteresis */
   double* ring; /* (ring, N): the efforts sent last */
   struct sums sums;
   struct fjr_controller controller;
@@ -31,10 +31,10 @@ static void evaluate(const struct fjr_model* m, fjr_function f, double* result, 
 }
 
 static void plant_step(const struct fjr_model* m, struct run* r, const double* u, double dt) {
-  double next[4 * N];
+  double next[5 * N];
   m->arg[0] = r->x, m->arg[1] = u, m->arg[2] = r->parameters, m->arg[3] = &dt;
-  evaluate(m, r->plant->step, next, 4 * N);
-  copy(r->x, next, 4 * N);
+  evaluate(m, r->plant->step, next, 5 * N);
+  copy(r->x, next, 5 * N);
 }
 
 static void plant_velocity(const struct fjr_model* m, const struct run* r, double* velocity) {
@@ -61,8 +61,9 @@ static void disturb(const double* sensing, uint64_t seed, int64_t sample, double
 /* Measure the plant as the measurement model of the controller expects it: motors behind the gear, or joint torques. */
 static void take_sample(const struct fjr_model* m, const struct fjr_batch* b, const struct run* r,
                         const double* velocity, struct fjr_sample* sample) {
-  double position[2 * N];
+  double position[3 * N];
   copy(position, r->x, 2 * N);
+  copy(position + 2 * N, r->x + 4 * N, N);
   copy(sample->velocity, velocity, 2 * N);
   disturb(b->sensing + 3 * r->number, b->seeds[r->number], r->sample, position, sample->velocity);
   copy(sample->link, position, N);
@@ -174,12 +175,13 @@ static void start_run(const struct fjr_model* m, const struct fjr_batch* b, cons
                       struct run* r, int64_t number, double* ring) {
   double* row = b->rows + ROW * number;
   r->number = number, r->sample = 0, r->going = 1, r->ring = ring, r->sums = sums_of(row);
-  r->plant = b->has_friction_or_load[number] ? &b->full : &b->plain;
+  r->plant = b->is_full[number] ? &b->full : &b->plain;
   r->parameters = b->parameters + b->width * number;
   fill(row, 0, ROW);
   *r->sums.stopped = INFINITY;
   m->arg[0] = b->position, m->arg[1] = b->velocity, m->arg[2] = r->parameters;
   evaluate(m, r->plant->state, r->x, 4 * N);
+  for (int i = 0; i < N; ++i) r->x[4 * N + i] = r->x[N + i] - r->x[i];
   fjr_init(&r->controller, b->settings, b->gains, reference);
   for (int i = 0; i < N; ++i)
     r->controller.settings.effort[i] = fmin(b->settings->effort[i], b->limit[N * number + i]);

@@ -6,10 +6,10 @@
 
 /* Functions of a plant with drawn parameters, see parametric_robot.py. */
 struct fjr_plant {
-  fjr_function step;     /* (x, u, parameters, dt) -> x */
+  fjr_function step;     /* (x with sliders, u, parameters, dt) -> x with sliders */
   fjr_function velocity; /* (x, parameters) -> dq_l, dq_m */
   fjr_function state;    /* (position, velocity, parameters) -> x */
-  fjr_function torque;   /* (position, parameters) -> K (q_m - q_l) */
+  fjr_function torque;   /* (position with sliders, parameters) -> torque of the springs */
 };
 
 /* Sample k has the stamp k period. A trace row is x, u and the sample: link, motor, velocity. */
@@ -21,7 +21,7 @@ struct fjr_batch {
   const double *gains, *position, *velocity; /* at the start (2 N) */
   struct fjr_plant plain, full;
   const double *parameters, *sensing, *limit; /* of each run (width), (3), (N) */
-  const uint8_t* has_friction_or_load;        /* true: the plant of a run is `full` */
+  const uint8_t* is_full;                     /* true: the plant of a run is `full` */
   const int64_t* segments;                    /* of each run (2, 2): age of the effort in samples, steps */
   const double* dt;                           /* of each run (2), of the steps in each segment [s] */
   const uint64_t* seeds;

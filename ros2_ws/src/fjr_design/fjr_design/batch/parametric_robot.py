@@ -23,7 +23,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics import integrators, symbolic
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function
-from fjr_core.simulation.nonideal_plant import friction
+from fjr_core.simulation.nonideal_plant import friction, hysteresis
 
 from .draws import PARAMETERS
 
@@ -31,7 +31,9 @@ SCALED = tuple(each.name for each in PARAMETERS.values() if each.is_factor)
 ROOTS = tuple(name for name in SCALED if name != "gravity")
 """Factors that enter as their square roots."""
 FRICTION = ("coulomb_l", "coulomb_m")
-NAMES = (*SCALED, *FRICTION, "smoothing", "external", "payload_mass", "payload_position")
+FULL = (*FRICTION, "cubic", "hysteresis", "payload_mass")
+"""Levels of which one is not 0 only in runs of the full plant."""
+NAMES = (*SCALED, *FULL, "smoothing", "external", "slip", "payload_position")
 """Parts of the argument `parameters` of all functions here, in this order."""
 
 
@@ -73,6 +75,7 @@ class ScaledRobot:
     links: RigidArm
     K: ca.SX
     cubic: ca.SX | None
+    curves: tuple[springs.TorsionCurve, ...]
     D_l: ca.SX
     D_m: ca.SX
     B_m: ca.SX
@@ -92,8 +95,9 @@ def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
 class ParametricPlant:
     """Eq. (36) with drawn parameters as CasADi functions of (.., parameters), from which C can be generated.
 
-    full: false leaves friction and payload out and makes a step cheaper. own: a plant in Python, whose parameters are
-    not drawn (see `refuse`), with drawn friction and external torques. Momenta are those of the drawn inertia.
+    full: false leaves the levels of FULL out and makes a step cheaper. own: a plant in Python, whose parameters are not
+    drawn (see `refuse`), with drawn friction, hysteresis and external torques. Momenta are those of the drawn inertia.
+    The sliders of hysteresis (n,) [rad] follow x (4n,) in the state, as in nonideal_plant.
     """
 
     def __init__(self, robot: Robot, full: bool, own: Plant | None = None) -> None:
@@ -102,17 +106,19 @@ class ParametricPlant:
 
     @cached_property
     def dynamics(self) -> ca.Function:
-        """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u (n,), parameters."""
+        """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u and sliders (n,) each, parameters."""
         n = self.robot.n
-        s = symbolic.symbols(self._kind, x=4 * n, inputs=n + layout(n).size)
+        s = symbolic.symbols(self._kind, x=4 * n, inputs=2 * n + layout(n).size)
         x, inputs = s.values()
-        u, parameters = ca.vertsplit(inputs, [0, n, inputs.numel()])
+        u, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
         dx, dq_l, dq_m = self._motion(x, u, parameters)
         p = layout(n).named(parameters)
         links, motors = p.external, ca.DM(n, 1)
         if self._full or self._own:
             links -= friction(dq_l, p.coulomb_l, p.coulomb_l, ca.DM(1), p.smoothing)
             motors = -friction(dq_m, p.coulomb_m, p.coulomb_m, ca.DM(1), p.smoothing)
+            element = hysteresis(x[n : 2 * n] - x[:n], sliders, p)
+            links, motors = links + element, motors - element
         dx += ca.vertcat(ca.DM(2 * n, 1), links, motors)
         return dense_function("parametric_dynamics", s, {"dx": dx}, cse=self._own is None)
 
@@ -121,18 +127,22 @@ class ParametricPlant:
         n = self.robot.n
         if self._own:
             return self._own.dynamics(x, u), *ca.vertsplit(self.robot.to_velocity(x), n)
-        _, robot = self._drawn(parameters)
-        dH = gradient_expression(robot, x)
+        p, robot = self._drawn(parameters)
+        dH = gradient_expression(robot, x, cubic=p.cubic if self._full else None)
         _, _, dq_l, dq_m = symbolic.blocks(dH, n)
         return derivative_expression(robot, x, u, dH), dq_l, dq_m
 
     def step(self, name: str) -> ca.Function:
-        """Return the function (x, u, parameters, dt) -> x after a Runge-Kutta step of order 4 with u held."""
+        """Return the function (state, u, parameters, dt) -> state (5n,), a Runge-Kutta step of order 4 with u held."""
         n = self.robot.n
-        s = symbolic.symbols(self._kind, x=4 * n, u=n, parameters=layout(n).size, dt=1)
-        x, u, parameters, dt = s.values()
-        x_next = integrators.rk4_expression(self.dynamics, x, (ca.vertcat(u, parameters),) * 3, dt)
-        return dense_function(name, s, {"x_next": x_next}, cse=self._own is None)
+        s = symbolic.symbols(self._kind, state=5 * n, u=n, parameters=layout(n).size, dt=1)
+        state, u, parameters, dt = s.values()
+        x, sliders = ca.vertsplit(state, [0, 4 * n, 5 * n])
+        x_next = integrators.rk4_expression(self.dynamics, x, (ca.vertcat(u, sliders, parameters),) * 3, dt)
+        if self._full:
+            zeta, slip = x_next[n : 2 * n] - x_next[:n], layout(n).named(parameters).slip
+            sliders = ca.fmin(ca.fmax(sliders, zeta - slip), zeta + slip)
+        return dense_function(name, s, {"next": ca.vertcat(x_next, sliders)}, cse=self._own is None)
 
     def velocity(self, name: str) -> ca.Function:
         """Return the function (x, parameters) -> (dq_l, dq_m) (2n,)."""
@@ -154,12 +164,15 @@ class ParametricPlant:
         return dense_function(name, s, {"x": ca.vertcat(position, p_l, p_m)})
 
     def torque(self, name: str) -> ca.Function:
-        """Return the function (position (2n,), parameters) -> torque of the springs (n,)."""
+        """Return the function (position with sliders (3n,), parameters) -> torque of the springs (n,)."""
         n = self.robot.n
-        s = symbolic.symbols(position=2 * n, parameters=layout(n).size)
+        s = symbolic.symbols(position=3 * n, parameters=layout(n).size)
         position, parameters = s.values()
-        _, robot = self._drawn(parameters)
-        return dense_function(name, s, {"torque": springs.torque(robot, position[n:] - position[:n])})
+        p, robot = self._drawn(parameters)
+        zeta = position[n : 2 * n] - position[:n]
+        torque = springs.torque(robot, zeta, p.cubic if self._full else None)
+        torque += hysteresis(zeta, position[2 * n :], p) if self._full else 0
+        return dense_function(name, s, {"torque": torque})
 
     def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
         own, p = self.robot, layout(self.robot.n).named(parameters)
@@ -171,6 +184,7 @@ class ParametricPlant:
             links=links,
             K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
             cubic=None if own.cubic is None else p.stiffness**2 * ca.DM(own.cubic),
+            curves=tuple(of.scaled(p.stiffness[j] ** 2) for j, of in enumerate(own.curves)),
             D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
             D_m=_both_sides(p.motor_damping, symbolic.sparse(own.D_m)),
             B_m=symbolic.sparse(own.B_m),
@@ -180,7 +194,7 @@ class ParametricPlant:
 
 def refuse(parts: dict[str, Array]) -> None:
     """Raise ParameterError if runs of a plant in Python change parameters that only eq. (36) has."""
-    nominal = {**dict.fromkeys(SCALED, 1.0), "payload_mass": 0.0}
+    nominal = {**dict.fromkeys(SCALED, 1.0), "payload_mass": 0.0, "cubic": 0.0}
     changed = [name for name, value in nominal.items() if np.any(parts[name] != value)]
     if changed:
         raise ParameterError(

@@ -21,16 +21,15 @@ from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics import jit
-from fjr_core.numerics.jit import ffi_of, program_digest
+from fjr_core.numerics.jit import CLibrary, c_library, program_digest
 from fjr_core.runtime.library import (
     HEADER,
     CFunction,
     Model,
-    StepLibrary,
-    c_text,
-    declarations,
+    c_code,
     model_functions,
     settings_struct,
+    sizes,
     text,
 )
 from fjr_core.runtime.measurement_model import Measurement
@@ -44,19 +43,18 @@ LANES = 4
 """Number of interleaved runs."""
 SOURCES = ("loop.h", "noise.c", "loop.c")
 PLANTS = ("plain", "full")
-"""Plants without and with friction and payload."""
+"""Plants without and with the levels of parametric_robot.FULL."""
 
 
 @cache
-def batch_library(n: int, memory: int) -> StepLibrary:
+def batch_library(n: int, memory: int) -> CLibrary:
     """Return the compiled loop for n joints and a law with `memory` numbers as its controller state.
 
     Raises CompilerError without a C compiler.
     """
     header, *code = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in SOURCES)
-    path = jit.shared_object("simulation_loop", "\n".join([c_text(n, memory), f"#define LANES {LANES}", header, *code]))
-    ffi = ffi_of(declarations(text(HEADER) + header, {"FJR_N": n, "FJR_MEMORY": max(1, memory)}))
-    return StepLibrary(ffi, ffi.dlopen(path), path)
+    values = {**sizes(n, memory), "LANES": LANES}
+    return c_library("simulation_loop", text(HEADER) + header, "\n".join([c_code(), *code]), values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ class BatchProgram:
         return self.plant is not None and self.plant.in_python
 
     @cached_property
-    def library(self) -> StepLibrary:
+    def library(self) -> CLibrary:
         """Return the compiled loop; raises CompilerError."""
         return batch_library(self.robot.n, len(self.law.memory))
 

@@ -207,7 +207,7 @@ def _rates(scenario: Scenario, law: TrackingLaw) -> tuple[dict[str, str], dict[s
 def _springs(scenario: Scenario) -> dict[str, str]:
     """Return how much stiffer than joint_stiffness springs that harden are at rest; no row for straight springs."""
     robot = scenario.plant.robot
-    if robot.cubic is None:
+    if not robot.curve:
         return {}
     most = 100 * (equilibria_at(robot, scenario.configurations()).hardening.max(axis=0) - 1)
     return {

@@ -8,6 +8,7 @@ import numpy as np
 from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError
+from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import joined
 from fjr_core.numerics.checks import Array
@@ -61,9 +62,8 @@ def refuse_unstable(scenario: Scenario, found: SampledCheck | None = None) -> No
 
 def _remedy(scenario: Scenario, found: SampledCheck) -> str:
     """Return what makes an unstable loop stable; names the joint whose spring is too fast for the loop."""
-    robot, rate = scenario.robot, found.lowest_stable_rate
-    M_l = [robot.M_l(q_l) for q_l in found.closely]
-    reason = late_spring(robot, M_l, found.sample_period, found.delay, scenario.joints)
+    rate, points = found.lowest_stable_rate, equilibria_at(scenario.robot, found.closely)
+    reason = late_spring(points, found.sample_period, found.delay, scenario.joints)
     from_rate = f"stable from {rate:.4g} Hz on" if rate else ""
     if reason:
         return f"{reason}{f' ({from_rate})' if rate else ''}, then new gains (fjr gains)"

@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fjr_core.law.linearized import equilibria_at, plant_matrices
+from fjr_core.law.linearized import Equilibria, equilibria_at, plant_matrices
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.urdf.typical_joints import least_free_inertia
@@ -41,15 +40,14 @@ def lag_limit(sample_period: float, delay: float) -> float:
     return float(np.pi / (sample_period + 2 * delay))
 
 
-def late_spring(
-    robot: Robot, M_l: ArrayLike, sample_period: float, delay: float = 0.0, joints: Sequence[str] = ()
-) -> str:
+def late_spring(points: Equilibria, sample_period: float, delay: float = 0.0, joints: Sequence[str] = ()) -> str:
     """Return a sentence about the fastest spring if it is beyond `lag_limit`, else an empty text.
 
-    M_l (k, n, n) [kg m^2]: link inertias. joints: names; without them the sentence has the number of the joint from 1.
+    A spring with a curve has its stiffest tangent at the equilibria. joints: names; without them the sentence has the
+    number of the joint from 1.
     """
-    inertia, limit = least_free_inertia(M_l), lag_limit(sample_period, delay)
-    frequency = np.sqrt(np.diag(robot.K) / inertia)
+    robot, inertia, limit = points.robot, least_free_inertia(points.M_l), lag_limit(sample_period, delay)
+    frequency = np.sqrt(np.diag(robot.K) * points.hardening.max(axis=0) / inertia)
     i = int(np.argmax(frequency))
     if frequency[i] < limit:
         return ""

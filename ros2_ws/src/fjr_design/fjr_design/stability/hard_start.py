@@ -19,13 +19,18 @@ from fjr_core.errors import StateError
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
+from fjr_core.model.springs import hardening
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.closed_loop import simulate
 from fjr_core.stability.linearization import closed_form
+from fjr_design.batch import ClosedLoop, Draws
+from fjr_design.batch.program import plain_settings
 
-LASTING = 1.0  # s; simulated motion from the start
+LASTING = 1.0  # s; simulated motion from the start, after the ramp of start.ramp_time
+FAR = 1e6  # rad; error of a loop that diverges
 HORIZON, INSTANTS = 60.0, 1024  # s of the reference whose deflections count, at most
+SHARES = 65  # of the largest deflections, at which tangents are taken
 NARROW = 0.02  # of the start error, between a part that is inside and one that is not
 
 
@@ -53,7 +58,7 @@ def hard_start(scenario: Scenario) -> HardStart | None:
     """Return the start under v-dPBC; None with straight springs, another law, or a transition to the reference."""
     error = scenario.x0[: scenario.robot.n] - scenario.reference.jets(0.0)[0]
     most = np.asarray(safety(scenario.controller_values, scenario.robot).start_error)
-    hard = any(robot.cubic is not None for robot in (scenario.robot, scenario.plant.robot))
+    hard = any(robot.curve for robot in (scenario.robot, scenario.plant.robot))
     if np.any(np.abs(error) > most) or not hard or not isinstance(scenario.law, TrackingLaw):
         return None
     along = _along_reference(scenario)
@@ -83,13 +88,37 @@ def _deflection(scenario: Scenario, share: float, along: Array) -> Array:
     on = np.array([jets[0], q_m, jets[1], dq_m])
     own = np.array([*np.split(scenario.x0[: 2 * n], 2), *robot.velocities(scenario.x0)])
     x = robot.state(*(on + share * (own - on)))
-    inner = T / int(number(scenario.plant_values, "inner_steps"))
-    law, reference = scenario.sampled_law, scenario.reference
-    try:
-        run = simulate(scenario.plant, law, reference, x, LASTING, T, inner, delay=scenario.loop_delay)
-    except StateError:
-        return np.full(n, np.inf)
-    return np.maximum(along, np.abs(run.x[:, n : 2 * n] - run.x[:, :n]).max(axis=0))
+    if safety(scenario.controller_values, scenario.robot).ramp_time:
+        states = _ramped(scenario, x)
+    else:
+        inner = T / int(number(scenario.plant_values, "inner_steps"))
+        law, reference = scenario.sampled_law, scenario.reference
+        try:
+            states = simulate(scenario.plant, law, reference, x, LASTING, T, inner, delay=scenario.loop_delay).x
+        except StateError:
+            return np.full(n, np.inf)
+    return np.maximum(along, np.abs(states[:, n : 2 * n] - states[:, :n]).max(axis=0))
+
+
+def _ramped(scenario: Scenario, x: Array) -> Array:
+    """Return the states (k, 4n) from x (4n,) under the control step, which ramps the effort; zero and inf if lost."""
+    own, n = safety(scenario.controller_values, scenario.robot), scenario.robot.n
+    loop = ClosedLoop(
+        scenario.plant.robot,
+        scenario.sampled_law,
+        scenario.reference,
+        x,
+        own.ramp_time + LASTING,
+        scenario.sample_period,
+        inner_steps=int(number(scenario.plant_values, "inner_steps")),
+        settle_after=0.0,
+        lost=FAR,
+        plant=scenario.plant,
+        settings=replace(plain_settings(n), ramp_time=own.ramp_time, on_stop=own.on_stop),
+    )
+    outcomes, recorded = loop.recorded(Draws(1, delay=scenario.loop_delay))
+    lost = np.repeat([[0.0, np.inf, 0.0, 0.0]], n, axis=1)
+    return np.asarray(recorded.x[0] if outcomes.stable[0] else lost)
 
 
 def _radius(scenario: Scenario, deflection: Array) -> float:
@@ -102,7 +131,9 @@ def _radius(scenario: Scenario, deflection: Array) -> float:
 
 
 def _stiffened(robot: Robot, deflection: Array) -> Robot:
-    """Return the robot with straight springs as stiff as its own at the deflections (n,)."""
-    if robot.cubic is None:
+    """Return the robot with straight springs as stiff as its own at most up to the deflections (n,)."""
+    if not robot.curve:
         return robot
-    return replace(robot, K=np.diag(np.diag(robot.K) + 3 * robot.cubic * deflection**2), cubic=None)
+    on_the_way = np.linspace(0.0, 1.0, SHARES)[:, None] * deflection  # a table may soften
+    stiffest = np.diag(robot.K) * hardening(robot, on_the_way).max(axis=0)
+    return replace(robot, K=np.diag(stiffest), cubic=None, torsion=None)

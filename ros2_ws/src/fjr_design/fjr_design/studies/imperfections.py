@@ -27,6 +27,8 @@ INSTANTS = 4096
 CONFIGURATIONS = 16
 HORIZON = 60.0  # s of the reference that are evaluated, at most
 STANDING = 1e-9  # rad; RMS of a reference at rest
+ELEMENT = 0.3  # of the stiffness of the spring, that of a Maxwell element beside it
+RIGID = 1e-9  # rad; least deflection of a spring
 NOISE_BANDWIDTH = 100.0  # rad/s; velocity noise equals that of positions differentiated by a filter of this bandwidth
 Fields = dict[str, Array]
 
@@ -37,12 +39,14 @@ class MotionDemand:
 
     motion [rad]: RMS of q_ld about its mean, over time and joints. torque (n,) [N m]: RMS over time of the inverse
     dynamics of the rigid arm, M_l ddq_ld + C dq_ld + D_l dq_ld + grad P_l. friction_rate [rad/s^2]: largest
-    imperfections.friction_rate with friction of that torque on both sides, times its smoothing.
+    imperfections.friction_rate with friction of that torque on both sides, times its smoothing. deflection (n,) [rad]:
+    of the springs of the model under that torque.
     """
 
     motion: float
     torque: Array
     friction_rate: float
+    deflection: Array
 
 
 def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
@@ -59,7 +63,7 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
     torque = np.sqrt(np.mean(torques**2, axis=1))
     friction = Imperfections(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
     rates = [friction_rate(friction, robot.M_l(q_l), robot.M_m) for q_l in position[:: INSTANTS // CONFIGURATIONS]]
-    return MotionDemand(motion, torque, max(rates))
+    return MotionDemand(motion, torque, max(rates), robot.deflection(torque))
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,8 @@ IMPERFECTIONS = {
         Imperfection("noise", "rad", 0.0, 0.0, 1e-6, 1.0),
         Imperfection("friction", TORQUE, 0.0, 0.0, 0.01, 10.0),
         Imperfection("load", TORQUE, 0.0, 0.0, 0.01, 10.0),
+        Imperfection("hardening", TORQUE, 0.0, 0.0, 0.01, 10.0),
+        Imperfection("hysteresis", TORQUE, 0.0, 0.0, 0.01, 10.0),
     )
 }
 """Imperfections by their names in a comparison."""
@@ -117,7 +123,8 @@ def fields_of(levels: Mapping[str, float], demand: MotionDemand, step: float) ->
     """Return the fields of Draws of a run with all these imperfections, by their names; raises CompareError.
 
     Friction acts half on each side of the springs, with the steepest slope that is stable with this integrator step
-    [s]; reduced link inertia makes it stiffer. The load is a constant torque on all links.
+    [s]; reduced link inertia makes it stiffer. The load is a constant torque on all links. Hardening adds its share of
+    the torque of the motion at the deflection under that torque, a Maxwell element (nonideal_plant) slips at its share.
     """
     fields: Fields = {}
     for name, level in levels.items():
@@ -133,6 +140,11 @@ def fields_of(levels: Mapping[str, float], demand: MotionDemand, step: float) ->
                 fields |= {"coulomb_l": half, "coulomb_m": half, "smoothing": np.array(smoothing)}
             case "load":
                 fields["external"] = level * demand.torque
+            case "hardening":
+                fields["cubic"] = level * demand.torque / np.maximum(demand.deflection, RIGID) ** 3
+            case "hysteresis":
+                slip = np.maximum(level * demand.deflection / ELEMENT, RIGID)
+                fields |= {"hysteresis": level * demand.torque, "slip": slip}
             case same:
                 fields[same] = np.array(level)
     return fields

@@ -18,10 +18,10 @@ from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.simulation.imperfections import Imperfections, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws
 from fjr_design.batch.closed_loop import FIELDS, PER_JOINT
-from fjr_design.batch.draws import JOINT, PARAMETERS, SMOOTHING
+from fjr_design.batch.draws import JOINT, PARAMETERS, SLIP, SMOOTHING
 from fjr_design.batch.parametric_robot import FRICTION
 
 from ..uncertainty import distributions
@@ -143,12 +143,13 @@ class Sweep:
         return replace(loop, settings=replace(self._settings, effort=np.inf))
 
     def refuse_stiff_friction(self) -> None:
-        """Raise ParameterError if the stiffest friction that can be drawn is too stiff for the steps of the plant."""
+        """Raise ParameterError if friction or hysteresis that can be drawn is too stiff for the steps of the plant."""
         ranges = {name: one.range for name, one in self.vary.items()}
         ranges |= {name: self.identified.range(name) for name in self.identified.columns} if self.identified else {}
         least, most = ({name: both[side] for name, both in ranges.items()} for side in (0, 1))
         robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
         levels = {name: most[name] for name in FRICTION if name in most}
+        levels |= {"hysteresis": most.get("hysteresis", 0.0), "slip": least.get("slip", SLIP)}
         steepest = Imperfections(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
         M_l, M_m = inertia[0] * robot.M_l(self.scenario.x0[: robot.n]), inertia[1] * robot.M_m
         rate, dt = friction_rate(steepest, M_l, M_m), self.loop.sample_period / self.loop.inner_steps
@@ -157,6 +158,12 @@ class Sweep:
             raise ParameterError(
                 f"friction may damp at {rate:.3g} 1/s, too fast for steps of {1e3 * dt:.3g} ms; "
                 f"expected a smoothing of at least {enough:.2g} rad/s, or more inner_steps"
+            )
+        rate = stuck_rate(steepest, most.get("stiffness", 1.0) * robot.K, M_l, M_m)
+        if rate * dt > REACH:
+            raise ParameterError(
+                f"springs with hysteresis may oscillate at {rate:.3g} rad/s, too fast for steps of {1e3 * dt:.3g} ms; "
+                "expected a larger slip, or more inner_steps"
             )
 
     def draws(self, begin: int, end: int) -> Draws:

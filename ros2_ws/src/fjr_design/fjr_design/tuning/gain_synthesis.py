@@ -152,13 +152,14 @@ class GainSearch:
         return DrawnLoops(law, self.equilibria.at(np.union1d(own, worst)), T, self.delay).unstable(plants)
 
     def _candidates(self, beta: float, c: float) -> Iterator[Gains]:
+        K = self.equilibria.K
         for g in COUPLING:
             yield Gains(
                 Lambda_l=c * beta,
                 Pi_l=(c * beta) * (c * beta) * self.M,
                 K_ld=beta * self.s * self.M,
                 Lambda_m=c * beta,
-                Pi_m=g * self.equilibria.robot.K,
+                Pi_m=g * (K if K.ndim == 2 else K.mean(axis=0)),
                 K_md=c * beta * self.equilibria.robot.M_m,
             )
 
@@ -225,7 +226,7 @@ def _reachable_by_all(task: GainSearch, plants: DrawnPlants, beta: float) -> str
 def _reachable(task: GainSearch, beta: float, joints: Sequence[str]) -> str:
     """Describe the largest reachable rate below beta to 5 %, searched at the worst configurations, and its cause."""
     beta = min(beta, LARGEST_PRODUCT / task.sample_period)
-    reason = late_spring(task.equilibria.robot, task.equilibria.M_l, task.sample_period, task.delay, joints)
+    reason = late_spring(task.equilibria, task.sample_period, task.delay, joints)
     late, remedy = reason and f": {reason}", "a faster loop or fewer configurations"
     few = replace(task, equilibria=task.equilibria.at(task.critical(beta)))
     rates = [beta / 2**k for k in range(1, HALVINGS + 1)]

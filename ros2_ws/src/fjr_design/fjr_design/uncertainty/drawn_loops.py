@@ -213,7 +213,8 @@ def _changed(at: Equilibria, quantity: str, factor: float) -> Equilibria:
     if quantity == "motor inertia":
         return replace(at, robot=replace(robot, M_m=factor * robot.M_m))
     cubic = None if robot.cubic is None else factor * robot.cubic
-    return replace(at, robot=replace(robot, K=factor * robot.K, cubic=cubic))
+    torsion = None if robot.torsion is None else robot.torsion * np.array([1.0, factor])[:, None, None]
+    return replace(at, robot=replace(robot, K=factor * robot.K, cubic=cubic, torsion=torsion))
 
 
 def radii_with_model_errors(

@@ -55,11 +55,12 @@ class Estimate:
     """One parameter of one joint: value, 95 % interval (low, high), prior value, verdict and its reason.
 
     name: joint_stiffness [N m/rad], motor_inertia [kg m^2], link_damping, motor_damping [N m s/rad],
-    link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], offset [rad] (of
-    q_m - q_l at zero spring torque), link_skew, motor_skew, torque_skew, effort_delay [s], payload_mass [kg],
-    payload_position_x, _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the
-    whole arm. An UNKNOWN parameter keeps its prior; reason says which motion would reveal it. deflections [rad]: range
-    a stiffness was seen in. at_least: its bound if UNKNOWN, 0: none.
+    link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], stribeck_velocity
+    [rad/s], link_load_friction, motor_load_friction [1], offset [rad] (of q_m - q_l at zero spring torque), link_skew,
+    motor_skew, torque_skew, effort_delay [s], payload_mass [kg], payload_position_x, _y, _z [m], position_torque_sin1,
+    _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the whole arm. An UNKNOWN parameter keeps its prior; reason
+    says which motion would reveal it. deflections [rad]: range a stiffness was seen in. at_least: its bound if UNKNOWN,
+    0: none.
     """
 
     name: str

@@ -13,7 +13,6 @@ from fjr_core.config.controller import safety
 from fjr_core.config.parameter import vector
 from fjr_core.config.plant import sensor_errors
 from fjr_core.config.scenario import Scenario
-from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import rest_position
@@ -77,11 +76,6 @@ def _designed(scenario: Scenario, duration: float, least: float, seed: int) -> E
     Noise is that of the simulated sensors, at least `least` [rad], and EFFORT_NOISE of the effort limits.
     """
     robot, reference = scenario.robot, scenario.reference
-    if robot.cubic is not None:
-        raise ParameterError(
-            f"parameter 'robot.cubic_stiffness' is {robot.cubic.tolist()}; expected straight springs, for which the "
-            f"information is known: --set robot.cubic_stiffness:={[0.0] * robot.n}"
-        )
     acceleration = vector(scenario.controller_values, "limits.acceleration", robot.n)
     limits = motion_envelope(robot, safety(scenario.controller_values, robot), acceleration, reference, SHARE, duration)
     sensors = sensor_errors(scenario.plant_values, robot.n)

@@ -4,8 +4,8 @@
     M_l(q_l) dv_l + C(q_l, v_l) v_l + grad P_l(q_l) = tau - D_l v_l - F_l(v_l) - T(q_l),   tau = K (q_m - q_l - offset)
     B dv_m = B_m u - tau - D_m v_m - F_m(v_m)
 
-Springs that harden have tau = K zeta + k zeta^3 (cubic_stiffness). F_l and F_m are the friction of
-simulation.nonideal_plant, T is an optional torque of the position of one joint.
+Springs that harden have tau = K zeta + k zeta^3 (cubic_stiffness). F_l and F_m are Coulomb friction, with static
+friction and a share of |tau| if these are free. T is an optional torque of the position of one joint.
 
 The inertia of the links may be corrected. The pseudo-inertia P of a link stays positive definite, hence physically
 consistent, with log-Cholesky parameters theta = (alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3) about that of the robot
@@ -32,10 +32,9 @@ from fjr_core.model.rigid_arm import ArmDynamics, Body, PayloadArm, RigidArm
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function, directional, solve, sparse, symbols
-from fjr_core.simulation.nonideal_plant import friction
 from fjr_design.uncertainty.posterior import Identification
 
-from .parameters import DYNAMIC, HARDENING, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, size
+from .parameters import DYNAMIC, HARDENING, LOAD, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, STATIC, size
 
 LEAST = 1e-9  # of the trace; eigenvalue that is added to a link without extension, so that it has a factor
 ENTRIES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of s12, s23, s13, t1, t2, t3 in U
@@ -55,9 +54,9 @@ class ElasticArm:
 
     @cached_property
     def layout(self) -> PackedVector:
-        """Return the parts of the parameters: DYNAMIC, then the Stribeck velocity."""
+        """Return the parts of the parameters."""
         n = self.robot.n
-        return PackedVector({**{name: size(name, n) for name in DYNAMIC}, "stribeck": n})
+        return PackedVector({name: size(name, n) for name in DYNAMIC})
 
     @cached_property
     def accelerations(self) -> ca.Function:
@@ -113,9 +112,7 @@ class ElasticArm:
         tau = p.joint_stiffness * zeta
         if self.robot.cubic is not None or self._entries((HARDENING,)):
             tau += p.cubic_stiffness * zeta * zeta * zeta
-        v_0 = p.friction_smoothing_velocity
-        F_l = friction(v_l, p.link_coulomb_friction, p.link_static_friction, p.stribeck, v_0)
-        F_m = friction(v_m, p.motor_coulomb_friction, p.motor_static_friction, p.stribeck, v_0)
+        F_l, F_m = (self._friction(p, side, v, tau) for side, v in (("link", v_l), ("motor", v_m)))
         T = sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q_l), strict=True))
         on_links = tau - p.link_damping * v_l - F_l - T
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
@@ -127,6 +124,20 @@ class ElasticArm:
         D_l = ca.substitute(ca.jacobian(balance, z), a_l, dv_l)
         D_l = ca.sparsify(solve(M_l, ca.SX.eye(n)) @ D_l)
         return s, ca.vertcat(dv_l, dv_m), ca.vertcat(D_l, ca.jacobian(dv_m, z))
+
+    def _friction(self, p: SimpleNamespace, side: str, v: ca.SX, tau: ca.SX) -> ca.SX:
+        """Return the friction torque (n,) of a side, without the viscous one.
+
+        As simulation.nonideal_plant, but static friction below the Coulomb level counts, too, so that the slope by it
+        is nowhere 0.
+        """
+        coulomb, static, load = (getattr(p, f"{side}_{name}_friction") for name in ("coulomb", "static", "load"))
+        level = coulomb
+        if self._entries(STATIC):
+            level += (static - coulomb) * ca.exp(-((v / p.stribeck_velocity) ** 2))
+        if self._entries(LOAD):
+            level += load * ca.fabs(tau)
+        return level * ca.tanh(v / p.friction_smoothing_velocity)
 
     @property
     def _added(self) -> ca.SX:

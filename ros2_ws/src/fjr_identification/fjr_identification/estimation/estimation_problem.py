@@ -11,7 +11,6 @@ import numpy as np
 
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
-from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 from fjr_core.urdf.typical_joints import least_free_inertia
 
@@ -43,17 +42,11 @@ class Estimation:
     prior: Prior
     options: IdentifyOptions
 
-    @property
-    def values(self) -> Mapping[str, Array]:
-        """Return all parameters by name at the prior, with the Stribeck velocity, which is not identified."""
-        stribeck = checks.vector("stribeck", self.options.stribeck, self.robot.n, StateError)
-        return {**self.prior.values, "stribeck": stribeck}
-
     @cached_property
     def coordinates(self) -> ParameterCoordinates:
         """Return the coordinates of all free parameters."""
         return ParameterCoordinates.of(
-            free_parameters(self.records, self.robot, self.options), self.values, self.widths
+            free_parameters(self.records, self.robot, self.options), self.prior.values, self.widths
         )
 
     @property
@@ -68,14 +61,14 @@ class Estimation:
         }
         widths |= dict.fromkeys(("link_damping", "motor_damping"), damping)
         widths[HARDENING] = values["joint_stiffness"] ** 3 / effort**2
-        widths |= {name: 0.3 * effort for name in KINDS if name.endswith("friction")}
+        widths |= {name: 0.3 * effort for name, kind in KINDS.items() if kind.unit == "N m" and kind.width is None}
         widths |= {name: HARMONICS[name[-1]] * effort for name in POSITION_TORQUE}
         return {**widths, "payload_mass": np.array([10.0]), **self.prior.widths}
 
     @cached_property
     def motions(self) -> list[FilteredMotion]:
         """Return the filtered motion of each record."""
-        arm, values = self.arm(self.coordinates), self.values
+        arm, values = self.arm(self.coordinates), self.prior.values
         return [filtered(record, arm, values) for record in self.records]
 
     def arm(self, coordinates: ParameterCoordinates) -> ElasticArm:
@@ -146,6 +139,8 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Iden
         raise StateError(
             "link_inertia is of a robot that is no chain of bodies; expected one from a URDF, joints from base to tip"
         )
+    if robot.torsion is not None:
+        raise StateError("torsion is a table, which is not fitted; expected none, or a cubic stiffness instead")
     hardens = robot.cubic is not None or HARDENING in options.names
     if hardens and any(signal == "torque" for signal, _ in measured):
         raise StateError("cubic_stiffness is of records with joint torque sensors; expected motor positions instead")

@@ -37,6 +37,7 @@ BLOCK = 1.0  # s; longer than the correlation of the errors
 FEWEST_BLOCKS = 4
 LEAST_ERROR = 1e-3  # of the deflection or the effort; no model is better
 MOVING = 2.0  # smoothing velocities; a slower motor may be at rest
+EXCESS = 1.2  # static friction over Coulomb friction, at the start
 MOST_ITERATIONS = 12
 LARGEST_STEP = 1.0  # of the prior's width
 CONVERGED = 1e-3  # of the prior's width
@@ -111,8 +112,10 @@ def motor_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Arra
     columns[("motor_inertia", j)] = B * m.a_m[:, j]
     columns[("motor_damping", j)] = v
     columns[("motor_coulomb_friction", j)] = friction
+    columns[("motor_load_friction", j)] = np.abs(tau) * friction
     columns[("effort_delay", j)] = np.gradient(u, m.dt)
-    explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + p["motor_coulomb_friction"][j] * friction
+    level = p["motor_coulomb_friction"][j] + p["motor_load_friction"][j] * np.abs(tau)
+    explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + level * friction
     return _side(m, u, u - explained, columns, tau, np.abs(v) > MOVING * p[SMOOTHING][j])
 
 
@@ -125,6 +128,7 @@ def _spring_torque(
     friction, terms = coulomb(v, p[SMOOTHING][j]), position_terms(q, np)
     columns = {(name, j): term for name, term in zip(POSITION_TORQUE, terms, strict=True)}
     columns |= {("link_damping", j): v, ("link_coulomb_friction", j): friction}
+    columns[("link_load_friction", j)] = np.abs(tau) * friction
     tau = tau + sum(p[name][i] * column for (name, i), column in columns.items())
     columns |= {name: shifted(slope[:, j], m.dt, skew) for name, slope in rigid.slopes.items()}
     columns[("link_skew", j)] = -np.gradient(tau, m.dt)
@@ -233,10 +237,17 @@ def simulation_start(setup: Estimation, z: Array) -> dict[str, Array]:
     """
     values = setup.coordinates.parameters(z)
     halves: dict[str, Array] = {}
-    for kind in ("damping", "coulomb_friction"):
+    for kind in ("damping", "coulomb_friction", "load_friction"):
         half = (values[f"link_{kind}"] + values[f"motor_{kind}"]) / 2
         halves |= {f"link_{kind}": half, f"motor_{kind}": half}
     with_skew = np.isin(np.arange(setup.robot.n), [setup.coordinates.free[k][1] for k in confounded(setup)])
     added = halves["link_damping"] - values["link_damping"]
     late = np.where(with_skew, added / values["joint_stiffness"], 0.0)
-    return {**values, **halves, **{name: values[name] + late for name in ("link_skew", "effort_delay")}}
+    start = {**values, **halves, **{name: values[name] + late for name in ("link_skew", "effort_delay")}}
+    return with_static_friction(start) if setup.options.static_friction else start
+
+
+def with_static_friction(values: Mapping[str, Array]) -> dict[str, Array]:
+    """Return parameters by name with static friction above the Coulomb friction, where its slope is not 0."""
+    levels = {side: EXCESS * values[f"{side}_coulomb_friction"] for side in ("link", "motor")}
+    return {**values, **{f"{side}_static_friction": level for side, level in levels.items()}}

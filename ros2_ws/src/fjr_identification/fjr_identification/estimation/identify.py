@@ -33,15 +33,16 @@ from .filtered_fit import (
     motor_side,
     rigid_along,
     simulation_start,
+    with_static_friction,
 )
 from .filtered_motion import shifted
 from .intervals import spurious_information
-from .lack_of_fit import seen, withheld
+from .lack_of_fit import rubs_with_load, seen, withheld
 from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
 from .optimise import optimise, parameter_step, refine
 from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
-from .reversals import with_reversals
+from .reversals import COLOURED, coloured, with_reversals
 from .validation import deflection_error, deflections, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 
@@ -55,6 +56,9 @@ The first one is for a fit that has converged, the second one for one that has n
 """
 RUBS = 2.0
 """Friction of a joint that is not 0 by chance, in standard deviations."""
+LIKELIER = 10.0
+"""Increase of log L by the parameters of a friction that falls with the velocity, from which on they count."""
+SMOOTHER = (1.0, 0.1)  # times the prior's velocity over which friction turns over
 MOST = 1.0
 """Displacement, relative to the deflection, beyond which a simulation does not predict it."""
 
@@ -77,6 +81,9 @@ def identify(
     setup = Estimation(list(records), robot, prior, options)
     progress("filtered least squares", 0.0)
     z = filtered_fit(setup, setup.coordinates.mean)
+    if not options.load_friction and rubs_with_load(setup, z):
+        setup = replace(setup, options=replace(options, load_friction=True))
+        z = filtered_fit(setup, setup.coordinates.mean)
     names, joints = setup.records[0].joints, seen(setup, z)
     filtered = withheld(setup, filtered_estimates(setup, z), joints)
     z_start = _start_of_simulation(setup, z)
@@ -85,8 +92,12 @@ def identify(
         return replace(by_filter, fits=tuple(each.fit for each in deflections(setup, filtered.mean)))
     progress("compilation", 0.0)
     simulated = simulated_fit(setup, simulation_start(setup, z_start), progress)
-    simulated = replace(simulated, estimates=withheld(setup, simulated.estimates, joints))
+    simulated = replace(simulated, estimates=withheld(simulated.setup, simulated.estimates, joints))
     progress("intervals", 1.0)
+    if simulated.setup is not setup:
+        setup = simulated.setup
+        z = filtered_fit(setup, setup.coordinates.mean)
+        filtered = withheld(setup, filtered_estimates(setup, z), joints)
     entries = _better_by_filter(setup, simulated, filtered)
     if not entries:
         return simulated.estimates.identification(names, simulated.fits)
@@ -112,8 +123,12 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Estimates by simulation and the fit of each record; best: the prediction with all parameters free."""
+    """Estimates by simulation and the fit of each record; best: the prediction with all parameters free.
 
+    setup: whose friction may have more parameters than that of the start.
+    """
+
+    setup: Estimation
     best: PredictedSegments
     estimates: Estimates
     fits: tuple[Fit, ...]
@@ -123,10 +138,17 @@ class Simulation:
 def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
     best, converged = _optimum(setup, start, progress)
+    if coloured(best) >= COLOURED and not setup.options.static_friction:
+        setup, start, best, converged = _falling_with_speed(setup, start, best, converged, progress)
     best, converged = with_reversals(best, converged, lambda share: progress("friction of another shape", share))
     progress("intervals", 0.0)
     spurious, held = spurious_information(best), best.problem.coordinates.held
-    unknown = not_identifiable(best.projected, spurious, setup.coordinates.width, tuple(held))
+    parts = best.projected
+    if held:  # what they change acts on the intervals of the others
+        problem = replace(setup.problem(start), reversals=best.problem.reversals)
+        whole = problem.evaluate(best.z, best.x0, best.noise)
+        parts = whole.projected if whole else parts
+    unknown = not_identifiable(parts, spurious, setup.coordinates.width, tuple(held))
     fixed = tuple(k for k in unknown if k in held or fitted_at_prior(best, (k,)) is not None)
     last = best
     if set(fixed) != held:
@@ -137,8 +159,28 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
         last, converged = refine(problem, z, near.x0, best.noise, again)
     doubt = "" if converged else NOT_CONVERGED
     step = None if converged else parameter_step(last, 0.0)
-    estimates = estimates_at(setup, best.projected, spurious, fixed, last.z, doubt, step)
-    return Simulation(best, estimates, simulated_fits(last, last.noise), converged)
+    estimates = estimates_at(setup, parts, spurious, fixed, last.z, doubt, step)
+    return Simulation(setup, best, estimates, simulated_fits(last, last.noise), converged)
+
+
+def _falling_with_speed(
+    setup: Estimation, start: Mapping[str, Array], best: PredictedSegments, converged: bool, progress: Progress
+) -> tuple[Estimation, Mapping[str, Array], PredictedSegments, bool]:
+    """Return what is given, or the most likely parameters with static friction, and their start, if records show it.
+
+    The search starts from two velocities over which friction turns over, because it seldom finds one that is far off.
+    """
+    options, values = replace(setup.options, static_friction=True), setup.prior.values
+    near = with_static_friction(best.problem.coordinates.parameters(best.z))
+    for factor in SMOOTHER:
+        smoother = {SMOOTHING: factor * values[SMOOTHING]}
+        richer = replace(setup, options=options, prior=replace(setup.prior, values={**values, **smoother}))
+        static, reached = _optimum(richer, {**near, **smoother}, progress)
+        if static.cost < best.cost - LIKELIER:
+            setup, start, best, converged = richer, {**near, **smoother}, static, reached
+        if coloured(best) < COLOURED:
+            break
+    return setup, start, best, converged
 
 
 def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> tuple[PredictedSegments, bool]:

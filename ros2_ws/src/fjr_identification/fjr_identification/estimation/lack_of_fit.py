@@ -31,7 +31,7 @@ from .estimation_problem import Estimation
 from .filtered_fit import BLOCK, FEWEST_BLOCKS, Side, link_side, motor_side, rigid_along
 from .filtered_motion import decimated, inner, shifted
 from .intervals import CONFIDENCE
-from .parameters import HARDENING
+from .parameters import HARDENING, LOAD
 from .verdicts import Estimates
 
 SHARE = 0.3  # of the squares that the equation leaves, which a term explains
@@ -45,6 +45,7 @@ PERIODS = np.arange(40.0, 401.0, 2.0)  # of a kinematic error in a turn of the j
 LEAST = 0.01  # of the root mean square deflection; smaller loops and dead zones are no cause
 EXTENT = (0.01, 0.99)  # quantiles of deflections between which a stiffness is seen
 USUAL = 0.95  # quantile of deflections up to which a spring is seen
+LEAST_SHARE = 2e-3  # of the load by which friction grows; less does not count
 LIGHT, MOST = 0.05, 4.0  # least error of the links that is named, and largest factor; others are no cause
 CURVED = 0.1  # least relative change of a stiffness that is named
 OUTLYING = 4.0  # median errors, beyond which they are cut where a kinematic error is sought: friction at reversals
@@ -127,6 +128,20 @@ def deflections(setup: Estimation, z: Array, j: int) -> list[float]:
     late = [shifted(record.q_l[:, j], record.dt, p["link_skew"][j]) for record in records]
     zeta = [record.q_m[:, j] - q - p["offset"][j] for record, q in zip(records, late, strict=True)]
     return [float(end) for end in np.nanquantile(np.concatenate(zeta), EXTENT)]
+
+
+def rubs_with_load(setup: Estimation, z: Array) -> bool:
+    """Return whether the friction of some joint grows with the torque of its spring, at a fit z (p,) without that."""
+    rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
+    for j in range(setup.robot.n):
+        sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
+        free = [key for key in sides[0].columns if key in setup.coordinates.free]
+        rows = _rows(sides, free, [motion.dt for motion in setup.motions], [side.stride for side in sides])
+        grown = [decimated(side.columns[(LOAD[1], j)] * side.used, side.stride) for side in sides]
+        term = rows.term(np.concatenate(grown)[:, None])
+        if term.is_cause() and term.c[0] > LEAST_SHARE:
+            return True
+    return False
 
 
 def _of_links(setup: Estimation, rigid: Sequence, z: Array, j: int) -> str:

@@ -36,9 +36,11 @@ class Kind:
 
 REVERSALS = "needs reversals of the {0}; move to and fro, slowly, too"
 NEAR_ZERO = "needs motion at velocities near zero; reverse slowly"
+LOADS = "needs motion to and fro under small and large loads"
 POSES = "needs poses in which its weight pulls elsewhere"
 RANGE = "needs a larger range of the joint"
 TORQUES = "the torques of the motion do not depend on it enough; use other poses, faster motion"
+STRIBECK, USUAL_STRIBECK = "stribeck_velocity", 0.1  # rad/s
 LOG_CHOLESKY = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
 KINDS = {
     "joint_stiffness": Kind(
@@ -60,6 +62,9 @@ KINDS = {
     "motor_coulomb_friction": Kind("N m", NONNEGATIVE, REVERSALS.format("motor")),
     "link_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
     "motor_static_friction": Kind("N m", NONNEGATIVE, NEAR_ZERO),
+    STRIBECK: Kind("rad/s", LOG, NEAR_ZERO, 1.0),
+    "link_load_friction": Kind("", NONNEGATIVE, LOADS, 0.1),
+    "motor_load_friction": Kind("", NONNEGATIVE, LOADS, 0.1),
     "friction_smoothing_velocity": Kind("rad/s", LOG, "needs friction and reversals; reverse slowly", 2.0),
     "offset": Kind(
         "rad", LINEAR, "needs spring torques of both signs, or a known one; change the load of the joint", 0.02
@@ -88,12 +93,14 @@ SMOOTHING = "friction_smoothing_velocity"
 """Velocity v_0 over which the friction of a joint turns over, of both sides: level tanh(v / v_0)."""
 USUAL_SMOOTHING = 0.01  # rad/s, as of the plant
 COULOMB = ("link_coulomb_friction", "motor_coulomb_friction")
-STATIC = ("link_static_friction", "motor_static_friction")
+LOAD = ("link_load_friction", "motor_load_friction")
+"""Share of the torque of the spring by which the friction of a side grows, as that of gears."""
+STATIC = ("link_static_friction", "motor_static_friction", STRIBECK)
 TIMING = ("effort_delay", "link_skew", "torque_skew")
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
 """Parameters of the equations of motion."""
 HARDENING = "cubic_stiffness"
-USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC, HARDENING))
+USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC, *LOAD, HARDENING))
 """Parameters that are free by default."""
 LARGEST_SKEW = 8e-3  # s
 
@@ -102,22 +109,22 @@ LARGEST_SKEW = 8e-3  # s
 class IdentifyOptions:
     """What is identified.
 
-    free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, payload,
-    cubic_stiffness: free these, too (the payload is a point mass on the last link). link_inertia: free a correction of
-    mass and inertia of each link, positive definite and near the robot's own. position_torque: joint with a torque
-    sum_k a_k sin k q + b_k cos k q, k = 1, 2, on the link, such as a counterbalance; "": none. stribeck [rad/s]:
-    velocity of the friction model, scalar or one per joint. segment [s]: length of the pieces of the record that are
-    predicted; None: from the resonances. threads: number of segments evaluated at the same time.
+    free: names of free parameters. joints: those whose parameters are free; empty: all. static_friction, load_friction,
+    payload, cubic_stiffness: free these, too (the payload is a point mass on the last link); friction also where the
+    records show it. link_inertia: free a correction of mass and inertia of each link, positive definite and near the
+    robot's own. position_torque: joint with a torque sum_k a_k sin k q + b_k cos k q, k = 1, 2, on the link, such as a
+    counterbalance; "": none. segment [s]: length of the pieces of the record that are predicted; None: from the
+    resonances. threads: number of segments evaluated at the same time.
     """
 
     free: tuple[str, ...] = USUAL
     joints: tuple[str, ...] = ()
     static_friction: bool = False
+    load_friction: bool = False
     payload: bool = False
     cubic_stiffness: bool = False
     link_inertia: bool = False
     position_torque: str = ""
-    stribeck: ArrayLike = 0.1
     segment: float | None = None
     threads: int = 2
 
@@ -132,6 +139,7 @@ class IdentifyOptions:
     def names(self) -> tuple[str, ...]:
         """Return the names of all free parameters."""
         chosen = [*self.free, *(STATIC if self.static_friction else ()), *(PAYLOAD if self.payload else ())]
+        chosen += LOAD if self.load_friction else ()
         chosen += [HARDENING] if self.cubic_stiffness else []
         chosen += PSEUDO_INERTIA if self.link_inertia else ()
         chosen += POSITION_TORQUE if self.position_torque else ()
@@ -164,7 +172,13 @@ class Prior:
             "link_damping": _diagonal("D_l", robot.D_l),
             "motor_damping": _diagonal("D_m", robot.D_m),
         }
-        complete = {**dict.fromkeys(KINDS, 0.0), SMOOTHING: USUAL_SMOOTHING, **of_robot, **(values or {})}
+        complete = {
+            **dict.fromkeys(KINDS, 0.0),
+            SMOOTHING: USUAL_SMOOTHING,
+            STRIBECK: USUAL_STRIBECK,
+            **of_robot,
+            **(values or {}),
+        }
         return cls(_shaped(complete, robot.n), _shaped(widths or {}, robot.n))
 
 

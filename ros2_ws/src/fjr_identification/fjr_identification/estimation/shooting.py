@@ -13,7 +13,7 @@ import numpy as np
 
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import c_library
+from fjr_core.numerics.jit import c_library_of
 
 from .elastic_arm import ElasticArm, packed
 from .parameters import SMOOTHING
@@ -47,7 +47,11 @@ class HeldEffort:
 
         Each side is given the friction of both, because a fit in progress does not know well how it is divided.
         """
-        levels = [np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) for side in ("link", "motor")]
+        load = np.max(np.abs(self.u), axis=0)
+        levels = [
+            np.maximum(p[f"{side}_coulomb_friction"], p[f"{side}_static_friction"]) + load * p[f"{side}_load_friction"]
+            for side in ("link", "motor")
+        ]
         v_0, acceleration = np.tile(p[SMOOTHING], 2), np.tile(sum(levels), 2) * self.mobility
         creep = self.dt * acceleration / v_0
         if np.max(creep, initial=0.0) > STABLE * MOST_STIFF_PARTS:
@@ -126,7 +130,7 @@ class Shooting:
     @cached_property
     def library(self) -> tuple[Any, Any]:
         """Return cffi's types and the compiled loop."""
-        return c_library(__file__, {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors})
+        return c_library_of(__file__, {"N": self.arm.robot.n, "M": self.padded, "L": self.vectors})[:2]
 
     @cached_property
     def function(self) -> Any:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import record_type
-from fjr_core.runtime.library import StepLibrary
+from fjr_core.numerics.jit import CLibrary, record_type
 from fjr_monitor.diagnosis.causes import (
     EMPTY,
     BlockStatistics,
@@ -52,7 +51,7 @@ class LatestIntervals:
     position (2n,) [rad], jets (5, n): latest state and reference. count: number of intervals.
     """
 
-    def __init__(self, n: int, library: StepLibrary) -> None:
+    def __init__(self, n: int, library: CLibrary) -> None:
         """library: the control step of n joints, which defines struct fjr_certified."""
         ffi = library.ffi
         self._n, self.position, self.jets = n, np.zeros(2 * n), np.zeros((JETS, n))

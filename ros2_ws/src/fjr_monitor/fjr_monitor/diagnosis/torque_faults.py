@@ -23,6 +23,7 @@ import numpy as np
 
 from fjr_core.errors import RobotError
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model import springs
 from fjr_core.model.rigid_arm import ArmDynamics
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Prediction
@@ -162,8 +163,8 @@ def residuals(found: Innovations, late: Array, law: TrackingLaw) -> Residuals | 
     raw = torques(robot, first[:, : 2 * n], found.error[:, 2 * n :], found.dt)
     raw[:, n:] -= late @ robot.B_m.T
     u, r = found.sent + late, block_means(raw, block)
-    zeta = q[:, n:] - q[:, :n]
-    scale = np.hstack([np.abs(zeta @ robot.K), np.abs(zeta @ robot.K) + np.abs(u @ robot.B_m.T)])
+    spring = np.abs(springs.torques(robot, q[:, n:] - q[:, :n]))
+    scale = np.hstack([spring, spring + np.abs(u @ robot.B_m.T)])
     noise = deviation(r)
     sigma = np.hypot(noise, FLOOR * np.sqrt(np.mean(scale**2, axis=0)) + 1e-12)
     return Residuals(found, robot, Prediction(law), block, r, sigma, noise, q, dq, ddq, u)
@@ -245,7 +246,8 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     """Return stiffness and backlash: torques on the link with their reactions on the motor."""
     n, k = seen.robot.n, seen.robot.K[j, j]
     zeta = seen.q[:, n + j] - seen.q[:, j]
-    linear = seen.placed({j: zeta, n + j: -zeta})
+    bent = springs.torques(seen.robot, seen.q[:, n:] - seen.q[:, :n])[:, j] / k if seen.robot.curve else zeta
+    linear = seen.placed({j: bent, n + j: -bent})
     yield Hypothesis("stiffness", j, JOINT, "%", linear, lambda fitted: 100 * float(fitted[0]) / k)
     for half in FREEPLAYS * np.sqrt(np.mean(zeta**2)):
         torque = -np.clip(zeta, -half, half) * k

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.errors import CompilerError
-from fjr_core.numerics.jit import ffi_of, shared_object
-from fjr_core.runtime.library import declarations
+from fjr_core.numerics.jit import c_library
 
 PORTABLE, COMMON = ("clock", "ring", "cdr"), ("clock", "ring", "cdr", "loop")
 """Parts of every native loop, in the order in which they are included; the portable ones need no headers of ROS 2."""
@@ -46,13 +45,9 @@ class Program:
         makes them of pointers to the same types of another library. ros: use the headers and libraries of ROS 2; raise
         NativeError if that cannot be built. Else raise CompilerError without a C compiler.
         """
-        macros = dict(values or {})
-        self.ffi = ffi_of(declarations("\n".join([base, *headers]), macros))
-        defined = [f"#define {macro} {value}\n" for macro, value in macros.items()]
-        text = [_FEATURES, *defined, base, *headers, *sources]
+        texts, options = ("\n".join([_FEATURES, base, *headers]), "\n".join(sources)), ros_options() if ros else ()
         try:
-            path = shared_object(name, "\n".join(text), [*WARNINGS, *(ros_options() if ros else ())])
-            self.lib: Any = self.ffi.dlopen(path)
+            self.ffi, self.lib, _ = c_library(name, *texts, values or {}, [*WARNINGS, *options])
         except (CompilerError, OSError) as error:
             if not ros:
                 raise

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,9 +14,8 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter as RosParameter
 
 from fjr_core import FjrError, ParameterError
-from fjr_core.config import robot_file
-from fjr_core.config.nodes import OwnParameters, all_parameters, is_of_others, names_of_others, without_others
-from fjr_core.config.parameter import Parameter, Value, complete, is_option, refuse_unknown, resembling, unread_options
+from fjr_core.config.nodes import OwnParameters, is_of_others, names_of_others, resolve
+from fjr_core.config.parameter import Parameter, Value, refuse_unknown, unread_options
 
 from .command_line import for_any_node, overruled, same_value
 from .failure import LONGEST, EndingNode
@@ -190,11 +189,9 @@ class ParameterNode(EndingNode):
                 self.declare_parameter(name, value, described, ignore_override=True)
 
     def _checked_values(self) -> dict[str, Any]:
-        merged = robot_file.merged(self._given, self.get_name(), Path.cwd())
-        given = without_others(self._own, merged, self._given)
-        parameters = all_parameters(self._own, given)
-        self._check_names(parameters, given)
-        values = dict(complete(parameters, given))
+        parameters, values, ignored = resolve(self._own, self._given, self.get_name(), Path.cwd(), self._for_any_node)
+        for name in ignored:
+            self.get_logger().warning(f"parameter '{name}' is ignored: this node does not have it")
         self._parameters_by_name = {parameter.name: parameter for parameter in parameters}
         self._declaring = True
         try:
@@ -203,23 +200,6 @@ class ParameterNode(EndingNode):
         finally:
             self._declaring = False
         return values
-
-    def _check_names(self, parameters: Sequence[Parameter], given: Mapping[str, object]) -> None:
-        """Raise ParameterError for an unknown name; log one that a file gives to all nodes and that is of no group.
-
-        Options are logged, too, where no class of the user is named.
-        """
-        own, others = [parameter.name for parameter in parameters], names_of_others(self._own)
-        groups = {name.partition(".")[0] for name in (*own, *others)}
-        foreign = {
-            name
-            for name in self._for_any_node - {*own, *others}
-            if name.partition(".")[0] not in groups and not resembling(name, (*own, *others), least=0.8)
-        }
-        ignored = given.keys() & (foreign | unread_options(parameters, given))
-        for name in sorted(ignored):
-            self.get_logger().warning(f"parameter '{name}' is ignored: this node does not have it")
-        refuse_unknown(own, given.keys() - ignored, others)
 
     def _declare(self, parameter: Parameter, value: Value) -> None:
         """Declare a parameter with its descriptor; replace an earlier declaration."""
@@ -247,8 +227,8 @@ class ParameterNode(EndingNode):
             if not self.is_open() and any(p.name == _SIM_TIME and p.value != clock for p in parameters):
                 raise ParameterError(f"parameter '{_SIM_TIME}' can be set only {self._when_open}")
             if new and self.is_open():  # an option may be of a class that is named before the next `recheck`
-                known = self._parameters_by_name.values()
-                self._refuse_unknown({name: value for name, value in new.items() if not is_option(known, name)})
+                options = unread_options(self._parameters_by_name.values(), new, user_code=False)
+                self._refuse_unknown(new.keys() - options)
             elif new:
                 values = {**self.values, **self._checked_change(new)}
                 self.changed(values, set(new))
@@ -266,7 +246,7 @@ class ParameterNode(EndingNode):
                 raise ParameterError(f"parameter '{name}' can be set only {self._when_open}")
         return {name: self._parameters_by_name[name].check(value) for name, value in new.items()}
 
-    def _refuse_unknown(self, new: Mapping[str, object]) -> None:
+    def _refuse_unknown(self, new: Iterable[str]) -> None:
         if self._parameters_by_name:
             refuse_unknown(self._parameters_by_name, new, names_of_others(self._own))
 

@@ -127,9 +127,9 @@ class DeviationModel:
     """
 
     def __init__(self, law: StaticLaw) -> None:
-        if law.robot.cubic is not None:
+        if law.robot.curve:
             raise ParameterError(
-                "the robot has a cubic_stiffness; expected straight springs for a proof of the sampled loop"
+                f"the robot has a {law.robot.curve}; expected straight springs for a proof of the sampled loop"
             )
         self.law, self.robot, self.n = law, law.robot, law.robot.n
         self._path, self._jets = (ca.SX.sym(name, self.n, DERIVATIVES) for name in ("path", "jets"))

@@ -22,7 +22,7 @@ import numpy as np
 
 from fjr_core.law.linearized import Indices
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import c_library
+from fjr_core.numerics.jit import c_library_of
 from fjr_core.stability.linearization import held_maps
 
 from .cells import Cells
@@ -86,7 +86,7 @@ class _Chain:
 
     def __init__(self, models: CellModels, samples: int, T: float) -> None:
         loop, inputs, bent = _chained(models, samples)
-        self._ffi, self._library = c_library(__file__)
+        self._ffi, self._library, _ = c_library_of(__file__)
         self._maps, self._bent = np.concatenate([inputs, loop], axis=2), np.ascontiguousarray(bent)
         given = {"maps": self._pointer(self._maps), "bent": self._pointer(self._bent), "half": T / 2}
         _, states, torques = bent.shape

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from fjr_core.errors import ParameterError, StateError
 from fjr_core.motions.sine import Sines
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import c_library
+from fjr_core.numerics.jit import c_library_of
 
 UP = 1 + 2.0**-43
 """Factor that covers the rounding of a sum of up to 500 terms."""
@@ -207,4 +207,4 @@ def _library(shape: Shape) -> tuple[Any, Any]:
     """
     if shape.symbols and shape.mixed > shape.order or shape.width > 500:
         raise ParameterError(f"{shape}: expected at most 500 values, and mixed at most order")
-    return c_library(__file__, dict(zip("MKL", shape, strict=True)), ["-fopenmp-simd"])
+    return c_library_of(__file__, dict(zip("MKL", shape, strict=True)), ["-fopenmp-simd"])[:2]
