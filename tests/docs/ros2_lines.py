@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fjr_core.config import ros_yaml
-from fjr_monitor.recording.topic import interface_class
+from fjr_monitor.recording.message_types import interface_class
 from fjr_msgs_py.messages.plain import fill
 
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")

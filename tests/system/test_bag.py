@@ -30,8 +30,9 @@ from std_msgs.msg import String
 
 from fjr_bringup.runner import JOINT_COMMANDS, _Run
 from fjr_monitor.recording.bag import Bag, header_stamp, read_bag
+from fjr_monitor.recording.files import Topic
+from fjr_monitor.recording.message_types import type_hash
 from fjr_monitor.recording.recorder import QUEUE_DEPTH, BagWriter, Recorder, Track
-from fjr_monitor.recording.topic import Topic, type_hash
 from fjr_msgs_py.node.participant import leave
 from system.bags import JOINT_STATE, joint_state
 from system.executables import wait_for

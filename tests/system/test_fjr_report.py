@@ -17,7 +17,7 @@ import yaml
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
-from fjr_monitor.recording import run as run_data
+from fjr_monitor.recording import signals
 from fjr_monitor.recording.bag import header_stamp, read_bag
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
@@ -231,7 +231,7 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
     model = load_scenario(tmp_path / "scenario.yaml")
     found = []
     for size, around in ((10_000, 10_000), (97, 60)):
-        monkeypatch.setattr(run_data, "AROUND", around)
+        monkeypatch.setattr(signals, "AROUND", around)
         recording = Recording(read_bag(bag), model, duration, size)
         parts = list(recording.parts())
         metrics = Metrics(recording)
@@ -255,7 +255,7 @@ def test_messages_that_were_received_late_have_their_place_by_the_time_they_were
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: Scenario
 ) -> None:
     """As beside busy programs: every seventh message of each topic is received 0.3 s later, hundreds of states."""
-    monkeypatch.setattr(run_data, "AROUND", 20)
+    monkeypatch.setattr(signals, "AROUND", 20)
     found = []
     for folder, late in ((tmp_path / "in time", 0.0), (tmp_path / "late", 0.3)):
         received(run, folder, late)

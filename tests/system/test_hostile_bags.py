@@ -20,8 +20,9 @@ from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import CompressionMode
 
 from fjr_monitor.recording.bag import Bag, BagError, read_bag
+from fjr_monitor.recording.files import Topic
+from fjr_monitor.recording.message_types import definition, type_hash
 from fjr_monitor.recording.recorder import BagWriter
-from fjr_monitor.recording.topic import Topic, definition, type_hash
 from fuzzing import answer, bytes_of, fuzzed
 from system.bags import JOINT_STATE, joint_state, rewritten
 

@@ -12,7 +12,7 @@ import pytest
 from fjr_bringup.cli import run
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.recording.bag import read_bag
-from fjr_monitor.recording.signals import ControllerStop
+from fjr_monitor.recording.run import ControllerStop
 from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.metrics import Report
 from fjr_monitor.report.shown import RunSummary

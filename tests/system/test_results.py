@@ -17,7 +17,7 @@ from fjr_bringup.cli.run import _result
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_monitor.recording.bag import read_bag
-from fjr_monitor.recording.signals import ControllerStop
+from fjr_monitor.recording.run import ControllerStop
 from fjr_monitor.report import html
 from fjr_monitor.report.run_page import write_run_page
 from fjr_monitor.report.shown import RunSummary

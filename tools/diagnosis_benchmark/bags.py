@@ -12,10 +12,10 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.message_types import type_hash
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, REFERENCE, STATES
-from fjr_monitor.recording.topic import type_hash
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import FIELDS, HEADER, Form, float_array, joint_state
 

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.figures import markdown, put
-from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
+from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.verdict import Diagnosis
 
 from . import cases, faults
 from .bags import read_record, write_bag

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.certificate import Certificate, Prediction
+from fjr_core.monitoring.certificate import Certificate
 from fjr_core.runtime.library import step_library
-from fjr_monitor.diagnosis.record import Record, innovations
+from fjr_monitor.diagnosis.diagnosis import innovations
+from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 from monitor.diagnosis.loops import Certified
 
@@ -39,7 +40,7 @@ def test_values_and_innovations_equal_those_along_the_run() -> None:
     assert rows == pytest.approx(np.stack([getattr(series, name) for name in VALUES], axis=1), rel=1e-12)
     t = np.arange(len(U)) * 1e-3
     record = Record(t, POSITION, VELOCITY, JETS, U, None, None, None, 1e-3, np.full(2, np.inf))
-    expected, found = innovations(record, Certificate(LAW), Prediction(LAW)), online.last(100)
+    expected, found = innovations(record, LAW), online.last(100)
     for name in ("dt", "V0", "V1", "predicted", "sent", "law", "older", "error", "slope", "tracking"):
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9, abs=1e-12), name
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_core.monitoring.certificate import Certificate, Prediction
-from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay
-from fjr_monitor.diagnosis.diagnosis import diagnose
-from fjr_monitor.diagnosis.record import Ends, Record, innovations, needed
+from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay, needed
+from fjr_monitor.diagnosis.diagnosis import diagnose, innovations
+from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from monitor.diagnosis.loops import PERIOD, recorded
 
@@ -45,7 +44,7 @@ def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record
 
 
 def test_exact_model_predicts_the_next_state() -> None:
-    found = innovations(record(), Certificate(LAW), Prediction(LAW))
+    found = innovations(record(), LAW)
     assert np.abs(found.error).max() <= 1e-11
     assert np.abs(found.V1 - found.predicted).max() <= 1e-11
     assert np.abs(needed(found, LAW.robot) - found.sent).max() <= 1e-7
@@ -81,7 +80,7 @@ def test_wrong_plant_parameter_is_a_model_mismatch(name: str, value: float) -> N
 @pytest.mark.parametrize("delay", [0.7e-3, 2.4e-3, 4e-3])
 def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
     seen = record(delay=delay)
-    found = innovations(seen, Certificate(LAW), Prediction(LAW))
+    found = innovations(seen, LAW)
     age = acting(found, effort_delay(found, LAW.robot), needed(found, LAW.robot)).age
     assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
     verdict = diagnose(seen, LAW)
@@ -185,9 +184,9 @@ def test_a_record_in_parts_has_the_diagnosis_of_the_whole(changed: dict[str, flo
 def test_the_ends_of_a_record_in_parts_are_its_first_and_last_states() -> None:
     whole = record()
     for most, size in ((100, 30), (100, 1000), (5000, 700)):
-        ends = Ends(most)
+        ends = whole.rows(slice(0))
         for part in whole.parts(size):
-            ends.add(part)
+            ends = ends.followed_by(part.new).ends(most)
         rows = np.unique(np.r_[: min(most, len(whole.t)), max(0, len(whole.t) - most) : len(whole.t)])
         wanted = whole.t[rows]
-        np.testing.assert_array_equal(ends.record().t, wanted)
+        np.testing.assert_array_equal(ends.t, wanted)

@@ -13,11 +13,18 @@ import pytest
 import fjr_core as fjr
 from fjr_core.model.rigid_arm import PayloadArm
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.diagnosis import Diagnosis, diagnose
-from fjr_monitor.diagnosis.fault_isolation import UNKNOWN, unexplained, velocity_faults
-from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Finding, Hypothesis, body_torques
+from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_monitor.diagnosis.fault_isolation import velocity_faults
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.torque_faults import (
+    SECOND_MOMENTS,
+    UNKNOWN,
+    Hypothesis,
+    body_torques,
+    unexplained,
+)
+from fjr_monitor.diagnosis.verdict import Diagnosis, Finding
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 1.5

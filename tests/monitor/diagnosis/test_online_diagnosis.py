@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_monitor.diagnosis.diagnosis import Diagnosis
 from fjr_monitor.diagnosis.online_diagnosis import WINDOW, Latency, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.verdict import Diagnosis
 from monitor.diagnosis.loops import Certified
 
 PERIOD, BETA = 1e-3, 10.0

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
-from fjr_monitor.diagnosis.diagnosis import BlockStatistics, diagnose
+from fjr_monitor.diagnosis.causes import BlockStatistics, CauseErrors, StorageBudget
+from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, JointTolerances

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jinja2 import UndefinedError
 
-from fjr_monitor.diagnosis.diagnosis import Diagnosis
+from fjr_monitor.diagnosis.verdict import Diagnosis
 from fjr_monitor.recording.timing import CountedTimes
 from fjr_monitor.report import comparison_page, html
 from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable

@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core.errors import FjrError
-from fjr_monitor.recording.topic import interface_class
+from fjr_monitor.recording.message_types import interface_class
 from fjr_monitor.recording.topics import nodes_seen
 from fjr_msgs_py.node.participant import own_node
 

@@ -21,9 +21,9 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import CLibrary
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import CertificateStruct
-from fjr_monitor.diagnosis.diagnosis import unknown
 from fjr_monitor.diagnosis.online_diagnosis import Latency, LatestIntervals, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED, JointTolerances
+from fjr_monitor.diagnosis.verdict import unknown
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array
 from fjr_msgs_py.native.loop import NativeMessage

@@ -93,7 +93,7 @@ __all__ = [
 ]
 
 _ELSEWHERE = {
-    "Diagnosis": "fjr_monitor.diagnosis.diagnosis",
+    "Diagnosis": "fjr_monitor.diagnosis.verdict",
     "Record": "fjr_monitor.diagnosis.record",
     "SampledCheck": "fjr_design.stability.sampled_loop",
     "check": "fjr_design.stability.sampled_loop",

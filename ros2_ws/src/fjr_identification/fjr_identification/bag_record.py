@@ -14,8 +14,9 @@ from mcap.records import Message
 from fjr_core.errors import RecordError
 from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.bag import FLOATS, JOINT_STATE, in_order, read_bag
+from fjr_monitor.recording.files import BagError, Times
+from fjr_monitor.recording.message_types import typestore
 from fjr_monitor.recording.signals import first_of_each_stamp, match_stamps
-from fjr_monitor.recording.topic import BagError, Times, typestore
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state_arrays
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """While and after the arm moves: diagnosis, recording, metrics, reports and displays.
 
-From a bag to its verdict: `report.write.report_bag` reads the bag (`recording.bag`, `recording.run`), `report.metrics`
-passes it to `diagnosis.diagnosis` part by part in two passes, where `diagnosis.causes` predicts what each cause
-explains and `diagnosis.fault_isolation` compares the hypotheses; `report.write` writes report.json and the page.
+From a bag to its verdict: `recording.files` reads messages, `recording.bag` makes arrays of them, `recording.signals`
+states with their commands, `recording.run` the run in parts. `diagnosis.diagnosis` takes the parts in two passes: first
+innovations, from which `diagnosis.delay_estimation` finds how late efforts acted, then what `diagnosis.causes` predicts
+of each cause. `diagnosis.fault_isolation` checks signals, `diagnosis.torque_faults` compares the hypotheses, and
+`report.metrics` writes the verdict into report.json.
 """

@@ -137,7 +137,7 @@ def _exit_code(error: Exception) -> Exit:
     from rclpy.impl.implementation_singleton import rclpy_implementation
 
     from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError, RobotError
-    from fjr_monitor.recording.topic import BagError
+    from fjr_monitor.recording.files import BagError
     from fjr_msgs_py.console.ending import Interrupted
     from fjr_msgs_py.scenarios.library import ScenarioError
 

@@ -15,7 +15,7 @@ from fjr_bringup.runner import RunError, RunPlan
 from fjr_core.errors import FjrError
 from fjr_core.numerics.jit import c_compiler
 from fjr_design.cli.preflight import refuse_coarse_steps, refuse_unstable
-from fjr_monitor.recording.topic import BagError
+from fjr_monitor.recording.files import BagError
 from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.shown import RunSummary
 from fjr_monitor.report.write import compare, output_paths, play_hint, report_run, stops, table

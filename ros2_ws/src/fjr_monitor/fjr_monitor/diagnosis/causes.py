@@ -15,7 +15,6 @@ of the model. The remainder of the measured tracking error is due to the loop it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -28,18 +27,12 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import momentum_matrix
 from fjr_core.stability.linearization import SampledLoop
-from fjr_monitor.diagnosis.delay_estimation import Acting
-from fjr_monitor.diagnosis.record import Innovations, foreseen
+from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
+from fjr_monitor.diagnosis.record import Innovations
 
-from .thresholds import (
-    AT_LIMIT,
-    BLOCK,
-    GAP,
-    NOISE_DEVIATIONS,
-    SAME_EFFORT,
-    UNSURE,
-    JointTolerances,
-)
+from . import thresholds
+from .thresholds import AT_LIMIT, BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE, JointTolerances
+from .verdict import NO_DECAY, SAMPLING, SATURATION, Diagnosis, detail, explained, unknown, violated
 
 CAUSES = ("model mismatch", "saturation", "delay", "loss")
 CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
@@ -179,6 +172,39 @@ def growth(risen: Array, floor: float) -> float:
     return float(np.max(V / (lowest + floor), initial=0.0))
 
 
+class StorageGrowth:
+    """V along the intervals of a record that come in order.
+
+    highest (2, m) [J]: as of `highest`. thirds (2,) [J]: largest V in the first and in the last third of all intervals.
+    figures: numbers of the diagnosis.
+    """
+
+    def __init__(self, total: int) -> None:
+        """total: number of intervals that will come."""
+        self._total, self._done, self._last = total, 0, (np.inf, np.nan)
+        self.highest: Array = np.zeros((2, 0))
+        self.thirds = np.zeros(2)
+        self.figures = {"intervals": float(total), "effort age": 0.0, "gaps": 0.0, "unanswered": 0.0}
+        self.figures |= {"largest V": -np.inf, "last V": np.nan}
+
+    def add(self, found: Innovations, period: float, limit: Array) -> None:
+        """Add the next intervals; period [s]: sample period. limit (n,) [N m]: of the efforts."""
+        if not len(found):
+            return
+        risen = rises(found, limit, *self._last)
+        foreign_last = bool(foreign(found.rows(slice(-1, None)), limit)[0])
+        self._last = (float(risen[1, -1]), np.inf if foreign_last else float(found.V1[-1]))
+        self.highest = highest(np.hstack([self.highest, risen]))
+        third, places = max(1, self._total // 3), self._done + np.arange(len(found))
+        for i, rows in enumerate((places < third, places >= self._total - third)):
+            self.thirds[i] = np.maximum(self.thirds[i], found.V1[rows].max(initial=0.0))
+        self._done += len(found)
+        self.figures["gaps"] += float((found.dt > GAP * period).sum())
+        self.figures["unanswered"] += float((~found.answered).sum())
+        self.figures["largest V"] = float(np.maximum(self.figures["largest V"], found.V1.max()))
+        self.figures["last V"] = float(found.V1[-1])
+
+
 @dataclass(frozen=True)
 class CauseErrors:
     """Tracking errors in b blocks, by cause.
@@ -249,6 +275,94 @@ def _outdated(found: Innovations, period: float) -> Array:
     return np.asarray((found.law - law) * share[:, None])
 
 
-def detail(causes: Sequence[str], errors: dict[str, Array], axes: JointTolerances) -> str:
-    """Format causes with the error due to each: "delay makes 0.14 mrad at joint2, sampling"."""
-    return ", ".join(f"{cause} makes {axes.largest(errors[cause])}" if cause in errors else cause for cause in causes)
+class BlockStatistics:
+    """The blocks of a loop that is stable at its sample period, counted."""
+
+    def __init__(self, decay: float, axes: JointTolerances) -> None:
+        """decay: guaranteed factor of V in a block."""
+        self._decay, self._axes = decay, axes
+        self._envelope = np.zeros(len(axes.tolerance))
+        self._graded = np.zeros(2, dtype=bool)  # whether any block is judged; of these, any outside a transient
+        self._within = np.ones(2, dtype=bool)
+        self._errors = np.zeros((2, len(CAUSES), len(axes.tolerance)))
+        self._blocks = self._counted = self._above = 0
+        self._strongest = np.zeros(len(CAUSES), dtype=int)
+        self._hold = self._slack = 0.0
+        self._added: list[Array] = []
+
+    def add(self, blocks: StorageBudget, made: CauseErrors) -> None:
+        """Add blocks and the tracking errors by cause in them; only those with `judged` can be violated."""
+        causes = np.maximum(blocks.causes[blocks.judged], 0.0)
+        allowed = (blocks.slack + thresholds.PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
+        above = ~(causes.sum(axis=1) <= allowed)
+        self._blocks += len(blocks.judged)
+        self._counted += len(above)
+        self._above += int(above.sum())
+        self._strongest += np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES))
+        self._hold += float(blocks.hold.sum())
+        self._slack += float(blocks.slack.sum())
+        self._added.append(blocks.hold + blocks.noise)
+        self._grade(made, blocks.judged)
+
+    def _grade(self, made: CauseErrors, judged: NDArray[np.bool_]) -> None:
+        """Keep the largest error (n,) due to each cause in the judged blocks, and in those outside a transient.
+
+        The loop's own error is bounded by an envelope that decays from block to block with the square root of the
+        guaranteed factor of V. A block belongs to a transient if that envelope exceeds both the tolerance (n,) and the
+        errors due to the causes; if all judged blocks do, all count. Within the tolerance: the errors due to the causes
+        are at most the tolerance plus RELATIVE times the envelope.
+        """
+        total, own, tolerance = made.peaks.sum(axis=1), made.own.copy(), self._axes.tolerance
+        for value in own:  # the running maximum, multiplied by the decay from block to block
+            np.maximum(value, np.sqrt(self._decay) * self._envelope, out=value)
+            self._envelope = value
+        settled = judged & ~((own > tolerance) & (own > total)).any(axis=1)
+        within = (total <= tolerance + thresholds.RELATIVE * own).all(axis=1)
+        for i, rows in enumerate((judged, settled)):
+            self._graded[i] |= rows.any()
+            self._within[i] &= within[rows].all()
+            self._errors[i] = np.maximum(self._errors[i], made.peaks[rows].max(axis=0, initial=0.0))
+
+    def floor(self, tolerated: float) -> float:
+        """Return the storage [J] that hold, noise and the tolerated tracking error explain.
+
+        tolerated [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals
+        the lower quartile of what hold and noise add. The quartile keeps a diverging loop from raising its own floor.
+        """
+        if not self._blocks:
+            return tolerated
+        added = np.concatenate(self._added)
+        explained = np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25)
+        return tolerated + thresholds.PREDICTED * float(explained) / max(1 - self._decay, np.finfo(float).eps)
+
+    def conclude(self, grown: float, figures: dict[str, float]) -> Diagnosis:
+        """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""
+        share, strongest = self._above / max(1, self._counted), self._strongest / max(1, self._above)
+        figures = {**figures, "blocks": float(self._counted), "violated share": share, "growth of V": grown}
+        figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
+        order = np.argsort(-strongest, kind="stable")
+        causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
+        if grown > thresholds.DIVERGED:  # the hold is the cause if it added more to V than the decay removed
+            causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
+            return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
+        if self._blocks < thresholds.FEWEST:
+            states = int(figures.get("intervals", self._blocks * BLOCK))
+            fewest = thresholds.FEWEST * BLOCK
+            return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
+        if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
+            return unknown("most efforts sent are not those of the law", figures)
+        which = int(self._graded[1])
+        errors = dict(zip(CAUSES, self._errors[which], strict=True)) if self._graded[which] else {}
+        often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and self._above >= thresholds.FEWEST)
+        if grown > thresholds.EXCEEDED or often:
+            size, why = detail(causes, errors, self._axes), explained(causes)
+            if causes and self._within[which] and SATURATION not in causes:
+                sentence = f"{size}, within the tolerance: {why}"
+                return Diagnosis("degraded", causes, sentence, figures, errors, size)
+            sentence = f"{NO_DECAY}: {why}" + (f"; {size}" if size else "")
+            return Diagnosis("violated", causes, sentence, figures, errors, size)
+        if share > thresholds.SHARE_OF_FEW:
+            few = f"V exceeds its floor in {self._above} of {self._counted} blocks; expected more blocks"
+            return unknown(few, figures)
+        sentence = "V decays as guaranteed, down to the floor that hold and noise predict"
+        return Diagnosis("holding", (), sentence, figures, errors)

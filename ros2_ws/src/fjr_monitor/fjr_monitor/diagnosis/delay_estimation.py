@@ -7,15 +7,17 @@ All estimates follow from sums over the intervals, so that a record may come in 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.record import Innovations, needed
+from fjr_monitor.diagnosis.record import Innovations, Table
 
 from . import thresholds
 
@@ -43,17 +45,40 @@ class EffortDelay(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Acting:
+class Acting(Table):
     """Deviation (k, n) [N m] of the acting effort from the sent one in each interval, by its reason."""
+
+    SHARED: ClassVar[tuple[str, ...]] = ("age",)
 
     cut: Array
     late: Array
     lost: Array
     age: float  # samples, median delay
 
-    def rows(self, rows: slice) -> Acting:
-        """Return the deviations of the selected intervals."""
-        return Acting(self.cut[rows], self.late[rows], self.lost[rows], self.age)
+
+def needed(found: Innovations, robot: Robot) -> Array:
+    """Return the mean effort (k, n) [N m] that the motor equation requires in each interval.
+
+    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: measured minus predicted generalised momenta of
+    the motors, as in A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
+    2003. The part that the known latency explains is subtracted.
+    """
+    residual: Array = found.error[:, 3 * robot.n :] @ _effort(robot) / found.dt[:, None]
+    return found.sent + residual - foreseen(found)
+
+
+def foreseen(found: Innovations) -> Array:
+    """Return the mean deviation (k, n) [N m] from the sent effort due to the known latency.
+
+    The older effort acts until the command arrives.
+    """
+    return np.asarray(found.latency[:, None] * (found.older - found.sent))
+
+
+@lru_cache(maxsize=8)
+def _effort(robot: Robot) -> Array:
+    """Return (B_m^-1 M_m)' (n, n), which maps accelerations to efforts."""
+    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)
 
 
 class DelaySums:
@@ -80,9 +105,10 @@ class DelaySums:
         self._products += changes @ changes.transpose(0, 2, 1)
         self._measured &= bool(np.isfinite(found.after).all() and np.isfinite(found.before).all())
 
-    def delay(self) -> EffortDelay:
+    def delay(self, by_torque: bool = True) -> EffortDelay:
         """Return the input delay that best explains the effort that the motor equation requires.
 
+        by_torque: by the measured torque, too; false: by the motion alone, since the measured torque may be faulty.
         A delay is accepted if it explains more than a factor on each effort, which a wrong motor inertia would make.
         """
         difference, _, *steps, after, before = np.eye(_COLUMNS)
@@ -94,7 +120,7 @@ class DelaySums:
         whole = min(range(thresholds.OLDEST), key=lambda d: fits[d][1])
         fraction, left = fits[whole]
         accepted = left < min((1 - thresholds.DELAY_EXPLAINS) * undelayed, scaled)
-        if self._measured:
+        if self._measured and by_torque:
             measured, residual = self._fit(difference - after, before - after)
             if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:
                 unmixed, sent = self._square(difference - after), self._square(np.eye(_COLUMNS)[1])
@@ -134,6 +160,12 @@ class ActingSums:
         self._mixed += _squares(required - newer, regular)
         self._changed += _squares(newer - older, regular)
         self._largest = np.maximum(self._largest, np.abs(found.after).max(axis=0, initial=0.0))
+
+    def delayed(self, age: EffortDelay) -> ActingSums:
+        """Return these sums for a delay of as many whole samples and any fraction."""
+        other = copy(self)
+        other.age = age
+        return other
 
     def acting(self, found: Innovations, required: Array) -> Acting:
         """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost.

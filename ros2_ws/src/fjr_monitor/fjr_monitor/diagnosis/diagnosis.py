@@ -6,72 +6,83 @@ Only measured states and sent efforts are used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fjr_core.files import importing
+from fjr_core.law.rate import Rate
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
+from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.one_line import brief
 from fjr_core.stability.linearization import linearize
 
 from . import thresholds
-from .causes import (
-    CAUSES,
-    CauseErrors,
-    CausePropagation,
-    StorageBudget,
-    closed_loop,
-    detail,
-    foreign,
-    growth,
-    highest,
-    rises,
-    storage_budget,
+from .causes import BlockStatistics, CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
+from .delay_estimation import (
+    AFTER,
+    BEFORE,
+    CANDIDATES,
+    ActingSums,
+    DelaySums,
+    EffortDelay,
+    foreseen,
+    needed,
+    regular_changes,
 )
-from .delay_estimation import AFTER, BEFORE, CANDIDATES, ActingSums, DelaySums, regular_changes
-from .fault_isolation import MOST_STATES, UNKNOWN, Finding, isolate
-from .record import PART, Ends, Innovations, Record, held, innovations, latency, needed
+from .fault_isolation import MOST_STATES, isolate
+from .record import PART, Innovations, Record, T
 from .thresholds import JointTolerances
+from .torque_faults import UNKNOWN
+from .verdict import NO_DECAY, SAMPLING, Diagnosis, unknown, violated
 
-SAMPLING, SATURATION = "sampling", "saturation"
-NO_DECAY = "V does not decay as guaranteed"
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
-_EXPLANATIONS = {
-    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
-    SATURATION: "the effort was saturated at a limit",
-    "delay": "the effort acted late",
-    "loss": "states or efforts were lost",
-    SAMPLING: "the loop is unstable at this sample period",
-}
+VISITED = 200  # configurations of a run at which the rate is evaluated
+FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """Result of comparing V with its guaranteed decay.
+def innovations(
+    record: Record,
+    law: TrackingLaw,
+    series: CertificateSeries | None = None,
+    before: Array | None = None,
+    valued: bool = True,
+) -> Innovations:
+    """Return the innovations of the intervals that `Record.consecutive` selects; of a part, those that end in it.
 
-    kind: "holding": V decayed as guaranteed, to the floor that hold and noise predict. "degraded": V exceeds the floor
-    and the resulting tracking error is within the tolerance. "violated": it is not, or V grew. "unknown": too few
-    data. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
-    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the underlying
-    numbers by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
-    detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2". findings: faults of the robot or
-    its signals, by joint, side and kind.
+    series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
+    state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
     """
-
-    kind: Literal["holding", "degraded", "violated", "unknown"]
-    causes: tuple[str, ...]
-    sentence: str
-    figures: dict[str, float]
-    errors: dict[str, Array] = field(default_factory=dict, compare=False)
-    detail: str = ""
-    findings: tuple[Finding, ...] = ()
-
-    def __repr__(self) -> str:
-        return f"Diagnosis({self.kind}: {brief(self.sentence)})"
+    (k, n), balance, prediction = record.u.shape, Certificate(law), Prediction(law)
+    if series is None and valued:
+        series = balance.along(record.position, record.velocity, record.jets)
+    sent, dt = record.held(before), np.diff(record.t)
+    first = record.consecutive(before)
+    older = sent[np.maximum(first - 1, 0)]
+    second, q, dq = first + 1, record.position, record.velocity
+    q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
+    unknown = np.full((k, 4 * n), np.nan)
+    V, u_law, slope = (series.V, series.u_law, series.slope) if series else (unknown[:, 0], unknown[:, :n], unknown)
+    predicted = balance.along(q_next, dq_next, record.jets[second]).V if valued else V[second]
+    applied = unknown[:, :n] if record.u_applied is None else record.u_applied
+    return Innovations(
+        dt=dt[first],
+        V0=V[first],
+        V1=V[second],
+        predicted=predicted,
+        sent=sent[first],
+        law=u_law[first],
+        before=applied[first],
+        after=applied[second],
+        error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
+        slope=slope[second],
+        answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
+        older=np.where(np.isfinite(older), older, sent[first]),
+        latency=record.known_latency()[first] / dt[first],
+        tracking=q[second, :n] - record.jets[second, 0],
+        states=np.stack([np.hstack([q[rows], dq[rows]]) for rows in (first, second)], axis=1),
+    )
 
 
 def diagnose(
@@ -89,7 +100,7 @@ def diagnose(
     faults are then not isolated, nor in a loop that is unstable at its sample period. size: states processed at once.
     """
     step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
-    running = PartwiseDiagnosis(law, len(record.t), step, bool(latency(record).any()), axes)
+    running = PartwiseDiagnosis(law, len(record.t), step, bool(record.known_latency().any()), axes)
     for part in record.parts(size):
         running.first_pass(part)
     for part in record.parts(size):
@@ -112,12 +123,15 @@ class PartwiseDiagnosis:
         and tolerances of the joints; None: JointTolerances.plain.
         """
         self._law, self._axes = law, axes or JointTolerances.plain(law.robot.n)
-        self._step, self._timed, self._stride = step, timed, max(1, states // CONFIGURATIONS)
+        self._step, self._timed = step, timed
+        self._reference = Visited(law.robot.n, states, CONFIGURATIONS)  # a diverging robot may be anywhere else
+        self.visited = Visited(law.robot.n, states, VISITED)  # known once all parts had their first pass
         self._delay = DelaySums(law.robot.n)
         self._ages = [ActingSums(age, law.robot.n) for age in CANDIDATES]
-        self._ends = Ends(MOST_STATES // 2)
-        self._visited: list[Array] = []
-        self._intervals = self._states = 0
+        self._ends: Record | None = None
+        self._innovations: Innovations | None = None
+        self._unsaturated: tuple[Innovations, Array] | None = None
+        self._intervals = 0
         self._moving = False
         self._parts = _Parts(law)
         self._second: _SecondPass | None = None
@@ -131,27 +145,26 @@ class PartwiseDiagnosis:
             self._delay.add(found, required, regular)
             for age in self._ages:
                 age.add(found, required, regular, begin)
+            self._reference.add(part.jets[:, 0], part.begin)
+            self.visited.add(part.position[:, : self._law.robot.n], part.begin)
         self._intervals += len(found) - begin
+        self._innovations = with_ends(self._innovations, found.rows(slice(begin, None)))
         self._parts.done(found, len(found) - begin)
-        self._ends.add(part)
+        self._ends = with_ends(self._ends, part.new)
         self._moving |= bool(np.isfinite(part.velocity).any())
-        q_ld = part.jets[part.begin :, 0]  # the reference: a diverging robot may be anywhere else
-        rows = q_ld[-self._states % self._stride :: self._stride]
-        self._visited.append(rows[np.isfinite(rows).all(axis=1)])
-        self._states += len(q_ld)
 
     def second_pass(self, part: Record, beta: float | None = None, series: CertificateSeries | None = None) -> None:
         """Take a part for the second time, once all had their first pass.
 
         beta [1/s]: guaranteed rate of V, as of diagnose. series: certificate along the part; None: it is computed here.
         """
-        if not self._intervals:
-            return
         with np.errstate(all="ignore"):
+            if self._unsaturated is None:
+                self._unsaturated = self._without_saturation()
+            if not self._intervals:
+                return
             if self._second is None:
-                visited, age = np.concatenate(self._visited), self._delay.delay()
-                acted = next(a for a in self._ages if (a.age.whole, a.age.measured) == (age.whole, age.measured))
-                acted.age = age
+                visited, acted = np.concatenate(self._reference.some), self._acted(self._delay.delay())
                 beta = self._law.rate(visited).beta if beta is None else beta
                 self._second = _SecondPass(self._law, self._axes, beta, self._step, visited, acted, self._intervals)
             self._second.add(part, series)
@@ -165,19 +178,83 @@ class PartwiseDiagnosis:
             diagnosis = self._second.result() if self._second else none
             if not velocities_measured or SAMPLING in diagnosis.causes:
                 return diagnosis  # the model needs measured velocities and close samples
-            findings = isolate(self._ends.record(), self._law, self._axes.names)
+            assert self._ends is not None  # a record has a part
+            assert self._unsaturated is not None
+            findings = isolate(self._ends, *self._unsaturated, self._law, self._axes.names)
         known = diagnosis.kind in ("degraded", "violated") and "model mismatch" not in diagnosis.causes
         explained = known or diagnosis.kind == "holding"
         findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
         sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
         return replace(diagnosis, sentence=sentence, findings=findings)
 
+    def _acted(self, age: EffortDelay) -> ActingSums:
+        """Return the sums for a delay."""
+        acted = next(each for each in self._ages if (each.age.whole, each.age.measured) == (age.whole, age.measured))
+        return acted.delayed(age)
+
+    def _without_saturation(self) -> tuple[Innovations, Array]:
+        """Return the innovations at both ends in which no motor was saturated, and the effort that acted late (k, n).
+
+        The measured torque reveals a saturated motor; how late efforts act is known by the motion alone.
+        """
+        found = self._innovations
+        assert found is not None  # a record has a part
+        required, usual = needed(found, self._law.robot), foreseen(found)
+        free = ~(self._acted(self._delay.delay()).acting(found, required).cut != 0).any(axis=1)
+        moved = self._acted(self._delay.delay(by_torque=False))
+        if moved.age.late:
+            acted = moved.acting(found, required)
+            usual = usual + acted.late + acted.lost
+        return found.rows(free), usual[free]
+
+
+def with_ends(before: T | None, new: T) -> T:
+    """Return the first and the last rows of a table that has new ones, MOST_STATES in all."""
+    return (new if before is None else before.followed_by(new)).ends(MOST_STATES // 2)
+
+
+class Visited:
+    """The configurations that a run visited: their box, the largest step between two, and `some` of them."""
+
+    def __init__(self, n: int, states: int, most: int) -> None:
+        """n: joints; states: how many will come, of which about `most` are kept."""
+        self._stride, self._count, self._finite = max(1, states // most), 0, True
+        self._least, self._largest, self._step = np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n)
+        self.some: list[Array] = []
+
+    def add(self, q_l: Array, begin: int) -> None:
+        """Add configurations (k, n), of which the first `begin` were there."""
+        new = q_l[begin:]
+        finite = np.asarray(np.isfinite(new).all(axis=1))
+        places = np.arange(-self._count % self._stride, len(new), self._stride)
+        self.some.append(new[places[finite[places]]])
+        self._count, self._finite = self._count + len(new), self._finite and bool(finite.all())
+        self._least = np.minimum(self._least, new.min(axis=0, initial=np.inf))
+        self._largest = np.maximum(self._largest, new.max(axis=0, initial=-np.inf))
+        self._step = np.maximum(self._step, np.max(np.abs(np.diff(q_l, axis=0)), axis=0, initial=0.0))
+
+    def rate(self, law: TrackingLaw) -> Rate:
+        """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations.
+
+        For an arm of a URDF the proof holds on the smallest box that contains all visited positions and the largest
+        step between two of them.
+        """
+        rate = law.rate()
+        if rate.proven or not self._finite:
+            return rate
+        farthest = max(np.abs(self._least).max(), np.abs(self._largest).max())
+        bounds = importing.module_if_there("fjr_proofs.verification.inertia_bounds")
+        if bounds is None or not bounds.is_provable(law.robot) or farthest > FARTHEST:
+            return law.rate(np.concatenate(self.some))
+        domain = Domain(self._least - self._step, self._largest + self._step)
+        return law.proven_rate(domain, most_boxes=bounds.few_boxes(law.robot))
+
 
 class _Parts:
     """The latest intervals of a record that comes in parts: `found`, of which the first `begin` are done."""
 
     def __init__(self, law: TrackingLaw) -> None:
-        self._certificate, self._prediction = Certificate(law), Prediction(law)
+        self._law = law
         self._efforts: Array | None = None
         self.found: Innovations | None = None
         self.begin = 0
@@ -186,8 +263,8 @@ class _Parts:
         """Add the intervals of the next part; return all that are kept."""
         known = self._efforts is not None and len(self._efforts) > part.begin
         before = self._efforts[-part.begin - 1] if known else None  # type: ignore[index]
-        found = innovations(part, self._certificate, self._prediction, series, before, valued)
-        self._efforts = held(part.u, before)
+        found = innovations(part, self._law, series, before, valued)
+        self._efforts = part.held(before)
         self.found = found if self.found is None else self.found.followed_by(found)
         return self.found
 
@@ -212,18 +289,14 @@ class _SecondPass:
         total: int,
     ) -> None:
         """visited (m, n): configurations of the reference. total: number of intervals."""
-        self._robot, self._beta, self._acting, self._total = law.robot, beta, acted, total
+        self._robot, self._beta, self._acting = law.robot, beta, acted
         self._tolerated = axes.storage(law)
         self._radius = float(linearize(law, visited).radii(period).max())
         whole = total // thresholds.BLOCK * thresholds.BLOCK
         self._propagation = CausePropagation(law.robot, closed_loop(law, visited, period), whole)
         self._statistics = BlockStatistics(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
-        self._parts, self._done, self._period = _Parts(law), 0, period
-        self._rise = (np.inf, np.nan)
-        self._highest: Array = np.zeros((2, 0))
-        self._V = np.zeros(2)  # largest in the first and in the last third
-        self._figures = {"intervals": float(total), "effort age": 0.0, "gaps": 0.0, "unanswered": 0.0}
-        self._figures |= {"largest V": -np.inf, "last V": np.nan}
+        self._growth = StorageGrowth(total)
+        self._parts, self._period = _Parts(law), period
 
     def add(self, part: Record, series: CertificateSeries | None) -> None:
         """Add a part; the intervals at its end wait for those that follow."""
@@ -238,11 +311,11 @@ class _SecondPass:
         if (found := self._parts.found) is not None:
             left = len(found) - self._parts.begin
             self._process(found, left // thresholds.BLOCK * thresholds.BLOCK, left)
-        figures = {**self._figures, "spectral radius": self._radius}
-        first, last = self._V
+        figures = {**self._growth.figures, "spectral radius": self._radius}
+        first, last = self._growth.thirds
         if self._radius >= 1 and not (last < thresholds.FALLEN * first):
             return violated(NO_DECAY, (SAMPLING,), figures)
-        return self._statistics.conclude(growth(self._highest, self._statistics.floor(self._tolerated)), figures)
+        return self._statistics.conclude(growth(self._growth.highest, self._statistics.floor(self._tolerated)), figures)
 
     def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
         """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
@@ -253,131 +326,6 @@ class _SecondPass:
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
         made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
         self._statistics.add(budget, made)
-        self._follow(kept.rows(slice(begin, begin + count)), acted.age)
-        self._done += count
+        self._growth.add(kept.rows(slice(begin, begin + count)), self._sample_period, limit)
+        self._growth.figures["effort age"] = acted.age * self._period
         self._parts.done(kept, count)
-
-    def _follow(self, found: Innovations, age: float) -> None:
-        """Follow V through the next intervals and count what the figures report."""
-        if not len(found):
-            return
-        risen = rises(found, self._limit, *self._rise)
-        foreign_last = bool(foreign(found.rows(slice(-1, None)), self._limit)[0])
-        self._rise = (float(risen[1, -1]), np.inf if foreign_last else float(found.V1[-1]))
-        self._highest = highest(np.hstack([self._highest, risen]))
-        third, places = max(1, self._total // 3), self._done + np.arange(len(found))
-        for i, rows in enumerate((places < third, places >= self._total - third)):
-            self._V[i] = np.maximum(self._V[i], found.V1[rows].max(initial=0.0))
-        figures = self._figures
-        figures["effort age"] = age * self._period
-        figures["gaps"] += float((found.dt > thresholds.GAP * self._sample_period).sum())
-        figures["unanswered"] += float((~found.answered).sum())
-        figures["largest V"] = float(np.maximum(figures["largest V"], found.V1.max()))
-        figures["last V"] = float(found.V1[-1])
-
-
-class BlockStatistics:
-    """The blocks of a loop that is stable at its sample period, counted."""
-
-    def __init__(self, decay: float, axes: JointTolerances) -> None:
-        """decay: guaranteed factor of V in a block."""
-        self._decay, self._axes = decay, axes
-        self._envelope = np.zeros(len(axes.tolerance))
-        self._graded = np.zeros(2, dtype=bool)  # whether any block is judged; of these, any outside a transient
-        self._within = np.ones(2, dtype=bool)
-        self._errors = np.zeros((2, len(CAUSES), len(axes.tolerance)))
-        self._blocks = self._counted = self._above = 0
-        self._strongest = np.zeros(len(CAUSES), dtype=int)
-        self._hold = self._slack = 0.0
-        self._added: list[Array] = []
-
-    def add(self, blocks: StorageBudget, made: CauseErrors) -> None:
-        """Add blocks and the tracking errors by cause in them; only those with `judged` can be violated."""
-        causes = np.maximum(blocks.causes[blocks.judged], 0.0)
-        allowed = (blocks.slack + thresholds.PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
-        above = ~(causes.sum(axis=1) <= allowed)
-        self._blocks += len(blocks.judged)
-        self._counted += len(above)
-        self._above += int(above.sum())
-        self._strongest += np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES))
-        self._hold += float(blocks.hold.sum())
-        self._slack += float(blocks.slack.sum())
-        self._added.append(blocks.hold + blocks.noise)
-        self._grade(made, blocks.judged)
-
-    def _grade(self, made: CauseErrors, judged: NDArray[np.bool_]) -> None:
-        """Keep the largest error (n,) due to each cause in the judged blocks, and in those outside a transient.
-
-        The loop's own error is bounded by an envelope that decays from block to block with the square root of the
-        guaranteed factor of V. A block belongs to a transient if that envelope exceeds both the tolerance (n,) and the
-        errors due to the causes; if all judged blocks do, all count. Within the tolerance: the errors due to the causes
-        are at most the tolerance plus RELATIVE times the envelope.
-        """
-        total, own, tolerance = made.peaks.sum(axis=1), made.own.copy(), self._axes.tolerance
-        for value in own:  # the running maximum, multiplied by the decay from block to block
-            np.maximum(value, np.sqrt(self._decay) * self._envelope, out=value)
-            self._envelope = value
-        settled = judged & ~((own > tolerance) & (own > total)).any(axis=1)
-        within = (total <= tolerance + thresholds.RELATIVE * own).all(axis=1)
-        for i, rows in enumerate((judged, settled)):
-            self._graded[i] |= rows.any()
-            self._within[i] &= within[rows].all()
-            self._errors[i] = np.maximum(self._errors[i], made.peaks[rows].max(axis=0, initial=0.0))
-
-    def floor(self, tolerated: float) -> float:
-        """Return the storage [J] that hold, noise and the tolerated tracking error explain.
-
-        tolerated [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals
-        the lower quartile of what hold and noise add. The quartile keeps a diverging loop from raising its own floor.
-        """
-        if not self._blocks:
-            return tolerated
-        added = np.concatenate(self._added)
-        explained = np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25)
-        return tolerated + thresholds.PREDICTED * float(explained) / max(1 - self._decay, np.finfo(float).eps)
-
-    def conclude(self, grown: float, figures: dict[str, float]) -> Diagnosis:
-        """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""
-        share, strongest = self._above / max(1, self._counted), self._strongest / max(1, self._above)
-        figures = {**figures, "blocks": float(self._counted), "violated share": share, "growth of V": grown}
-        figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
-        order = np.argsort(-strongest, kind="stable")
-        causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
-        if grown > thresholds.DIVERGED:  # the hold is the cause if it added more to V than the decay removed
-            causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
-            return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
-        if self._blocks < thresholds.FEWEST:
-            states = int(figures.get("intervals", self._blocks * thresholds.BLOCK))
-            fewest = thresholds.FEWEST * thresholds.BLOCK
-            return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
-        if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
-            return unknown("most efforts sent are not those of the law", figures)
-        which = int(self._graded[1])
-        errors = dict(zip(CAUSES, self._errors[which], strict=True)) if self._graded[which] else {}
-        often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and self._above >= thresholds.FEWEST)
-        if grown > thresholds.EXCEEDED or often:
-            size, why = detail(causes, errors, self._axes), _why(causes)
-            if causes and self._within[which] and SATURATION not in causes:
-                sentence = f"{size}, within the tolerance: {why}"
-                return Diagnosis("degraded", causes, sentence, figures, errors, size)
-            sentence = f"{NO_DECAY}: {why}" + (f"; {size}" if size else "")
-            return Diagnosis("violated", causes, sentence, figures, errors, size)
-        if share > thresholds.SHARE_OF_FEW:
-            few = f"V exceeds its floor in {self._above} of {self._counted} blocks; expected more blocks"
-            return unknown(few, figures)
-        sentence = "V decays as guaranteed, down to the floor that hold and noise predict"
-        return Diagnosis("holding", (), sentence, figures, errors)
-
-
-def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
-    """Return "unknown" with the reason."""
-    return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
-
-
-def violated(what: str, causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
-    """Return "violated" with what was seen and the causes, the strongest first."""
-    return Diagnosis("violated", causes, f"{what}: {_why(causes)}", figures, {}, ", ".join(causes))
-
-
-def _why(causes: tuple[str, ...]) -> str:
-    return "; ".join(_EXPLANATIONS[cause] for cause in causes) or "the cause is unknown"

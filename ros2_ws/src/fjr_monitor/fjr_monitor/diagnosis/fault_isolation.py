@@ -15,27 +15,23 @@ import numpy as np
 
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
-from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import WiringFault
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
-from .delay_estimation import acting, effort_delay
-from .hypotheses import Finding, Hypothesis, hypotheses
-from .record import Record, consecutive, innovations, needed
-from .residuals import FEWEST_BLOCKS, Residuals, block_means, deviation, residuals
+from .record import Innovations, Record
 from .thresholds import BLOCK, LONGEST_GAP
-
-UNKNOWN = "unknown"
-EXPLAINED = 0.8
-"""Share of a residual (R^2 without noise) that a fault must explain to be reported."""
-SIGNIFICANT = 4.0
-"""Smallest residual torque of a fault, in standard deviations of noise and rounding."""
-ADVANTAGE = 0.7
-"""Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
-NEAREST = 0.1
-"""Smallest share of the residual that the nearest kind must explain to be named where no fault is reported."""
+from .torque_faults import (
+    EXPLAINED,
+    FEWEST_BLOCKS,
+    UNKNOWN,
+    block_means,
+    deviation,
+    residuals,
+    torque_fault,
+)
+from .verdict import Finding
 
 CONTRADICTION = 5.0
 """Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
@@ -50,10 +46,13 @@ STARTING = 400
 """Number of states at the start of a record in which the wiring is checked."""
 
 
-def isolate(record: Record, law: TrackingLaw, names: Sequence[str]) -> tuple[Finding, ...]:
+def isolate(
+    record: Record, found: Innovations, late: Array, law: TrackingLaw, names: Sequence[str]
+) -> tuple[Finding, ...]:
     """Return the faults of a record, the worst first; empty if none is found or the data do not suffice.
 
-    record: at most MOST_STATES states, the first and the last of a longer one. names (n,): of the joints.
+    record: at most MOST_STATES states, the first and the last of a longer one. found: innovations of the intervals in
+    which no motor was saturated. late (k, n) [N m]: acting minus sent effort there. names (n,): of the joints.
     """
     with np.errstate(all="ignore"):
         wiring = wiring_fault(record, law.robot)
@@ -64,11 +63,7 @@ def isolate(record: Record, law: TrackingLaw, names: Sequence[str]) -> tuple[Fin
         contradicted = velocity_faults(record, names)
         if contradicted:
             return contradicted
-        found = innovations(record, Certificate(law), Prediction(law))
-        if not len(found):
-            return ()
-        acted = acting(found, effort_delay(found, law.robot), needed(found, law.robot))
-        seen = residuals(record, law, found, acted)
+        seen = residuals(found, late, law)
         return () if seen is None else torque_fault(seen, names)
 
 
@@ -140,7 +135,7 @@ def velocity_faults(record: Record, names: Sequence[str]) -> tuple[Finding, ...]
     The slope D and the mean velocity V of each block of intervals are compared. V - D is regressed on D (scale or
     sign), on -dD/dt (delay) and on D of another joint of the same side minus its own.
     """
-    first = consecutive(record)
+    first = record.consecutive()
     block = int(np.clip(len(first) // FEWEST_BLOCKS, 1, BLOCK))
     if len(first) < FEWEST_BLOCKS or not np.isfinite(record.position[first]).all():
         return ()
@@ -188,49 +183,3 @@ def _contradicted(channel: int, e: Array, noise: float, D: Array, dD: Array, nam
         size, what = float(k), f"is that of {names[k % n]}"
     side, joint = ("link", "motor")[channel // n], names[channel % n]
     return Finding(kind, joint, side, size, unit, share, f"{side} of {joint}: the measured velocity {what}")
-
-
-def fits(seen: Residuals) -> list[tuple[float, float, Hypothesis]]:
-    """Return the weighted residual sum of squares, the fitted size and the fault of all hypotheses, best first."""
-    y = (seen.r / seen.sigma).ravel()
-    found = []
-    for fault in hypotheses(seen):
-        X = (fault.columns / seen.sigma[:, None]).reshape(len(y), -1)
-        if not np.isfinite(X).all() or not X.any():
-            continue
-        if fault.nonlinear is None:
-            theta = np.asarray(np.linalg.lstsq(X, y, rcond=1e-8)[0], dtype=float)
-        else:
-            theta = fault.nonlinear(X.T @ X, X.T @ y)
-        size = fault.size(theta)
-        if size is not None:
-            found.append((float(((y - X @ theta) ** 2).sum()), size, fault))
-    return sorted(found, key=lambda fit: fit[0])
-
-
-def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Return the single fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
-
-    A fault is reported if it explains enough and clearly more than the best one of another kind or joint.
-    """
-    power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
-    if not np.isfinite(power).all() or power.max() < SIGNIFICANT**2:
-        return ()
-    total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
-    (left, size, fault), *others = fits(seen)
-    next_best = next(each for each, _, other in others if (other.kind, other.joint) != (fault.kind, fault.joint))
-    share = float(np.clip(1 - max(left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
-    if share < EXPLAINED or max(left - noise, 0.0) > ADVANTAGE * max(next_best - noise, 0.0):
-        return (unexplained(fault, share, names),)
-    what = f"{fault.kind} of {size:.3g} {fault.unit} explains {100 * share:.0f} % of the residual torque"
-    return (
-        Finding(fault.kind, names[fault.joint], fault.side, size, fault.unit, share, f"{fault.place(names)}: {what}"),
-    )
-
-
-def unexplained(nearest: Hypothesis, share: float, names: Sequence[str]) -> Finding:
-    """Return the finding that no fault explains the residual torque, of which the nearest one explains a share."""
-    sentence = "no single fault explains the residual torque"
-    if share >= NEAREST:
-        sentence += f"; the nearest, {nearest.kind} ({nearest.place(names)}), explains {100 * share:.0f} %"
-    return Finding(UNKNOWN, "", "", np.nan, "", share, sentence)

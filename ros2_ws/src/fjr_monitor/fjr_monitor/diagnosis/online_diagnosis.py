@@ -19,6 +19,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import CLibrary, record_type
 from fjr_monitor.diagnosis.causes import (
     EMPTY,
+    BlockStatistics,
     CauseErrors,
     CausePropagation,
     StorageBudget,
@@ -27,9 +28,9 @@ from fjr_monitor.diagnosis.causes import (
     rises,
     storage_budget,
 )
-from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay
-from fjr_monitor.diagnosis.diagnosis import BlockStatistics, Diagnosis, unknown
-from fjr_monitor.diagnosis.record import Innovations, needed
+from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay, needed
+from fjr_monitor.diagnosis.record import Innovations
+from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
 
 from .thresholds import BLOCK, OLDEST, JointTolerances
 
@@ -94,9 +95,10 @@ class LatestIntervals:
         rows = slice(max(0, end - count), end)
         found = {name: np.ascontiguousarray(self._kept[field][rows]) for name, field in _FIELDS.items()}
         k = len(found["dt"])
-        unmeasured = {name: np.full((k, self._n), np.nan) for name in ("before", "after")}
+        unmeasured = dict.fromkeys(("before", "after"), np.full((k, self._n), np.nan))
         own = {"latency": self._latencies[rows].copy(), "tracking": self._tracking[rows].copy()}
-        return Innovations(**found, **unmeasured, **own, answered=np.ones(k, dtype=bool))
+        states = np.full((k, 2, 4 * self._n), np.nan)
+        return Innovations(**found, **unmeasured, **own, states=states, answered=np.ones(k, dtype=bool))
 
 
 class OnlineDiagnosis:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A record of a run, what was measured and sent at each instant, and its innovations.
+"""The values of a diagnosis: a record, what was measured and sent at each instant, and innovations along it.
 
 An innovation is a measured state minus its one-step-ahead prediction by the model.
 """
@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.model.robot import Robot
-from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints, span
@@ -27,13 +24,43 @@ LEAD = 2
 """States of the part before that a part of a record repeats: an interval needs the effort before it."""
 PART = 8192
 """States of a part: what one pass over a record holds in memory."""
-SERIES = ("t", "position", "velocity", "jets", "u", "u_applied", "sent", "answered")
+T = TypeVar("T", bound="Table")
+Rows = slice | NDArray[np.intp] | NDArray[np.bool_]
 HUGE = 1e30
 """Positions and velocities of a diverged robot, at which V may overflow."""
 
 
+class Table:
+    """Arrays with a row for each of k instants or intervals, and values that all of them share; for dataclasses."""
+
+    SHARED: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The arrays by name."""
+        names = [each.name for each in fields(self) if each.name not in self.SHARED]  # type: ignore[arg-type]
+        return {name: values for name in names if (values := getattr(self, name)) is not None}
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def rows(self: T, rows: Rows) -> T:
+        """Return the selected rows."""
+        return replace(self, **{name: values[rows] for name, values in self.columns.items()})  # type: ignore[type-var]
+
+    def followed_by(self: T, later: T) -> T:
+        """Return these rows and later ones."""
+        joined = {name: np.concatenate([values, getattr(later, name)]) for name, values in self.columns.items()}
+        return replace(self, **joined)  # type: ignore[type-var]
+
+    def ends(self: T, most: int) -> T:
+        """Return the first and the last rows, at most `most` of each."""
+        k = len(self)
+        return self.rows(np.r_[:most, k - most : k]) if k > 2 * most else self
+
+
 @dataclass(frozen=True)
-class Record:
+class Record(Table):
     """Measured states and commands at k instants.
 
     t (k,) [s]: time stamps. position, velocity (k, 2n) [rad, rad/s]: links, then motors. jets (k, 5, n): reference.
@@ -44,6 +71,8 @@ class Record:
     part.
     Raises StateError for wrong shapes and a sample period that is not positive.
     """
+
+    SHARED: ClassVar[tuple[str, ...]] = ("sample_period", "effort_limit", "lockstep", "begin")
 
     t: Array
     position: Array
@@ -72,48 +101,46 @@ class Record:
                 raise StateError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
         positive("sample_period", self.sample_period, StateError)
 
-    def rows(self, rows: slice | NDArray[np.intp], begin: int = 0) -> Record:
-        """Return the selected states; begin: of the result."""
-        taken = {name: getattr(self, name) for name in SERIES}
-        kept: dict[str, Any] = {name: None if each is None else each[rows] for name, each in taken.items()}
-        return replace(self, begin=begin, **kept)
-
-    def followed_by(self, later: Record) -> Record:
-        """Return these states and later ones."""
-        known = [name for name in SERIES if getattr(self, name) is not None]
-        joined: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(later, name)]) for name in known}
-        return replace(self, **joined)
+    @property
+    def new(self) -> Record:
+        """The states that the part before does not have."""
+        plain = Record(**{f.name: getattr(self, f.name) for f in fields(Record)})
+        return replace(plain.rows(slice(self.begin, None)), begin=0)
 
     def parts(self, size: int = PART) -> Iterator[Record]:
         """Yield the record in parts of `size` states, each with the last LEAD states of the one before."""
         for start in range(0, len(self.t), size):
             begin = min(LEAD, start)
-            yield self.rows(slice(start - begin, start + size), begin)
+            yield replace(self.rows(slice(start - begin, start + size)), begin=begin)
 
+    def consecutive(self, before: Array | None = None) -> NDArray[np.intp]:
+        """Return the rows with two measured consecutive states, without a gap, with a reference and a known effort.
 
-class Ends:
-    """The first and the last states of a record that comes in parts; most: how many of each."""
+        before: as of `held`. A gap is longer than LONGEST_GAP sample periods.
+        """
+        measured = (np.abs(np.hstack([self.position, self.velocity])) < HUGE).all(axis=1)
+        good = np.asarray(measured & np.isfinite(self.jets).all(axis=(1, 2)))
+        dt, answered = np.diff(self.t), np.asarray(np.isfinite(self.held(before)).all(axis=1))
+        pairs = good[:-1] & good[1:] & answered[:-1]
+        pairs[: max(self.begin - 1, 0)] = False
+        return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * self.sample_period))
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._ends: tuple[Record, Record] | None = None
+    def known_latency(self) -> Array:
+        """Return the time from each state to its command (k,) [s], at most one sample period; 0 where not known."""
+        if self.lockstep or self.sent is None or self.answered is None:
+            return np.zeros(len(self.t))
+        known = np.nan_to_num(np.asarray(self.answered) - np.asarray(self.sent))
+        return np.asarray(np.clip(known, 0.0, self.sample_period))
 
-    def add(self, part: Record) -> None:
-        """Add the new states of a part."""
-        new = Record(**{f.name: getattr(part, f.name) for f in fields(Record)}).rows(slice(part.begin, None))
-        first, last = self._ends or (new.rows(slice(0)), new.rows(slice(0)))
-        room = self._most - len(first.t)
-        first, last = first.followed_by(new.rows(slice(room))), last.followed_by(new.rows(slice(room, None)))
-        self._ends = first, last.rows(slice(-self._most, None))
-
-    def record(self) -> Record:
-        """Return these states as one record."""
-        assert self._ends is not None  # a record has a part
-        return self._ends[0].followed_by(self._ends[1])
+    def held(self, before: Array | None = None) -> Array:
+        """Return u with the previous effort in place of a missing one; before (n,): the one before all, None: none."""
+        came = np.isfinite(self.u).all(axis=1)
+        last = np.maximum.accumulate(np.where(came, np.arange(len(self.u)), -1))
+        return np.where((last >= 0)[:, None], self.u[np.maximum(last, 0)], np.nan if before is None else before)
 
 
 @dataclass(frozen=True)
-class Innovations:
+class Innovations(Table):
     """Innovations of k intervals between consecutive states, in order of time.
 
     dt (k,) [s]: lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and predicted for the
@@ -122,7 +149,8 @@ class Innovations:
     minus predicted positions and velocities of the second state. slope (k, 4n): dV/d of these there. answered (k,):
     true if the first state received a command. older (k, n) [N m]: effort sent before. latency (k,): delay of the
     command by send times as a fraction of the interval, during which the older effort still acts; 0: not known.
-    tracking (k, n) [rad]: q_l - q_ld at the second state.
+    tracking (k, n) [rad]: q_l - q_ld at the second state. states (k, 2, 4n): positions and velocities at both states,
+    NaN: not kept.
     """
 
     dt: Array
@@ -139,113 +167,4 @@ class Innovations:
     older: Array
     latency: Array
     tracking: Array
-
-    def __len__(self) -> int:
-        return len(self.dt)
-
-    def rows(self, rows: slice | Array) -> Innovations:
-        """Return the selected intervals."""
-        return Innovations(*(getattr(self, name)[rows] for name in _NAMES))
-
-    def followed_by(self, later: Innovations) -> Innovations:
-        """Return these intervals and later ones."""
-        return Innovations(*(np.concatenate([getattr(self, name), getattr(later, name)]) for name in _NAMES))
-
-
-_NAMES = tuple(f.name for f in fields(Innovations))
-
-
-def innovations(
-    record: Record,
-    balance: Certificate,
-    prediction: Prediction,
-    series: CertificateSeries | None = None,
-    before: Array | None = None,
-    valued: bool = True,
-) -> Innovations:
-    """Return the innovations of the intervals that `consecutive` selects; of a part, those that end in it.
-
-    series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
-    state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
-    """
-    k, n = record.u.shape
-    if series is None and valued:
-        series = balance.along(record.position, record.velocity, record.jets)
-    sent, dt = held(record.u, before), np.diff(record.t)
-    first = consecutive(record, before)
-    older = sent[np.maximum(first - 1, 0)]
-    second, q, dq = first + 1, record.position, record.velocity
-    q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
-    unknown = np.full((k, 4 * n), np.nan)
-    V, u_law, slope = (series.V, series.u_law, series.slope) if series else (unknown[:, 0], unknown[:, :n], unknown)
-    predicted = balance.along(q_next, dq_next, record.jets[second]).V if valued else V[second]
-    applied = unknown[:, :n] if record.u_applied is None else record.u_applied
-    return Innovations(
-        dt=dt[first],
-        V0=V[first],
-        V1=V[second],
-        predicted=predicted,
-        sent=sent[first],
-        law=u_law[first],
-        before=applied[first],
-        after=applied[second],
-        error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
-        slope=slope[second],
-        answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
-        older=np.where(np.isfinite(older), older, sent[first]),
-        latency=latency(record)[first] / dt[first],
-        tracking=q[second, :n] - record.jets[second, 0],
-    )
-
-
-def consecutive(record: Record, before: Array | None = None) -> NDArray[np.intp]:
-    """Return the rows with two measured consecutive states, without a gap, with a reference and a known effort.
-
-    before: as of `innovations`. A gap is longer than LONGEST_GAP sample periods.
-    """
-    measured = (np.abs(np.hstack([record.position, record.velocity])) < HUGE).all(axis=1)
-    good = np.asarray(measured & np.isfinite(record.jets).all(axis=(1, 2)))
-    dt, answered = np.diff(record.t), np.asarray(np.isfinite(held(record.u, before)).all(axis=1))
-    pairs = good[:-1] & good[1:] & answered[:-1]
-    pairs[: max(record.begin - 1, 0)] = False
-    return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * record.sample_period))
-
-
-def latency(record: Record) -> Array:
-    """Return the time from each state to its command (k,) [s], at most one sample period; 0 where not known."""
-    if record.lockstep or record.sent is None or record.answered is None:
-        return np.zeros(len(record.t))
-    known = np.nan_to_num(np.asarray(record.answered) - np.asarray(record.sent))
-    return np.asarray(np.clip(known, 0.0, record.sample_period))
-
-
-def held(u: Array, before: Array | None = None) -> Array:
-    """Return efforts (k, n) with the previous one in place of a missing one (NaN); before (n,): the one before all."""
-    came = np.isfinite(u).all(axis=1)
-    last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
-    return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan if before is None else before)
-
-
-def needed(found: Innovations, robot: Robot) -> Array:
-    """Return the mean effort (k, n) [N m] that the motor equation requires in each interval.
-
-    M_m ddq_m + K zeta + D_m dq_m = B_m u, integrated over the interval: measured minus predicted generalised momenta of
-    the motors, as in A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
-    2003. The part that the known latency explains is subtracted.
-    """
-    residual: Array = found.error[:, 3 * robot.n :] @ _effort(robot) / found.dt[:, None]
-    return found.sent + residual - foreseen(found)
-
-
-def foreseen(found: Innovations) -> Array:
-    """Return the mean deviation (k, n) [N m] from the sent effort due to the known latency.
-
-    The older effort acts until the command arrives.
-    """
-    return np.asarray(found.latency[:, None] * (found.older - found.sent))
-
-
-@lru_cache(maxsize=8)
-def _effort(robot: Robot) -> Array:
-    """Return (B_m^-1 M_m)' (n, n), which maps accelerations to efforts."""
-    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)
+    states: Array

@@ -8,15 +8,14 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from mcap.records import Message
-from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.files import files_of, read_file
-from fjr_monitor.recording.topic import BagError, Contents, Times, Topic
+from fjr_monitor.diagnosis.record import Table
+from fjr_monitor.recording.files import BagError, Contents, Times, Topic, files_of, read_file
 from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
 
 JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
@@ -24,12 +23,8 @@ AHEAD_MESSAGES, AHEAD_BYTES = 40_000, 2**26
 """What is read ahead, and sorted, at most: the first limit that is reached counts."""
 
 
-Rows = slice | NDArray[np.intp] | NDArray[np.bool_]
-Table = TypeVar("Table", bound="JointTable")
-
-
 @dataclass(frozen=True)
-class JointTable:
+class JointTable(Table):
     """A JointState topic as arrays: k messages, n joints in the requested order; absent values are NaN."""
 
     stamp: Times  # (k,) header stamp [ns]
@@ -43,14 +38,6 @@ class JointTable:
         """Return a table of no message of n joints."""
         times, values = np.zeros(0, dtype=np.int64), np.zeros((0, n))
         return cls(times, times, values, values, values)
-
-    def rows(self: Table, rows: Rows) -> Table:
-        """Return the selected messages."""
-        return replace(self, **{name: values[rows] for name, values in vars(self).items()})
-
-    def followed_by(self, later: JointTable) -> JointTable:
-        """Return these messages and later ones."""
-        return JointTable(*map(np.concatenate, zip(vars(self).values(), vars(later).values(), strict=True)))
 
 
 @dataclass(frozen=True)

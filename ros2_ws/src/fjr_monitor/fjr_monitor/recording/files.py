@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read the files of a bag (MCAP, SQLite, compressed by rosbag2) as far as they are readable.
+"""Read the messages in the files of a bag (MCAP, SQLite, compressed by rosbag2) as far as they are readable.
 
 Damage to an MCAP file costs the chunks in which it lies, to a SQLite file all messages behind it. The file of a killed
 run (no index, no metadata.yaml, an incomplete last record) yields everything up to its end. `Contents.notes` lists the
@@ -12,22 +12,32 @@ import re
 import sqlite3
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Message, Schema, Statistics
+from numpy.typing import NDArray
+from rosbags.typesys import get_types_from_msg
 
-from fjr_monitor.recording.topic import LATEST, BagError, Contents, Messages, Topic, typestore
+from fjr_core.errors import FjrError
+from fjr_monitor.recording.message_types import typestore
 from fjr_msgs_py.console.output import plural
 
+Times = NDArray[np.int64]
+TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+LONGEST_DEFINITION = 2**20  # characters
+LATEST = 2**63  # ns
 MAGIC = b"\x89MCAP0\r\n"
 HEAD, FOOTER, MESSAGE = struct.Struct("<BQ"), struct.Struct("<QQI"), struct.Struct("<HIQQ")
 LARGEST_RECORD = 2**30  # bytes
@@ -35,6 +45,83 @@ MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # decompressed over compressed size
 BLOCK = 2**20  # bytes of a checksum that are read at a time
 UNREADABLE = (McapError, struct.error, ValueError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError)
 COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
+
+
+class BagError(FjrError):
+    """A bag that is missing, unreadable or without the requested topic."""
+
+
+@dataclass
+class Topic:
+    """A topic and what a bag holds of it: the number of messages, first and last receive time [ns], lost messages.
+
+    lost: by gaps in the sequence numbers; None with several publishers. messages: in the order they were received,
+    where they were read (Bag.topic).
+    """
+
+    name: str
+    type_name: str
+    definition: str
+    messages: list[Message] = field(default_factory=list)
+    count: int = 0
+    first: int = 2**63
+    last: int = 0
+    lost: int | None = 0
+    sequence: int = 0
+
+    def note(self, message: Message) -> None:
+        """Count a message."""
+        if self.count and self.lost is not None:
+            step = message.sequence - self.sequence  # 0: not recorded
+            self.lost = self.lost + step - 1 if step >= 1 else None
+        self.sequence = message.sequence
+        self.count += 1
+        self.first, self.last = min(self.first, message.log_time), max(self.last, message.log_time)
+
+    @cached_property
+    def publish_time(self) -> Times:
+        """Send time of each message by the middleware [ns], (k,); receive time if the bag holds no send times."""
+        return np.array([message.publish_time for message in self.messages], dtype=np.int64)
+
+    @cached_property
+    def decoded(self) -> list[Any]:
+        """All messages, deserialised; raise BagError for an invalid type, definition or message."""
+        return self.decode(self.messages)
+
+    def decode(self, messages: Iterable[Message]) -> list[Any]:
+        """Return messages of this topic, deserialised; raise BagError as `decoded` does."""
+        if not TYPE_NAME.fullmatch(self.type_name):
+            raise BagError(f"{self.name} has the type {self.type_name!r}; expected one like sensor_msgs/msg/JointState")
+        if len(self.definition) > LONGEST_DEFINITION:
+            raise BagError(f"{self.name} has a definition of {len(self.definition)} characters; expected a message's")
+        try:
+            store = typestore()
+            if self.type_name not in store.fielddefs:
+                store.register(get_types_from_msg(self.definition, self.type_name))
+            return [store.deserialize_cdr(message.data, self.type_name) for message in messages]
+        except Exception as error:  # any error of the decoder
+            raise BagError(f"{self.name} holds bytes that are not a {self.type_name} ({error})") from error
+
+
+@dataclass
+class Contents:
+    """What the files of a bag hold so far: topics by name, number of messages, and one sentence for each loss.
+
+    wanted: topics whose messages are needed; None: all. A reader may leave out the others.
+    """
+
+    topics: dict[str, Topic] = field(default_factory=dict)
+    count: int = 0
+    notes: list[str] = field(default_factory=list)
+    wanted: Collection[str] | None = None
+
+    def topic(self, name: str, type_name: str, definition: str) -> Topic:
+        """Return the topic of this name; add it if it is new."""
+        return self.topics.setdefault(name, Topic(name, type_name, definition))
+
+
+Messages = Generator[tuple[Topic, Message], None, bool]
+"""The messages of a file, each with its topic; the value at the end is whether the file was closed."""
 
 
 def files_of(path: Path) -> list[Path]:

@@ -30,8 +30,8 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fjr_core.files.text_file import write_text
-from fjr_monitor.recording.topic import SchemaError, definition, interface_class
-from fjr_monitor.recording.topic import type_hash as hash_of
+from fjr_monitor.recording.message_types import SchemaError, definition, interface_class
+from fjr_monitor.recording.message_types import type_hash as hash_of
 from fjr_msgs_py.node.participant import leave
 
 METADATA_VERSION = 9

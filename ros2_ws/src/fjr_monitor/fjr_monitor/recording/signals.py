@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of a recorded run: states, commands that answer them, reference with four derivatives, the controller's stop.
+"""States of a run in a bag, with the commands that answer them.
 
-The scenario's reference is used where it was tracked; elsewhere the recorded one is differentiated numerically.
+A bag is read several times rather than held in memory: once to find the states of the run, the longest section between
+two jumps of time, then in windows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -16,23 +17,23 @@ from numpy.typing import NDArray
 
 from fjr_core.config.controller import measurement
 from fjr_core.config.scenario import Scenario
-from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.events import STARTS_REFUSED, STOPS
-from fjr_core.runtime.velocity_observer import VelocityObserver
-from fjr_monitor.diagnosis.record import LEAD
-from fjr_monitor.recording.bag import Bag, JointTable, Rows, Times, in_order
+from fjr_monitor.diagnosis.record import Rows
+from fjr_monitor.recording.bag import Bag, JointTable, in_order
+from fjr_monitor.recording.files import BagError, Times
+from fjr_monitor.recording.timing import CountedTimes
 from fjr_msgs_py import names
-from fjr_msgs_py.node.reports import STAMP
 
 STATES = f"/{names.JOINT_STATES}"
-HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
-SCANNED_MESSAGES = 1000  # for joint names
 ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
-AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 REFERENCE = names.REFERENCE.replace("~", f"/{names.CONTROLLER}")
-SAME = 1e-9  # rad, rad/s, relative to the size of the reference: resolution of stamps in ns
-DEGREE = 5  # of the spline through the recorded velocities: its third derivative is d4q_ld
+DIAGNOSTICS, EVENTS = "/diagnostics", f"/{names.CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
+SCANNED_MESSAGES = 1000  # for joint names
+AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
+AROUND = 2048  # states before and after a window with which its commands, repeats and reference are looked up
+JUMP = 0.5  # s; a larger step back in stamps starts a new section (reset, looped bag)
+TAIL = 1.0  # s; states after the last command that are dropped without a note
+END = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -110,30 +111,205 @@ class RecordedStates:
         return np.hstack([q_l, q_l + np.linalg.solve(np.asarray(self._measured.K), table.effort[:, :n].T).T])
 
 
-class EstimatedStates:
-    """Positions and velocities by the scenario's observer, for states that come in parts."""
+@dataclass
+class Section:
+    """States between two jumps of time: numbers of their messages, send times [ns], what is answered of them.
 
-    def __init__(self, scenario: Scenario) -> None:
-        values, n = scenario.controller_values, scenario.robot.n
-        self.bandwidth = float(values["measurement.observer_bandwidth"])  # type: ignore[arg-type]
-        self._observer = VelocityObserver(scenario.robot, self.bandwidth, bool(values["compile"]))
-        self._n, self._effort = n, np.zeros(n)
-        self._last: Array = np.zeros((0, 4 * n))
+    number, end_number: of its first message, and of the first one after it.
+    first_number: of the message with which the run begins. The run begins with the first state that has a command, and
+    of the copies of that state with the last one that was sent before the command; None: no state has one.
+    start, end: stamps of the first state of the run and of the last one with a command [ns].
+    count, answered: number of states of the run, and up to `end`. last: latest stamp.
+    length: number of states, repeated ones as well.
+    """
 
-    def of(self, states: States, u: Array, begin: int) -> tuple[Array, Array]:
-        """Return positions and velocities (k, 2n); u (k, n) [N m] acts from each state on.
+    number: int
+    end_number: int
+    first_sent: int
+    last_sent: int
+    first_number: int | None = None
+    start: int = 0
+    end: int | None = None
+    last: int = -1
+    count: int = 0
+    answered: int = 0
+    length: int = 0
+    steps: CountedTimes = field(default_factory=CountedTimes)
 
-        The first `begin` states are the last ones of the part before.
+    def add(self, states: States, new: NDArray[np.bool_], sent: Times, duration: float) -> None:
+        """Add states, of which only some are new, with the send times of their commands; -1: none."""
+        if self.first_number is None:
+            answered = np.flatnonzero(new & (sent >= 0))
+            if answered.size:
+                row = answered[0]
+                waiting = np.flatnonzero((states.stamp <= states.stamp[row]) & (states.publish_time <= sent[row]))
+                row = int(waiting[-1]) if waiting.size else int(row)
+                self.first_number, self.count, self.steps = int(states.number[row]), 0, CountedTimes()
+                self.start, self.last = int(states.stamp[row]), int(states.stamp[row]) - 1
+            elif not self.count and new.any():
+                self.start = int(states.stamp[np.argmax(new)])
+                self.last = self.start - 1
+        rows = self.rows(states, new, self.last, duration)
+        stamps, answered = states.stamp[rows], np.flatnonzero(sent[rows] >= 0)
+        if answered.size:
+            self.end, self.answered = int(stamps[answered[-1]]), self.count + int(answered[-1]) + 1
+        if len(rows):
+            self.steps.add(np.diff(stamps, prepend=self.last) if self.count else np.diff(stamps))
+            self.count, self.last = self.count + len(rows), int(stamps[-1])
+
+    def rows(self, states: States, new: NDArray[np.bool_], after: int, duration: float) -> NDArray[np.intp]:
+        """Return the rows of the first message of each stamp later than `after` and up to the new ones, in order."""
+        if not new.any():
+            return np.zeros(0, dtype=np.intp)
+        usable = np.flatnonzero(states.number >= (self.number if self.first_number is None else self.first_number))
+        rows = usable[np.unique(states.stamp[usable], return_index=True)[1]]
+        stamps = states.stamp[rows]
+        inside = (stamps > after) & (stamps >= self.start) & (stamps <= states.stamp[new].max())
+        return np.asarray(rows[inside & ((stamps - self.start) * 1e-9 < duration - 1e-9)])
+
+
+class AnsweredStates:
+    """The longest section of a bag, in windows of `size` states; raises BagError if it is empty.
+
+    duration [s] of stamped time; infinite: up to the last state that has a command. topic: of the commands, None: none
+    was recorded. count: number of states of the run. last: stamp of the last one [ns]. jumps: of time in the bag.
+    counters: last /diagnostics of each name. events: of the controller, each with its send time [ns].
+    """
+
+    def __init__(self, bag: Bag, scenario: Scenario, duration: float, size: int) -> None:
+        self._bag, self._joints, self._duration, self._size = bag, scenario.joints, duration, size
+        self.reader = RecordedStates(bag, scenario)
+        self.topic = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
+        self._topics = (STATES, *([self.topic] if self.topic else []))
+        self.counters: dict[str, dict[str, str]] = {}
+        self.events: list[tuple[Any, int]] = []
+        self.jumps = 0
+        section = self.section = self._longest_section()
+        self.count, self.last = section.count, section.last
+        if not np.isfinite(duration) and section.end is not None:
+            self.count, self.last = section.answered, section.end
+        self.notes = self._select_notes()  # on bag, states and commands
+
+    def windows(self) -> Iterator[tuple[States, Array, Times, slice, JointTable | None]]:
+        """Yield states of the run and their commands, as of `commands_of`; rows of the new states among them.
+
+        Last in each: the recorded reference about these states, None: none was recorded.
         """
-        n, rows = self._n, [*self._last[len(self._last) - begin :]]
-        for k in range(begin, len(u)):
-            q = states.position[k]
-            self._observer.update(int(states.stamp[k]), q[:n], q[n:], self._effort)
-            rows.append(self._observer.state.copy())
-            self._effort = np.nan_to_num(u[k])
-        estimate = np.array(rows).reshape(-1, 4 * n)
-        self._last = estimate[-LEAD:]
-        return estimate[:, : 2 * n], estimate[:, 2 * n :]
+        section, last = self.section, self.section.start - 1
+        for states, new, tables in self._tables((*self._topics, *([REFERENCE] if self._bag.holds(REFERENCE) else []))):
+            inside = (states.number >= section.number) & (states.number < section.end_number)
+            states, new = states.rows(inside), new[inside]
+            fresh, around = (
+                section.rows(states, those, after, self._duration)
+                for those, after in ((new, last), (np.ones_like(new), section.start - 1))
+            )
+            fresh, around = (rows[states.stamp[rows] <= self.last] for rows in (fresh, around))
+            if not len(fresh):
+                continue
+            u, answered = self._commands(states, tables, section)
+            place, last = (
+                int(np.searchsorted(states.stamp[around], states.stamp[fresh[0]])),
+                int(states.stamp[fresh[-1]]),
+            )
+            rows = slice(place, place + len(fresh))
+            yield states.rows(around), u[around], answered[around], rows, tables.get(REFERENCE)
+
+    def _tables(
+        self, topics: tuple[str, ...], beside: tuple[str, ...] = ()
+    ) -> Iterator[tuple[States, NDArray[np.bool_], dict[str, JointTable]]]:
+        """Yield states in the order of the bag, which of them are new, and the tables of the topics about them.
+
+        beside: topics from which counters and events are kept on the way.
+        """
+        kept: dict[str, JointTable] = {}
+        first = done = 0
+        joints = dict.fromkeys(topics, self._joints) | {STATES: names.state_names(self._joints)}
+        for batch in self._bag.batches((*topics, *beside), STATES, self._size):
+            self._keep_counters_and_events(batch)
+            for topic in topics:
+                table = self._bag.table(batch[topic], joints[topic])
+                kept[topic] = kept[topic].followed_by(table) if topic in kept else table
+            states, is_last = kept[STATES], len(batch[STATES].messages) < self._size
+            end = first + len(states.stamp) - (0 if is_last else AROUND)
+            number = first + np.arange(len(states.stamp))
+            fresh = (number >= done) & (number < end)
+            seen = self.reader.states(states, number, fresh)
+            yield seen, (seen.number >= done) & (seen.number < end), kept
+            done, drop = max(done, end), max(0, end - AROUND - first)
+            first += drop
+            left = states.rows(slice(drop, None))
+            if len(left.stamp):
+                since = left.publish_time[0] - AFTERWARDS
+                kept = {topic: table.rows(table.publish_time >= since) for topic, table in kept.items()}
+            kept[STATES] = left
+
+    def _keep_counters_and_events(self, batch: Mapping[str, Any]) -> None:
+        """Keep the last /diagnostics of each name and the events of the controller in a batch of messages."""
+        for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
+            for status in message.status:
+                self.counters[status.name] = {pair.key: pair.value for pair in status.values}
+        if EVENTS in batch:
+            self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
+
+    def _longest_section(self) -> Section:
+        """Return the longest section; raise BagError if it is empty."""
+        beside = tuple(topic for topic in (DIAGNOSTICS, EVENTS) if self._bag.holds(topic))
+        best: Section | None = None
+        section: Section | None = None
+        for states, new, tables in self._tables(self._topics, beside):
+            if not new.any():
+                continue
+            begin = states.number[0] if section is None else section.number
+            starts = states.number[1:][np.diff(states.stamp) < -JUMP * 1e9]
+            edges = [int(begin), *starts[starts > begin].tolist(), END]
+            for number, end in pairwise(edges):
+                inside = (states.number >= number) & (states.number < end)
+                part, fresh = states.rows(inside), new[inside]
+                if section is not None and section.number == number:
+                    section.end_number = end
+                elif fresh.any():
+                    self.jumps += section is not None
+                    section = Section(number, end, int(part.publish_time[0]), 0)
+                if section is None or not fresh.any():
+                    continue
+                section.last_sent = int(part.publish_time[fresh][-1])
+                section.length += int(fresh.sum())
+                section.add(part, fresh, self._commands(part, tables, section)[1], self._duration)
+                best = section if best is None or section.length > best.length else best
+        if best is None:
+            raise BagError(f"{self._bag.path} holds no complete state on {STATES}")
+        return best
+
+    def _commands(self, states: States, tables: dict[str, JointTable], section: Section) -> tuple[Array, Times]:
+        """Return efforts and send times of the commands to states of a section."""
+        if self.topic is None:
+            return commands_of(states, None, False)
+        table = tables[self.topic]
+        end = section.last_sent + AFTERWARDS if section.end_number < END else END
+        inside = (table.publish_time >= section.first_sent) & (table.publish_time <= end)
+        return commands_of(states, table.rows(inside), self.topic == ANSWERS)
+
+    def _select_notes(self) -> tuple[str, ...]:
+        """Return the notes on bag, states and commands."""
+        section, reader = self.section, self.reader
+        torn = () if self._bag.complete else ("the bag was not closed: shown is what was written until then",)
+        left_out = (f"{reader.left_out} states are incomplete or not finite and left out",) if reader.left_out else ()
+        jumps = f"time jumps back {self.jumps} times: shown is the longest of {self.jumps + 1} parts"
+        unknown = "no effort of the controller, no latency"
+        commands = ""
+        if self.topic is None:
+            commands = f"neither {ANSWERS} nor {EFFORTS} was recorded: {unknown}"
+        elif section.end is None:
+            commands = f"no state is answered on {self.topic}: {unknown}"
+        elif self.topic == EFFORTS:
+            commands = (
+                f"{ANSWERS} was not recorded: a command of {EFFORTS} is taken to answer the last state sent before it"
+            )
+        tail, end = (section.last - self.last) * 1e-9, (self.last - section.start) * 1e-9
+        silent = f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown"
+        said = [jumps] * bool(self.jumps) + [commands] * bool(commands) + [silent] * (tail > TAIL)
+        names_first = reader.notes[:1] if reader.notes and "motor side" not in reader.notes[0] else ()
+        return (*torn, *names_first, *left_out, *reader.notes[len(names_first) :], *said)
 
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
@@ -166,110 +342,3 @@ def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArra
     """Find each stamp in the sorted `others`: return row indices, and a mask of the stamps that were found."""
     place = np.minimum(np.searchsorted(others, stamps), len(others) - 1)
     return place, others[place] == stamps
-
-
-class RecordedReference:
-    """The tracked reference of a run that comes in parts. mismatch [rad]: recorded minus planned; NaN: unknown."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self._planned = scenario.reference
-        self._size = np.ones(2)  # 1 plus the largest position and velocity
-        self._since: int | None = None  # stamp [ns] of the first state with another reference than the scenario's
-        self._start: float | None = None
-        self.mismatch = float("nan")
-
-    def jets(self, table: JointTable | None, stamp: Times, t: Array) -> Array:
-        """Return q_ld .. d4q_ld (k, 5, n) at the stamps [ns], which are t (k,) [s] after the first state.
-
-        table: the recorded reference about these stamps; stamps may repeat those of the part before.
-        """
-        planned = self._planned.jets(t)
-        if table is None or not len(table.stamp) or not len(t):
-            return planned
-        rows = first_of_each_stamp(table.stamp)
-        place, found = match_stamps(stamp, table.stamp[rows])
-        position, velocity = table.position[rows][place], table.velocity[rows][place]
-        if not np.isfinite(position[found]).any():
-            return planned
-        deviation = np.abs(position - planned[:, 0]).max(axis=1)[found]
-        self.mismatch = float(np.maximum(np.nan_to_num(self.mismatch), deviation.max(initial=0.0)))
-        self._size = np.maximum(self._size, 1.0 + np.abs(planned[:, :2]).max(axis=(0, 2)))
-        apart = np.abs(np.stack([position, velocity], axis=1) - planned[:, :2])
-        differs = found & ~(apart <= SAME * self._size[:, None]).all(axis=(1, 2))
-        if self._since is None and differs.any():
-            self._since = int(stamp[np.argmax(differs)])
-        if self._since is None:
-            return planned
-        usable = found & np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1) & (stamp >= self._since)
-        return self._numerical(planned, t, np.flatnonzero(usable), position, velocity)
-
-    def _numerical(self, planned: Array, t: Array, rows: NDArray[np.intp], position: Array, velocity: Array) -> Array:
-        """Replace the jets from the first of `rows` on by derivatives of splines through the recorded reference."""
-        if len(rows) <= DEGREE:
-            return planned
-        from scipy.interpolate import make_interp_spline  # loaded on use: a fifth of the imports of `fjr run`
-
-        self._start = t[rows[0]] if self._start is None else self._start
-        since = slice(rows[0], None)
-        planned, inside = planned.copy(), np.clip(t[since], t[rows[0]], t[rows[-1]])
-        planned[since, 0] = make_interp_spline(t[rows], position[rows], k=DEGREE)(inside)
-        curve = make_interp_spline(t[rows], velocity[rows], k=DEGREE)
-        for order in range(1, JETS):
-            planned[since, order] = curve(inside, order - 1)
-        return planned
-
-    def notes(self, recorded: bool) -> tuple[str, ...]:
-        """Return a sentence on what was taken, once all parts were read; recorded: whether the bag holds the topic."""
-        if not recorded:
-            return (
-                f"{REFERENCE} was not recorded: the scenario's reference is taken, from the first answered state on",
-            )
-        if np.isnan(self.mismatch):
-            return (f"{REFERENCE} has none of the scenario's joints: the scenario's is taken",)
-        if self._since is not None and self._start is None:
-            return ("the recorded reference differs from the scenario's for a moment, too short to differentiate",)
-        if self._start is None:
-            return ()
-        other = "another reference than the scenario's was tracked: its derivatives are numerical"
-        return (f"from {self._start:.3f} s on {other}",)
-
-
-@dataclass(frozen=True)
-class ControllerStop:
-    """A stop of the controller. at_s [s]: time since the start of the run; heading: event; reason: one sentence."""
-
-    at_s: float
-    heading: str
-    reason: str
-
-    @property
-    def sentence(self) -> str:
-        """Heading and reason."""
-        return f"{self.heading}: {self.reason}"
-
-
-class StopFinder:
-    """The first stop among the events of a controller, at the time of the last state before it.
-
-    events: each with its send time [ns]. An event without a stamp is assigned to the last state sent before it.
-    """
-
-    def __init__(self, events: Sequence[tuple[Any, int]]) -> None:
-        first: tuple[Any, int] = next((each for each in events if each[0].name in HEADINGS), (None, 0))
-        self._event, when = first
-        pairs = {} if self._event is None else {pair.key: pair.value for pair in self._event.values}
-        self._stamped = STAMP in pairs
-        self._when = int(pairs.get(STAMP, when))
-        self._at = 0.0
-
-    def add(self, stamps: Any, sent: Any, t: Any) -> None:
-        """Take states: stamps and send times (k,) [ns], and times t (k,) [s] since the start of the run."""
-        before = (stamps if self._stamped else sent) <= self._when
-        self._at = float(t[before][-1]) if before.any() else self._at
-
-    def stop(self) -> ControllerStop | None:
-        """Return the stop; None if the controller never stopped."""
-        if self._event is None:
-            return None
-        _, _, reason = self._event.message.partition(": ")
-        return ControllerStop(self._at, HEADINGS[self._event.name].format(self._at), reason)

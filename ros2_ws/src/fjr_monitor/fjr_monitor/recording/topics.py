@@ -23,9 +23,10 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from fjr_core.config import ros_yaml
 from fjr_core.errors import FjrError, ParameterError
 from fjr_monitor.recording.bag import bag_folder, in_order, read_bag
+from fjr_monitor.recording.files import BagError, Topic
+from fjr_monitor.recording.message_types import SchemaError, interface_class
 from fjr_monitor.recording.recorder import Recorder, adapted_qos
 from fjr_monitor.recording.run_folder import FolderError
-from fjr_monitor.recording.topic import BagError, SchemaError, Topic, interface_class
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.options import FIRST

@@ -17,17 +17,13 @@ from typing import Any, Literal
 import numpy as np
 
 from fjr_core.config.law import robust as build_robust
-from fjr_core.config.scenario import Scenario
-from fjr_core.files import importing
 from fjr_core.files.text_file import write_text
-from fjr_core.law.rate import NO_RATE, Rate
+from fjr_core.law.rate import NO_RATE
 from fjr_core.model.robot import joined
-from fjr_core.motions.domain import Domain
-from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.diagnosis import Diagnosis, PartwiseDiagnosis, unknown
+from fjr_monitor.diagnosis.diagnosis import PartwiseDiagnosis
 from fjr_monitor.diagnosis.thresholds import JointTolerances
-from fjr_monitor.recording.run import Recording, RunData
-from fjr_monitor.recording.signals import ControllerStop
+from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
+from fjr_monitor.recording.run import ControllerStop, Recording, RunData
 from fjr_monitor.recording.timing import Clock, Counts, Timing
 from fjr_monitor.report.performance import (
     Balance,
@@ -45,8 +41,6 @@ from fjr_msgs_py.console.provenance import Provenance
 
 KEEPS_UP = 0.9  # fraction of states answered in time below which a violation shows the computer, not the law
 IN_TIME = 0.99  # the same, if delay or loss is the first cause
-FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bounds may overflow
-VISITED = 200  # configurations of a run at which the rate is evaluated
 VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
 
 Status = Literal["stopped", "late", "holding", "degraded", "violated", "unknown"]
@@ -173,18 +167,15 @@ class Metrics:
 
     def __init__(self, run: Recording) -> None:
         self.run = run
-        visited, law = Visited(run.scenario, run.states), run.scenario.certified_law
         self._diagnosis: PartwiseDiagnosis | None = None
-        if law is not None:
+        rate = NO_RATE
+        if (law := run.scenario.certified_law) is not None:
             scales = JointTolerances.of(run.scenario.controller_values, run.scenario.robot)
             self._diagnosis = PartwiseDiagnosis(law, run.states, run.step, not run.lockstep, scales)
-        self.efforts_known = self.energy_known = self._storage_known = False
-        for part in run.parts():
-            visited.add(part)
-            self.efforts_known |= bool(np.isfinite(part.u).any())
-            if self._diagnosis is not None:
+            for part in run.parts():
                 self._diagnosis.first_pass(part)
-        rate = visited.rate()
+            rate = self._diagnosis.visited.rate(law)
+        self.efforts_known = self.energy_known = self._storage_known = False
         self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
         self.tracked, self.balance = Tracked(run), Balance()
         self.clock = Clock(run.sample_period, run.lockstep)
@@ -196,6 +187,7 @@ class Metrics:
             flow = power(part, self.run.scenario.robot.B_m)
             self.energy_known = bool(np.isfinite(part.certificate.H[0])) if not part.begin else self.energy_known
             self._storage_known |= bool(np.isfinite(part.V).any())
+            self.efforts_known |= bool(np.isfinite(part.u).any())
             self.clock.add(part.t, part.sent, part.answered, part.begin)
             self.tracked.add(part)
             self.decay.add(part)
@@ -247,45 +239,3 @@ class Metrics:
             guesses=run.scenario.robot_warnings,
             **more,
         )
-
-
-class Visited:
-    """The configurations that a run visited: their box, the largest step between two, and some of them."""
-
-    def __init__(self, scenario: Scenario, states: int) -> None:
-        self._scenario, self._stride = scenario, max(1, states // VISITED)
-        n = scenario.robot.n
-        self._least, self._largest, self._step = np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n)
-        self._some: list[Array] = []
-        self._count, self._finite = 0, True
-
-    def add(self, part: RunData) -> None:
-        """Add the new states of a part."""
-        q_l, new = part.q_l, part.q_l[part.begin :]
-        self._some.append(new[-self._count % self._stride :: self._stride].copy())
-        self._count += len(new)
-        self._finite = self._finite and bool(np.isfinite(new).all())
-        self._least, self._largest = (
-            np.minimum(self._least, new.min(axis=0)),
-            np.maximum(self._largest, new.max(axis=0)),
-        )
-        self._step = np.maximum(self._step, np.max(np.abs(np.diff(q_l, axis=0)), axis=0, initial=0.0))
-
-    def rate(self) -> Rate:
-        """Return the convergence rate of v-dPBC: proven, else sampled at visited configurations.
-
-        For an arm of a URDF the proof holds on the smallest box that contains all visited positions and the largest
-        step between two of them.
-        """
-        law = self._scenario.certified_law
-        if law is None:
-            return NO_RATE
-        rate = law.rate()
-        if rate.proven or not self._finite:
-            return rate
-        farthest = max(np.abs(self._least).max(), np.abs(self._largest).max())
-        bounds = importing.module_if_there("fjr_proofs.verification.inertia_bounds")
-        if bounds is None or not bounds.is_provable(self._scenario.robot) or farthest > FARTHEST:
-            return law.rate(np.concatenate(self._some))
-        domain = Domain(self._least - self._step, self._largest + self._step)
-        return law.proven_rate(domain, most_boxes=bounds.few_boxes(self._scenario.robot))

@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compute the residual torques of each possible fault in the link and motor equations, joint by joint.
+"""Find the single fault that explains the residual torques of the link and motor equations on a record.
+
+    link    M_l ddq_l + C dq_l + D_l dq_l + grad P_l - K zeta = r_l
+    motor   M_m ddq_m + D_m dq_m + K zeta - B_m u = r_m
+
+Each residual is the error of the one-step-ahead prediction of a velocity times the inertia, divided by the step: the
+generalised momentum residual of A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized
+momenta, ICRA 2003. Means over blocks of intervals suppress the noise of velocity sensors, which telescopes.
 
 Each hypothesis is a set of columns; the residual is their sum with unknown coefficients. A wrong stiffness, for
 example, leaves opposite torques proportional to the deflection in the two equations of its joint. A payload is a body
@@ -15,11 +22,30 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import RobotError
+from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model import springs
 from fjr_core.model.rigid_arm import ArmDynamics
+from fjr_core.model.robot import Robot
+from fjr_core.monitoring.certificate import Prediction
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.residuals import Residuals, over_rows
 
+from .record import Innovations
+from .thresholds import BLOCK
+from .verdict import Finding
+
+FEWEST_BLOCKS = 20
+"""Smallest number of blocks of a regression."""
+FLOOR = 1e-3
+"""Residual relative to the torques of its equation that is attributed to rounding and discretisation."""
+UNKNOWN = "unknown"
+EXPLAINED = 0.8
+"""Share of a residual (R^2 without noise) that a fault must explain to be reported."""
+SIGNIFICANT = 4.0
+"""Smallest residual torque of a fault, in standard deviations of noise and rounding."""
+ADVANTAGE = 0.7
+"""Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
+NEAREST = 0.1
+"""Smallest share of the residual that the nearest kind must explain to be named where no fault is reported."""
 SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARAMETERS = 4 + len(SECOND_MOMENTS)
 LINK, MOTOR, JOINT = "link", "motor", "joint"
@@ -33,22 +59,141 @@ STEPS = 60
 """Of the fit of a payload."""
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Fault of a robot or its signals.
+def fits(seen: Residuals) -> list[tuple[float, float, Hypothesis]]:
+    """Return the weighted residual sum of squares, the fitted size and the fault of all hypotheses, best first."""
+    y = (seen.r / seen.sigma).ravel()
+    found = []
+    for fault in hypotheses(seen):
+        X = (fault.columns / seen.sigma[:, None]).reshape(len(y), -1)
+        if not np.isfinite(X).all() or not X.any():
+            continue
+        if fault.nonlinear is None:
+            theta = np.asarray(np.linalg.lstsq(X, y, rcond=1e-8)[0], dtype=float)
+        else:
+            theta = fault.nonlinear(X.T @ X, X.T @ y)
+        size = fault.size(theta)
+        if size is not None:
+            found.append((float(((y - X @ theta) ** 2).sum()), size, fault))
+    return sorted(found, key=lambda fit: fit[0])
 
-    kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" if two are exchanged), empty if unknown.
-    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: magnitude. share: part of the
-    residual torque that the fault explains.
+
+def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
+    """Return the single fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
+
+    A fault is reported if it explains enough and clearly more than the best one of another kind or joint.
+    """
+    power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
+    if not np.isfinite(power).all() or power.max() < SIGNIFICANT**2:
+        return ()
+    total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
+    (left, size, fault), *others = fits(seen)
+    next_best = next(each for each, _, other in others if (other.kind, other.joint) != (fault.kind, fault.joint))
+    share = float(np.clip(1 - max(left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
+    if share < EXPLAINED or max(left - noise, 0.0) > ADVANTAGE * max(next_best - noise, 0.0):
+        return (unexplained(fault, share, names),)
+    what = f"{fault.kind} of {size:.3g} {fault.unit} explains {100 * share:.0f} % of the residual torque"
+    return (
+        Finding(fault.kind, names[fault.joint], fault.side, size, fault.unit, share, f"{fault.place(names)}: {what}"),
+    )
+
+
+def unexplained(nearest: Hypothesis, share: float, names: Sequence[str]) -> Finding:
+    """Return the finding that no fault explains the residual torque, of which the nearest one explains a share."""
+    sentence = "no single fault explains the residual torque"
+    if share >= NEAREST:
+        sentence += f"; the nearest, {nearest.kind} ({nearest.place(names)}), explains {100 * share:.0f} %"
+    return Finding(UNKNOWN, "", "", np.nan, "", share, sentence)
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residual torques over b blocks of intervals, and the regressors.
+
+    r (b, 2n) [N m]: of the link equations, then of the motor equations. sigma (2n,) [N m]: standard deviation of r due
+    to noise and rounding. noise (2n,) [N m]: due to noise alone. q, dq, ddq (k, 2n): midpoint position, velocity and
+    acceleration of each interval. u (k, n) [N m]: acting effort.
     """
 
-    kind: str
-    joint: str
-    side: str
-    size: float
-    unit: str
-    share: float
-    sentence: str
+    found: Innovations
+    robot: Robot
+    prediction: Prediction
+    block: int
+    r: Array
+    sigma: Array
+    noise: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    u: Array
+
+    def means(self, values: Array) -> Array:
+        """Return the block means (b, ...) of values (k, ...) of the intervals."""
+        return block_means(values, self.block)
+
+    def placed(self, signals: dict[int, Array]) -> Array:
+        """Return the block means (b, 2n, 1) of signals (k,), each in the equation of its number, zero elsewhere."""
+        columns = np.zeros((len(self.r), 2 * self.robot.n, 1))
+        for channel, signal in signals.items():
+            columns[:, channel, 0] = self.means(signal)
+        return columns
+
+    def of_offset(self, channel: int, offset: float = 1e-4) -> Array:
+        """Return the residual (b, 2n) [N m/rad] due to an offset of one position sensor, per radian.
+
+        The model predicts from q + offset, the robot moves from q.
+        """
+        shift = np.zeros(2 * self.robot.n)
+        shift[channel] = offset
+        (q, dq), dt = np.split(self.found.states[:, 0], 2, axis=1), self.found.dt
+        ahead = [self.prediction.along(q - sign * shift, dq, self.found.sent, dt)[1] for sign in (0.5, -0.5)]
+        return self.means(torques(self.robot, q, (ahead[0] - ahead[1]) / offset, dt))
+
+
+def residuals(found: Innovations, late: Array, law: TrackingLaw) -> Residuals | None:
+    """Return the residuals of intervals in which no motor was saturated; None if they are too few.
+
+    late (k, n) [N m]: acting minus sent effort.
+    """
+    block = int(np.clip(len(found) // (2 * FEWEST_BLOCKS), 1, BLOCK))
+    if len(found) < FEWEST_BLOCKS * block:
+        return None
+    robot, n = law.robot, law.robot.n
+    first, second = found.states.transpose(1, 0, 2)
+    (q, dq), ddq = np.split((first + second) / 2, 2, axis=1), (second - first)[:, 2 * n :] / found.dt[:, None]
+    raw = torques(robot, first[:, : 2 * n], found.error[:, 2 * n :], found.dt)
+    raw[:, n:] -= late @ robot.B_m.T
+    u, r = found.sent + late, block_means(raw, block)
+    spring = np.abs(springs.torques(robot, q[:, n:] - q[:, :n]))
+    scale = np.hstack([spring, spring + np.abs(u @ robot.B_m.T)])
+    noise = deviation(r)
+    sigma = np.hypot(noise, FLOOR * np.sqrt(np.mean(scale**2, axis=0)) + 1e-12)
+    return Residuals(found, robot, Prediction(law), block, r, sigma, noise, q, dq, ddq, u)
+
+
+def torques(robot: Robot, q: Array, change: Array, dt: Array) -> Array:
+    """Return the torques (k, 2n) [N m] that change the velocities by `change` (k, 2n) [rad/s] within dt (k,) [s]."""
+    n, rate = robot.n, change / dt[:, None]
+    M_l = over_rows(lambda q_l: robot.links.M_l(q_l).full(), q[:, :n], n)
+    return np.hstack([np.einsum("kij,kj->ki", M_l, rate[:, :n]), rate[:, n:] @ robot.M_m.T])
+
+
+def over_rows(function: Callable[[Array], Array], rows: Array, columns: int) -> Array:
+    """Return the (k, m, columns) values of a CasADi function mapped over k arguments as columns."""
+    values = function(rows.T)
+    return values.reshape(len(values), len(rows), columns).transpose(1, 0, 2)
+
+
+def block_means(values: Array, block: int) -> Array:
+    """Return the means of `block` consecutive rows; a remainder is ignored."""
+    count = len(values) // block
+    means: Array = values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1)
+    return means
+
+
+def deviation(r: Array) -> Array:
+    """Estimate the standard deviation (m,) of white noise on r (b, m) from the median of its second differences."""
+    second = np.diff(r, 2, axis=0) ** 2 / 6
+    return np.sqrt(np.median(second, axis=0) / 0.455)
 
 
 @dataclass(frozen=True, eq=False)

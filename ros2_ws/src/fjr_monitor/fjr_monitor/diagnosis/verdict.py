@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict on a loop: whether V decayed as guaranteed, the causes if it did not, and the faults that explain it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.one_line import brief
+
+from .thresholds import JointTolerances
+
+SAMPLING, SATURATION = "sampling", "saturation"
+NO_DECAY = "V does not decay as guaranteed"
+_EXPLANATIONS = {
+    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
+    SATURATION: "the effort was saturated at a limit",
+    "delay": "the effort acted late",
+    "loss": "states or efforts were lost",
+    SAMPLING: "the loop is unstable at this sample period",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Fault of a robot or its signals.
+
+    kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" if two are exchanged), empty if unknown.
+    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: magnitude. share: part of the
+    residual torque that the fault explains.
+    """
+
+    kind: str
+    joint: str
+    side: str
+    size: float
+    unit: str
+    share: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of comparing V with its guaranteed decay.
+
+    kind: "holding": V decayed as guaranteed, to the floor that hold and noise predict. "degraded": V exceeds the floor
+    and the resulting tracking error is within the tolerance. "violated": it is not, or V grew. "unknown": too few
+    data. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
+    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the underlying
+    numbers by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
+    detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2". findings: faults of the robot or
+    its signals, by joint, side and kind.
+    """
+
+    kind: Literal["holding", "degraded", "violated", "unknown"]
+    causes: tuple[str, ...]
+    sentence: str
+    figures: dict[str, float]
+    errors: dict[str, Array] = field(default_factory=dict, compare=False)
+    detail: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Diagnosis({self.kind}: {brief(self.sentence)})"
+
+
+def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
+    """Return "unknown" with the reason."""
+    return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
+
+
+def violated(what: str, causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
+    """Return "violated" with what was seen and the causes, the strongest first."""
+    return Diagnosis("violated", causes, f"{what}: {explained(causes)}", figures, {}, ", ".join(causes))
+
+
+def explained(causes: tuple[str, ...]) -> str:
+    """Return a sentence for each cause."""
+    return "; ".join(_EXPLANATIONS[cause] for cause in causes) or "the cause is unknown"
+
+
+def detail(causes: Sequence[str], errors: dict[str, Array], axes: JointTolerances) -> str:
+    """Format causes with the error due to each: "delay makes 0.14 mrad at joint2, sampling"."""
+    return ", ".join(f"{cause} makes {axes.largest(errors[cause])}" if cause in errors else cause for cause in causes)

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message types: class, definition and hash of each.
+
+Definitions of the standard interfaces come from rosbags' Jazzy type store; definitions of other types are read
+from the ``.msg`` files of their sourced package.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from fjr_core.errors import FjrError
+
+
+class SchemaError(FjrError):
+    """The class or definition of a message type is not installed."""
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """Return the Jazzy type store, shared by writer and reader; custom types are added on use."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def interface_class(type_name: str) -> Any:
+    """Return the rclpy class of a type name such as ``sensor_msgs/msg/JointState`` or ``std_srvs/srv/Trigger``.
+
+    Raise SchemaError if it is not installed.
+    """
+    package, _, name = type_name.rpartition("/")
+    try:
+        return getattr(import_module(package.replace("/", ".")), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SchemaError(f"type {type_name} is not installed here ({error})") from error
+
+
+def definition(type_name: str) -> str:
+    """Return the definition with all nested types, as in an MCAP schema of encoding ``ros2msg``; raise SchemaError."""
+    _register(type_name)
+    return typestore().generate_msgdef(type_name, ros_version=2)[0]
+
+
+def type_hash(type_name: str) -> str:
+    """Return the REP-2016 hash of a type, ``RIHS01_...``."""
+    _register(type_name)
+    return typestore().hash_rihs01(type_name)
+
+
+def _register(type_name: str) -> None:
+    """Register a missing type and its nested types from their installed ``.msg`` files."""
+    store = typestore()
+    if type_name in store.fielddefs:
+        return
+    package, _, name = type_name.partition("/msg/")
+    try:
+        text = Path(get_package_share_directory(package), "msg", f"{name}.msg").read_text(encoding="utf-8")
+    except (PackageNotFoundError, OSError) as error:
+        raise SchemaError(f"no definition of message type {type_name} is installed here ({error})") from error
+    types = get_types_from_msg(text, type_name)
+    store.register(types)
+    for nested in _nested_types(types):
+        _register(nested)
+
+
+def _nested_types(node: Any) -> set[str]:
+    """Return all type names (package/msg/Name) that a parsed definition refers to."""
+    if isinstance(node, str):
+        return {node} if node.count("/") == 2 else set()
+    if isinstance(node, dict):
+        return set().union(*(_nested_types(value) for value in node.values()))
+    if isinstance(node, (tuple, list)):
+        return set().union(*(_nested_types(value) for value in node))
+    return set()
