@@ -80,13 +80,13 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 12_700,
+    "fjr_core": 12_760,
     "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_300,
     "fjr_plant": 1_330,
     "fjr_controller": 1_870,
-    "fjr_design": 9_320,
-    "fjr_identification": 6_500,
+    "fjr_design": 9_370,
+    "fjr_identification": 6_540,
     "fjr_proofs": 3_570,
     "fjr_bringup": 1_350,
 }

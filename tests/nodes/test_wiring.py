@@ -232,6 +232,7 @@ ELSEWHERE = {
     "test_lock_step, test_sim_time, test_advance": "lockstep_timeout restart_silence advance_samples",
     "tests/msgs/test_scheduling.py, tests/system/test_executables.py": "lock_memory cpu_affinity realtime_priority",
     "tests/core/config/test_robot_file.py": "robot.locked_joints robot.locked_positions",
+    "tests/core/model/test_springs.py": "robot.torsion_deflection robot.torsion_torque",
 }
 """Parameters by the files that test their effect."""
 WIRED_BY_GROUP = (

@@ -66,7 +66,7 @@ def values(**given: object) -> Values:
 
 def test_options_reach_measurement_and_observer() -> None:
     default = measurement(values(), ROBOT)
-    assert (default.velocity, default.motor, default.geared) == ("measured", "position", False)
+    assert (default.velocity, default.motor) == ("measured", "position")
     assert observer(values(), ROBOT) is None
     given = values(velocity="observer", observer_bandwidth=80.0, motor="torque")
     found = measurement(given, ROBOT)

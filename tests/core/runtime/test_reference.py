@@ -25,7 +25,8 @@ from design.exports.c_program import built
 from fjr_core.motions.piecewise_polynomial import PiecewisePolynomial
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.motions.transition import TimeShifted, Transition
-from fjr_core.runtime.library import HEADER, declarations, text
+from fjr_core.numerics.jit import declarations
+from fjr_core.runtime.library import HEADER, text
 from fjr_core.runtime.reference import ReferenceStruct, reference_table
 from fjr_design.exports.step_code import reference_code
 
