@@ -122,6 +122,8 @@ def test_priority_and_locked_memory_are_in_effect_or_their_refusals_are_reported
     assert ("real-time priority 7 is granted" in found["granted"]) == ("realtime_priority" not in refused)
     assert (found["locked"] > 1000) == ("lock_memory" not in refused)
     assert found["small pages"] == 1
+    cores = sorted(os.sched_getaffinity(0))
+    assert found["cores"] == [cores[:-1] or cores, cores[-1:]]  # Python, and a thread of the loop
 
 
 @linux

@@ -188,12 +188,12 @@ static void keep_to_last_core(void) {
   (void)sched_setaffinity(0, sizeof cores, &cores);
 }
 
-/* Take the priority; if it is refused, ask for one core. With ordinary scheduling ask for a short slice: the system
+/* Keep to one core and take the priority. With ordinary scheduling ask for a short slice: the system
  * then lets the thread run soon after it wakes up (Linux 6.12; every user may ask for it). */
 static void schedule(int32_t priority) {
   const struct sched_param wanted = {.sched_priority = priority};
-  if (priority && !pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted)) return;
   if (priority) keep_to_last_core();
+  if (priority && !pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted)) return;
   const int policy = sched_getscheduler(0) & ~SCHED_RESET_ON_FORK;
   if (policy != SCHED_OTHER && policy != SCHED_BATCH) return;
   const struct {

@@ -46,7 +46,7 @@ class _Attributes(ctypes.Structure):
 
 
 def apply_process_settings(settings: ProcessSettings) -> tuple[str, list[str]]:
-    """Apply the settings to this process: its threads have the priority or, without one, short slices on one core.
+    """Apply the settings to this process: its threads have the priority or short slices, on one core.
 
     Return a sentence about the scheduling that the system granted, and one for each setting that it refused.
     """
@@ -54,7 +54,7 @@ def apply_process_settings(settings: ProcessSettings) -> tuple[str, list[str]]:
     cores = use_cores(settings.cores)
     refused = take_priority(settings.priority)
     slices = take_short_slices()
-    core = keep_to_last_core() if refused else None
+    core = keep_to_last_core() if settings.priority else None
     where = "" if core is None else f" on core {core}"
     if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
         priority = os.sched_getparam(0).sched_priority
@@ -114,14 +114,15 @@ def take_short_slices() -> int:
 
 
 def keep_to_last_core() -> int | None:
-    """Confine the other threads with ordinary scheduling to the last core of this process, and this one to the rest.
+    """Confine the other threads of loop and middleware to the last core of this process, and this one to the rest.
 
     Return that core; None if the system refuses it. The calling thread is Python's.
 
     Linux divides the share of a session (its autogroup) among the cores by the load on each. A loop that changes its
     core, or whose middleware runs on another, meets cores on which its session has next to no share, and waits there
     for up to 0.1 s while other sessions are busy. On one core the session keeps its share. The native loop does the
-    same (loop.c).
+    same (loop.c). A real-time thread that wakes on a core in a system call of another program waits for
+    its end if the kernel is not preemptible, for up to 4 ms, although the other core is idle: one core meets that less.
     """
     cores: set[int] = set()
     try:
@@ -132,7 +133,7 @@ def keep_to_last_core() -> int | None:
         os.sched_setaffinity(0, cores - {core} or cores)
         for thread in set(_threads()) - {threading.get_native_id()}:
             with suppress(ProcessLookupError):
-                if _policy(thread) == os.SCHED_OTHER:
+                if _policy(thread) in (os.SCHED_OTHER, os.SCHED_FIFO):
                     os.sched_setaffinity(thread, {core})
     except (OSError, AttributeError):
         return None
