@@ -183,6 +183,8 @@ def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str
     with pytest.raises(fjr.ParameterError, match="friction damps with"):
         simulated(steep)
     simulated(steep, integrator="implicit_midpoint")
+    with pytest.raises(fjr.ParameterError, match="friction damps with"):  # under the weight of the link
+        simulated(Imperfections(1, **{f"load_{side}": 1.0, "smoothing": 1e-4}))
 
 
 def test_hysteresis_too_stiff_for_the_step_is_refused_without_any_change() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from core.oracles.oracle import stencil
 from core.oracles.properties import TOLERANCE, residual
 from fjr_core.model.rigid_arm import closed_form
 from fjr_core.numerics.symbolic import NumericFunction
-from fjr_core.simulation.imperfections import NAMES, SWITCHES, Imperfections, friction_rate, stuck_rate
+from fjr_core.simulation.imperfections import NAMES, SWITCHES, Imperfections, friction_rate, largest_load, stuck_rate
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 Array = NDArray[Any]
@@ -138,9 +139,18 @@ def test_friction_rate_is_the_slope_at_rest() -> None:
         columns.append(((dx[0] - dx[1]) - (plain[0] - plain[1]))[4:] / (2 * h))
     fastest = -np.min(np.linalg.eigvals(np.array(columns).T).real)
     assert friction_rate(i, robot.M_l(q_l), robot.M_m) == pytest.approx(fastest, rel=1e-5)
-    loaded = Imperfections(2, effort_limit=[2.0, np.inf], load_l=[0.1, 0.3])
-    same = Imperfections(2, coulomb_l=[0.2, 0.0])
-    assert friction_rate(loaded, robot.M_l(q_l), robot.M_m) == friction_rate(same, robot.M_l(q_l), robot.M_m)
+    loaded, same = Imperfections(2, load_l=[0.1, 0.3]), Imperfections(2, coulomb_l=[0.2, 0.3])
+    rates = [friction_rate(each, robot.M_l(q_l), robot.M_m, [2.0, 1.0]) for each in (loaded, same)]
+    assert rates[0] == pytest.approx(rates[1], rel=1e-15)
+
+
+def test_the_largest_load_is_the_effort_limit_or_the_weight_of_a_link_held_out() -> None:
+    robot = fjr.planar_two_link()
+    held_out = np.abs(robot.grad_P_l([np.pi / 2, 0.0]))
+    assert largest_load(robot, np.zeros(2)) == pytest.approx(held_out, rel=1e-12)
+    assert largest_load(robot, np.zeros(2), [3.0, np.inf]) == pytest.approx([3.0, held_out[1]], rel=1e-12)
+    limited = replace(robot, limits=fjr.JointLimits([-1, -1], [1, 1], [1, 1], [5.0, 0.1]))
+    assert largest_load(limited, np.zeros(2), [3.0, np.inf]).tolist() == [3.0, 0.1]
 
 
 # Springs.

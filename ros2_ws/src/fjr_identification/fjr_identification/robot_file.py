@@ -29,7 +29,7 @@ from fjr_core.files.text_file import read_text
 from fjr_core.model.rigid_arm import Body, rotation_to
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.imperfections import Imperfections, friction_rate
+from fjr_core.simulation.imperfections import Imperfections, friction_rate, largest_load
 from fjr_core.urdf.tree import is_xml, parse_xml, read_urdf
 from fjr_design.scaffold.files import path_from
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
@@ -266,9 +266,9 @@ class IdentifiedRobot:
     def _smoothing(self, robot: Robot) -> Array:
         """Return the velocities (n,) [rad/s] over which friction turns over, at least what MOST_STEPS integrate."""
         unit = Imperfections(robot.n, **self._levels, smoothing=1.0)
-        least = friction_rate(unit, robot.M_l(np.zeros(robot.n)), robot.M_m) / (
-            RATE * STABLE_STEP * MOST_STEPS / MARGIN
-        )
+        rest = np.zeros(robot.n)
+        rate = friction_rate(unit, robot.M_l(rest), robot.M_m, largest_load(robot, rest))
+        least = rate / (RATE * STABLE_STEP * MOST_STEPS / MARGIN)
         return np.maximum(self._of_joints(SMOOTHING, self.nominal.smoothing), least)
 
     def _left_out(self) -> list[str]:
@@ -286,7 +286,7 @@ class IdentifiedRobot:
         """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
         motion, gains, n = proposal.motion, proposal.gains, robot.n
         turning = Imperfections(n, **self._levels, smoothing=self._smoothing(robot))
-        rate = friction_rate(turning, robot.M_l(proposal.q_l), robot.M_m)
+        rate = friction_rate(turning, robot.M_l(proposal.q_l), robot.M_m, largest_load(robot, proposal.q_l))
         entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
         return LOOP.format(
             rate=RATE,

@@ -17,7 +17,14 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.numerics.symbolic import not_converged
 from fjr_core.runtime.library import CFunction, WorkSpace
-from fjr_core.simulation.imperfections import ChannelErrors, Imperfections, SensorErrors, friction_rate, stuck_rate
+from fjr_core.simulation.imperfections import (
+    ChannelErrors,
+    Imperfections,
+    SensorErrors,
+    friction_rate,
+    largest_load,
+    stuck_rate,
+)
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_msgs_py.native.program import Program
 
@@ -250,7 +257,8 @@ class SimulatedRobot:
                 f"springs with hysteresis oscillate at {rate:.4g} rad/s; expected at most {STIFFEST_SPRING / dt:.4g} "
                 "rad/s for inner steps of this length: raise imperfections.hysteresis_deflection or inner_steps"
             )
-        rate = friction_rate(imperfections, M_l, robot.M_m)
+        load = largest_load(robot, self._x0[: self._n], imperfections.effort_limit)
+        rate = friction_rate(imperfections, M_l, robot.M_m, load)
         if rate * dt > STIFFEST_FRICTION:
             raise ParameterError(
                 f"friction damps with {rate:.4g} 1/s about rest; expected at most {STIFFEST_FRICTION / dt:.4g} 1/s for "

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
+from ..model.robot import Robot
 from ..numerics import checks
 from ..numerics.checks import Array
 from ..numerics.parameter_field import POINT, VECTOR, declared, parameter_field
@@ -75,10 +76,18 @@ class Imperfections:
     )
     stribeck_m: ArrayLike = _per_joint(0.1, "motor_stribeck_velocity", "rad/s", "Stribeck velocity of the motors", 1e-6)
     load_l: ArrayLike = _per_joint(
-        0.0, "link_load_friction", "1", "Share of the torque of the spring by which the friction of the links grows"
+        0.0,
+        "link_load_friction",
+        "1",
+        "Share of the torque of the spring by which the friction of the links grows",
+        maximum=1.0,
     )
     load_m: ArrayLike = _per_joint(
-        0.0, "motor_load_friction", "1", "Share of the torque of the spring by which the friction of the motors grows"
+        0.0,
+        "motor_load_friction",
+        "1",
+        "Share of the torque of the spring by which the friction of the motors grows",
+        maximum=1.0,
     )
     smoothing: ArrayLike = _per_joint(
         0.01,
@@ -134,22 +143,31 @@ SWITCHES = (
 """If all of these are 0 and there is no effort_limit, the robot equals eq. (36)."""
 
 
-def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike) -> float:
+def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike, load: ArrayLike = 0.0) -> float:
     """Return the largest damping rate [1/s] of friction, which occurs in creep at zero velocity.
 
-    Largest eigenvalue of M^-1 diag(level / smoothing) with the inertias M_l, M_m (n, n) and the levels at rest, under
-    the load of effort_limit where there is one. A
-    Runge-Kutta step of order 4 is stable below 2.78 / dt (E. Hairer, G. Wanner, Solving Ordinary Differential Equations
-    II, sec. IV.2); above, a motion that creeps or reverses would chatter.
+    Largest eigenvalue of M^-1 diag(level / smoothing) with the inertias M_l, M_m (n, n) and the levels at rest under
+    a load (n,) [N m] of the springs. A Runge-Kutta step of order 4 is stable below 2.78 / dt (E. Hairer, G. Wanner,
+    Solving Ordinary Differential Equations II, sec. IV.2); above, a motion that creeps or reverses would chatter.
     """
-    i = imperfections
-    load = np.where(np.isfinite(i.effort_limit), i.effort_limit, 0.0)
+    i, smoothing = imperfections, np.asarray(imperfections.smoothing)
     sides = ((M_l, i.coulomb_l, i.static_l, i.load_l), (M_m, i.coulomb_m, i.static_m, i.load_m))
     slopes = [
-        (np.asarray(M), (np.maximum(coulomb, static) + np.asarray(share) * load) / np.asarray(i.smoothing))
+        (np.asarray(M), (np.maximum(coulomb, static) + np.asarray(share) * load) / smoothing)
         for M, coulomb, static, share in sides
     ]
     return max(float(np.max(np.linalg.eigvals(np.linalg.solve(M, np.diag(slope))).real)) for M, slope in slopes)
+
+
+def largest_load(robot: Robot, q_l: Array, limit: ArrayLike = np.inf) -> Array:
+    """Return the load (n,) [N m] that springs are expected to carry: the effort limit of each joint.
+
+    That of the robot or `limit`; without one the largest weight at q_l (n,) and with one joint turned by 90 degrees.
+    """
+    limits = np.minimum(limit, np.inf if robot.limits is None else robot.limits.effort)
+    turns = np.pi / 2 * np.eye(robot.n, robot.n + 1).T  # the last one: no turn
+    weight = np.max([np.abs(robot.grad_P_l(q_l + turn)) for turn in turns], axis=0)
+    return np.where(np.isfinite(limits), limits, weight)
 
 
 def stuck_rate(imperfections: Imperfections, K: Array, M_l: Array, M_m: Array) -> float:

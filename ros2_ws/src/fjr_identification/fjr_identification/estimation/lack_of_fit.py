@@ -135,23 +135,25 @@ def rubs_with_load(setup: Estimation, z: Array) -> bool:
     rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
     for j in range(setup.robot.n):
         sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
-        free = [key for key in sides[0].columns if key in setup.coordinates.free]
-        rows = _rows(sides, free, [motion.dt for motion in setup.motions], [side.stride for side in sides])
-        grown = [decimated(side.columns[(LOAD[1], j)] * side.used, side.stride) for side in sides]
-        term = rows.term(np.concatenate(grown)[:, None])
+        term = _of_effort(setup, sides, [side.columns[(LOAD[1], j)] for side in sides])
         if term.is_cause() and term.c[0] > LEAST_SHARE:
             return True
     return False
+
+
+def _of_effort(setup: Estimation, sides: Sequence[Side], torques: Sequence[Array]) -> Term:
+    """Return what one more torque explains of the equations of a motor, one in each record."""
+    free = [key for key in sides[0].columns if key in setup.coordinates.free]
+    rows = _rows(sides, free, [motion.dt for motion in setup.motions], [side.stride for side in sides])
+    pairs = zip(sides, torques, strict=True)
+    return rows.term(np.concatenate([decimated(torque * side.used, side.stride) for side, torque in pairs])[:, None])
 
 
 def _of_links(setup: Estimation, rigid: Sequence, z: Array, j: int) -> str:
     """Return a sentence if the effort of joint j needs other links than those of the robot file."""
     sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
     loads = [inner(along.torque[:, j], motion.dt) for motion, along in zip(setup.motions, rigid, strict=True)]
-    free = [key for key in sides[0].columns if key in setup.coordinates.free]
-    rows = _rows(sides, free, [motion.dt for motion in setup.motions], [side.stride for side in sides])
-    load = [decimated(load * side.used, side.stride) for load, side in zip(loads, sides, strict=True)]
-    term = rows.term(np.concatenate(load)[:, None])
+    term = _of_effort(setup, sides, loads)
     factor = 1 + float(term.c[0])
     if not term.is_cause() or abs(factor - 1) < LIGHT or not 1 / MOST < factor < MOST:
         return ""
