@@ -25,6 +25,7 @@ PACKAGES = (
     "fjr_design",
     "fjr_identification",
     "fjr_proofs",
+    "fjr_engines",
     "fjr_bringup",
 )
 COPIED = ("README.md", "LICENSE", "pyproject.toml", "requirements", "ros2_ws/src")

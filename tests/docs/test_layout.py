@@ -18,7 +18,7 @@ PACKAGES = (
     "fjr_monitor",
     "fjr_plant fjr_controller",
     "fjr_design",
-    "fjr_identification fjr_proofs",
+    "fjr_identification fjr_proofs fjr_engines",
     "fjr_bringup",
 )
 """Packages from the bottom up; packages in one entry do not import each other."""
@@ -40,7 +40,7 @@ LAYERS = {
     "fjr_monitor": ("diagnosis scene", "recording", "report", "watch", "cli"),
     "fjr_plant": (
         "native",
-        "channel",
+        "channel engine",
         "simulated_robot",
         "host",
         "time_base",
@@ -74,20 +74,22 @@ LAYERS = {
         "cli",
     ),
     "fjr_proofs": ("verification", "rate error_bound", "kept_rate check_rows"),
+    "fjr_engines": ("mjcf native", "mujoco"),
     "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 
 
 BUDGETS = {
-    "fjr_core": 12_760,
+    "fjr_core": 12_950,
     "fjr_msgs_py": 3_800,
-    "fjr_monitor": 7_300,
-    "fjr_plant": 1_330,
-    "fjr_controller": 1_870,
+    "fjr_monitor": 7_450,
+    "fjr_plant": 1_500,
+    "fjr_controller": 1_930,
     "fjr_design": 9_370,
     "fjr_identification": 6_540,
     "fjr_proofs": 3_570,
+    "fjr_engines": 1_100,
     "fjr_bringup": 1_350,
 }
 """Most lines of Python of each package. What needs more raises its budget in the same commit and says why."""

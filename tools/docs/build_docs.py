@@ -33,6 +33,7 @@ PACKAGES = (
     "fjr_design",
     "fjr_identification",
     "fjr_proofs",
+    "fjr_engines",
 )
 CONTENTS = """fjr
 ===

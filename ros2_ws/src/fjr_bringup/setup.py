@@ -34,7 +34,7 @@ setup(
         "numpy>=1.26",
     ],  # rclpy and messages: from ROS 2, or its wheels
     extras_require={
-        "all": ["fjr_identification[commands]", "fjr_proofs[commands]"],
+        "all": ["fjr_identification[commands]", "fjr_proofs[commands]", "fjr_engines[commands]"],
         "plot": ["matplotlib>=3.6"],
     },
     zip_safe=True,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_msgs_py.native.program import Program
 
 from .channel import SENSORS, Random, Transport
+from .engine import EngineKind, engine_kind
 from .native import plant_program
 
 _FILL = ctypes.CDLL(np.random._generator.__file__).random_standard_normal_fill  # as numpy.org shows for extensions
@@ -117,10 +118,13 @@ class SimulatedRobot:
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
         program: Program | None = None,
+        engine: EngineKind | None = None,
+        joints: Sequence[str] = (),
     ) -> None:
         """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
-        seed: of the sensor noise. Raises ParameterError for invalid imperfections.
+        seed: of the sensor noise. engine: constructor of a simulator with these names of the joints, None for the
+        plant's own integrator. Raises ParameterError for invalid imperfections.
         """
         self._program = program or plant_program()
         self._plant, self._n = plant, plant.robot.n
@@ -129,6 +133,9 @@ class SimulatedRobot:
         self._inner_step = inner_step
         self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed, self._program)
         self._build(len(Imperfections(self._n).vector))
+        self._engine = engine(self._imperfect, joints, inner_step, self._program.ffi) if engine else None
+        if self._engine:
+            self.pointer.engine, self.pointer.engine_advance = self._engine.handle, self._engine.advance
         self._use(imperfections or Imperfections(self._n))
         self.reset()
 
@@ -166,6 +173,8 @@ class SimulatedRobot:
         if np.any(self._imperfections.payload_mass):
             self.x = self._with_velocity(np.concatenate(self._plant.robot.velocities(self._x0)))
         self._sensors.reset()
+        if self._engine:
+            self._engine.forget()
 
     def warm_up(self) -> None:
         """Evaluate all functions, so that the first step is as fast as the later ones, also without imperfections."""
@@ -237,6 +246,8 @@ class SimulatedRobot:
         """Check imperfections and use them from now on. Raises ParameterError, then nothing has changed."""
         self._imperfect.check(imperfections)
         self._check_step(imperfections)
+        if self._engine:
+            self._engine.use(imperfections)
         self._imperfections, self.pointer.perfect = imperfections, imperfections.off
         self._arrays["parameters"][:] = imperfections.vector
 
@@ -300,4 +311,5 @@ def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[Simul
     seed, (motion, sensors, messages) = random_seed(values), errors_of(values, plant.robot)
     transport = Transport(plant.robot.n, inner_step * values["inner_steps"], inner_step, seed)
     transport.change(*messages)
-    return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed), transport
+    engine, joints = engine_kind(values), values["joints"]
+    return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed, engine=engine, joints=joints), transport

@@ -47,6 +47,7 @@ def demo(**given: Any) -> Any:
 @command()
 @scenario_argument
 @click.option("--lockstep", is_flag=True, help="Simulate one sample per command, independently of the clock.")
+@click.option("--engine", metavar="NAME", help="Simulator of the plant: own, mujoco, drake; --set engine:=NAME.")
 @click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
 @click.option("--no-report", is_flag=True, help="Write report.json only, no page and no picture.")
 @set_option

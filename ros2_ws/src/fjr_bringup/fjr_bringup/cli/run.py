@@ -45,14 +45,18 @@ def run_scenario(
     duration: float,
     output: Path,
     lockstep: bool,
+    engine: str | None,
     force: bool,
     no_report: bool,
 ) -> Result:
     """Run one scenario for `duration` [s] and report it; force: even if it is unstable as sampled.
 
-    no_report: write report.json without page and picture.
+    engine: the parameter of the plant node, None for that of the scenario. no_report: write report.json without page
+    and picture.
     """
     overrides = library.parse_assignments(assignments)
+    if engine:
+        overrides["engine"] = engine
     if lockstep:
         overrides = {**LOCKSTEP, **overrides, "lockstep": True}
     return _result([_record_and_report(_plan(scenario, overrides, duration, output, force), not no_report)])

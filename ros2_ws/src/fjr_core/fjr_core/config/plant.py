@@ -21,6 +21,8 @@ from .parameter import VECTOR, Parameter, Values, number, options, read, table
 from .process import process_parameters
 
 FLEXIBLE_JOINT = "flexible_joint"
+ENGINES = ("mujoco", "drake")
+"""Simulators of others, of the package fjr_engines."""
 _INITIAL_STATE = {
     "q_l": Parameter("initial_link_position", 0.5, "q_l at the start and after a reset", "rad", shape=VECTOR),
     "q_m": Parameter("initial_motor_position", 0.5, "q_m at the start and after a reset", "rad", shape=VECTOR),
@@ -34,11 +36,14 @@ TYPE = Parameter(
     choices=(FLEXIBLE_JOINT,),
     options="plant.options.",
 )
+OWN = "own"
+ENGINE = Parameter("engine", OWN, "Simulator that moves the robot (docs/tables/engines.md)", choices=(OWN, *ENGINES))
 _OWN = (
     TYPE,
     Parameter("publish_rate", 1000.0, "Rate of /joint_states", "Hz", minimum=1.0, maximum=10000.0),
     Parameter("inner_steps", 4, "Integrator steps per published state", minimum=1, maximum=1000),
     Parameter("integrator", "rk4", "Integrator", choices=INTEGRATORS),
+    ENGINE,
     *_INITIAL_STATE.values(),
     Parameter("wait_for_command", True, "Hold the initial state until the first command arrives"),
     Parameter(

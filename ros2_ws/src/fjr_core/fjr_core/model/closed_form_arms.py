@@ -40,7 +40,7 @@ def single_link(
         lambda q_l: load * (1 - ca.cos(q_l)),
         vertices=(M_l,),
         end_effector=end_effector,
-        bodies=(_planar_body(0.0, 0.0, 0.0, inertia),),
+        bodies=(_pendulum(inertia, load / STANDARD_GRAVITY),),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
@@ -83,7 +83,7 @@ def planar_two_link(
         potential,
         vertices=(constant + coupling, constant - coupling),
         end_effector=_planar_end_effector((l1,), g),
-        bodies=(_planar_body(0.0, m1, c1, I1), _planar_body(l1, m2, c2, I2)),
+        bodies=(_planar_body(None, m1, c1, I1), _planar_body(l1, m2, c2, I2)),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
@@ -103,12 +103,25 @@ def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> EndEffec
     return EndEffector(ca.Function("position", [q_l, r], [position]), np.array([0.0, 0.0, -gravity]))
 
 
-def _planar_body(joint: float, mass: float, com: float, inertia: float) -> Body:
-    """Return a link that turns in a plane; joint, com [m]: places of its joint and its centre of mass along x.
+HANGING = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+"""Frame of the first link at q_l = 0 in that of the base: x down, y forward, z the axis, which points to the left."""
 
-    inertia [kg m^2] about an axis normal to the plane; the others do not matter.
+
+def _pendulum(inertia: float, moment: float) -> Body:
+    """Return a link of inertia [kg m^2] about its joint, and first moment mass * com [kg m]."""
+    if not moment:
+        return _planar_body(None, 0.0, 0.0, inertia)
+    com = inertia / (2 * moment)
+    return _planar_body(None, moment / com, com, inertia / 2)
+
+
+def _planar_body(joint: float | None, mass: float, com: float, inertia: float) -> Body:
+    """Return a link that turns in a vertical plane; joint, com [m]: places of its joint and its centre of mass along x.
+
+    joint: None for the first link. inertia [kg m^2] about an axis normal to the plane; the others do not matter.
     """
-    return Body(np.eye(3), (joint, 0.0, 0.0), (0.0, 0.0, 1.0), mass, (com, 0.0, 0.0), np.diag([inertia] * 3))
+    rotation, place = (HANGING, 0.0) if joint is None else (np.eye(3), joint)
+    return Body(rotation, (place, 0.0, 0.0), (0.0, 0.0, 1.0), mass, (com, 0.0, 0.0), np.diag([inertia] * 3))
 
 
 def _along(angle: ca.SX) -> ca.SX:

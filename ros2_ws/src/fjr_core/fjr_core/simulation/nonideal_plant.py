@@ -13,6 +13,7 @@ All imperfections are arguments of one function, so that they can change while t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from types import SimpleNamespace
 
@@ -89,14 +90,9 @@ class NonidealPlant:
         s = symbols(ca.MX if self.plant.in_python else ca.SX, x=4 * n, inputs=3 * n + layout(n).size)
         x, inputs = s.values()
         applied, external, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, 3 * n, inputs.numel()])
-        p, q_m = layout(n).named(parameters), x[n : 2 * n]
-        dx, dq_l, dq_m = self._motion(x, applied, p)
-        ripple = p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase)
-        h = hysteresis(q_m - x[:n], sliders, p)
-        load = ca.fabs(springs.torque(self.robot, q_m - x[:n], p.cubic) + h)
-        F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing, p.load_l * load)
-        F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing, p.load_m * load)
-        dx += ca.vertcat(ca.DM.zeros(2 * n), external + h - F_l, ripple - h - F_m)
+        p = layout(n).named(parameters)
+        dx, *velocities = self._motion(x, applied, p)
+        dx += ca.vertcat(ca.DM.zeros(2 * n), *self._imperfect_torques(x[: 2 * n], velocities, external, sliders, p))
         return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
 
     def _motion(self, x: ca.SX, applied: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -107,6 +103,52 @@ class NonidealPlant:
         dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
         _, _, dq_l, dq_m = blocks(dH, n)
         return derivative_expression(self.robot, x, applied, dH), dq_l, dq_m
+
+    def _imperfect_torques(
+        self, q: ca.SX, velocities: Sequence[ca.SX], external: ca.SX, sliders: ca.SX, p: SimpleNamespace
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return external torques, friction, hysteresis and ripple on links and motors (n,) each [N m].
+
+        q (2n,): positions; velocities: of links and motors (n,) each.
+        """
+        q_l, q_m = ca.vertsplit(q, self.robot.n)
+        h = hysteresis(q_m - q_l, sliders, p)
+        load = ca.fabs(springs.torque(self.robot, q_m - q_l, p.cubic) + h)
+        dq_l, dq_m = velocities
+        F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing, p.load_l * load)
+        F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing, p.load_m * load)
+        return external + h - F_l, p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase) - h - F_m
+
+    @cached_property
+    def joint_torques(self) -> ca.Function:
+        """Return the function (q, dq, a, u, external, sliders, parameters, t) -> torques (2n,) for another simulator.
+
+        q, dq (2n,): of links and motors; t [s]: since the actuator outputs a. They are all torques on links and motors
+        beside inertia, weight, straight springs diag(K) and damping diag(D_l), diag(D_m).
+        """
+        n, robot, parts = self.robot.n, self.robot, layout(self.robot.n)
+        s = symbols(q=2 * n, dq=2 * n, a=n, u=n, external=n, sliders=n, parameters=parts.size, t=1)
+        p, velocities = parts.named(s["parameters"]), ca.vertsplit(s["dq"], n)
+        on_l, on_m = self._imperfect_torques(s["q"], velocities, s["external"], s["sliders"], p)
+        zeta = s["q"][n:] - s["q"][:n]
+        bend = springs.torque(robot, zeta, p.cubic) - ca.DM(np.diag(robot.K)) * zeta
+        D_l, D_m = (sparse(D - np.diag(np.diag(D))) for D in (robot.D_l, robot.D_m))
+        on_l += bend - D_l @ velocities[0]
+        on_m += (
+            sparse(robot.B_m) @ self._actuators(s["a"], s["u"], s["parameters"], s["t"]) - bend - D_m @ velocities[1]
+        )
+        function = dense_function("joint_torques", s, {"torques": ca.vertcat(on_l, on_m)}, cse=True)
+        return compiled(function) if self.plant.compiles else function
+
+    @cached_property
+    def memory_step(self) -> ca.Function:
+        """Return the function (q, a, u, sliders, parameters, dt) -> a, sliders after a step that ended at q (2n,)."""
+        n = self.robot.n
+        s = symbols(q=2 * n, a=n, u=n, sliders=n, parameters=layout(n).size, dt=1)
+        a = self._actuators(s["a"], s["u"], s["parameters"], s["dt"])
+        sliders = dragged(s["sliders"], s["q"][n:] - s["q"][:n], layout(n).named(s["parameters"]).slip)
+        function = dense_function("memory_step", s, {"applied": a, "dragged": sliders})
+        return compiled(function) if self.plant.compiles else function
 
     @cached_property
     def step_function(self) -> ca.Function:
@@ -138,8 +180,7 @@ class NonidealPlant:
         applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
         start, middle, end = (ca.vertcat(b, external, sliders, parameters) for b in applied)
         x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt, as_c)
-        zeta, slip = x_next[n : 2 * n] - x_next[:n], layout(n).named(parameters).slip
-        sliders_next = ca.fmin(ca.fmax(sliders, zeta - slip), zeta + slip)
+        sliders_next = dragged(sliders, x_next[n : 2 * n] - x_next[:n], layout(n).named(parameters).slip)
         return dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1], sliders_next)})
 
     @cached_property
@@ -226,6 +267,11 @@ def hysteresis(zeta: ca.SX, sliders: ca.SX, p: SimpleNamespace) -> ca.SX:
     are 2 hysteresis apart.
     """
     return p.hysteresis * ca.fmin(ca.fmax((zeta - sliders) / p.slip, -1), 1)
+
+
+def dragged(sliders: ca.SX, zeta: ca.SX, slip: ca.SX) -> ca.SX:
+    """Return the sliders (n,) [rad], dragged along where a deflection zeta (n,) is farther away than `slip` (n,)."""
+    return ca.fmin(ca.fmax(sliders, zeta - slip), zeta + slip)
 
 
 def layout(n: int) -> PackedVector:

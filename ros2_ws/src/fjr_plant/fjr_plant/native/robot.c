@@ -31,7 +31,8 @@ int fjr_robot_advance(struct fjr_robot* r, int64_t time) {
   const int64_t steps = time > r->time ? (time - r->time) / r->inner_step : 0;
   const int ideal = r->perfect && !any(r->external, r->n);
   if (r->perfect) memcpy(r->state + 4 * r->n, r->u, (size_t)r->n * sizeof(double));
-  for (int64_t k = 0; k < steps; ++k)
+  if (r->engine && steps && r->engine_advance(r->engine, r, steps)) return FJR_STEP_FAILED;
+  for (int64_t k = 0; !r->engine && k < steps; ++k)
     if (inner_step(r, ideal)) return FJR_STEP_FAILED;
   r->time += steps * r->inner_step;
   return all_finite(r->state, 4 * r->n) ? FJR_NO_FAULT : FJR_DIVERGED;

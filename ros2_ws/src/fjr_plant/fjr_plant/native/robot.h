@@ -53,6 +53,8 @@ struct fjr_robot {
   long long* iw;
   double* w;
   struct fjr_sensors* sensors;
+  void* engine;              /* a simulator in place of the steps, NULL for none */
+  int (*engine_advance)(void* engine, struct fjr_robot* robot, int64_t steps); /* inner steps of `state`; returns 0 */
 };
 
 enum fjr_fault { FJR_NO_FAULT, FJR_STEP_FAILED, FJR_DIVERGED, FJR_UNANSWERED, FJR_REFUSED, FJR_NOT_SENT };

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Specify a flexible-joint robot for MuJoCo: eq. (36) by elements of the engine.
+
+A link is a body on the hinge (or slide) of its joint. A rotor is a body on the base with a hinge of its own, so that it
+has the kinetic energy M_m dq_m^2 / 2 of eq. (35) alone: M_m is the `armature` of its hinge. The spring between both is
+a fixed tendon of the length q_m - q_l. Damping acts at the hinges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from fjr_core.errors import RobotError
+from fjr_core.model.rigid_arm import Body
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+
+MOTOR, LINK, SPRING = "_motor", "_link", "_spring"
+"""Endings of the names of rotors, links and springs after that of the joint."""
+LEAST = 1e-12
+"""Least mass [kg] and inertia [kg m^2] of a body that moves; MuJoCo compiles none below 1e-15."""
+
+
+def specification(robot: Robot, joints: Sequence[str]) -> mujoco.MjSpec:
+    """Return the MuJoCo model of a robot of the n named joints; raise RobotError for one that it cannot express.
+
+    The integrator is MuJoCo's Runge-Kutta of order 4. Contacts, limits and actuators are added by the caller. Of
+    matrices that couple joints, K, D_l and D_m have their diagonals only.
+    """
+    links, n = robot.links, robot.n
+    if len(links.bodies) != n or links.end_effector is None:
+        raise RobotError(f"the bodies of the {n} links are not known; expected a serial chain, as from a URDF")
+    if np.any(robot.M_m - np.diag(np.diag(robot.M_m))):
+        raise RobotError(f"M_m is {robot.M_m.tolist()}; expected a diagonal matrix: MuJoCo couples no rotors")
+    spec = mujoco.MjSpec()
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.gravity = links.end_effector.gravity
+    spec.compiler.autolimits = True
+    parent = spec.worldbody
+    for i, body in enumerate(links.bodies):
+        k = links.order.index(i)
+        parent = parent.add_body(
+            name=joints[k] + LINK, pos=np.asarray(body.translation), quat=quaternion(np.asarray(body.rotation))
+        )
+        _add_inertia(parent, body)
+        _add_joint(parent, joints[k], body.prismatic, damping=robot.D_l[k, k])
+    for k, joint in enumerate(joints):
+        rotor, slides = spec.worldbody.add_body(name=joint + MOTOR), links.bodies[links.order[k]].prismatic
+        rotor.mass, rotor.inertia, rotor.explicitinertial = LEAST, [LEAST] * 3, True
+        _add_joint(rotor, joint + MOTOR, slides, damping=robot.D_m[k, k]).armature = robot.M_m[k, k]
+        spring = spec.add_tendon(name=joint + SPRING)
+        spring.stiffness, spring.springlength = with_degree_0(robot.K[k, k], spring.stiffness), [0.0, 0.0]
+        spring.wrap_joint(joint + MOTOR, 1.0)
+        spring.wrap_joint(joint, -1.0)
+    return spec
+
+
+def exact_inertia(model: mujoco.MjModel, robot: Robot, joints: Sequence[str]) -> None:
+    """Give the links of a compiled model the inertia of the robot, also one that MuJoCo refuses to compile.
+
+    It compiles principal inertias that are positive and the sides of a triangle; those of public URDFs often are not.
+    """
+    for i, body in enumerate(robot.links.bodies):
+        link = model.body(joints[robot.links.order.index(i)] + LINK)
+        moments, axes = np.linalg.eigh(np.asarray(body.inertia))
+        axes[:, 2] *= np.linalg.det(axes)
+        link.mass, link.ipos, link.inertia = max(body.mass, LEAST), np.asarray(body.com), moments
+        link.iquat = quaternion(axes)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def quaternion(rotation: Array) -> Array:
+    """Return the unit quaternion (4,) of a rotation (3, 3), scalar first."""
+    found = np.empty(4)
+    mujoco.mju_mat2Quat(found, np.ascontiguousarray(rotation, dtype=float).ravel())
+    return found
+
+
+def with_degree_0(value: float, coefficients: Any) -> Any:
+    """Return a coefficient in the form of those of a polynomial, if MuJoCo of this version takes one."""
+    return np.concatenate([[value], np.zeros(np.size(coefficients) - 1)]) if np.ndim(coefficients) else value
+
+
+def _add_inertia(link: mujoco.MjsBody, body: Body) -> None:
+    """Give a link its mass, and the nearest inertia that a rigid body can have."""
+    moments, axes = np.linalg.eigh(np.asarray(body.inertia))
+    axes[:, 2] *= np.linalg.det(axes)
+    smallest = max(moments[0], moments[2] - moments[1], LEAST)
+    link.mass, link.ipos, link.explicitinertial = max(body.mass, LEAST), np.asarray(body.com), True
+    link.inertia, link.iquat = np.maximum(moments, [smallest, LEAST, LEAST]), quaternion(axes)
+
+
+def _add_joint(owner: mujoco.MjsBody, name: str, slides: bool, damping: float) -> mujoco.MjsJoint:
+    kinds = mujoco.mjtJoint
+    joint = owner.add_joint(name=name, type=kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
+    joint.damping = with_degree_0(damping, joint.damping)
+    return joint

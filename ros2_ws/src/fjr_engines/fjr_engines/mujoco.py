@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MuJoCo as the simulator of the plant; its steps are in native/mujoco_steps.c, which needs no Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from fjr_core.errors import ParameterError
+from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+from fjr_core.runtime.library import CFunction, WorkSpace
+from fjr_core.simulation.imperfections import Imperfections
+from fjr_core.simulation.nonideal_plant import NonidealPlant
+
+from .mjcf.writing import LINK, MOTOR, exact_inertia, specification
+from .native import mujoco_program
+
+PAYLOAD = "payload"
+DISABLED = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_LIMIT
+
+
+class MujocoEngine:
+    """MuJoCo in place of the plant's own integrator (fjr_plant.engine.Engine); model, data: of MuJoCo."""
+
+    def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> None:
+        """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
+        if plant.plant.in_python or plant.plant.integrator != "rk4":
+            raise ParameterError("engine is 'mujoco'; expected plant.type: flexible_joint and integrator: rk4 with it")
+        spec = specification(plant.robot, joints)
+        spec.option.timestep, spec.option.disableflags = inner_step * 1e-9, DISABLED
+        spec.body(joints[plant.robot.links.order.index(plant.robot.n - 1)] + LINK).add_body(
+            name=PAYLOAD, mass=1.0, inertia=[1.0] * 3, explicitinertial=True
+        )
+        self.model = spec.compile()
+        exact_inertia(self.model, plant.robot, joints)
+        self.data = mujoco.MjData(self.model)
+        self._tip = tip_frame(plant.robot)
+        self._build(plant, [*joints, *(joint + MOTOR for joint in joints)])
+        handle = int(self._program.ffi.cast("intptr_t", self._state))
+        function = self._program.ffi.addressof(self._program.lib, "fjr_mujoco_advance")
+        self.handle = ffi.cast("void*", handle)
+        self.advance = ffi.cast(
+            "int(*)(void*, struct fjr_robot*, int64_t)", int(self._program.ffi.cast("intptr_t", function))
+        )
+        self.use(Imperfections(plant.robot.n))
+
+    def use(self, imperfections: Imperfections) -> None:
+        """Attach the payload; the other imperfections are arguments of each step."""
+        payload = self.model.body(PAYLOAD)
+        R, r = self._tip
+        payload.mass, payload.inertia = imperfections.payload_mass, np.zeros(3)
+        payload.pos = r + R @ np.asarray(imperfections.payload_position)
+        mujoco.mj_setConst(self.model, self.data)
+        self.forget()
+
+    def forget(self) -> None:
+        """Start from the state of the robot with the next step."""
+        mujoco.mj_resetData(self.model, self.data)
+        self._program.lib.fjr_mujoco_begin(self._state)
+
+    def _build(self, plant: NonidealPlant, joints: Sequence[str]) -> None:
+        """Build struct fjr_mujoco; joints: of q_l and q_m."""
+        self._program, n = mujoco_program(), plant.robot.n
+        ffi = self._program.ffi
+        functions = plant.joint_torques, plant.memory_step
+        self._functions = [CFunction(ffi, function) for function in functions]
+        self._space = WorkSpace(ffi, list(functions))
+        sizes = {"q": 2 * n, "dq": 2 * n, "torque": 2 * n, "known": 4 * n, "wide": 2 * self.model.nv}
+        arrays = {name: np.zeros(size) for name, size in sizes.items()}
+        dof = np.array([self.model.joint(name).dofadr[0] for name in joints], dtype=np.int32)
+        self._kept = {name: ffi.from_buffer("double[]", values) for name, values in arrays.items()}
+        self._kept["dof"] = ffi.from_buffer("int32_t[]", dof)
+        self._state = ffi.new(
+            "struct fjr_mujoco*",
+            {
+                "model": ffi.cast("void*", self.model._address),
+                "data": ffi.cast("void*", self.data._address),
+                "torques": self._functions[0].pointer,
+                "memory": self._functions[1].pointer,
+                **self._kept,
+            },
+        )
+        self._space.lend(self._state)
+
+
+def tip_frame(robot: Robot) -> tuple[Array, Array]:
+    """Return rotation (3, 3) and origin (3,) [m] of the end-effector frame in the frame of the last body."""
+    R, r, tip = np.eye(3), np.zeros(3), robot.links.end_effector
+    assert tip is not None  # of a robot that has a specification
+    for body in robot.links.bodies:
+        R, r = R @ np.asarray(body.rotation), r + R @ np.asarray(body.translation)
+    points = [tip.position(np.zeros(robot.n), point).full().ravel() for point in np.vstack([np.zeros(3), np.eye(3)])]
+    return R.T @ (np.array(points[1:]) - points[0]).T, R.T @ (points[0] - r)

@@ -1,0 +1,87 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+#include <math.h>
+#include <mujoco/mujoco.h>
+#include <string.h>
+
+static _Thread_local struct fjr_mujoco* moving; /* by this thread */
+
+static void gather(const struct fjr_mujoco* e, const mjtNum* values, double* found, int32_t count) {
+  for (int32_t i = 0; i < count; ++i) found[i] = values[e->dof[i]];
+}
+
+static void scatter(const struct fjr_mujoco* e, const double* values, mjtNum* found, int32_t count) {
+  for (int32_t i = 0; i < count; ++i) found[e->dof[i]] = values[i];
+}
+
+/* Add the torques that MuJoCo has no element for, at one stage of a step. */
+static void add_torques(const mjModel* m, mjData* d) {
+  struct fjr_mujoco* e = moving;
+  if (!e || m != e->model || d != e->data) return;
+  const struct fjr_robot* r = e->robot;
+  const double time = d->time - e->start;
+  gather(e, d->qpos, e->q, 2 * r->n);
+  gather(e, d->qvel, e->dq, 2 * r->n);
+  const double* given[] = {e->q, e->dq, r->state + 4 * r->n, r->u, r->external, r->state + 5 * r->n, r->parameters, &time};
+  memcpy(e->arg, given, sizeof given);
+  e->res[0] = e->torque;
+  e->failed |= e->torques(e->arg, e->res, e->iw, e->w, 0);
+  for (int32_t i = 0; i < 2 * r->n; ++i) d->qfrc_passive[e->dof[i]] += e->torque[i];
+}
+
+/* Advance the outputs of the actuators and the sliders, which MuJoCo does not have. */
+static void advance_memory(struct fjr_mujoco* e) {
+  struct fjr_robot* r = e->robot;
+  double *a = r->state + 4 * r->n, *sliders = a + r->n;
+  const double* given[] = {e->q, a, r->u, sliders, r->parameters, &r->dt};
+  gather(e, ((const mjData*)e->data)->qpos, e->q, 2 * r->n);
+  memcpy(e->arg, given, sizeof given);
+  e->res[0] = r->next, e->res[1] = r->next + r->n;
+  e->failed |= e->memory(e->arg, e->res, e->iw, e->w, 0);
+  memcpy(a, r->next, 2 * (size_t)r->n * sizeof(double));
+}
+
+/* Give MuJoCo the state x = (q_l, q_m, p_l, p_m) if it is another one than after the last step. */
+static void load(struct fjr_mujoco* e) {
+  const mjModel* m = e->model;
+  mjData* d = e->data;
+  const int32_t n = e->robot->n;
+  if (!memcmp(e->known, e->robot->state, 4 * (size_t)n * sizeof(double))) return;
+  scatter(e, e->robot->state, d->qpos, 2 * n);
+  mj_fwdPosition(m, d);
+  scatter(e, e->robot->state + 2 * n, e->wide, 2 * n);
+  mj_solveM(m, d, d->qvel, e->wide, 1);
+}
+
+static void store(struct fjr_mujoco* e) {
+  const mjModel* m = e->model;
+  mjData* d = e->data;
+  const int32_t n = e->robot->n;
+  mj_fwdPosition(m, d);
+  mj_mulM(m, d, e->wide, d->qvel);
+  gather(e, d->qpos, e->known, 2 * n);
+  gather(e, e->wide, e->known + 2 * n, 2 * n);
+  memcpy(e->robot->state, e->known, 4 * (size_t)n * sizeof(double));
+}
+
+int fjr_mujoco_advance(void* engine, struct fjr_robot* robot, int64_t steps) {
+  struct fjr_mujoco* e = engine;
+  mjData* d = e->data;
+  moving = e, e->robot = robot, e->failed = 0;
+  load(e);
+  for (int64_t k = 0; k < steps && !e->failed; ++k) {
+    e->start = d->time;
+    mj_step(e->model, d);
+    advance_memory(e);
+  }
+  store(e);
+  moving = NULL;
+  return e->failed;
+}
+
+static void ignore(const char* warning) { (void)warning; }
+
+void fjr_mujoco_begin(struct fjr_mujoco* e) {
+  mjcb_passive = add_torques;
+  mju_user_warning = ignore; /* it would write MUJOCO_LOG.TXT: a state that is not finite ends the plant with a reason */
+  e->known[0] = NAN;
+}

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MuJoCo moves the robot of eq. (36): MuJoCo, SciPy and the plant's own integrator agree, with each imperfection."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+import fjr_core as fjr
+from core.oracles.chains import random_urdf
+from fjr_core.errors import FjrError
+from fjr_core.simulation.imperfections import Imperfections
+from fjr_engines.mujoco import MujocoEngine
+from fjr_plant.engine import engine_kind
+from fjr_plant.simulated_robot import SimulatedRobot
+
+Array = NDArray[Any]
+INNER = 250_000  # ns
+SAMPLE = 1_000_000  # ns
+"""Inner step and sample period."""
+
+
+def chain() -> fjr.Robot:
+    """Return three joints of a random URDF in another order than along the chain; one slides, gravity is oblique."""
+    case = random_urdf(3, seed=4)
+    K, M_m = (400.0, 900.0, 200.0), (0.3, 0.5, 0.2)
+    robot = fjr.robot_from_urdf(case.xml, case.joints, K, M_m, 0.4, 0.2, case.gravity, locked=case.locked)
+    assert any(robot.prismatic)
+    assert robot.links.order != (0, 1, 2)
+    return robot
+
+
+ROBOTS = {"single_link": fjr.single_link, "two_link": fjr.planar_two_link, "chain": chain}
+robots = pytest.mark.parametrize("robot", [make() for make in ROBOTS.values()], ids=ROBOTS)
+
+
+def moved(
+    robot: fjr.Robot,
+    mujoco: bool,
+    imperfections: Imperfections | None = None,
+    inner_step: int = INNER,
+    plant: fjr.Plant | None = None,
+) -> SimulatedRobot:
+    """Return a simulated robot that moves at the start."""
+
+    k = np.arange(1, robot.n + 1)
+    x0 = robot.state(0.4 / k, 0.45 / k, 0.3 * k, -0.2 * k)
+    joints, engine = [f"a{k}" for k in range(robot.n)], MujocoEngine if mujoco else None
+    return SimulatedRobot(plant or fjr.Plant(robot), x0, inner_step, imperfections, engine=engine, joints=joints)
+
+
+def run(simulated: SimulatedRobot, samples: int = 100, external: float = 0.0) -> Array:
+    """Return the measurements (k, 6n) of each sample under varying efforts and external torques."""
+    rows, begin, n = [], simulated.time // SAMPLE, len(simulated.u)
+    for k in range(begin, begin + samples):
+        simulated.u = 2 * np.sin(0.05 * k + np.arange(n))
+        simulated.external = np.full(n, external * np.cos(0.03 * k))
+        simulated.advance_to((k + 1) * SAMPLE)
+        rows.append(np.concatenate(simulated.measure()))
+    return np.array(rows)
+
+
+@robots
+def test_motion_is_the_solution_of_eq_36(robot: fjr.Robot) -> None:
+    """Under a constant effort, by SciPy's method of order 8 from the Hamiltonian form."""
+    simulated, plant, u = moved(robot, mujoco=True), fjr.Plant(robot), np.linspace(0.5, 1.5, robot.n)
+    exact = solve_ivp(lambda _, x: plant.derivative(x, u), (0, 0.1), simulated.x, "DOP853", rtol=1e-12, atol=1e-13)
+    simulated.u = u
+    simulated.advance_to(100 * SAMPLE)
+    np.testing.assert_allclose(simulated.x, exact.y[:, -1], rtol=0, atol=2e-8)
+
+
+@robots
+def test_error_falls_with_the_fourth_power_of_the_step(robot: fjr.Robot) -> None:
+    plant, u, errors = fjr.Plant(robot), np.ones(robot.n), []
+    for inner_step in (8 * INNER, 4 * INNER):
+        simulated = moved(robot, mujoco=True, inner_step=inner_step)
+        start = simulated.x
+        simulated.u = u
+        simulated.advance_to(96 * SAMPLE)
+        exact = solve_ivp(lambda _, x: plant.derivative(x, u), (0, 0.096), start, "DOP853", rtol=1e-12, atol=1e-13)
+        errors.append(np.max(np.abs(simulated.x - exact.y[:, -1])))
+    assert 3.5 < np.log2(errors[0] / errors[1]) < 4.7
+
+
+@robots
+def test_all_imperfections_act_as_in_the_own_plant(robot: fjr.Robot) -> None:
+    """Two integrators of order 4 of the same equation in other coordinates; without friction's corner."""
+    k = 1 + 0.3 * np.arange(robot.n)
+    bad = Imperfections(
+        robot.n,
+        coulomb_l=0.1 * k,
+        static_m=0.15 * k,
+        load_m=0.05 * k,
+        smoothing=0.2 * k,
+        cubic=40 * k,
+        hysteresis=0.1 * k,
+        slip=0.3 / k,
+        ripple=0.07 * k,
+        effort_limit=1.5 * k,
+        lag=0.004 * k,
+        payload_mass=0.3,
+        payload_position=(0.1, -0.05, 0.03),
+    )
+    seen, expected = (run(moved(robot, engine, bad), external=0.5) for engine in (True, False))
+    np.testing.assert_allclose(seen, expected, rtol=1e-6, atol=1e-6)
+    assert np.max(np.abs(seen - run(moved(robot, mujoco=True), external=0.5))) > 0.01
+
+
+@robots
+def test_payload_is_attached_and_released_without_a_jump_of_the_motion(robot: fjr.Robot) -> None:
+    simulated, other = moved(robot, mujoco=True), moved(robot, mujoco=False)
+    for mass in (0.0, 0.4, 0.0):
+        bad, before = Imperfections(robot.n, payload_mass=mass, payload_position=(0.1, 0.0, 0.02)), simulated.measure()
+        for each in (simulated, other):
+            each.change(bad)
+        np.testing.assert_allclose(simulated.measure()[1], before[1], rtol=1e-10)
+        np.testing.assert_allclose(run(simulated, 20), run(other, 20), rtol=1e-6, atol=1e-7)
+
+
+def test_run_after_a_reset_is_bit_identical() -> None:
+    simulated = moved(fjr.planar_two_link(), mujoco=True)
+    first = run(simulated)
+    simulated.reset()
+    assert np.array_equal(run(simulated), first)
+
+
+def test_two_robots_in_one_process_do_not_disturb_each_other() -> None:
+    one, two = moved(fjr.planar_two_link(), mujoco=True), moved(fjr.single_link(), mujoco=True)
+    alone = run(moved(fjr.planar_two_link(), mujoco=True), 40)
+    interleaved = []
+    for _ in range(40):
+        interleaved.append(run(one, 1)[0])
+        run(two, 1)
+    assert np.array_equal(interleaved, alone)
+
+
+REFUSED = {
+    "M_m is": fjr.Plant(fjr.planar_two_link(motor_inertia=[[0.02, 0.001], [0.001, 0.01]])),
+    "expected plant.type: flexible_joint and integrator: rk4": fjr.Plant(fjr.single_link(), "implicit_midpoint"),
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_what_mujoco_cannot_express_is_refused_in_one_sentence(sentence: str) -> None:
+    plant = REFUSED[sentence]
+    with pytest.raises(FjrError, match=sentence) as refused:
+        moved(plant.robot, mujoco=True, plant=plant)
+    assert "; expected" in str(refused.value)
+
+
+def test_missing_engine_names_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.partition(".")[0] == "mujoco":
+            raise ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
+        return real(name, *args, **kwargs)
+
+    for name in [name for name in sys.modules if name.startswith("fjr_engines")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(FjrError, match="pip install mujoco"):
+        engine_kind({"engine": "mujoco"})
