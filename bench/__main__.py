@@ -51,6 +51,7 @@ USUAL: dict[str, Measurement] = {
     "command": (start_up.command, {}),
     "round-trip": (latency.over_echo, {"rounds": 3}),
     "on-time": (real_time.answered, {"seconds": 5.0}),
+    "mujoco": (real_time.on_mujoco, {"seconds": 5.0}),
     "gaps": (gaps.longest, {"repeats": 1}),
     "pauses": (pauses.recovered, {"pauses": 3, "kills": 1}),
     "certificate": (latency.with_certificate, {"rounds": 3}),

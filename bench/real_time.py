@@ -29,6 +29,7 @@ BUSY = 6
 HOSTS = ("native", "events")
 QUIET_BOUND, BUSY_BOUND = 99.9, 99.0  # % of the native host
 PROCESSOR_BOUND = 12.0  # % of a core
+MUJOCO_BOUNDS = 99.5, 35.0  # % of the states, % of a core
 WARM_UP = 3.0  # s; not in the processor time
 LONGEST = 60.0  # s; timeout of the start
 LATE = 1_500_000  # ns; a period that is late
@@ -54,14 +55,23 @@ def answered(seconds: float = SECONDS) -> list[Figure]:
     return figures
 
 
-def _run(host: str, busy: int, seconds: float) -> tuple[float, float, float]:
+def on_mujoco(seconds: float = SECONDS) -> list[Figure]:
+    """Return the share of states of a plant on MuJoCo answered before the next one, and its processor time."""
+    share, used, _ = _run("native", 0, seconds, "-p", "engine:=mujoco")
+    return [
+        Figure("answered before the next state, plant on MuJoCo", share, "%", bound=MUJOCO_BOUNDS[0], at_least=True),
+        Figure("processor time of the plant on MuJoCo", used, "% of a core", bound=MUJOCO_BOUNDS[1]),
+    ]
+
+
+def _run(host: str, busy: int, seconds: float, *simulator: str) -> tuple[float, float, float]:
     """Return the share of answered states [%] and the processor times of plant and controller [% of a core]."""
     topics = [names.JOINT_STATES, names.JOINT_COMMANDS]
     with ExitStack() as stack:
         file, _ = stack.enter_context(scenario_file()), stack.enter_context(burning(busy))
         tap = stack.enter_context(Tap())
         executor = "-p", f"executor:={host}"
-        pids = stack.enter_context(running(plant(file, *executor), controller(file, *executor)))
+        pids = stack.enter_context(running(plant(file, *executor, *simulator), controller(file, *executor)))
         heard = stack.enter_context(tap.listening(topics, LONGEST))
         heard.collect(WARM_UP)
         before = [processor_time(pid) for pid in pids]
