@@ -55,7 +55,6 @@ USUAL: dict[str, Measurement] = {
     "gaps": (gaps.longest, {"repeats": 1}),
     "pauses": (pauses.recovered, {"pauses": 3, "kills": 1}),
     "certificate": (latency.with_certificate, {"rounds": 3}),
-    "periods": (real_time.late, {"seconds": 10.0}),
     "lock-step": (real_time.over_ping_pong, {"repeats": 2, "seconds": 3.0}),
     "campaign": (campaign.against_peers, {"runs": 500, "rounds": 2}),
     "proof": (proof.over_joint_range_and_tube, {"most_boxes": 20}),
@@ -67,6 +66,7 @@ LONG: dict[str, Measurement] = {
     "memory": (memory.of_nodes, {"minutes": 0.5}),
     "sweep-memory": (memory.of_sweep, {"many": 20_000}),
     "report-memory": (memory.of_reports, {"minutes": 1.0}),
+    "excitation": (identification_time.of_designed_motion, {"duration": 5.0}),
 }
 
 

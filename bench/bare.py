@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bare rclpy nodes with the messages of our nodes but no computation, each in its own process: the cost of ROS.
 
-    python -m bench.bare echo|timer|ping|pong --ros-args ...
+    python -m bench.bare echo|ping|pong --ros-args ...
 
 They have the executor, garbage collection and priority of our nodes (fjr_msgs_py.node.process) and reuse messages.
 """
@@ -77,26 +77,13 @@ class Echo(Bare):
             publisher.publish(values)
 
 
-class Timer(Bare):
-    """Publish a JointState at 1 kHz."""
-
-    def build(self) -> None:
-        """Create the endpoints of the plant node in real time."""
-        self._state = full_state()
-        self._states = self.publisher(names.JOINT_STATES)
-        self.every(PERIOD * 1e-9, self._tick)
-
-    def _tick(self) -> None:
-        stamp(self._state, self.get_clock().now().nanoseconds)
-        self._states.publish(self._state)
-
-
 class Ping(Bare):
     """Send a JointState, and the next, one period later by its stamp, on the reply."""
 
     def build(self) -> None:
         """Create the endpoints of the plant node in lock-step."""
-        self._state = full_state()
+        zeros = [0.0] * 14
+        self._state = JointState(name=names.state_names(JOINTS), position=zeros, velocity=zeros, effort=zeros)
         self._sent = self._seen = 0
         self._states = self.publisher(names.JOINT_STATES)
         self.create_subscription(JointState, names.JOINT_COMMANDS, self._send, names.LATEST)
@@ -104,7 +91,8 @@ class Ping(Bare):
 
     def _send(self, _: JointState | None) -> None:
         self._sent += 1
-        stamp(self._state, self._sent * PERIOD)
+        stamp = self._state.header.stamp
+        stamp.sec, stamp.nanosec = divmod(self._sent * PERIOD, 1_000_000_000)
         self._states.publish(self._state)
 
     def _resend(self) -> None:
@@ -127,18 +115,7 @@ class Pong(Bare):
         self._commands.publish(self._command)
 
 
-def full_state() -> JointState:
-    """Return a JointState of the arm: 14 names and three fields."""
-    zeros = [0.0] * 14
-    return JointState(name=names.state_names(JOINTS), position=zeros, velocity=zeros, effort=zeros)
-
-
-def stamp(message: JointState, nanoseconds: int) -> None:
-    """Stamp a message."""
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
-
-
-KINDS = {"echo": Echo, "timer": Timer, "ping": Ping, "pong": Pong}
+KINDS = {"echo": Echo, "ping": Ping, "pong": Pong}
 
 if __name__ == "__main__":
     kind = sys.argv[1]

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop of `arm7` at 1 kHz: states answered before the next one, processor time, late periods; rate in lock-step.
+"""The loop of `arm7` at 1 kHz: states answered before the next one, and processor time; rate in lock-step.
 
 Answers count from the first effort on, of both hosts of the nodes in turns, with the certificate, quiet and beside busy
-processes. Late periods are compared with those of a bare timer node, samples per second in lock-step with two bare
-nodes that exchange states and commands.
+processes. Samples per second in lock-step are compared with two bare nodes that exchange states and commands.
 """
 
 from __future__ import annotations
@@ -32,10 +31,6 @@ PROCESSOR_BOUND = 12.0  # % of a core
 MUJOCO_BOUNDS = 99.5, 35.0  # % of the states, % of a core
 WARM_UP = 3.0  # s; not in the processor time
 LONGEST = 60.0  # s; timeout of the start
-LATE = 1_500_000  # ns; a period that is late
-MOST = 0.1  # %; share of late periods that is allowed regardless of the bare node
-FACTOR = 1.25
-SKIPPED = 2.0  # s before periods count
 REPEATS, COUNTED, SETTLING = 5, 5.0, 1.0  # in lock-step; s; s before it
 RATE_BOUNDS = {"native": 1.3, "events": 0.7}  # of the rates of both hosts over that of the bare nodes
 
@@ -78,60 +73,20 @@ def _run(host: str, busy: int, seconds: float, *simulator: str) -> tuple[float, 
         heard.collect(seconds)
         used = [100 * (processor_time(pid) - begin) / seconds for pid, begin in zip(pids, before, strict=True)]
         states, commands = heard.messages()
-    return in_time(states[states[:, 0] >= commands[0, 0]], commands), used[0], used[1]
+    return 100 * float(in_time(states[states[:, 0] >= commands[0, 0]], commands).mean()), used[0], used[1]
 
 
-def in_time(states: NDArray[np.int64], commands: NDArray[np.int64]) -> float:
-    """Return the share [%] of states whose command was sent before the next state; (k, 2): stamps and send times."""
-    sent = dict(commands.tolist())
+def in_time(states: NDArray[np.int64], commands: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which states but the last had their command sent before the next state; rows: stamp, send time [ns]."""
+    sent = dict(commands[:, :2].tolist())
     pairs = zip(states[:-1, 0].tolist(), states[1:, 1].tolist(), strict=True)
-    return 100 * float(np.mean([sent.get(stamp, following) < following for stamp, following in pairs]))
+    return np.array([sent.get(stamp, following) < following for stamp, following in pairs])
 
 
 def processor_time(pid: int) -> float:
     """Return the processor time of a process [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def late(seconds: float = SECONDS) -> list[Figure]:
-    """Measure the share of late periods of states and commands; the bare node runs half before, half after."""
-    before = _bare(seconds / 2)
-    states, commands = _ours(seconds)
-    theirs = np.concatenate([before, _bare(seconds / 2)])
-    return [figure("states", states, theirs), figure("commands", commands, theirs)]
-
-
-def _ours(seconds: float) -> list[NDArray[np.int64]]:
-    with scenario_file() as file, running(plant(file), controller(file)):
-        return _periods([names.JOINT_STATES, names.JOINT_COMMANDS], seconds)
-
-
-def _bare(seconds: float) -> NDArray[np.int64]:
-    with scenario_file(), running(bare("timer")):
-        return _periods([names.JOINT_STATES], seconds)[0]
-
-
-def _periods(topics: list[str], seconds: float) -> list[NDArray[np.int64]]:
-    with Tap() as tap:
-        tap.messages(topics, SKIPPED, LONGEST)
-        return [np.diff(found[:, 1]) for found in tap.messages(topics, seconds, LONGEST)]
-
-
-def _share(periods: NDArray[np.int64]) -> float:
-    return 100 * float(np.mean(periods > LATE))
-
-
-def figure(what: str, ours: NDArray[np.int64], theirs: NDArray[np.int64]) -> Figure:
-    """Return the share of late periods [ns], bounded by that of the bare node."""
-    bound = max(FACTOR * _share(theirs), MOST)
-    parts = {
-        "bare [%]": _share(theirs),
-        "longest [ms]": 1e-6 * float(np.max(ours)),
-        "bare, longest [ms]": 1e-6 * float(np.max(theirs)),
-        "periods": float(len(ours)),
-    }
-    return Figure(f"{what} later than 1.5 ms at 1 kHz", _share(ours), "%", bound=bound, parts=parts)
 
 
 def over_ping_pong(repeats: int = REPEATS, seconds: float = COUNTED) -> list[Figure]:

@@ -17,14 +17,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mcap.reader import make_reader
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from bench.figures import Figure
 from bench.machine import watched
 from bench.nodes import burning, ros_environment
+from bench.real_time import in_time
 from bench.tap import HEADER, STAMP
+from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.files import Topic
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import Exit
 
@@ -119,40 +121,31 @@ def _start(ordinary: bool) -> Start:
         if done.returncode not in set(Exit) or not report.is_file():
             raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}\n{done.stdout}{done.stderr}")
         found = json.loads(report.read_text(encoding="utf-8"))
-        (bag,) = Path(folder, "arm7", "bag").glob("*.mcap")
+        bag = read_bag(Path(folder, "arm7", "bag"))
         topics = names.JOINT_STATES, names.JOINT_COMMANDS
-        in_time, wait, late = answers(*(messages(bag, f"/{topic}") for topic in topics))
+        share, wait, late = answers(*(rows(bag.topic(f"/{topic}")) for topic in topics))
     error = (found["tracking"] or {}).get("max_error_after_2s_rad")
-    return Start(found["status"] == "stopped", in_time, wait, np.inf if error is None else error, late)
+    return Start(found["status"] == "stopped", share, wait, np.inf if error is None else error, late)
 
 
-def messages(bag: Path, topic: str) -> NDArray[np.int64]:
+def rows(topic: Topic) -> NDArray[np.int64]:
     """Return stamp, send time [ns] and number (k, 3) of the messages of a topic."""
-    rows = []
-    with bag.open("rb") as stream:
-        for _, _, message in make_reader(stream).iter_messages([topic]):
-            sec, nanosec = STAMP.unpack_from(message.data, HEADER)
-            rows.append((sec * 1_000_000_000 + nanosec, message.publish_time, message.sequence))
-    return np.array(rows, dtype=np.int64).reshape(-1, 3)
+    stamps = np.array([STAMP.unpack_from(message.data, HEADER) for message in topic.messages], dtype=np.int64)
+    numbers = [message.sequence for message in topic.messages]
+    return np.column_stack([stamps @ [1_000_000_000, 1], topic.publish_time, numbers])
 
 
 def answers(states: NDArray[np.int64], commands: NDArray[np.int64]) -> tuple[float, float, NDArray[np.int64]]:
     """Return the share [%] of the first STATES answered before the next one, the longest wait for an effort [ms], late.
 
-    late (k, 2): when the other states, and the next ones, were sent [ns].
-
-    states, commands (k, 3): stamps and send times [ns], numbers. The first state is the first that is answered. A run
-    that ends early leaves the rest unanswered. A command that only the recorder lost, by its number, does not count.
+    late (k, 2): when the other states, and the next ones, were sent [ns]. states, commands: as of `rows`. The first
+    state is the first that is answered. A run that ends early leaves the rest unanswered. A command that only the
+    recorder lost, by its number, does not count.
     """
-    begun = states[:, 0] >= commands[0, 0]
-    seen = states[begun][: STATES + 1]
-    sent = dict(commands[:, :2].tolist())
-    following = seen[1:, 1]
-    answered = np.array([sent.get(stamp, -1) for stamp in seen[:-1, 0].tolist()])
-    early = (answered >= 0) & (answered < following)
+    seen = states[states[:, 0] >= commands[0, 0]][: STATES + 1]
+    early, spans = in_time(seen, commands), np.column_stack([seen[:-1, 1], seen[1:, 1]])
     within = commands[commands[:, 0] <= seen[-1, 0]]
     lost = int(within[-1, 2] - within[0, 2]) + 1 - len(within) if within[-1, 2] > 0 else 0
-    next_effort = np.searchsorted(commands[:, 1], seen[:-1, 1])
-    waits = commands[np.minimum(next_effort, len(commands) - 1), 1] - seen[:-1, 1]
-    late = np.column_stack([seen[:-1, 1], following])[~early]
-    return 100 * min(1.0, early.sum() / (STATES - lost)), 1e-6 * float(waits.max()), late
+    next_effort = np.searchsorted(commands[:, 1], spans[:, 0])
+    waits = commands[np.minimum(next_effort, len(commands) - 1), 1] - spans[:, 0]
+    return 100 * min(1.0, early.sum() / (STATES - lost)), 1e-6 * float(waits.max()), spans[~early]

@@ -127,16 +127,6 @@ def test_figures_of_one_day_are_written_together_and_others_dropped(tmp_path: Pa
     assert [each["name"] for each in command.write([Figure("three", 1.0, "s")], file)["figures"]] == ["three"]
 
 
-@pytest.mark.parametrize(("late_bare", "bound"), [(0, 0.1), (1, 1.25), (40, 50.0)])
-def test_late_periods_are_bounded_by_the_bare_node_or_0p1_percent(late_bare: int, bound: float) -> None:
-    ours = np.array([1_500_000] * 199 + [1_500_001])
-    bare = np.array([3_000_000] * late_bare + [1_000_000] * (100 - late_bare))
-    found = real_time.figure("states", ours, bare)
-    assert found.value == pytest.approx(0.5)
-    assert found.bound == pytest.approx(bound)
-    assert found.holds == (bound > 0.5)
-
-
 def test_sides_alternate_by_blocks_and_the_first_round_is_discarded() -> None:
     times = np.repeat(np.arange(3.0 * 2 * driver.BLOCKS), driver.BLOCK)
     found = driver.rounds(times, ["ours", "bare"], 3)
@@ -160,7 +150,7 @@ def test_bare_nodes_exchange_states_and_commands() -> None:
 def test_a_state_is_answered_in_time_by_a_command_before_the_next_state() -> None:
     states = np.array([[1, 100], [2, 200], [3, 300], [4, 400]])
     commands = np.array([[1, 150], [2, 301], [4, 450]])
-    assert real_time.in_time(states, commands) == pytest.approx(100 / 3)
+    assert real_time.in_time(states, commands).tolist() == [True, False, False]
 
 
 def test_samples_are_counted_by_their_stamps() -> None:
