@@ -4,22 +4,23 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from envsetup import extras, pins
 from envsetup.console import SetupError
-from envsetup.machine import Machine, has_wheels, uses_sourced_ros
+from envsetup.machine import has_wheels, uses_sourced_ros
 from envsetup.virtualenv import Environment
-from envsetup.workspace import Workspace, remove_dangling_links
+from envsetup.workspace import Workspace
 from time_limits import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
-HERE = Machine("Linux", "x86_64", "glibc", (2, 36), "cpython", "")
 RUN_SETUP = "import runpy; sys.path.insert(0, {tools!r}); sys.argv[1:] = {arguments!r}; "
 RUN_SETUP += "runpy.run_path({script!r}, run_name='__main__')"
 
@@ -72,10 +73,18 @@ def test_too_old_python_hands_over_to_a_suitable_one(tmp_path: Path) -> None:
     assert (run.returncode, run.stdout) == (0, "entered with lint\n")
 
 
-def test_a_sourced_jazzy_is_used_on_any_machine_and_wheels_only_where_they_exist() -> None:
-    assert not uses_sourced_ros(HERE)
-    assert uses_sourced_ros(Machine("Linux", "aarch64", "glibc", (2, 39), "cpython", "jazzy"))
-    assert not has_wheels(Machine("Linux", "x86_64", "glibc", (2, 36), "pypy", ""))
+def test_a_sourced_jazzy_is_used_on_any_machine_and_wheels_only_where_they_exist(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
+    assert uses_sourced_ros()
+    monkeypatch.delenv("ROS_DISTRO")
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(platform, "libc_ver", lambda: ("glibc", "2.36"))
+    assert not uses_sourced_ros()
+    monkeypatch.setattr(sys, "implementation", SimpleNamespace(name="pypy"))
+    assert not has_wheels()
 
 
 def test_every_direct_requirement_is_pinned_once() -> None:
@@ -178,9 +187,11 @@ def test_interrupted_installation_is_repeated_and_a_complete_one_kept(
 class Apt:
     """A machine of a given user, with or without apt-get, whose installation succeeds or fails."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, user: int, apt: bool = True, fails: bool = False) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, folder: Path, user: int, apt: bool = True, fails: bool = False
+    ) -> None:
         self.installed: list[str] = []
-        self.fails = fails
+        self.folder, self.fails = folder, fails
         monkeypatch.setattr(extras, "has_apt", lambda: apt)
         monkeypatch.setattr(extras, "apt_install", self.install)
         monkeypatch.setattr(os, "geteuid", lambda: user)
@@ -189,16 +200,17 @@ class Apt:
         if self.fails:
             raise SetupError("apt-get update failed")
         self.installed += packages
+        (self.folder / "there").write_text("")
 
-    def ensure(self, folder: Path) -> None:
-        extra = extras.Extra("a tool", ("one", "two"), "all is slow", lambda: bool(self.installed))
-        extra.ensure(folder / "log", {})
+    def ensure(self) -> None:
+        extra = extras.Extra("a tool", ("one", "two"), "all is slow", [["cat", str(self.folder / "there")]])
+        extra.ensure(self.folder / "log", dict(os.environ))
 
 
 def test_missing_system_packages_are_installed_by_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    machine = Apt(monkeypatch, user=0)
-    machine.ensure(tmp_path)
-    machine.ensure(tmp_path)
+    machine = Apt(monkeypatch, tmp_path, user=0)
+    machine.ensure()
+    machine.ensure()
     assert machine.installed == ["one", "two"]
 
 
@@ -217,7 +229,7 @@ def test_unavailable_system_packages_are_reported_and_the_set_up_continues(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    Apt(monkeypatch, **machine).ensure(tmp_path)
+    Apt(monkeypatch, tmp_path, **machine).ensure()
     last = capsys.readouterr().out.splitlines()[-1]
     assert "a tool is missing: all is slow; " in last
     assert expected in last
@@ -230,7 +242,8 @@ def test_compiler_is_accepted_if_it_compiles(name: str, wanted: str, code: int, 
     script = tmp_path / name
     script.write_text(f"#!/bin/sh\nexit {code}\n")
     script.chmod(0o755)
-    assert extras.has_compiler({"PATH": str(tmp_path), "CC": wanted}) == counts
+    env = {"PATH": str(tmp_path), "CC": wanted}
+    assert extras.compiler(env).is_there(env) == counts
 
 
 def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
@@ -238,7 +251,7 @@ def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
     for path, there in ((tmp_path, True), (tmp_path / "empty", False)):
         env = {"PYTHONPATH": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         python = Path(sys.executable).resolve()  # outside the environment, which has its own
-        assert extras.pinocchio(python, env).is_there() == there
+        assert extras.pinocchio(python).is_there(env) == there
 
 
 def test_damaged_stamp_is_ignored(tmp_path: Path) -> None:
@@ -250,17 +263,9 @@ def test_damaged_stamp_is_ignored(tmp_path: Path) -> None:
     assert pins.read_stamp(stamp) == {}
 
 
-def test_only_dangling_links_are_removed(tmp_path: Path) -> None:
-    (tmp_path / "kept").write_text("")
-    (tmp_path / "good").symlink_to(tmp_path / "kept")
-    (tmp_path / "bad").symlink_to(tmp_path / "gone")
-    remove_dangling_links(tmp_path)
-    assert sorted(os.listdir(tmp_path)) == ["good", "kept"]
-
-
 def test_check_names_the_choice_and_changes_nothing(tmp_path: Path) -> None:
     run = run_setup("check", "platform.machine = lambda: 'x86_64'", tmp_path)
-    if not has_wheels(Machine.here({})):
+    if not has_wheels():
         pytest.skip("the wheels do not exist for this machine")
     assert run.returncode == 0, run.stderr
     assert "ROS 2 Jazzy: wheels" in run.stdout

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from envsetup.console import PREFIX, SetupError, say
-from envsetup.extras import Extra, browser, compiler, cpp_compiler, pinocchio
-from envsetup.machine import Machine, base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
+from envsetup.extras import BROWSER, CPP_COMPILER, Extra, compiler, pinocchio
+from envsetup.machine import base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace
 
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("target", choices=TARGETS, metavar="|".join(TARGETS))
     target = parser.parse_args(arguments).target
     try:
-        sourced_ros = uses_sourced_ros(Machine.here())
+        sourced_ros = uses_sourced_ros()
         if sourced_ros:
             enter_ros_interpreter(arguments)
         set_up(target, sourced_ros)
@@ -73,8 +73,8 @@ def extras(environment: Environment, target: str) -> list[Extra]:
     """Return the optional system packages: C compiler, Pinocchio beside a sourced ROS 2, C++ compiler and browser."""
     found = [compiler(environment.env)]
     if environment.sourced_ros and target in ("test", "bench"):
-        found.append(pinocchio(environment.python, environment.env))
-    return [*found, cpp_compiler(environment.env), browser(environment.env)] if target == "test" else found
+        found.append(pinocchio(environment.python))
+    return [*found, CPP_COMPILER, BROWSER] if target == "test" else found
 
 
 def enter_ros_interpreter(arguments: Sequence[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,36 +17,40 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 @dataclass(frozen=True)
 class Extra:
-    """title: name. packages: of Debian or Ubuntu that provide it. without: consequence of its absence."""
+    """title: name. packages: of Debian or Ubuntu that provide it. without: consequence of its absence.
+
+    checks: commands of which one succeeds where it is there, with `given` as input.
+    """
 
     title: str
     packages: tuple[str, ...]
     without: str
-    is_there: Callable[[], bool]
+    checks: Sequence[Sequence[str]]
+    given: bytes = b""
+
+    def is_there(self, env: Mapping[str, str]) -> bool:
+        """Return whether one of the checks succeeds."""
+        return any(_succeeds(check, env, self.given) for check in self.checks)
 
     def ensure(self, log: Path, env: dict[str, str]) -> None:
         """Install the package if possible; otherwise print one line and continue."""
-        if self.is_there():
+        if self.is_there(env):
             return
-        lack = f"{self.title} is missing: {self.without}"
-        names = " ".join(self.packages)
+        lack, names = f"{self.title} is missing: {self.without}", " ".join(self.packages)
         if not has_apt():
             say(f"{lack}; install it if you can")
         elif os.geteuid() != 0:
             say(f"{lack}; ask an administrator for `apt-get install {names}`")
         else:
-            self._install(lack, log, env)
-
-    def _install(self, lack: str, log: Path, env: dict[str, str]) -> None:
-        log.unlink(missing_ok=True)
-        say(f"{self.title} is missing and will be installed")
-        try:
-            apt_install(self.packages, log, env)
-        except SetupError as error:
-            say(f"{lack}; {error}")
-            return
-        if not self.is_there():
-            say(f"{lack}, although {' and '.join(self.packages)} are installed")
+            log.unlink(missing_ok=True)
+            say(f"{self.title} is missing and will be installed")
+            try:
+                apt_install(self.packages, log, env)
+            except SetupError as error:
+                say(f"{lack}; {error}")
+                return
+            if not self.is_there(env):
+                say(f"{lack}, although {' and '.join(self.packages)} are installed")
 
 
 def has_apt() -> bool:
@@ -64,45 +68,37 @@ def apt_install(packages: tuple[str, ...], log: Path, env: dict[str, str]) -> No
         run_logged(command, log, apt, step, failure=f"apt-get could not install {names}")
 
 
-def compiler(env: dict[str, str]) -> Extra:
-    """Return the C compiler for law and plant."""
+def compiler(env: Mapping[str, str]) -> Extra:
+    """Return the C compiler for law and plant: $CC, or one of COMPILERS, that finds the headers of the C library."""
+    wanted = env.get("CC", "").split()
+    checks = [[*each, "-fsyntax-only", "-x", "c", "-"] for each in ([wanted] if wanted else [[c] for c in COMPILERS])]
     slow = "law and plant run in CasADi's virtual machine, many times slower"
-    return Extra("a C compiler (cc, gcc or clang)", ("gcc", "libc6-dev"), slow, lambda: has_compiler(env))
+    packages = "gcc", "libc6-dev"
+    return Extra("a C compiler (cc, gcc or clang)", packages, slow, checks, b"#include <math.h>\n")
 
 
-def cpp_compiler(env: dict[str, str]) -> Extra:
-    """Return the C++ compiler with which tests call exported C."""
-    check, code = ["c++", "-fsyntax-only", "-x", "c++", "-"], b"#include <vector>\n"
-    fails = "tests of `fjr export-c` that call C from C++ fail"
-    return Extra("a C++ compiler (c++)", ("g++",), fails, lambda: _succeeds(check, env, code))
+CPP_COMPILER = Extra(
+    "a C++ compiler (c++)",
+    ("g++",),
+    "tests of `fjr export-c` that call C from C++ fail",
+    [["c++", "-fsyntax-only", "-x", "c++", "-"]],
+    b"#include <vector>\n",
+)
+BROWSER = Extra(
+    "Chromium",
+    ("chromium",),
+    "tests that look at pages in a browser are skipped",
+    [[name, "--version"] for name in BROWSERS],
+)
 
 
-def pinocchio(python: Path, env: dict[str, str]) -> Extra:
+def pinocchio(python: Path) -> Extra:
     """Return the Pinocchio of a sourced ROS 2, which tests and benchmarks compare with."""
     fails = "tests and benchmarks that compare with it fail"
-    return Extra(
-        "Pinocchio", ("ros-jazzy-pinocchio",), fails, lambda: _succeeds([str(python), "-c", "import pinocchio"], env)
-    )
+    return Extra("Pinocchio", ("ros-jazzy-pinocchio",), fails, [[str(python), "-c", "import pinocchio"]])
 
 
-def browser(env: dict[str, str]) -> Extra:
-    """Return the headless browser in which tests open the pages of `fjr report`."""
-
-    def is_there() -> bool:
-        return any(_succeeds([name, "--version"], env) for name in BROWSERS)
-
-    return Extra("Chromium", ("chromium",), "tests that look at pages in a browser are skipped", is_there)
-
-
-def has_compiler(env: dict[str, str]) -> bool:
-    """Return whether $CC, or one of COMPILERS on the path, finds the headers of the C library."""
-    wanted = env.get("CC", "").split()
-    commands = [wanted] if wanted else [[name] for name in COMPILERS]
-    check, code = ["-fsyntax-only", "-x", "c", "-"], b"#include <math.h>\n"
-    return any(_succeeds([*command, *check], env, code) for command in commands)
-
-
-def _succeeds(command: list[str], env: dict[str, str], given: bytes = b"") -> bool:
+def _succeeds(command: Sequence[str], env: Mapping[str, str], given: bytes) -> bool:
     try:
         return subprocess.run(command, input=given, env=env, capture_output=True, check=False).returncode == 0
     except OSError:

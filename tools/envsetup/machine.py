@@ -8,8 +8,7 @@ import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 from envsetup.console import SetupError
 from envsetup.extras import has_apt
@@ -22,58 +21,35 @@ ROS_PYTHON_IMPORTS = (
 )
 
 
-@dataclass(frozen=True)
-class Machine:
-    """Properties of the machine that determine the choice.
-
-    system, architecture: as of `platform`, e.g. Linux, x86_64. libc: name of the C library, e.g. glibc; empty if
-    unknown. implementation: `sys.implementation.name`, e.g. cpython. ros_distro: empty if no ROS is sourced.
-    """
-
-    system: str
-    architecture: str
-    libc: str
-    libc_version: tuple[int, ...]
-    implementation: str
-    ros_distro: str
-
-    @classmethod
-    def here(cls, environ: Mapping[str, str] = os.environ) -> Machine:
-        """Return the properties of this machine."""
-        name, version = platform.libc_ver()
-        numbers = tuple(int(part) for part in version.split(".") if part.isdigit())
-        architecture = platform.machine() if sys.maxsize > 2**32 else f"32-bit Python on {platform.machine()}"
-        distro = environ.get("ROS_DISTRO", "")
-        return cls(platform.system(), architecture, name, numbers, sys.implementation.name, distro)
-
-    def __str__(self) -> str:
-        libc = f"{self.libc} {'.'.join(map(str, self.libc_version))}" if self.libc else "unknown C library"
-        return f"{self.system} on {self.architecture} with {libc} and {self.implementation}"
-
-
-def has_wheels(machine: Machine) -> bool:
+def has_wheels() -> bool:
     """Return whether ROS 2 wheels exist for this machine (manylinux_2_28, x86-64, CPython)."""
+    libc, version = platform.libc_ver()
     return (
-        machine.system == "Linux"
-        and machine.architecture.lower() in {"x86_64", "amd64"}
-        and machine.libc == "glibc"
-        and machine.libc_version >= OLDEST_GLIBC
-        and machine.implementation == "cpython"
+        platform.system() == "Linux"
+        and platform.machine().lower() in {"x86_64", "amd64"}
+        and sys.maxsize > 2**32
+        and libc == "glibc"
+        and tuple(int(part) for part in version.split(".") if part.isdigit()) >= OLDEST_GLIBC
+        and sys.implementation.name == "cpython"
     )
 
 
-def uses_sourced_ros(machine: Machine) -> bool:
+def uses_sourced_ros() -> bool:
     """Return True for the sourced ROS 2 Jazzy, False for the wheels; raise SetupError if neither is possible."""
-    if machine.ros_distro == DISTRO:
+    distro = os.environ.get("ROS_DISTRO", "")
+    if distro == DISTRO:
         return True
-    if machine.ros_distro:
+    if distro:
         raise SetupError(
-            f"ROS 2 Jazzy is needed, but ROS_DISTRO={machine.ros_distro} is sourced here: source "
+            f"ROS 2 Jazzy is needed, but ROS_DISTRO={distro} is sourced here: source "
             "/opt/ros/jazzy/setup.sh instead, or start from a shell in which no ROS is sourced."
         )
-    if not has_wheels(machine):
+    if not has_wheels():
+        bits = "" if sys.maxsize > 2**32 else "32-bit Python on "
+        libc = " ".join(platform.libc_ver()).strip() or "unknown C library"
         raise SetupError(
-            f"This machine is {machine}, for which ROS 2 Jazzy does not come as wheels (they need Linux "
+            f"This machine is {platform.system()} on {bits}{platform.machine()} with {libc} and "
+            f"{sys.implementation.name}, for which ROS 2 Jazzy does not come as wheels (they need Linux "
             "on x86_64 with glibc 2.28 or newer and CPython): install ROS 2 Jazzy, source "
             "/opt/ros/jazzy/setup.sh and run the same command again."
         )
