@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies of sensors and observer, of robust options and of noise: tables of docs/tables, between their markers.
+"""Studies of robust options and of noise: tables of docs/tables, between their markers.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.study_tables measurements robust
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.study_tables robust
 fjr tune arm7_tune && .venv/bin/python -m tools.study_tables noise --tuned runs/tuned/arm7_tune_v_dpbc/tuned.yaml
 
 They are seeded and need no ROS. `robust` also draws docs/figures/robust.png.
@@ -22,7 +22,6 @@ from tqdm import tqdm
 
 import fjr_core as fjr
 from bench.figures import markdown, put
-from fjr_core.config.controller import BANDWIDTH
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
@@ -42,149 +41,6 @@ SECONDS, SETTLED = 6.0, 2.0  # s
 def scenario(name: str) -> Scenario:
     """Load an installed scenario."""
     return load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios" / f"{name}.yaml")
-
-
-# Sensors and observer.
-
-START = 1_000_000_000  # ns; stamp of the first sample
-TORQUE_RANGES = {"paper_k31": 5.0, "paper_k3p1": 5.0, "two_link": 50.0, "arm7": 200.0}  # N m, of the torque sensors
-BANDWIDTHS = (30.0, 60.0, 100.0, 150.0, 200.0, 300.0, 500.0)  # rad/s
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """Sensors of q_l and q_m: encoders on both sides, or a joint torque sensor instead of the motor encoder.
-
-    bits: encoder resolution per turn of its shaft, 0: exact. gear_ratio: turns of the motor shaft per turn of q_m.
-    torque_range [N m]: of the torque sensors, 0: none; torque_bits: over +-range; torque_noise: standard deviation
-    relative to the range, seeded.
-    """
-
-    bits: int = 0
-    gear_ratio: float = 1.0
-    torque_range: float = 0.0
-    torque_bits: int = 16
-    torque_noise: float = 5e-4
-
-    def read(self, robot: fjr.Robot, q_l: Array, q_m: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return measured (q_l, q_m) [rad]."""
-        encoder = 2 * np.pi / 2**self.bits if self.bits else 0.0
-        link = _rounded(q_l, encoder)
-        if not self.torque_range:
-            return link, _rounded(q_m * self.gear_ratio, encoder) / self.gear_ratio
-        noise = self.torque_noise * self.torque_range * rng.standard_normal(robot.n)
-        torque = _rounded(robot.K @ (q_m - q_l) + noise, 2 * self.torque_range / 2**self.torque_bits)
-        return link, link + np.linalg.solve(robot.K, torque)
-
-
-def _rounded(values: Array, step: float) -> Array:
-    return np.round(values / step) * step if step else values
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run of k samples: t (k,) [s], q_tilde_l (k, n) [rad], u (k, n) [N m], velocity errors (k, 2n) [rad/s]."""
-
-    t: Array
-    q_tilde_l: Array
-    u: Array
-    velocity_error: Array
-
-    def rms(self, start: float = SETTLED) -> float:
-        """Return the RMS of q_tilde_l from `start` [s] on, of the worst joint [rad]."""
-        return float(np.sqrt(np.mean(self.q_tilde_l[self.t >= start] ** 2, axis=0)).max())
-
-    def largest(self, start: float = SETTLED) -> float:
-        """Return the largest |q_tilde_l| from `start` [s] on, of all joints [rad]."""
-        return float(np.abs(self.q_tilde_l[self.t >= start]).max())
-
-    def ripple(self, start: float = SETTLED) -> float:
-        """Return the RMS change of u between samples from `start` [s] on, of the worst joint [N m]."""
-        return float(np.sqrt(np.mean(np.diff(self.u[self.t >= start], axis=0) ** 2, axis=0)).max())
-
-
-def run(
-    scenario: Scenario,
-    sensors: Sensors,
-    bandwidth: float | None,
-    smoothed: bool = True,
-    duration: float = 5.0,
-    plant: fjr.Plant | None = None,
-) -> Run:
-    """Simulate the sampled loop without delay. bandwidth [rad/s]: of the observer; None: exact velocities.
-
-    smoothed: feed back the positions of the observer instead of the measured ones. plant: replaces the scenario's.
-    """
-    robot, plant, n = scenario.robot, plant or scenario.plant, scenario.robot.n
-    period = round(scenario.sample_period * 1e9)
-    steps = int(scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
-    observer = fjr.VelocityObserver(robot, bandwidth, compile=True) if bandwidth else None
-    rng, x = np.random.default_rng(0), scenario.x0
-    u: Array = np.zeros(n)
-    t = np.asarray(scenario.sample_period * np.arange(int(duration / scenario.sample_period + 1e-9) + 1), dtype=float)
-    jets = scenario.reference.jets(t)
-    error, efforts, velocity_error = np.empty((len(t), n)), np.empty((len(t), n)), np.zeros((len(t), 2 * n))
-    for k in range(len(t)):
-        position: Array = np.concatenate(sensors.read(plant.robot, x[:n], x[n : 2 * n], rng))
-        exact = np.concatenate(plant.robot.velocities(x))
-        velocity: Array = exact
-        if observer:
-            observer.update(START + k * period, position[:n], position[n:], u)
-            velocity = observer.state[2 * n :]
-            position = observer.state[: 2 * n] if smoothed else position
-        error[k], velocity_error[k] = x[:n] - jets[k, 0], velocity - exact
-        u = efforts[k] = scenario.law.measured_command(position, velocity, jets[k])[0]
-        for _ in range(steps):
-            x = plant.step(x, u, period * 1e-9 / steps)
-    return Run(t, error, efforts, velocity_error)
-
-
-ENCODERS = Sensors(bits=16)
-SENSOR_SETS: dict[str, Callable[[Scenario, float], Run]] = {  # by a scenario and the range of its torque sensors [N m]
-    "all measured, exact": lambda loop, _: run(loop, Sensors(), None),
-    "all measured, encoders": lambda loop, _: run(loop, ENCODERS, None),
-    "observer, exact positions": lambda loop, _: run(loop, Sensors(), BANDWIDTH),
-    "observer, encoders": lambda loop, _: run(loop, ENCODERS, BANDWIDTH),
-    "observer, encoders, positions not smoothed": lambda loop, _: run(loop, ENCODERS, BANDWIDTH, smoothed=False),
-    "observer, encoders, gear ratio 100": lambda loop, _: run(loop, replace(ENCODERS, gear_ratio=100.0), BANDWIDTH),
-    "observer, encoder and torque sensor": lambda loop, range_: run(
-        loop, replace(ENCODERS, torque_range=range_), BANDWIDTH
-    ),
-}
-
-
-def measurements() -> None:
-    """Write errors [rad] and ripple [N m] by sensor set and by bandwidth, and errors with a wrong model."""
-    loops = {name: scenario(name) for name in TORQUE_RANGES}
-    sets = []
-    for name, loop in loops.items():
-        for sensor_set, simulated in SENSOR_SETS.items():
-            found = simulated(loop, TORQUE_RANGES[name])
-            sets.append(
-                (f"`{name}`", sensor_set, *map("{:.1e}".format, (found.rms(), found.largest(), found.ripple())))
-            )
-    by_bandwidth = [
-        (f"{each:g}", *(f"{found.rms():.1e} / {found.ripple():.1e}" for found in _with_encoders(loops, each)))
-        for each in BANDWIDTHS
-    ]
-    real = fjr.single_link(stiffness=32.55, link_inertia=0.0341, gravity_torque=0.88, link_damping=0.15)
-    wrong = partial(run, loops["paper_k31"], ENCODERS, plant=fjr.Plant(real, compile=True))
-    observers = {"measured": None, **{f"{each:g}": each for each in BANDWIDTHS}}
-    for table, head, rows in (
-        ("measurements", ("scenario", "measurement", "RMS, rad", "largest, rad", "ripple of u, N m"), sets),
-        ("bandwidths", ("bandwidth, rad/s", *(f"`{name}`" for name in loops)), by_bandwidth),
-        (
-            "mismatch",
-            ("bandwidth, rad/s", *observers),
-            [("RMS, rad", *(f"{wrong(each).rms():.1e}" for each in observers.values()))],
-        ),
-    ):
-        begin, end = f"<!-- {table}: written by tools/study_tables.py -->", f"<!-- end of {table} -->"
-        put(["", *markdown(head, rows), ""], "measurements.md", begin, end)
-
-
-def _with_encoders(loops: Mapping[str, Scenario], bandwidth: float) -> Iterator[Run]:
-    return (run(loop, ENCODERS, bandwidth) for loop in loops.values())
 
 
 # Robust options.
@@ -313,13 +169,12 @@ def _noise(study: Sweep, gains: fjr.Gains) -> Iterator[str]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the named studies."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("studies", nargs="+", choices=("measurements", "robust", "noise"))
+    parser.add_argument("studies", nargs="+", choices=("robust", "noise"))
     parser.add_argument("--tuned", type=Path, help="tuned.yaml that `fjr tune arm7_tune` has written, for noise")
     given = parser.parse_args(arguments)
     if "noise" in given.studies and given.tuned is None:
         parser.error("noise needs --tuned")
-    studies: dict[str, Callable[[], None]] = {"measurements": measurements, "robust": robust}
-    studies["noise"] = partial(noise, given.tuned)
+    studies: dict[str, Callable[[], None]] = {"robust": robust, "noise": partial(noise, given.tuned)}
     for name in given.studies:
         studies[name]()
 

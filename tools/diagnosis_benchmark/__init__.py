@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Labelled runs for the diagnosis, and its confusion tables."""
+"""Runs in lock-step without ROS: labelled ones for the diagnosis, with its confusion tables, and those of sensors."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core import StateError
-from fjr_core.config.controller import safety
+from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import ControlStep
@@ -53,20 +53,29 @@ NONE = Fault()
 class LockStepLoop:
     """A scenario in lock-step with a fault; raises ParameterError for invalid values.
 
-    states: messages as (send time [ns], sample); commands: as (stamp, u, jets). found_after: samples before the state
-    that reveals a wiring fault, 0: none found.
+    states: messages as (send time [ns], sample); commands: as (stamp, u, jets). links: true link positions (n,) [rad]
+    by stamp. found_after: samples before the state that reveals a wiring fault, 0: none found.
     """
 
     def __init__(self, scenario: Scenario, fault: Fault = NONE) -> None:
         self.scenario, self._fault, self._n = scenario, fault, scenario.robot.n
         self._robot, self._transport = simulated(scenario.plant_values, scenario.plant, scenario.x0)
         self._limits = safety(scenario.controller_values, scenario.robot)
-        self.tracker = ControlStep(scenario.law, scenario.reference, self._limits, simulated=True)
+        values, robot = scenario.controller_values, scenario.robot
+        self.tracker = ControlStep(
+            scenario.law,
+            scenario.reference,
+            self._limits,
+            observer(values, robot),
+            simulated=True,
+            measurement=measurement(values, robot),
+        )
         self._arrived: deque[Sample] = deque()
         self._velocities: deque[Array] = deque(maxlen=fault.delay + 1)  # the latest ones
         self._newest = self.found_after = 0
         self.states: list[tuple[int, Sample]] = []
         self.commands: list[tuple[int, Array, Array]] = []
+        self.links: dict[int, Array] = {}
         if fault.push is not None:
             self._robot.external = fault.push
 
@@ -112,7 +121,9 @@ class LockStepLoop:
         if fault.delayed is not None:
             self._velocities.append(velocity)
             velocity = np.where(fault.delayed, self._velocities[0], velocity)
-        return START + self._robot.time, position, velocity, effort
+        stamp = START + self._robot.time
+        self.links[stamp] = self._robot.x[: self._n]
+        return stamp, position, velocity, effort
 
     def _measure(self) -> None:
         channel, sample = self._transport.states, self._sample()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm
 from fjr_core.config.controller import BANDWIDTH
+from fjr_core.runtime.measurement_model import OBSERVER
 from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, error_radii, first_corrections
-from study_tables import Sensors, run, scenario
+from fjr_design.batch import Draws
+from fjr_design.studies.sweep import scenario_loop
+from fjr_msgs_py.scenarios import library
 
 MS = 1_000_000  # ns
 SHIPPED = ("paper_k31", "paper_k3p1", "two_link", "arm7")
@@ -157,7 +161,7 @@ def test_non_finite_input_does_not_persist() -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_linearised_error_of_the_shipped_scenarios_decays_at_the_bandwidth(name: str) -> None:
-    loop = scenario(name)
+    loop = library.load(name)
     radii = error_radii(loop.robot, BANDWIDTH, loop.sample_period, loop.configurations(3))
     assert radii.max() < 1
     np.testing.assert_allclose(radii, math.exp(-BANDWIDTH * loop.sample_period), rtol=3e-3)
@@ -182,8 +186,8 @@ def test_an_unstable_equilibrium_requires_a_bandwidth_above_its_rate() -> None:
     assert slow > 1 > fast
 
 
-@pytest.mark.parametrize("smoothed", [True, pytest.param(False, marks=pytest.mark.full)])
 @pytest.mark.parametrize("name", SHIPPED)
-def test_tracks_with_16_bit_positions_only(name: str, smoothed: bool) -> None:
-    found = run(scenario(name), Sensors(bits=16), BANDWIDTH, smoothed, duration=3.0)
-    assert found.rms(2.0) < 2e-3
+def test_tracks_with_16_bit_positions_only(name: str) -> None:
+    _, observed = library.as_run(library.find(name), {"measurement.velocity": OBSERVER})
+    loop = replace(scenario_loop(observed, observed.law, 3.0, settle_after=2.0), settings=None)  # no transition
+    assert loop.run(Draws(1, resolution=2 * np.pi / 2**16)).rms.max() < 2e-3
