@@ -13,11 +13,9 @@ from functools import partial
 from math import sin
 from time import perf_counter, process_time
 from timeit import timeit
-from typing import Any
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from bench.figures import Figure
@@ -144,19 +142,7 @@ def mujoco_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
 def mujoco_joint(robot: Robot, draws: Draws, run: int, dt: float) -> MujocoArm:
     """Return the joint with the drawn parameters as a MuJoCo model."""
     M_l, load, M_m, K, D_l, D_m = numbers(robot, draws, run)
-    return MujocoArm(pendulum(M_l, load), single_link(K, M_l, load, M_m, D_l, D_m), dt)
-
-
-def pendulum(M_l: float, load: float) -> Any:
-    """Return Pinocchio's model of a link with the inertia M_l [kg m^2] and the gravity torque load sin q [N m]."""
-    lever = load / (MASS * GRAVITY)
-    about_com = M_l - MASS * lever**2
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "joint")
-    inertia = pin.Inertia(MASS, np.array([0.0, 0.0, -lever]), about_com * np.eye(3))
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
-    return model
+    return MujocoArm(single_link(K, M_l, load, M_m, D_l, D_m), dt)
 
 
 def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, float, float, float]:

@@ -18,19 +18,18 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from absl import logging
 from mujoco import sysid
 
 from bench.arm import arm7
-from bench.campaign import pendulum
 from bench.figures import Figure
 from bench.identification import simulated
-from bench.mujoco_arm import mjcf
+from bench.mujoco_arm import JOINT, peer
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
+from fjr_engines.mjcf.writing import MOTOR, SPRING
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
@@ -57,28 +56,27 @@ class Estimated:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A simulated record, the robot, and Pinocchio's model of its links.
+    """A simulated record and the robot.
 
     motion: true positions and velocities (k, 4n). truth, start: parameters (n,) by name, as they are and as both first
     believe them.
     """
 
     robot: Robot
-    model: Any
     record: MotionRecord
     motion: Array
     truth: Mapping[str, Array]
     start: Mapping[str, Array]
 
 
-def case_of(scenario: Scenario, model: Any, duration: float, seed: int) -> Case:
+def case_of(scenario: Scenario, duration: float, seed: int) -> Case:
     """Return a case of `duration` seconds with white noise on all encoders."""
     robot = scenario.robot
     truth = dict(zip(NAMES, map(np.diag, (robot.K, robot.M_m, robot.D_l, robot.D_m)), strict=True))
     start = {name: WRONG[name] * value for name, value in truth.items()}
     record, states = simulated(scenario, duration, NOISE, seed)
     motion = np.array([np.concatenate([x[: 2 * robot.n], *robot.velocities(x)]) for x in states])
-    return Case(robot, model, record, motion, truth, start)
+    return Case(robot, record, motion, truth, start)
 
 
 def ours(case: Case) -> Estimated:
@@ -98,9 +96,9 @@ def theirs(case: Case, pieces: int = 1, substeps: int = 1) -> Estimated:
     pieces: of the record, each of which is simulated from its true initial state. substeps: of a sample period.
     """
     n = case.robot.n
-    on = ["actuation", *(("constraint", "frictionloss") if any("friction" in name for name in case.truth) else ())]
+    on = ["ACTUATION", *(("CONSTRAINT", "FRICTIONLOSS") if any("friction" in name for name in case.truth) else ())]
     logging.set_verbosity(logging.ERROR)  # it warns of each piece that the model has no sensors
-    spec = mujoco.MjSpec.from_string(mjcf(case.model, case.robot, case.record.dt / substeps, on))
+    spec = peer(case.robot, case.record.dt / substeps, on)
     model = spec.compile()
     began = time.process_time()
     sequences = [_sequences(case, spec, model, pieces, substeps)]
@@ -134,7 +132,7 @@ def _sequences(case: Case, spec: Any, model: Any, pieces: int, substeps: int) ->
 def _positions(model: Any, n: int) -> dict[str, Any]:
     """Return the mapping of all joint positions to the columns of a table."""
     mapping = sysid.TimeSeries.compute_all_state_mappings(model)[0]
-    names = [*(f"l{i}_qpos" for i in range(n)), *(f"m{i}_qpos" for i in range(n))]
+    names = [f"{JOINT.format(i)}{side}_qpos" for side in ("", MOTOR) for i in range(n)]
     return {name: (mapping[name][0], np.array([column])) for column, name in enumerate(names)}
 
 
@@ -153,17 +151,17 @@ def _change(name: str, i: int, start: float, spec: Any, parameter: Any) -> None:
 
     The creep of dry friction ends within the shortest time constant that the solver takes, two steps.
     """
-    value = start * parameter.value[0]
+    value, joint = start * parameter.value[0], JOINT.format(i)
     if name == "joint_stiffness":
-        spec.tendon(f"k{i}").stiffness = np.array([value, 0.0, 0.0])
+        spec.tendon(joint + SPRING).stiffness = np.array([value, 0.0, 0.0])
     elif name == "motor_inertia":
-        spec.body(f"r{i}").inertia = np.full(3, value)
+        spec.joint(joint + MOTOR).armature = value
     else:
-        joint = spec.joint(f"{name[0]}{i}")  # l or m
+        side = spec.joint(joint if name.startswith("link") else joint + MOTOR)
         if name.endswith("damping"):
-            joint.damping = np.array([value, 0.0, 0.0])
+            side.damping = np.array([value, 0.0, 0.0])
         else:
-            joint.frictionloss, joint.solref_friction[0] = value, 2 * spec.option.timestep
+            side.frictionloss, side.solref_friction[0] = value, 2 * spec.option.timestep
 
 
 def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
@@ -187,9 +185,8 @@ def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
 def against_mujoco(records: int = 20, of_seven: int = 2) -> list[Figure]:
     """Compare on records of the paper's joint, and on records of the seven-joint arm."""
     joint, arm = load_scenario(SINGLE), arm7()
-    M_l, load = float(joint.robot.M_l([0.0])[0, 0]), float(joint.robot.grad_P_l([np.pi / 2])[0])
-    single = [case_of(joint, pendulum(M_l, load), 1.0, seed) for seed in range(records)]
-    seven = [case_of(arm.scenario, arm.model, DURATION, seed) for seed in range(of_seven)]
+    single = [case_of(joint, 1.0, seed) for seed in range(records)]
+    seven = [case_of(arm.scenario, DURATION, seed) for seed in range(of_seven)]
     found = figures(f"one joint, {records} records of 1 s", single)
     pieces = round(DURATION / PIECE)
     return found + (figures(f"seven joints, {of_seven} records of {DURATION:g} s", seven, pieces) if seven else [])

@@ -68,7 +68,7 @@ def step_over_mujoco() -> list[Figure]:
     arm = arm7()
     q, dq, _ = random_motion(arm.robot.n, seed=3)
     u = np.zeros(arm.robot.n)
-    peer = MujocoArm(arm.model, arm.robot, STEP)
+    peer = MujocoArm(arm.robot, STEP)
     peer.set(q, q + 0.01, dq, dq, u)
     x = arm.robot.state(q, q + 0.01, dq, dq)
     calls: dict[str, Call] = {

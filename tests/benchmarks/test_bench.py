@@ -30,10 +30,9 @@ from bench.arm import Arm, arm7, random_motion
 from bench.build import chain_urdf, joint_names
 from bench.figures import Figure, page, table
 from bench.measure import in_turns, ratio
-from bench.mujoco_arm import MujocoArm
 from bench.nodes import bare, running
 from bench.tap import Seen, Tap
-from fjr_core import Plant, TrackingLaw, robot_from_urdf
+from fjr_core import TrackingLaw, robot_from_urdf
 from fjr_core.config.scenario import load_scenario
 from fjr_core.monitoring.certificate import Certificate
 from fjr_msgs_py import names
@@ -59,26 +58,6 @@ def test_rigid_arm_agrees_with_pinocchio(arm: Arm, seed: int) -> None:
     expected = pin.aba(arm.model, arm.model.createData(), q, dq, tau)
     found = arm.forward_dynamics(q, dq, tau).full().ravel()
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.max(np.abs(expected)))
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_elastic_arm_agrees_with_mujoco(arm: Arm, seed: int) -> None:
-    state, u = _state(arm, seed)
-    peer = MujocoArm(arm.model, arm.robot, 1e-3)
-    peer.set(*state, u)
-    expected = _acceleration(arm, *state, u)
-    np.testing.assert_allclose(peer.acceleration(), expected, rtol=1e-8, atol=1e-10 * np.max(np.abs(expected)))
-
-
-def test_integration_step_agrees_with_mujoco(arm: Arm) -> None:
-    dt = 1e-5  # both integrators are exact to rounding at 10 us
-    state, u = _state(arm, seed=9)
-    peer = MujocoArm(arm.model, arm.robot, dt)
-    peer.set(*state, u)
-    mujoco.mj_step(peer.model, peer.data)
-    x = Plant(arm.robot, "rk4").step(arm.robot.state(*state), u, dt)
-    np.testing.assert_allclose(peer.data.qpos, x[: 2 * arm.robot.n], rtol=0, atol=1e-13)
-    np.testing.assert_allclose(peer.data.qvel, np.concatenate(arm.robot.velocities(x)), rtol=0, atol=1e-10)
 
 
 def test_blocks_of_calls_alternate() -> None:
@@ -178,23 +157,6 @@ def test_ended_node_is_reported() -> None:
         memory.resident(process.pid)
 
 
-def _state(arm: Arm, seed: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    q_l, dq_l, u = random_motion(arm.robot.n, seed)
-    shift, dq_m, _ = random_motion(arm.robot.n, seed + 100)
-    return (q_l, q_l + 0.01 * shift, dq_l, dq_m), u
-
-
-def _acceleration(
-    arm: Arm, q_l: np.ndarray, q_m: np.ndarray, dq_l: np.ndarray, dq_m: np.ndarray, u: np.ndarray
-) -> np.ndarray:
-    """Return accelerations by the plant: ddq_l = M_l^-1 (dp_l - dM_l dq_l), ddq_m = M_m^-1 dp_m."""
-    robot, n = arm.robot, arm.robot.n
-    dx = Plant(robot).derivative(robot.state(q_l, q_m, dq_l, dq_m), u)
-    dM_dq = robot.links.dM(q_l, dq_l, dq_l).full().ravel()
-    ddq_l = np.linalg.solve(robot.M_l(q_l), dx[2 * n : 3 * n] - dM_dq)
-    return np.concatenate([ddq_l, np.linalg.solve(robot.M_m, dx[3 * n :])])
-
-
 def test_study_agrees_with_scipy_and_mujoco() -> None:
     loop, drawn = replace(campaign.loop(), duration=0.4, settle_after=0.1), campaign.draws(3)
     ours = loop.run(drawn).rms[:, 0]
@@ -205,8 +167,7 @@ def test_study_agrees_with_scipy_and_mujoco() -> None:
 
 def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> None:
     joint = load_scenario(identification_peers.SINGLE)
-    M_l, load = float(joint.robot.M_l([0.0])[0, 0]), float(joint.robot.grad_P_l([np.pi / 2])[0])
-    case = identification_peers.case_of(joint, campaign.pendulum(M_l, load), 0.9, seed=0)
+    case = identification_peers.case_of(joint, 0.9, seed=0)
     for found in (identification_peers.ours(case), identification_peers.theirs(case, pieces=3)):
         np.testing.assert_allclose(found.values[:2], list(case.truth.values())[:2], rtol=1e-2)
         assert np.all(found.low < found.high)

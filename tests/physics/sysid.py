@@ -11,7 +11,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
 import fjr_core as fjr
@@ -86,14 +85,13 @@ def case_of(draws: Draws, i: int) -> Case:
     record = MotionRecord("physics", names, draws.case.dt, u, q_l, q_m - truth["offset"], unmeasured)
     motion = draws.motion.x[k, i, :4].copy()
     motion[:, 1] -= truth["offset"]
-    text = draws.urdf(i)
-    robot = fjr.robot_from_urdf(text, names, stiffness=draws.stiffness[i], motor_inertia=draws.motor_inertia[i])
-    limits = '<limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'
-    model = pin.buildModelFromXML(text.replace('"continuous"', '"revolute"').replace("</joint>", limits))
+    robot = fjr.robot_from_urdf(
+        draws.urdf(i), names, stiffness=draws.stiffness[i], motor_inertia=draws.motor_inertia[i]
+    )
     known = {name: truth[name] for name in CHANGES}
     start = {name: value * np.exp(0.3 * (-1) ** j) for j, (name, value) in enumerate(known.items())}
     start |= {"joint_stiffness": draws.stiffness[i], "motor_inertia": draws.motor_inertia[i]}
-    return Case(robot, model, record, motion.reshape(len(k), -1), known, start)
+    return Case(robot, record, motion.reshape(len(k), -1), known, start)
 
 
 def intervals(case: Case, found: Estimated) -> list[Interval]:
