@@ -201,16 +201,12 @@ def level_words(name: str, level: float) -> str:
 
 
 def best_in(document: dict[str, Any]) -> str:
-    """Count the rows of the table in which a version of a law is best or within TIE of it, as a sentence."""
+    """Count, for each column of the table, the rows in which it is best or within TIE of it, as a sentence."""
     shown = table_rows(document)
-    versions: dict[str, list[int]] = {}
-    for i, law in enumerate(document["laws"]):
-        versions.setdefault(law_without_additions(law), []).append(i)
-    counts = {name: sum(any(row.best[i] for i in each) for row in shown) for name, each in versions.items()}
-    ranked = sorted(counts.items(), key=lambda one: -one[1])
-    each = ", ".join(f"{SHORT.get(name, law_kind(name).title)} {count}" for name, count in ranked)
-    best = f"Best, or within {percent(TIE, 0)} of the best, with one of its versions"
-    return f"{best}: {each} of {len(shown)} rows (several laws may share a row)."
+    counts = [(str(law["title"]), sum(row.best[i] for row in shown)) for i, law in enumerate(document["laws"])]
+    each = ", ".join(f"{title} {count}" for title, count in sorted(counts, key=lambda one: -one[1]))
+    best = f"Best, or within {percent(TIE, 0)} of the best"
+    return f"{best}: {each} of {len(shown)} rows (several columns may share a row)."
 
 
 def cells(document: dict[str, Any]) -> list[list[str]]:
