@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
 import sys
 from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
@@ -35,6 +33,7 @@ from bench import (
     starts,
 )
 from bench.figures import Figure, page, table
+from fjr_msgs_py.console.provenance import machine
 
 RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
 Measurement = tuple[Callable[..., list[Figure]], dict[str, Any]]
@@ -74,7 +73,7 @@ def main() -> int:
     """Run the selected benchmarks; return the exit code."""
     arguments = parser().parse_args()
     figures = measured(arguments.only or list(USUAL), arguments.quick)
-    print(f"{processor()}, {os.cpu_count()} cores\n\n{table(figures)}")
+    print(f"{machine()}\n\n{table(figures)}")
     document = write(figures, arguments.output)
     if arguments.document:
         arguments.document.write_text(page(document), encoding="utf-8")
@@ -114,27 +113,16 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def processor() -> str:
-    """Return the processor model."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.machine()
-
-
 def write(figures: list[Figure], path: Path) -> dict[str, Any]:
     """Write the figures with machine and date, and keep the other figures of this day and machine; return all."""
-    machine = {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()}
     versions = {module.__name__: module.__version__ for module in (casadi, mujoco, numpy, pinocchio)}
     document: dict[str, Any] = {
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "machine": machine,
+        "machine": machine(),
         "versions": versions,
     }
     before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    same = before.get("machine") == machine and before.get("date", "")[:10] == document["date"][:10]
+    same = before.get("machine") == document["machine"] and before.get("date", "")[:10] == document["date"][:10]
     found = {each["name"]: each for each in (before["figures"] if same else [])}
     document["figures"] = list((found | {figure.name: figure.as_json() for figure in figures}).values())
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -63,8 +63,8 @@ class Figure:
 def page(document: Mapping[str, Any]) -> str:
     """Format the figures of bench.json as a page in Markdown."""
     figures = [Figure(**{name: each[name] for name in FIELDS}) for each in document["figures"]]
-    machine = document["machine"]
-    said = f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {document['date'][:10]}."
+    processor, cores, _, python = document["machine"].rsplit(", ", 3)
+    said = f"{processor}, {cores}, {python}, {document['date'][:10]}."
     lines = markdown(HEADINGS, [figure.row() for figure in figures])
     return "\n".join(["# Benchmark figures", "", f"Written by `make bench`. {said}", "", *lines, ""])
 

@@ -44,13 +44,13 @@ from fjr_msgs_py import names
 from fjr_msgs_py.messages.trajectories import trajectory_message
 from fjr_msgs_py.node.participant import own_node
 
-REPEATS = 5
+REPEATS, WARM_UP = 5, 2.0  # s
 BOUND = 5.0  # ms
 POINTS, SPACING, LEAD = 100_000, 1e-3, 20.0  # of the trajectory; s; s until its first point, while it is planned
 SHIFT, SWING = 0.3, 0.05  # rad, of the first joint beyond its reference
 PERIOD = 0.01  # s between two reads of parameters
 SECONDS = 10.0  # s of reading, and of recording and watching
-LONGEST, LOOK = 60.0, 0.05  # s; timeout of each wait, and between two looks
+LONGEST = 60.0  # s; timeout of each wait
 TRAJECTORY = names.JOINT_TRAJECTORY.replace("~", names.CONTROLLER)
 EVENTS = names.EVENTS.replace("~", names.CONTROLLER)
 REFERENCE = names.REFERENCE.replace("~", names.CONTROLLER)
@@ -82,7 +82,8 @@ def _figure(name: str, use: Use, overrides: Mapping[str, Any], repeats: int) -> 
 def _gap(use: Use, overrides: Mapping[str, Any]) -> tuple[float, float]:
     """Return the longest gap [ms] from the second second on, and the lateness of the machine itself [ms]."""
     with scenario_file(overrides) as file, Tap() as tap, running(plant(file), controller(file)):
-        tap.messages([names.JOINT_COMMANDS], 2.0, LONGEST)
+        with tap.listening([names.JOINT_COMMANDS], LONGEST) as begun:
+            begun.collect(WARM_UP)
         with tap.listening([names.JOINT_COMMANDS], LONGEST) as heard, watched() as late:
             use(tap, heard)
             heard.drain()
@@ -94,26 +95,24 @@ def _send(tap: Tap, heard: Heard) -> None:
     events = tap.node.create_subscription(DiagnosticStatus, EVENTS, lambda _: None, 100)
     publisher = tap.node.create_publisher(JointTrajectory, TRAJECTORY, 1)
     reference = tap.node.create_subscription(JointState, REFERENCE, lambda _: None, 1, raw=True)
-    limit = time.monotonic() + LONGEST
-    while not (publisher.get_subscription_count() and events.get_publisher_count()):
-        _wait(heard, limit, f"a subscription to {TRAJECTORY}")
+    subscribed = f"a subscription to {TRAJECTORY}"
+    heard.until(lambda: publisher.get_subscription_count() and events.get_publisher_count(), LONGEST, subscribed)
     publisher.publish(_trajectory())
     arrived = float(_pose()[0] + SHIFT / 2)
-    position, refused = -np.inf, ""
-    while position < arrived and "stopped" not in refused:  # a long gap may stop the arm
-        _wait(heard, limit, "the trajectory to be the reference")
+
+    def followed() -> bool:
+        """Return whether the arm moves to the first point, or has stopped, which a long gap may do."""
         while (taken := events.handle.take_message(DiagnosticStatus, False)) is not None:
-            refused = taken[0].message if taken[0].name.startswith("trajectory refused") else refused
-        if refused and "stopped" not in refused:
-            raise RuntimeError(f"{refused}; expected it to be followed")
+            if taken[0].name.startswith("trajectory refused"):
+                if "stopped" not in taken[0].message:
+                    raise RuntimeError(f"{taken[0].message}; expected it to be followed")
+                return True
+        position = -np.inf
         while (taken := reference.handle.take_message(JointState, True)) is not None:
             position = deserialize_message(taken[0], JointState).position[0]
+        return position >= arrived
 
-
-def _wait(heard: Heard, limit: float, what: str) -> None:
-    if time.monotonic() > limit:
-        raise TimeoutError(f"waited {LONGEST:g} s for {what}")
-    heard.collect(LOOK)
+    heard.until(followed, LONGEST, "the trajectory to be the reference")
 
 
 def _pose() -> np.ndarray:
@@ -159,9 +158,7 @@ def _record_and_watch(_: Tap, heard: Heard) -> None:
         bag = Path(folder, "bag")
         stack.enter_context(process(["fjr", "record", "--output", str(bag)]))
         events = stack.enter_context(_page())
-        limit = time.monotonic() + LONGEST
-        while not any(path.stat().st_size > 1 << 20 for path in bag.glob("*.mcap")):
-            _wait(heard, limit, "the bag to grow")
+        heard.until(lambda: any(f.stat().st_size > 1 << 20 for f in bag.glob("*.mcap")), LONGEST, "the bag to grow")
         heard.drain()
         for found in heard.seen:
             found.clear()  # a process that joins is another matter: docs/real_time.md

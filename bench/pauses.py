@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pauses of the processes (SIGSTOP, SIGCONT) in real time, and a controller that is killed beside a moving robot.
 
-Each prints a row. An arm without efforts falls: it has left its limits by itself if a state violates one at most
+An arm without efforts falls: it has left its limits by itself if a state violates one at most
 REACTION after the first new effort.
 """
 
@@ -52,27 +52,15 @@ class Outcome:
     peak: float
     old: int
 
-    def row(self) -> str:
-        """Return the row of the table."""
-        yes = {True: "yes", False: "no"}
-        return (
-            f"{self.robot:9} {self.paused:17} {self.at:7.2f} {self.lost:7.2f} {yes[self.stopped]:>8} "
-            f"{yes[self.left]:>12} {self.peak:6.2f} {self.old:8d}"
-        )
-
-
-HEADING = "robot     paused             at [s] for [s]  stopped  left limits   peak  old efforts"
-
 
 def recovered(pauses: int = PAUSES, kills: int = KILLS) -> list[Figure]:
-    """Return the worst of all pauses, and of all restarts of a killed controller; print a row for each."""
-    random, outcomes = np.random.default_rng(SEED), []
-    print(HEADING, flush=True)
+    """Return the worst of all pauses, and of all restarts of a killed controller; print each."""
+    random, outcomes = np.random.default_rng(SEED), list[Outcome]()
     for k in range(pauses + kills):
         at, lost = random.uniform(0.0, 4.0), random.uniform(SHORTEST, LONGEST)
         paused = PAUSED[k // len(ROBOTS) % len(PAUSED)] if k < pauses else ()
         outcomes.append(_outcome(ROBOTS[k % len(ROBOTS)], paused, at, lost))
-        print(outcomes[-1].row(), flush=True)
+        print(outcomes[-1], flush=True)
     figures = []
     for what, chosen in (
         ("pauses", [each for each in outcomes if each.paused != "killed"]),
@@ -111,22 +99,14 @@ def _outcome(robot: str, paused: tuple[str, ...], at: float, lost: float) -> Out
             nodes["controller"].kill()
             nodes["controller"].wait()
             stack.enter_context(process(controller(file), quiet=True))
-        _wait_for_command(heard)
+        count = len(heard.seen[1])
+        heard.until(lambda: len(heard.seen[1]) > count, LIMIT, "a command of a running controller")
         heard.collect(AFTER)
         stopped = False
         while (taken := events.handle.take_message(DiagnosticStatus, False)) is not None:
             stopped |= taken[0].name == STOPS
     left, peak, old = _judged(robot, heard, begin, woken)
     return Outcome(robot, "+".join(paused) or "killed", lost, at, stopped, left, peak / own, old)
-
-
-def _wait_for_command(heard: Heard) -> None:
-    """Wait until one more command has come; raise TimeoutError."""
-    count, end = len(heard.seen[1]), time.monotonic() + LIMIT
-    while len(heard.seen[1]) == count:
-        if time.monotonic() > end:
-            raise TimeoutError(f"no command came for {LIMIT:g} s; expected a running controller")
-        heard.collect(0.02)
 
 
 def _judged(robot: str, heard: Heard, begin: int, woken: int) -> tuple[bool, float, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
@@ -52,15 +52,6 @@ class Tap:
         finally:
             self.node.destroy_subscription(subscription)
 
-    def messages(self, topics: list[str], seconds: float, longest: float) -> list[NDArray[np.int64]]:
-        """Return stamps and send times (k, 2) [ns] of each topic, from the first message of the last topic on.
-
-        seconds: how long. TimeoutError when a topic is silent for `longest` seconds at first.
-        """
-        with self.listening(topics, longest) as heard:
-            heard.collect(seconds)
-        return heard.messages()
-
     @contextmanager
     def listening(self, topics: list[str], longest: float) -> Iterator[Heard]:
         """Listen to topics inside the block, which begins with the first message of the last of them."""
@@ -94,6 +85,14 @@ class Heard:
         while perf_counter() < end:
             time.sleep(PAUSE)
             self.drain()
+
+    def until(self, happened: Callable[[], object], longest: float, what: str) -> None:
+        """Read the queues until `happened()`; raise TimeoutError after `longest` [s]."""
+        end = perf_counter() + longest
+        while not happened():
+            if perf_counter() > end:
+                raise TimeoutError(f"waited {longest:g} s for {what}")
+            self.collect(PAUSE)
 
     def drain(self) -> None:
         """Empty the queues, which hold DEPTH messages."""

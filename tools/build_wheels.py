@@ -16,18 +16,7 @@ from envsetup import pins
 from envsetup.console import PREFIX, SetupError, Step, clean_environment, run_logged
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = (
-    "fjr_core",
-    "fjr_msgs_py",
-    "fjr_monitor",
-    "fjr_plant",
-    "fjr_controller",
-    "fjr_design",
-    "fjr_identification",
-    "fjr_proofs",
-    "fjr_engines",
-    "fjr_bringup",
-)
+PACKAGES = tuple(sorted(file.parent.name for file in ROOT.glob("ros2_ws/src/*/setup.py")))
 COPIED = ("README.md", "LICENSE", "pyproject.toml", "requirements", "ros2_ws/src")
 """What the wheels are made of; they are built in a copy, so that no file of an earlier build enters."""
 UPLOT, UPLOT_FILES = "uplot-python", ("uPlot.iife.js", "uPlot.min.css")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnose every labelled run and every labelled fault; regenerate the confusion tables of docs/tables/diagnosis.md.
+"""Diagnose every labelled run and every labelled fault; regenerate the tables of docs/tables/diagnosis.md.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults     # faults: 10 min
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults wiring     # 10, 15 min
 
 Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr.
 """
@@ -13,8 +13,10 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from bench.figures import markdown, put
 from fjr_monitor.diagnosis.diagnosis import diagnose
@@ -24,7 +26,8 @@ from fjr_monitor.diagnosis.verdict import Diagnosis
 from . import cases, faults
 from .bags import read_record, write_bag
 from .cases import DEGRADED, HOLDING, UNDECIDED, VIOLATED, Case, Label
-from .faults import FAULTS, HEALTHY, WIRING, duration_of, joints_of
+from .faults import FAULTS, HEALTHY, ROBOTS, WIRING, duration_of, joints_of
+from .wiring import HEALTHY_LASTING, LASTING, SEED, Stop, healthy, wrong
 
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
 OTHER = "several or none"
@@ -33,7 +36,7 @@ SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
 
 
 def begin(table: str) -> str:
-    """Return the line before the tables of `causes` or `faults` on the page."""
+    """Return the line before the tables of `causes`, `faults` or `wiring` on the page."""
     return f"<!-- {table}: written by tools/diagnosis_benchmark/tables.py -->"
 
 
@@ -58,14 +61,18 @@ def right(wanted: Label, verdict: Diagnosis) -> bool:
     return graded and diagnosed_cause(verdict) == wanted.cause
 
 
-def table(pairs: Iterable[tuple[str, str]], rows: tuple[str, ...] = NAMES) -> list[str]:
-    """Return Markdown lines: a row a label, a column a diagnosis."""
+def counted(pairs: Iterable[tuple[str, str]], rows: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Return the columns, which are the rows and whatever else was found, and the counts of each row."""
     counts = Counter(pairs)
     known = [name for name in rows if name != UNDECIDED]
-    columns = (*known, *sorted({verdict for _, verdict in counts} - set(known)))
-    return markdown(
-        ("label", *columns), [(name, *(str(counts[name, column] or "") for column in columns)) for name in rows]
-    )
+    columns = [*known, *sorted({found for _, found in counts} - set(known))]
+    return columns, [[str(counts[name, column] or "") for column in columns] for name in rows]
+
+
+def table(pairs: Iterable[tuple[str, str]], rows: Sequence[str] = NAMES) -> list[str]:
+    """Return Markdown lines: a row a label, a column a diagnosis."""
+    columns, cells = counted(pairs, rows)
+    return markdown(("label", *columns), [(name, *row) for name, row in zip(rows, cells, strict=True)])
 
 
 def causes_of(seed: int) -> list[str]:
@@ -81,8 +88,7 @@ def causes_of(seed: int) -> list[str]:
     return [*table(causes), "", *table(grades, (HOLDING, DEGRADED, UNDECIDED, VIOLATED))]
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """Injected and diagnosed kind of fault of a run, and whether the joint is right."""
 
     kind: str
@@ -100,36 +106,39 @@ def outcome(case: Case) -> Outcome:
     return Outcome(case.kind, findings[0].kind, findings[0].joint == joints_of(case))
 
 
-def fault_table(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return Markdown lines: a row a label, a column a finding, last the count of right joints."""
-    counts = Counter((each.kind, each.found) for each in outcomes)
-    columns = [*KINDS, *sorted({each.found for each in outcomes} - set(KINDS))]
-    rows = []
-    for kind in KINDS:
-        joints = [each.joint for each in outcomes if each.kind == kind]
-        cells = (str(counts[kind, found] or "") for found in columns)
-        rows.append((f"{SHORT[kind]} {kind}", *cells, f"{sum(joints)}/{len(joints)}"))
-    return markdown(("label", *(SHORT.get(kind, kind) for kind in columns), "joint right"), rows)
-
-
-def shares(outcomes: Iterable[Outcome]) -> tuple[float, float]:
-    """Return the shares of faulty runs with the right kind and with the right joint."""
-    faulty = [each for each in outcomes if each.kind != HEALTHY]
-    kinds, joints = (sum(e.kind == e.found for e in faulty), sum(e.joint for e in faulty))
-    return kinds / len(faulty), joints / len(faulty)
-
-
 def faults_of(seed: int) -> list[str]:
-    """Return the table of the set of a seed, below the shares of right findings."""
+    """Return the table of the set of a seed, with the count of right joints, below the shares of right findings."""
     outcomes = []
     for case in faults.cases(seed):
         outcomes.append(result := outcome(case))
         if result.kind != result.found or not result.joint:
             print(f"seed {seed}: {case.name}: {result}", file=sys.stderr, flush=True)
-    kind, joint = shares(outcomes)
-    faulty = sum(each.kind != HEALTHY for each in outcomes)
-    said = f"{faulty} faulty runs: kind right in {100 * kind:.1f} %, joint in {100 * joint:.1f} %."
-    return [said, "", *fault_table(outcomes)]
+    columns, cells = counted([each[:2] for each in outcomes], KINDS)
+    joints = {kind: [each.joint for each in outcomes if each.kind == kind] for kind in KINDS}
+    rows = [
+        (f"{SHORT[kind]} {kind}", *row, f"{sum(joints[kind])}/{len(joints[kind])}")
+        for kind, row in zip(KINDS, cells, strict=True)
+    ]
+    faulty = [each for each in outcomes if each.kind != HEALTHY]
+    kind, joint = (100 * np.mean(right) for right in zip(*((e.kind == e.found, e.joint) for e in faulty), strict=True))
+    said = f"{len(faulty)} faulty runs: kind right in {kind:.1f} %, joint in {joint:.1f} %."
+    return [said, "", *markdown(("label", *(SHORT.get(each, each) for each in columns), "joint right"), rows)]
+
+
+def wiring_of(seed: int) -> list[str]:
+    """Return the table of how fast each fault is found; print which of 200 healthy starts of a robot are stopped."""
+    rows = []
+    for scenario in ROBOTS:
+        for kind in WIRING:
+            if stops := [Stop.of(case, LASTING) for case in wrong(scenario, kind, seed)]:
+                samples, travel, effort = np.array([(each.samples, each.travel, each.effort) for each in stops]).T
+                median, most = np.sort(samples)[[len(samples) // 2, -1]]
+                found = len(stops), f"{median:.0f}", f"{most:.0f}", f"{travel.max():.3f}", f"{effort.max():.0f}"
+                rows.append((scenario, kind, *map(str, found)))
+        stopped = [each for each in range(200) if Stop.of(healthy(scenario, each), HEALTHY_LASTING).samples]
+        print(f"{scenario}: 200 healthy starts, stopped by the wiring: {stopped}", file=sys.stderr, flush=True)
+    head = ("robot", "fault", "runs", "samples: median", "largest", "travel until the stop [rad]", "peak effort [N m]")
+    return markdown(head, rows)
 
 
 TABLES = {
@@ -138,6 +147,7 @@ TABLES = {
         {"Validation set": cases.VALIDATION_SEED, "Set on which the thresholds were tuned": cases.TUNING_SEED},
     ),
     "faults": (faults_of, {"Validation set": faults.VALIDATION_SEED}),
+    "wiring": (wiring_of, {"Noise of the validation set": SEED}),
 }
 
 

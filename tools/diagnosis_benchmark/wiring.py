@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples until wrong wiring stops the controller, for every joint, and healthy starts that must not stop it.
-
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.wiring        # 15 min: the table
-"""
+"""Samples until wrong wiring stops the controller, for every joint, and healthy starts that must not stop it."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record
 
 from .cases import JOINTS, STARTS, Case, start_of
-from .faults import HEALTHY, NOISE, PAIRS, PLACE, ROBOTS, TORQUE, WIRING, Draw, noise_of, nominal
+from .faults import HEALTHY, NOISE, PAIRS, PLACE, TORQUE, WIRING, Draw, noise_of, nominal
 
 SEED = 5
 LASTING, HEALTHY_LASTING = 0.15, 0.08  # s
@@ -126,21 +123,3 @@ def _initial(scenario: str, loaded: Scenario, rng: np.random.Generator) -> dict[
     dq: Array = rng.uniform(-1, 1, n) * rng.choice([0.0, 0.2 if scenario == "arm7" else 1.0])
     sides = {"link_position": q_l, "motor_position": q_m, "link_velocity": dq, "motor_velocity": dq}
     return {f"initial_{side}": value.tolist() for side, value in sides.items()}
-
-
-def main() -> None:
-    """Print the table of docs/tables/diagnosis.md and the number of healthy starts that were stopped."""
-    for scenario in ROBOTS:
-        for kind in WIRING:
-            stops = [Stop.of(case, LASTING) for case in wrong(scenario, kind)]
-            if stops:
-                samples = sorted(stop.samples for stop in stops)
-                travel, effort = max(stop.travel for stop in stops), max(stop.effort for stop in stops)
-                print(f"| {scenario} | {kind} | {len(stops)} | {samples[len(samples) // 2]} | {samples[-1]} |"
-                      f" {travel:.3f} | {effort:.0f} |", flush=True)  # fmt: skip
-        stopped = [seed for seed in range(200) if Stop.of(healthy(scenario, seed), HEALTHY_LASTING).samples]
-        print(f"{scenario}: 200 healthy starts, stopped by the wiring: {stopped}", flush=True)
-
-
-if __name__ == "__main__":
-    main()
