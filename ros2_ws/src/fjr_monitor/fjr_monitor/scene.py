@@ -61,6 +61,12 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     link of a URDF without any visual, is drawn as a skeleton. Boxes, spheres and cylinders, which may leave gaps, are
     connected by thin bones if there is no mesh. notes: a sentence for each mesh that cannot be read.
     """
+    drawn = shapes(urdf, locked)
+    return drawn | {"meshes": [mesh.packed() for mesh in drawn["meshes"]]}
+
+
+def shapes(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """Return the values of `scene` with each mesh as a Mesh."""
     tree = read_urdf(urdf)
     root = parse_xml(urdf.lstrip("\ufeff").strip())
     joints = [
@@ -75,11 +81,11 @@ def scene(urdf: str, locked: Mapping[str, float] | None = None) -> dict[str, Any
     tips = {name: (2.0 * tree.inertias[name].com).tolist() if name in tree.inertias else None for name in bare}
     shaped = {} if drawn.meshes else {name: shapes for name, shapes in links.items() if name not in bare}
     bones = {name: shapes[0]["xyz"] if shapes else None for name, shapes in shaped.items()}
-    for name, shapes in (skeleton(joints, tips) | skeleton(joints, bones, THIN)).items():
-        links[name] = shapes + links[name]
+    for name, bare_shapes in (skeleton(joints, tips) | skeleton(joints, bones, THIN)).items():
+        links[name] = bare_shapes + links[name]
     children = {joint["child"] for joint in joints}
     base = next(name for name in elements if name not in children)
-    meshes = [decimated(mesh, TRIANGLES // len(drawn.meshes)).packed() for mesh in drawn.meshes.values()]
+    meshes = [decimated(mesh, TRIANGLES // len(drawn.meshes)) for mesh in drawn.meshes.values()]
     return {"root": base, "joints": joints, "links": links, "meshes": meshes, "notes": drawn.notes}
 
 

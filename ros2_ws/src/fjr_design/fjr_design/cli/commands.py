@@ -52,10 +52,10 @@ def _drawn_plants_options(cores: str) -> Callable[[Any], Any]:
 @click.option("--force", is_flag=True, help="Replace earlier files of this name.")
 @output_option("Folder for both files.", ".")
 def new(**given: Any) -> Any:
-    """Write a robot file and a scenario from a URDF.
+    """Write a robot file and a scenario from a URDF or an MJCF.
 
     Grippers and joints off the chain are locked. Joint stiffness and motor inertia, which a URDF lacks, are guesses
-    until you replace them in the robot file.
+    until you replace them in the robot file. MJCF is read by MuJoCo; its armature is the motor inertia.
     """
     return implementation("fjr_design.cli.files").new(**given)
 

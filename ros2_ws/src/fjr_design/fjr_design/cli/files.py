@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that write files: `fjr new` from a URDF; a scenario as URDF, as C99 and for ros2_control.
+"""Commands that write files: `fjr new` from a URDF or MJCF; a scenario as URDF, as C99 and for ros2_control.
 
 `fjr new` makes a robot file and a scenario; `fjr description`, `fjr export-c` and `fjr export-ros2-control` read one.
 """
@@ -9,13 +9,16 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
 from fjr_core.config.robot import description
 from fjr_core.config.scenario import left_out
 from fjr_core.errors import FjrError
-from fjr_core.files.text_file import write_text
+from fjr_core.files.importing import module
+from fjr_core.files.text_file import read_bytes, write_text
+from fjr_core.urdf.tree import parse_xml
 from fjr_design.exports.c_code import prefix_of
 from fjr_design.exports.project import export, write
 from fjr_design.exports.ros2_control.package import export_package, not_exported, package_name_of
@@ -29,21 +32,29 @@ from fjr_msgs_py.scenarios.library import ScenarioError
 
 
 def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name: str | None, force: bool) -> Result:
-    """Write both files; force: replace earlier ones. Raises FjrError, which names the URDF."""
+    """Write both files, and the URDF of an MJCF; force: replace earlier ones. Raises FjrError, which names the file."""
+    stem = re.sub(r"\W+", "_", name or urdf.stem, flags=re.ASCII).strip("_") or "arm"
+    robot_file, scenario_file = output / f"{stem}_robot.yaml", output / f"{stem}.yaml"
+    texts: dict[Path, str] = {}
     try:
-        arm = arm_of(urdf, joints, chain)
-        stem = re.sub(r"\W+", "_", name or urdf.stem, flags=re.ASCII).strip("_") or "arm"
-        robot_file, scenario_file = output / f"{stem}_robot.yaml", output / f"{stem}.yaml"
-        for file in (robot_file, scenario_file):
+        if _is_mjcf(urdf):
+            own = output / f"{stem}.urdf"
+            texts[own], known = module("fjr_engines.mjcf.reading").read_mjcf(urdf, output)
+            arm = arm_of(own, joints, chain, texts[own], known)
+        else:
+            arm = arm_of(urdf, joints, chain)
+        for file in (*texts, robot_file, scenario_file):
             if file.exists() and not force:
                 raise ScenarioError(f"{file} exists; expected a new file, another --name or --output, or --force")
         proposal = proposal_of(arm.robot, arm.joints, urdf.name)
     except FjrError as error:
         error.args = (f"{urdf.name}: {error}",)
         raise
+    texts[robot_file] = robot_text(arm, output)
+    texts[scenario_file] = scenario_text(stem, robot_file.name, arm, proposal)
     output.mkdir(parents=True, exist_ok=True)
-    write_text(robot_file, robot_text(arm, output))
-    write_text(scenario_file, scenario_text(stem, robot_file.name, arm, proposal))
+    for file, text in texts.items():
+        write_text(file, text)
     library.load(str(scenario_file))  # a file that cannot be read back must not look finished
     values = {
         "joints": arm.joints,
@@ -58,11 +69,19 @@ def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name
     }
     lines = _summary(arm, proposal, had_a_choice=not joints and len(arm.chains) > 1)
     lines += [
-        f"written    {robot_file}, {scenario_file}",
+        f"written    {', '.join(map(str, texts))}",
         f"next       fjr check {scenario_file}",
         f"           fjr run {scenario_file} --lockstep",
     ]
     return Result("\n".join(lines), values)
+
+
+def _is_mjcf(file: Path) -> bool:
+    """Return whether a file has the root element of an MJCF; what no XML parser reads is none."""
+    try:
+        return bool(parse_xml(read_bytes(file)).tag == "mujoco")
+    except (OSError, ValueError, LookupError, ExpatError):
+        return False
 
 
 def _summary(arm: Arm, proposal: Proposal, had_a_choice: bool) -> list[str]:

@@ -7,7 +7,7 @@ The joints are those of a serial chain from the base to a tip, without grippers 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,8 +39,8 @@ Chain = tuple[str, ...]
 class Arm:
     """An arm of a URDF: the joints that move, the robot, and what of it is known.
 
-    locked: positions of the other joints [rad, m]. guesses: guessed values (n,) by name, 0 where published ones are
-    used. source: of these. chains: all that the URDF has. notes: a sentence for each choice that was made.
+    locked: positions of the other joints [rad, m]. guesses: guessed values (n,) by name, 0 where known ones are used.
+    source: of these. chains: all that the URDF has. notes: a sentence for each choice that was made. gravity [m/s^2].
     """
 
     urdf: Path
@@ -51,19 +51,28 @@ class Arm:
     source: str
     chains: tuple[Chain, ...]
     notes: tuple[str, ...]
+    gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
 
 
-def arm_of(urdf: Path, joints: Sequence[str] = (), chain: int | None = None) -> Arm:
+def arm_of(
+    urdf: Path,
+    joints: Sequence[str] = (),
+    chain: int | None = None,
+    text: str | None = None,
+    known: Mapping[str, Any] | None = None,
+) -> Arm:
     """Return the arm of the named joints, else of a chain by its number from 1, else of the longest chain.
 
+    text: of a URDF that is not written yet. known: `gravity`, and an entry of joint_data.yaml that replaces that of
+    the published data, 0 where a value is not known.
     Joints of the chain's end that carry no inertia are locked. Raises RobotError.
     """
-    tree = read_urdf(urdf)
+    tree, gravity = read_urdf(text or urdf), (known or {}).get("gravity", Arm.gravity)
     found = tuple(chains(tree))
     chosen = tuple(joints) or _chain(found, chain)
-    rigid, moving, notes = _rigid(urdf, tree, chosen, drop=not joints)
-    robot, guesses, source = _with_joint_data(rigid, moving)
-    return Arm(urdf, moving, robot, _locked(tree, moving), guesses, source, found, notes)
+    rigid, moving, notes = _rigid(text or urdf, tree, chosen, gravity, drop=not joints)
+    robot, guesses, source = _with_joint_data(rigid, moving, known or published(moving))
+    return Arm(urdf, moving, robot, _locked(tree, moving), guesses, source, found, notes, tuple(gravity))
 
 
 def _chain(found: Sequence[Chain], number: int | None) -> Chain:
@@ -81,7 +90,7 @@ def described(found: Sequence[Chain], most: int = 6) -> list[str]:
 
 
 def _rigid(
-    urdf: Path, tree: UrdfTree, joints: tuple[str, ...], drop: bool
+    urdf: Path | str, tree: UrdfTree, joints: tuple[str, ...], gravity: Sequence[float], drop: bool
 ) -> tuple[Robot, tuple[str, ...], tuple[str, ...]]:
     """Return the robot with placeholder joint data, its joints, and a note if joints without inertia were dropped.
 
@@ -91,7 +100,7 @@ def _rigid(
     notes: tuple[str, ...] = ()
     while True:
         try:
-            robot = robot_from_urdf(urdf, kept, 1.0, 1.0, locked=_locked(tree, kept))
+            robot = robot_from_urdf(urdf, kept, 1.0, 1.0, gravity=gravity, locked=_locked(tree, kept))
             thin = joints_without_inertia(robot)
             if not thin:
                 return robot, kept, notes
@@ -120,12 +129,14 @@ def _locked(tree: UrdfTree, moving: Sequence[str]) -> dict[str, float]:
     return {each.name: min(max(0.0, each.limits[0]), each.limits[1]) for each in others if each.name not in moving}
 
 
-def _with_joint_data(rigid: Robot, joints: Sequence[str]) -> tuple[Robot, dict[str, tuple[float, ...]], str]:
+def _with_joint_data(
+    rigid: Robot, joints: Sequence[str], known: Mapping[str, Any]
+) -> tuple[Robot, dict[str, tuple[float, ...]], str]:
     """Return the robot with stiffness and motor inertia, the guesses among them, and the source of the others."""
-    typical, known = typical_joints(rigid), published(joints)
-    values, guesses = {}, {}
+    typical, values, guesses = typical_joints(rigid), {}, {}
     for name, guess in (("joint_stiffness", typical.stiffness), ("motor_inertia", typical.motor_inertia)):
-        data = dict(zip(map(str, known["joints"]), known[name], strict=True)) if name in known else {}
+        pairs = zip(map(str, known["joints"]), known[name], strict=True) if name in known else ()
+        data = {joint: value for joint, value in pairs if value}
         values[name] = np.array([data.get(joint, own) for joint, own in zip(joints, guess, strict=True)])
         guesses[name] = tuple(0.0 if joint in data else float(own) for joint, own in zip(joints, guess, strict=True))
     robot = replace(rigid, K=np.diag(values["joint_stiffness"]), M_m=np.diag(values["motor_inertia"]))

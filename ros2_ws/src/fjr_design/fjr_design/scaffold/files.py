@@ -53,6 +53,7 @@ SCENARIO = """\
     recovery: {{join_time: 1.0}}    # s, or as long as the limits of velocity and acceleration ask
     state_timeout: 0.2            # s without a state: on_stop
 """
+ROUNDED, EXACT = 9, 17  # digits of a number
 TRACKING_ERROR, START_ERROR = (0.15, 0.03), (0.1, 0.02)  # rad, m; limits of revolute and prismatic joints
 
 
@@ -70,7 +71,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
         "    robot:",
         "      model: urdf",
         f"      urdf: {_scalar(path_from(folder, arm.urdf))}",
-        "      gravity: [0.0, 0.0, -9.81]   # m/s^2 in the root link of the URDF; differs for a wall-mounted arm",
+        f"      gravity: {_list(arm.gravity)}   # m/s^2 in the root link of the URDF; differs for a wall-mounted arm",
         *(
             [f"      locked_joints: {_list(stuck)}", f"      locked_positions: {_list(stuck.values())}"]
             if stuck
@@ -78,7 +79,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
         ),
     ]
     for name, matrix in (("joint_stiffness", arm.robot.K), ("motor_inertia", arm.robot.M_m)):
-        lines.append(f"      {name}: {_list(np.diag(matrix))}   # {UNITS[name]}{origin_of(arm, name)}")
+        lines.append(f"      {name}: {_list(np.diag(matrix), EXACT)}   # {UNITS[name]}{origin_of(arm, name)}")
     if arm.guesses:
         lines += [
             "      # A URDF has neither. These values are typical for the size of the joints, no data of this robot",
@@ -139,12 +140,12 @@ def locked_joints(locked: dict[str, float], most: int = 12) -> str:
     return ", ".join(names[:most]) + more + (", at 0" if not any(locked.values()) else ", the others at 0")
 
 
-def _list(entries: Iterable[object] | ArrayLike) -> str:
-    return "[" + ", ".join(map(_scalar, entries)) + "]"  # type: ignore[arg-type]
+def _list(entries: Iterable[object] | ArrayLike, digits: int = ROUNDED) -> str:
+    return "[" + ", ".join(_scalar(entry, digits) for entry in entries) + "]"  # type: ignore[union-attr]
 
 
-def _scalar(value: object) -> str:
-    """Return a text or a number in YAML; numbers have at most nine digits and a decimal point."""
+def _scalar(value: object, digits: int = ROUNDED) -> str:
+    """Return a text or a number in YAML; numbers have at most so many digits and a decimal point."""
     if isinstance(value, str):
         return ros_yaml.dump([value]).strip()[1:-1]
-    return ros_yaml.dump([float(f"{float(value):.9g}")]).strip()[1:-1]  # type: ignore[arg-type]
+    return ros_yaml.dump([float(f"{float(value):.{digits}g}")]).strip()[1:-1]  # type: ignore[arg-type]

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fjr new` reads an MJCF as MuJoCo does; what is not a serial arm of elastic joints is refused in one sentence."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from fjr_core.errors import RobotError
+from fjr_design.scaffold.arm import Arm, arm_of
+from fjr_engines.mjcf.reading import read_mjcf
+from system.executables import fjr_here
+
+ARM = """<mujoco model="lab">
+  <compiler angle="degree" eulerseq="zyx"/>
+  <option gravity="1 -2 -9"/>
+  <default><joint armature="0.05"/><default class="wrist"><joint axis="1 2 0" damping="3"/></default></default>
+  <worldbody>
+    <body name="stand" pos="0.1 0 0.5" euler="20 -30 40">
+      <geom type="box" size="0.1 0.1 0.2" density="700"/>
+      <body name="upper" pos="0 0.1 0.2" euler="0 90 0">
+        <joint name="shoulder" axis="0 1 1" pos="0.02 -0.03 0.05" ref="25" range="-80 120"/>
+        <geom type="capsule" fromto="0 0 0 0.3 0 0.1" size="0.04"/>
+        <body name="fore" pos="0.3 0 0" quat="0.5 0.5 -0.5 0.5">
+          <joint name="roll" class="wrist" pos="0 0.05 0"/>
+          <joint name="pitch" class="wrist" axis="0 0 1" pos="0.01 0 -0.02" armature="0"/>
+          <geom type="cylinder" size="0.03 0.1" euler="10 20 30" pos="0 0 0.1"/>
+          <frame pos="0.05 0 0" euler="0 45 0">
+            <body name="tool" pos="0 0 0.1">
+              <joint name="slide" type="slide" axis="0 1 0" ref="0.1" range="-0.2 0.2"/>
+              <inertial pos="0.01 0.02 0.03" mass="2" fullinertia="0.02 0.03 0.04 0.001 -0.002 0.003"/>
+              <body pos="0 0 0.2"><geom type="sphere" size="0.05" mass="0.5"/></body>
+            </body>
+          </frame>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="shoulder" gear="50" ctrlrange="-2 2"/>
+    <position joint="roll" kp="100" forcerange="-30 40" armature="0.001" gear="10"/>
+    <motor joint="pitch"/>
+  </actuator>
+</mujoco>"""
+JOINTS = ("shoulder", "roll", "pitch", "slide")
+
+
+def arm_from(text: str, folder: Path, *joints: str) -> Arm:
+    (folder / "lab.xml").write_text(text, encoding="utf-8")
+    urdf, known = read_mjcf(folder / "lab.xml", folder)
+    return arm_of(folder / "lab.urdf", joints, text=urdf, known=known)
+
+
+def test_inertia_and_weight_are_those_of_mujoco(tmp_path: Path) -> None:
+    """Anchors, references, frames, classes, orientations, several joints on a body, inertia from shapes."""
+    arm = arm_from(ARM, tmp_path)
+    assert arm.joints == JOINTS
+    model = mujoco.MjModel.from_xml_string(ARM)
+    data, inertia = mujoco.MjData(model), np.zeros((4, 4))
+    for q in np.random.default_rng(5).uniform(-1.5, 1.5, (20, 4)):
+        data.qpos, data.qvel = q, 0.0
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, inertia)
+        reflected = np.diag(model.dof_armature + [0.0, 0.1, 0.0, 0.0])
+        assert arm.robot.M_l(q) == pytest.approx(inertia - reflected, rel=1e-9, abs=1e-12)
+        assert arm.robot.grad_P_l(q) == pytest.approx(data.qfrc_bias, rel=1e-9, abs=1e-9)
+
+
+def test_motors_and_limits_are_read_and_what_is_not_known_is_a_guess(tmp_path: Path) -> None:
+    arm = arm_from(ARM, tmp_path)
+    assert np.diag(arm.robot.M_m)[[0, 1, 3]] == pytest.approx([0.05, 0.05 + 0.001 * 10**2, 0.05])
+    assert [bool(guess) for guess in arm.guesses["motor_inertia"]] == [False, False, True, False]
+    assert all(arm.guesses["joint_stiffness"])
+    assert arm.source == "lab.xml"
+    limits = arm.robot.limits
+    assert limits.lower == pytest.approx([np.deg2rad(-80.0), -np.inf, -np.inf, -0.2])
+    assert limits.upper == pytest.approx([np.deg2rad(120.0), np.inf, np.inf, 0.2])
+    assert limits.effort == pytest.approx([100.0, 300.0, np.inf, np.inf])
+
+
+def body(inside: str, more: str = "") -> str:
+    """Return an MJCF of two links; inside: of the second one."""
+    first = '<joint name="one" axis="0 1 0"/><geom type="sphere" size="0.1" pos="0 0 0.2"/>'
+    second = f'<body name="b" pos="0 0 0.4"><geom type="sphere" size="0.1" pos="0 0 0.2"/>{inside}</body>'
+    return f'<mujoco><worldbody><body name="a">{first}{second}</body></worldbody>{more}</mujoco>'
+
+
+TWO = '<joint name="two" axis="0 1 0"/>'
+ENDS = '<joint joint="one" coef="1"/><joint joint="two" coef="-1"/>'
+TENDON = f'<tendon><fixed name="belt" stiffness="3">{ENDS}</fixed></tendon>'
+REFUSED = {
+    "free joint": (
+        '<mujoco><worldbody><body><freejoint name="float"/><geom size="1"/></body></worldbody></mujoco>',
+        "joint 'float' is free; expected hinges and slides on a fixed base",
+    ),
+    "ball joint": (
+        body('<joint name="two" type="ball"/>'),
+        "joint 'two' is ball; expected hinges and slides on a fixed",
+    ),
+    "tendon": (body(TWO, TENDON), "'belt' is a tendon; expected joints without tendons, or the springs of our export"),
+    "name of a spring, another length": (
+        body(TWO, TENDON.replace("belt", "one_spring")),
+        "'one_spring' is a tendon; expected joints without",
+    ),
+    "welded ends": (
+        body(TWO, '<equality><weld name="loop" body1="b"/></equality>'),
+        r"equality constraint 'loop' couples bodies or joints \(a closed chain\); expected an arm whose joints move by",
+    ),
+    "closed chain": (
+        body(TWO, '<equality><connect name="loop" body1="b" anchor="0 0 0"/></equality>'),
+        r"equality constraint 'loop' couples bodies or joints \(a closed chain\)",
+    ),
+    "wrong path of a mesh": (
+        body(TWO, '<asset><mesh name="m" file="none.stl"/></asset>'),
+        "MuJoCo says: .*none.stl.*; expected an MJCF that it loads",
+    ),
+    "unknown element": (body(TWO, "<legs/>"), "MuJoCo says: .*legs.*; expected an MJCF that it loads"),
+    "massless link": (body(TWO).replace('<geom type="sphere" size="0.1" pos="0 0 0.2"/>', ""), "MuJoCo says: .*mass"),
+    "no joint": (body("").replace('<joint name="one" axis="0 1 0"/>', ""), "the URDF has no joint|no chain of joints"),
+}
+
+
+@pytest.mark.parametrize(("text", "says"), REFUSED.values(), ids=REFUSED)
+def test_what_is_no_serial_arm_is_refused_in_one_sentence(text: str, says: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=says) as refused:
+        arm_from(text, tmp_path)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_tendon_without_force_and_a_constraint_that_is_off_do_not_matter(tmp_path: Path) -> None:
+    idle = TENDON.replace('stiffness="3"', "") + '<equality><weld body1="b" active="false"/></equality>'
+    assert arm_from(body(TWO, idle), tmp_path).joints == ("one", "two")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("<mujoco", "does not parse as XML"),
+        ("<sdf/>", "has the root element <sdf>; expected the <robot> of a URDF"),
+        (REFUSED["free joint"][0], "lab.xml: joint 'float' is free"),
+    ],
+)
+def test_the_command_refuses_another_file_without_writing(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "lab.xml").write_text(text)
+    assert says in fjr_here("new", str(tmp_path / "lab.xml"), "--output", str(tmp_path / "out"), code=2)
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_mujoco_the_command_names_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.startswith("fjr_engines.mjcf")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    (tmp_path / "lab.xml").write_text(ARM)
+    expected = "mujoco is not installed; expected it from: pip install mujoco"
+    assert expected in fjr_here("new", str(tmp_path / "lab.xml"), "--output", str(tmp_path), code=1)
+    assert expected in fjr_here("export-mjcf", "arm7", str(tmp_path / "out.xml"), code=1)
