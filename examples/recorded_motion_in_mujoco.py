@@ -8,13 +8,16 @@ import sys
 
 import mujoco
 import numpy as np
-from mcap_ros2.reader import read_ros2_messages
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 
 arm, bag = sys.argv[1:]
 model = mujoco.MjModel.from_xml_path(arm)
 data = mujoco.MjData(model)
 mujoco.mj_resetDataKeyframe(model, data, 0)  # the initial state of the scenario
-first, *states = [message.ros_msg for message in read_ros2_messages(bag, topics=["/joint_states"])]
+with open(bag, "rb") as file:
+    reader = make_reader(file, decoder_factories=[DecoderFactory()])
+    first, *states = [state for *_, state in reader.iter_decoded_messages(topics=["/joint_states"])]
 steps = round((states[0].header.stamp.nanosec - first.header.stamp.nanosec) % 10**9 * 1e-9 / model.opt.timestep)
 motors = [first.name.index(model.actuator(i).name) for i in range(model.nu)]
 place = [model.joint(name).qposadr[0] for name in first.name]

@@ -86,7 +86,7 @@ BUDGETS = {
     "fjr_monitor": 7_450,
     "fjr_plant": 1_500,
     "fjr_controller": 1_930,
-    "fjr_design": 9_370,
+    "fjr_design": 9_440,
     "fjr_identification": 6_540,
     "fjr_proofs": 3_570,
     "fjr_engines": 1_100,
