@@ -167,8 +167,8 @@ def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None
     """The scripts are as written by colcon 0.20 and setuptools 79."""
     root = tmp_path / "Übungs ordner's"
     install, python = root / "install", root / "bin" / "python"
-    node = install / "arm" / "lib" / "arm" / "node"
-    for path in (node, python):
+    nodes = [install / "arm" / folder / "arm" / "node" for folder in ("lib", "libexec")]
+    for path in (*nodes, python):
         path.parent.mkdir(parents=True)
     python.symlink_to(sys.executable)
     name = "_colcon_prefix_chain_sh_COLCON_CURRENT_PREFIX"
@@ -176,13 +176,14 @@ def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None
     (install / "local_setup.sh").write_text(
         f'_colcon_python_executable="{python}"\nsaid="$($_colcon_python_executable -c "print(5)")"\necho "$said"\n'
     )
-    node.write_text(f'#!"{python}" -x\n# comment\nimport sys\nprint(sys.argv[1:])\n')
-    node.chmod(0o755)
+    for node in nodes:
+        node.write_text(f'#!"{python}" -x\n# comment\nimport sys\nprint(sys.argv[1:])\n')
+        node.chmod(0o755)
     for _ in range(2):  # quoted paths are unchanged
         quote_paths(install)
     assert _said("sh", str(install / "setup.sh")) == f"{install}\n"
     assert _said("sh", str(install / "local_setup.sh")) == "5\n"
-    assert _said(str(node), "a b") == "['a b']\n"
+    assert [_said(str(node), "a b") for node in nodes] == ["['a b']\n"] * 2
 
 
 def _said(*command: str) -> str:

@@ -107,8 +107,8 @@ def quote_paths(install: Path) -> None:
 
 
 def _executables(install: Path) -> list[Path]:
-    """Return the executables in <package>/lib/<package>."""
-    found = install.glob("*/lib/*/*")
+    """Return the executables in <package>/lib/<package> and <package>/libexec/<package>."""
+    found = install.glob("*/lib*/*/*")
     return [path for path in found if path.is_file() and path.parent.name == path.parents[2].name]
 
 
