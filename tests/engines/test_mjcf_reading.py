@@ -76,6 +76,7 @@ def test_motors_and_limits_are_read_and_what_is_not_known_is_a_guess(tmp_path: P
     assert [bool(guess) for guess in arm.guesses["motor_inertia"]] == [False, False, True, False]
     assert all(arm.guesses["joint_stiffness"])
     assert arm.source == "lab.xml"
+    assert arm_from(body(TWO), tmp_path).source == ""
     limits = arm.robot.limits
     assert limits.lower == pytest.approx([np.deg2rad(-80.0), -np.inf, -np.inf, -0.2])
     assert limits.upper == pytest.approx([np.deg2rad(120.0), np.inf, np.inf, 0.2])

@@ -50,7 +50,7 @@ def test_foxglove_contains_each_panel_once(foxglove: dict[str, Any]) -> None:
 
 def test_foxglove_plots_numbers_that_are_published(foxglove: dict[str, Any], published: Published) -> None:
     plots = [panel for name, panel in foxglove["configById"].items() if name.startswith("Plot!")]
-    assert len(plots) == 5
+    assert len(plots) == 6
     for path in (path["value"] for plot in plots for path in plot["paths"]):
         found = PATH.fullmatch(path)
         assert found, path

@@ -35,7 +35,7 @@ from fjr_msgs_py.node.scheduling import prioritised
 PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
 STATES = f"/{names.JOINT_STATES}"
 EFFORT_COMMANDS, JOINT_COMMANDS = f"/{names.EFFORT_COMMANDS}", f"/{names.JOINT_COMMANDS}"
-OBSERVED = (names.REFERENCE, names.TRACKING_ERROR, names.CERTIFICATE)
+OBSERVED = (names.REFERENCE, names.TRACKING_ERROR, names.EXTERNAL_TORQUE, names.CERTIFICATE)
 SAMPLES = (STATES, EFFORT_COMMANDS, names.CLOCK, *(topic.replace("~", f"/{CONTROLLER}") for topic in OBSERVED))
 STARTUP_LIMIT = 120.0  # s for each step of the start; a node that ends is detected at once
 SILENCE_LIMIT = 15.0  # s without a new command

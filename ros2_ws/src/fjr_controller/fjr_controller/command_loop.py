@@ -15,10 +15,11 @@ from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError, Measurement
-from fjr_core.config.controller import auxiliary_period
+from fjr_core.config.controller import auxiliary_period, torque_observer
 from fjr_core.config.process import NATIVE, process_settings
 from fjr_core.runtime.control_step import Command, ControlStep
 from fjr_core.runtime.events import NEVER, STATES, State
+from fjr_core.runtime.library import TorqueObserverStruct
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array, joint_state
@@ -73,7 +74,7 @@ class CommandLoop:
         reports: Reports,
         on_conflict: Callable[[CommandConflictError], None],
     ) -> None:
-        """Build the loop, subscribe to the states and create the publishers of reference and tracking error."""
+        """Build the loop, subscribe to the states and create the publishers of all but commands and certificate."""
         self._node, self._reports, self._on_conflict, self._controls = node, reports, on_conflict, step
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         joints = node.values["joints"]
@@ -89,7 +90,10 @@ class CommandLoop:
             "command": NativeMessage(program, joint_state(joints, efforts), efforts),
             "reference": NativeMessage(program, joint_state(joints, moving), moving),
             "error": NativeMessage(program, joint_state(joints, moving), moving),
+            "torque": NativeMessage(program, joint_state(joints, efforts), efforts),
         }
+        torques = torque_observer(node.values, step.law.robot)
+        self._observer = TorqueObserverStruct(program.ffi, torques.function, torques.bandwidth)
         self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
         shared = {"model": step.model, "controller": self._controller, "copy": step.controller}
         given = {
@@ -99,12 +103,13 @@ class CommandLoop:
             "reader": self._reader.pointer,
             "records": self._ring.pointer,
             "refusals": self._refusals.pointer,
+            "observer": self._observer.pointer,
             "simulated": self._simulated,
             "auxiliary": (round(auxiliary_period(node.values, self._simulated) * 1e9), 0),
         }
         self._struct = program.ffi.new("struct fjr_controller_loop*", given)
-        topics = (names.REFERENCE, names.TRACKING_ERROR)
-        self._publishers = [node.create_publisher(JointState, topic, qos) for topic in topics]
+        topics = (names.REFERENCE, names.TRACKING_ERROR, names.EXTERNAL_TORQUE)
+        self._publishers = self._own = [node.create_publisher(JointState, topic, qos) for topic in topics]
         self._host = self._chosen_host()
         self._listeners: list[tuple[Listener, Callable[[], bool]]] = []
         self._certificate: LiveCertificate | None = None
@@ -135,7 +140,7 @@ class CommandLoop:
         """Evaluate and publish the certificate of each sample from the next start on."""
         self._certificate, certificate.recertify = certificate, self._recertify
         self._struct.certificate, self._struct.certified = certificate.pointer, certificate.message
-        self._publishers.append(certificate.publisher)
+        self._publishers = [*self._own, certificate.publisher]
 
     def start(self, state_timeout: float, since: int = 0) -> None:
         """Publish commands from the next state on that arrives at `since` [ns, steady clock] or later.
@@ -182,7 +187,7 @@ class CommandLoop:
         """Destroy all subscriptions and publishers."""
         self.stop()
         self._host.close()
-        for publisher in self._publishers[:2]:  # that of the certificate is its own
+        for publisher in self._own:
             self._node.destroy_publisher(publisher)
 
     def abandon(self) -> None:

@@ -12,7 +12,7 @@ from fjr_msgs_py.native.program import Program
 
 FUNCTIONS = (
     *("step", "check_wiring", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume"),
-    *("certify", "certificate_restart", "is_due", "waits_until"),
+    *("certify", "certificate_restart", "observe_torque", "is_due", "waits_until"),
 )
 """Fields of struct fjr_step_functions: functions of step.h without the prefix fjr_."""
 

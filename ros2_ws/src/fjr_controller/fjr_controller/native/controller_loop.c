@@ -97,6 +97,16 @@ static int publish_auxiliary(struct fjr_controller_loop* l) {
   return outcome == FJR_GO_ON ? l->publish(l->host, FJR_ERRORS, l->error) : outcome;
 }
 
+/* Estimate the external torques of the sample; due: publish them, if they are finite. */
+static int observe_torque(struct fjr_controller_loop* l, int due) {
+  double torque[FJR_N];
+  const int known = l->step.observe_torque(l->observer, l->model, l->controller, &l->sample, torque);
+  if (!known || !due) return FJR_GO_ON;
+  fjr_put_stamp(l->torque, l->sample.stamp);
+  fjr_put_numbers(l->torque, EFFORTS, torque);
+  return l->publish(l->host, FJR_TORQUES, l->torque);
+}
+
 static int publish_certificate(struct fjr_controller_loop* l, int64_t stamp, const struct fjr_certified* f) {
   const double values[] = {(double)(stamp / SECOND), (double)(stamp % SECOND), f->V, f->dV, f->rate, f->bound, f->H,
                            f->supplied, f->dissipated};
@@ -150,6 +160,7 @@ static int answer(struct fjr_controller_loop* l, int64_t arrival) {
   __atomic_fetch_add(&l->answered, 1, __ATOMIC_RELAXED);
   const int due = l->step.is_due(&l->auxiliary, stamp);
   if (due) outcome = publish_auxiliary(l);
+  if (outcome == FJR_GO_ON) outcome = observe_torque(l, due);
   if (outcome == FJR_GO_ON) outcome = keep(l, arrival, sent, due);
   l->step.check_wiring(l->model, l->controller);
   return outcome;

@@ -26,12 +26,16 @@ struct fjr_step_functions {
   void (*resume)(struct fjr_controller*);
   int (*certify)(struct fjr_certificate*, const struct fjr_command*, int64_t, struct fjr_certified*);
   void (*certificate_restart)(struct fjr_certificate*);
+  int (*observe_torque)(struct fjr_torque_observer*, const struct fjr_model*, const struct fjr_controller*,
+                        const struct fjr_sample*, double*);
   int (*is_due)(struct fjr_auxiliary_rate*, int64_t);
   int64_t (*waits_until)(const struct fjr_controller*);
 };
 
 /* Messages to publish. */
-enum fjr_controller_output { FJR_EFFORTS, FJR_COMMANDS, FJR_REFERENCES, FJR_ERRORS, FJR_CERTIFICATES, FJR_OUTPUTS };
+enum fjr_controller_output {
+  FJR_EFFORTS, FJR_COMMANDS, FJR_REFERENCES, FJR_ERRORS, FJR_TORQUES, FJR_CERTIFICATES, FJR_OUTPUTS
+};
 
 /* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
  * FJR_CHECK_SILENCE: `time` is of the clock of the stamps. FJR_SEND_STOP: the stop effort, if a command was sent.
@@ -80,7 +84,8 @@ struct fjr_controller_loop {
   struct fjr_ring* records;
   struct fjr_refusals* refusals;
   struct fjr_certificate* certificate; /* 0: none */
-  struct fjr_message *effort, *command, *reference, *error, *certified;
+  struct fjr_torque_observer* observer;
+  struct fjr_message *effort, *command, *reference, *error, *torque, *certified;
   int32_t alone;                        /* atomic, an enum fjr_alone */
   int32_t simulated, sends;             /* sends: a command was sent, and no last one after a failure */
   int64_t silence_period, since; /* ns; since: arrival of the first state that is answered (steady clock) */

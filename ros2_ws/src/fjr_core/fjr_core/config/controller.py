@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..model.robot import Robot
+from ..monitoring.external_torque import ExternalTorqueObserver
 from ..motions.motion_limits import MotionLimits
 from ..numerics.checks import Array
 from ..numerics.parameter_field import declared
@@ -25,10 +26,19 @@ AUTOSTART = Parameter("autostart", True, "Configure and activate at the start, w
 AUXILIARY_RATE = Parameter(
     "auxiliary_rate",
     100.0,
-    "Rate of ~/reference, ~/tracking_error and ~/certificate in real time; 0: every sample, as in simulated time",
+    "Rate of the topics ~/reference, ~/tracking_error, ~/external_torque and ~/certificate in real time; 0: every "
+    "sample, as in simulated time",
     "Hz",
     minimum=0.0,
     maximum=1e5,
+)
+TORQUE_BANDWIDTH = Parameter(
+    "external_torque_bandwidth",
+    50.0,
+    "Bandwidth of the estimate of external torques on the links",
+    "1/s",
+    minimum=0.1,
+    maximum=1e4,
 )
 CERTIFICATE = Parameter(
     "certificate", True, "Publish the certificate of the law for each state, and its diagnosis on /diagnostics"
@@ -65,7 +75,7 @@ def auxiliary_period(values: Values, simulated: bool) -> float:
 def controller_parameters(n: int) -> list[Parameter]:
     """Return the controller node's own parameters for n joints."""
     first = (*GAINS.values(), *LAW, *ROBUST.values())
-    last = (*MOTION, AUTOSTART, AUXILIARY_RATE, CERTIFICATE, CERTIFICATE_TOLERANCE)
+    last = (*MOTION, AUTOSTART, AUXILIARY_RATE, TORQUE_BANDWIDTH, CERTIFICATE, CERTIFICATE_TOLERANCE)
     return [
         *(parameter.for_joints(n) for parameter in first),
         *reference_parameters(n),
@@ -97,6 +107,11 @@ def observer(values: Values, robot: Robot) -> VelocityObserver | None:
     if values["measurement.velocity"] != OBSERVER:
         return None
     return VelocityObserver(robot, number(values, OBSERVER_BANDWIDTH.name), compile=bool(values["compile"]))
+
+
+def torque_observer(values: Values, robot: Robot) -> ExternalTorqueObserver:
+    """Return the observer of external torques of the values."""
+    return ExternalTorqueObserver(robot, number(values, TORQUE_BANDWIDTH.name), compile=bool(values["compile"]))
 
 
 def safety_parameters(n: int) -> list[Parameter]:

@@ -8,14 +8,12 @@ the disturbance, dp = f + d, the residual r obeys dr = L (d - r) exactly for eve
     r = L (p - p(0) - integral of (f + r) dt)
 
 In discrete time with sample period dt, d = (p - p_before) / dt - (f + f_before) / 2 is the mean disturbance to order
-dt^2, and r is updated with d held. The feedforward to the links needs two derivatives, which r does not provide without
-a measurement of d. w filters r by w'' = L^2 (r - w) - 2 L w', so that w, dw and d2w are known exactly:
+dt^2, and r is updated with d held (next_residual). The feedforward to the links needs two derivatives, which r does not
+provide without a measurement of d. w filters r by w'' = L^2 (r - w) - 2 L w', so that w, dw and d2w are known exactly:
 w = (L / (s + L))^3 d.
 """
 
 from __future__ import annotations
-
-from functools import cached_property
 
 import casadi as ca
 
@@ -41,10 +39,9 @@ class DisturbanceObserver:
         the last sample, 0 for the first sample or a repeated one.
         """
         n = self.robot.n
-        p, f = self.momenta(position, velocity)
+        p, f = momenta(self.robot)(position, velocity)
         applied = ca.vertcat(ca.MX.zeros(n), ca.mtimes(ca.DM(self.robot.B_m), acted))
-        d = (p - kept["p"]) / ca.if_else(dt > 0, dt, 1) - (f + kept["f"]) / 2 - applied
-        r = kept["r"] + (1 - ca.exp(-gains * dt)) * (d - kept["r"])
+        r = next_residual(kept, p, f, applied, gains, dt)
         w, dw = _filtered(kept["w"], kept["dw"], (kept["r"][:n] + r[:n]) / 2, gains[:n], dt)
         return {"p": p, "f": f, "r": r, "w": w, "dw": dw}
 
@@ -54,14 +51,23 @@ class DisturbanceObserver:
         L, w, dw = gains[:n], parts["w"], parts["dw"]
         return ca.horzcat(w, dw, L**2 * (parts["r"][:n] - w) - 2 * L * dw)
 
-    @cached_property
-    def momenta(self) -> ca.Function:
-        """(position, velocity) -> momenta (2n,) and their rates (2n,) by eq. (36) with u = 0."""
-        n = self.robot.n
-        s = symbols(position=2 * n, velocity=2 * n)
-        x = self.robot.to_state(*s.values())
-        p, f = x[2 * n :], derivative_expression(self.robot, x, ca.SX.zeros(n))[2 * n :]
-        return dense_function("momenta", s, {"p": p, "f": f}, cse=True)
+
+def momenta(robot: Robot) -> ca.Function:
+    """Return the function (position, velocity) -> momenta (2n,) and their rates (2n,) by eq. (36) with u = 0."""
+    n = robot.n
+    s = symbols(position=2 * n, velocity=2 * n)
+    x = robot.to_state(*s.values())
+    p, f = x[2 * n :], derivative_expression(robot, x, ca.SX.zeros(n))[2 * n :]
+    return dense_function("momenta", s, {"p": p, "f": f}, cse=True)
+
+
+def next_residual(kept: Terms, p: ca.MX, f: ca.MX, applied: ca.MX | float, L: ca.MX, dt: ca.MX) -> ca.MX:
+    """Return r (m,) [N m] at the momenta p with rates f, from p, f and r of the last sample.
+
+    applied (m,) [N m]: mean torque that f lacks. L [1/s]: bandwidth. dt [s]: since the last sample; with 0 r stays.
+    """
+    d = (p - kept["p"]) / ca.if_else(dt > 0, dt, 1) - (f + kept["f"]) / 2 - applied
+    return kept["r"] + (1 - ca.exp(-L * dt)) * (d - kept["r"])
 
 
 def _filtered(w: ca.MX, dw: ca.MX, r: ca.MX, L: ca.MX, dt: ca.MX) -> tuple[ca.MX, ca.MX]:

@@ -39,6 +39,7 @@ SOURCES = (
     "wiring.c",
     "step.c",
     "certificate.c",
+    "external_torque.c",
     "auxiliary_rate.c",
 )
 """The C files in the order of their translation unit."""
@@ -251,6 +252,19 @@ def write_robot(model: Any, robot: Robot) -> None:
         for name, field in (("edge", "edge"), ("torsion", "torque"), ("tangent", "stiffness"), ("bend", "slope")):
             values = np.column_stack([getattr(of, field) for of in robot.curves]).ravel()
             getattr(model, name)[0 : len(values)] = values.tolist()
+
+
+class TorqueObserverStruct:
+    """An observer of external torques; `pointer` is a struct fjr_torque_observer*, valid as long as this object lives.
+
+    ffi: with the types of step.h. function: of an ExternalTorqueObserver. bandwidth [1/s].
+    """
+
+    def __init__(self, ffi: Any, function: ca.Function, bandwidth: float) -> None:
+        self._held, self._work = CFunction(ffi, function), WorkSpace(ffi, [function])
+        given = {"update": self._held.pointer, "bandwidth": bandwidth, "kept": [np.nan] * function.nnz_in(0)}
+        self.pointer = ffi.new("struct fjr_torque_observer *", given)
+        self._work.lend(self.pointer)
 
 
 class CertificateStruct:

@@ -318,6 +318,20 @@ struct fjr_certificate {
   double position[2 * FJR_N], velocity[2 * FJR_N], u[FJR_N], older[FJR_N], bound;
 };
 
+/* ---- External torque ------------------------------------------------------------------------------------------- */
+
+/* kept: momenta of the links, their rates and the estimated torques at the last sample; NaN: none. */
+struct fjr_torque_observer {
+  fjr_function update; /* (kept, position, velocity, bandwidth, dt) -> kept */
+  double bandwidth;    /* 1/s */
+  int64_t stamp;
+  double kept[3 * FJR_N];
+  const double** arg; /* work space of the function */
+  double** res;
+  long long int* iw;
+  double* w;
+};
+
 /* The grid of messages that observers read; period [ns], 0: every sample. */
 struct fjr_auxiliary_rate {
   int64_t period, next;
@@ -383,6 +397,10 @@ void fjr_certificate_restart(struct fjr_certificate* c);
 
 /* Evaluate the certificate of a command; return 0 if a function failed. */
 int fjr_certify(struct fjr_certificate* c, const struct fjr_command* command, int64_t stamp, struct fjr_certified* found);
+
+/* Write the external torques on the links [N m] at the sample that was answered last; return 1 if they are finite. */
+int fjr_observe_torque(struct fjr_torque_observer* o, const struct fjr_model* m, const struct fjr_controller* c,
+                       const struct fjr_sample* sample, double* torque);
 
 /* Return 1 if the messages for observers are due at the sample with this stamp. */
 int fjr_is_due(struct fjr_auxiliary_rate* r, int64_t stamp);

@@ -140,7 +140,8 @@ def _with_joint_data(
         values[name] = np.array([data.get(joint, own) for joint, own in zip(joints, guess, strict=True)])
         guesses[name] = tuple(0.0 if joint in data else float(own) for joint, own in zip(joints, guess, strict=True))
     robot = replace(rigid, K=np.diag(values["joint_stiffness"]), M_m=np.diag(values["motor_inertia"]))
-    return robot, {name: each for name, each in guesses.items() if any(each)}, known.get("source", "")
+    source = known.get("source", "") if any(0.0 in each for each in guesses.values()) else ""
+    return robot, {name: each for name, each in guesses.items() if any(each)}, source
 
 
 def published(joints: Sequence[str]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.controller import effort_limits
+from fjr_core.config.controller import effort_limits, torque_observer
 from fjr_core.config.scenario import Scenario
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
@@ -38,19 +38,26 @@ DEGREE = 5  # of the spline through the recorded velocities: its third derivativ
 
 @dataclass(frozen=True, kw_only=True)
 class RunData(Record):
-    """Part of a run: a record with the certificate along it. Times in s since the first state; NaN: not known."""
+    """Part of a run: a record, certificate, external torque. Times in s since the first state; NaN: not known."""
 
-    SHARED: ClassVar[tuple[str, ...]] = (*Record.SHARED, "certify")
+    SHARED: ClassVar[tuple[str, ...]] = (*Record.SHARED, "certify", "observe")
 
     sent: Array  # (k,) s, send time of each state since that of the first
     answered: Array  # (k,) s, send time of its command, NaN: none
     certify: Callable[[RunData], CertificateSeries]
+    observe: Callable[[RunData], Array]
+    measured: Array  # (k, 2n) rad, positions as measured, also where `position` is an observer's
     torque: Array  # (k, n) N m, measured at the motors
 
     @cached_property
     def certificate(self) -> CertificateSeries:
         """Certificate along the states, computed on use; V, dV NaN for another law than v-dPBC."""
         return self.certify(self)
+
+    @cached_property
+    def external_torque(self) -> Array:
+        """Estimated external torques on the links (k, n) [N m], computed on use, part by part."""
+        return self.observe(self)
 
     @property
     def q_l(self) -> Array:
@@ -119,13 +126,14 @@ class Recording:
         start, reader = self._answered.section.start, self._answered.reader
         reference, stop = RecordedReference(self.scenario), StopFinder(self._answered.events)
         estimate = EstimatedStates(self.scenario) if reader.estimated else None
-        certificate, count, first_sent = self._certificate(), 0, 0
+        certificate, torques, count, first_sent = self._certificate(), ExternalTorques(self.scenario), 0, 0
         for states, u, answered, new, recorded in self._answered.windows():
             begin = min(LEAD, count, new.start)  # states of the part before, which the next one repeats
             cut = slice(new.start - begin, new.stop)
             t = np.asarray((states.stamp - start) * 1e-9, dtype=np.float64)
             jets = reference.jets(recorded, states.stamp, t)[cut]
             seen, u, answered, t = states.rows(cut), u[cut], answered[cut], t[cut]
+            measured = seen.position
             if estimate is not None:
                 position, velocity = estimate.of(seen, u, begin)
                 seen = replace(seen, position=position, velocity=velocity)
@@ -134,6 +142,8 @@ class Recording:
             yield RunData(
                 begin=begin,
                 certify=certificate,
+                observe=torques.of,
+                measured=measured,
                 u_applied=seen.effort @ np.linalg.inv(self.scenario.robot.B_m).T if reader.known_torque else None,
                 sample_period=self.sample_period,
                 lockstep=self.lockstep,
@@ -188,6 +198,22 @@ class EstimatedStates:
         estimate = np.array(rows).reshape(-1, 4 * n)
         self._last = estimate[-LEAD:]
         return estimate[:, : 2 * n], estimate[:, 2 * n :]
+
+
+class ExternalTorques:
+    """External torques by the scenario's observer, for parts of a run; a part that follows no other restarts it."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._observer = torque_observer(scenario.controller_values, scenario.robot)
+        self._rows, self._t = np.tile(self._observer.start, (LEAD, 1)), 0.0
+
+    def of(self, part: RunData) -> Array:
+        """Return the torques (k, n) [N m] at the states of a part."""
+        t, new = part.t, slice(part.begin, None)
+        rows = self._observer.along(t[new] - self._t, part.measured[new], part.velocity[new], self._rows[-1])
+        rows = np.concatenate([self._rows[LEAD - part.begin :], rows])
+        self._rows, self._t = np.concatenate([self._rows, rows])[-LEAD:], float(t[-1])
+        return rows[:, -part.u.shape[1] :]
 
 
 class RecordedReference:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fjr_core.config.controller import TORQUE_BANDWIDTH
 from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.timing import CountedTimes
 from fjr_monitor.report import html
@@ -68,7 +69,7 @@ class RunPlots:
     def all(self) -> list[Plot]:
         """Return the plots in the order of the page."""
         control = [self.tracking(), self.error(), self.effort(), self.storage(), self.rate(), self.balance()]
-        return [*control, self.period(), self.latency(), self.timeline()]
+        return [*control, self.external_torque(), self.period(), self.latency(), self.timeline()]
 
     def tracking(self) -> Plot:
         """Plot q_l over q_ld."""
@@ -124,6 +125,20 @@ class RunPlots:
             lines.append(Line("limit" if same else "", flat, shade, 1.0, (6, 4)))
             lines.append(Line("", -flat, shade, 1.0, (6, 4)))
         return lines
+
+    def external_torque(self) -> Plot:
+        """Plot the estimated external torques on the links."""
+        torque, unit = self._data.states["external_torque"], self._report.effort_unit
+        largest = np.nanmax(np.abs(torque), axis=0, initial=0.0)
+        bandwidth = self._data.run.scenario.controller_values[TORQUE_BANDWIDTH.name]
+        at = f" ({self._joints[int(largest.argmax())]})" if len(self._joints) > 1 else ""
+        title = f"External torque: at most {number(largest.max(), unit)}{at}"
+        caption = (
+            f"Estimated from spring torque and motion, with a bandwidth of {bandwidth:g} 1/s. Contact, payload, "
+            "friction of the links and model errors count."
+        )
+        label = f"external torque [{unit}]"
+        return Plot("external_torque", title, caption, self._t, self._per_joint(torque, width=1.2), y_label=label)
 
     def storage(self) -> Plot:
         """Plot V and its bound V(0) exp(-2 beta t) on a log axis; the caption explains why V leaves the bound."""

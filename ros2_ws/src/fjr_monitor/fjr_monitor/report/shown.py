@@ -57,7 +57,8 @@ class Columns:
 
 
 class Shown:
-    """Signals of a run. states: t, q_l, q_ld, error, u, V, H, since, latency; steps: rates of V, powers and energies.
+    """Signals of a run. states: t, q_l, q_ld, error, u, external_torque, V, H, since, latency; steps: rates of V,
+    powers and energies.
 
     since: send time of a state since that of the one before. frames: t, q_l, q_m, q_ld at FRAMES instants. deflection
     (n,): largest |q_m - q_l|, NaN: unknown. apart, size: sums of the error of the predicted rate of V and of the rate.
@@ -84,6 +85,7 @@ class Shown:
             error=part.error[new],
             largest_error=np.abs(part.error[new]).max(axis=1),
             u=part.u[new],
+            external_torque=part.external_torque[new],
             largest_effort=np.fmax.reduce(np.abs(part.u[new]), axis=1),
             V=part.V[new],
             H=certificate.H[new],

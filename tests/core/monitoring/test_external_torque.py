@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The momentum observer gives the torque on the links through a low-pass; the oracle is its closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fjr_core as fjr
+from core.oracles.cases import ARMS, HARD, TORSION, Arm, Array
+from core.oracles.chains import arm7
+from fjr_core.config.scenario import load_scenario
+from fjr_core.errors import ParameterError
+from fjr_core.monitoring.external_torque import ExternalTorqueObserver
+from fjr_core.runtime.velocity_observer import LONGEST_GAP
+from fjr_core.simulation.imperfections import Imperfections
+from fjr_core.simulation.nonideal_plant import NonidealPlant
+
+L = 40.0  # 1/s
+arms = pytest.mark.parametrize("arm", [*ARMS, *HARD, *TORSION, arm7()], ids=lambda arm: arm.name)
+
+
+def bent(arm: Arm, tau: Array) -> Array:
+    """Return the deflections (n,) at which the springs carry tau (n,) [N m]."""
+    if arm.torsion is not None:
+        return arm.torsion.each(lambda j, t: arm.torsion.deflection(j, t, np), tau)
+    if not arm.cubic.any():
+        return np.linalg.solve(arm.K, tau)
+    cubes = zip(arm.cubic, np.diag(arm.K), tau, strict=True)
+    return np.array([next(z.real for z in np.roots([c, 0, K, -t]) if abs(z.imag) < 1e-9) for c, K, t in cubes])
+
+
+def pushed(t: Array, n: int, size: float) -> tuple[Array, Array]:
+    """Return torques (k, n) that begin smoothly, and the same through the low-pass from rest, in closed form."""
+    a, w, t = size * np.linspace(1.0, -0.5, n), np.linspace(4.0, 9.0, n), t[:, None]
+    late = (L**2 * (np.cos(w * t) - np.exp(-L * t)) + L * w * np.sin(w * t)) / (L**2 + w**2)
+    return a * (1 - np.cos(w * t)), a * (1 - np.exp(-L * t) - late)
+
+
+def motion(arm: Arm, t: Array, tau: Array) -> tuple[Array, Array]:
+    """Return positions and velocities (k, 2n): links on sines, motors where the springs carry the link equation."""
+    rng, n = np.random.default_rng(3), arm.n
+    size, w, phase = 0.4, rng.uniform(2.0, 5.0, n), rng.uniform(0, 2 * np.pi, n)
+    angle = w * t[:, None] + phase
+    q, dq, ddq = size * np.sin(angle), size * w * np.cos(angle), -size * w**2 * np.sin(angle)
+    q_m = []
+    for k in range(len(t)):
+        M, C, weight = arm.links.M(q[k]), arm.links.C(q[k], dq[k]), arm.links.grad_P(q[k])
+        q_m.append(q[k] + bent(arm, M @ ddq[k] + C @ dq[k] + arm.D_l @ dq[k] + weight - tau[k]))
+    return np.hstack([q, q_m]), np.hstack([dq, rng.normal(size=dq.shape)])  # velocities of motors do not matter
+
+
+def error(arm: Arm, dt: float, size: float) -> float:
+    """Return the largest error [N m] of the estimate over 0.4 s."""
+    t = np.arange(round(0.4 / dt)) * dt
+    tau, wanted = pushed(t, arm.n, size)
+    found = ExternalTorqueObserver(arm.robot, L).along(t, *motion(arm, t, tau))
+    return float(np.abs(found[:, -arm.n :] - wanted).max())
+
+
+@arms
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_estimate_is_the_torque_through_the_low_pass_to_second_order(arm: Arm, size: float) -> None:
+    fine, coarse = (error(arm, dt, size) for dt in (1e-3, 2e-3))
+    assert fine < 2e-3 * max(1.0, np.abs(arm.robot.grad_P_l(np.full(arm.n, 0.4))).max())
+    assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("name", "joint", "torque"), [("two_link", 1, 0.8), ("arm7", 3, 5.0)])
+def test_step_on_one_joint_of_a_controlled_arm_is_seen_there(name: str, joint: int, torque: float) -> None:
+    scenario = load_scenario(f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml")
+    robot, law, reference, x = scenario.robot, scenario.tracking_law, scenario.reference, scenario.x0
+    plant, n, ideal = NonidealPlant(scenario.plant), robot.n, Imperfections(robot.n).vector
+    t, push, rows, state = np.arange(500) * 1e-3, np.zeros(n), [], np.append(x, np.zeros(2 * n))
+    for k in range(len(t)):
+        push[joint] = torque if k >= 300 else 0.0
+        rows.append((state[: 2 * n], np.concatenate(robot.velocities(state[: 4 * n]))))
+        u = law.measured_command(*rows[-1], reference.jets(t[k]))[0]
+        for _ in range(4):
+            state = plant.step(state, u, push, ideal, 0.25e-3)
+    found = ExternalTorqueObserver(robot, 50.0).along(t, *map(np.array, zip(*rows, strict=True)))[:, -n:]
+    wanted = np.zeros((len(t), n))
+    wanted[300:, joint] = torque * (1 - np.exp(-50.0 * (t[300:] - t[300])))
+    assert np.abs(found - wanted)[50:].max() < 0.01 * torque
+
+
+def test_restarts_and_continues() -> None:
+    """A missed sample continues, a repeated one changes nothing; a gap, a jump back or a bad value restarts."""
+    arm = ARMS[2]
+    t = np.arange(60) * 2e-3
+    tau, _ = pushed(t, 2, 1.0)
+    position, velocity = motion(arm, t, tau)
+    observer = ExternalTorqueObserver(arm.robot, L)
+    whole = observer.along(t, position, velocity)
+    first = observer.along(t[:30], position[:30], velocity[:30])
+    assert np.array_equal(
+        np.concatenate([first, observer.along(t[30:] - t[29], position[30:], velocity[30:], first[-1])]), whole
+    )
+    kept = np.delete(np.arange(60), 40)
+    missed = observer.along(t[kept], position[kept], velocity[kept])
+    assert np.abs(missed[-1] - whole[-1])[-2:].max() < 1e-3
+    again = np.insert(np.arange(60), 40, 39)
+    assert np.array_equal(observer.along(t[again], position[again], velocity[again])[-1], whole[-1])
+    for jump in (1.01 * LONGEST_GAP, -0.01):
+        late = np.where(t < t[30], t, t + jump)
+        found = observer.along(late, position, velocity)
+        assert not found[30, -2:].any()
+        assert found[31, -2:].any()
+    broken = velocity.copy()
+    broken[30, 0] = np.nan
+    found = observer.along(t, position, broken)
+    assert np.isnan(found[30, -2])
+    assert not found[31, -2:].any()
+    assert np.isfinite(found[31:]).all()
+
+
+def test_parameters_that_make_no_sense_are_refused() -> None:
+    for bandwidth in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(ParameterError, match="bandwidth"):
+            ExternalTorqueObserver(fjr.single_link(), bandwidth)

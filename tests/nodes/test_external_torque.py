@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller publishes the torque that is sent to the plant's ~/external_torque, through a low-pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import signal
+from sensor_msgs.msg import JointState
+
+from nodes.harness import Listener, Ros, nanoseconds
+
+STEP = 0.3  # N m
+L = 30.0  # 1/s
+SAMPLES = 500
+OBSERVED = {"measurement__velocity": "observer", "measurement__observer_bandwidth": 200.0}
+
+
+@pytest.mark.parametrize(
+    ("more", "poles", "tolerance"),
+    [({}, [-L], 1e-3), ({"compile": False}, [-L], 1e-3), (OBSERVED, [-L, -200.0, -200.0], 0.07)],
+    ids=["measured", "in Python", "observed"],
+)
+def test_torque_on_the_plant_is_published_through_the_low_pass(
+    ros: Ros, more: dict[str, Any], poles: list[float], tolerance: float
+) -> None:
+    """With estimated velocities also through their observer; damping times their error, 0.2 / 0.031 * 2 / 200, adds."""
+    peer, found = Listener(ros, only=()), []
+    peer.create_subscription(JointState, "fjr_controller/external_torque", found.append, 1000)
+    publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
+    ros.controller(use_sim_time=True, external_torque_bandwidth=L, **more)
+    start = {"initial_link_position": [0.5], "initial_motor_position": [0.5]}
+    node = ros.plant(lockstep=True, start_paused=True, advance_samples=SAMPLES, **start)
+    ros.until(lambda: ros.matched(publisher))
+
+    def advanced() -> np.ndarray:
+        """Advance the plant, which repeats its state; return the estimates at this state and the next SAMPLES."""
+        begin = len(found)
+        assert peer.advance().success
+        ros.until(lambda: len(found) == begin + 1 + SAMPLES, "the estimates")
+        return np.array([message.effort[0] for message in found[begin:]])
+
+    assert np.abs(advanced()[-100:]).max() < tolerance * STEP
+    publisher.publish(JointState(name=["joint1"], effort=[STEP]))
+    ros.until(lambda: node._health.count["external torques received"] == 1)
+    t = np.arange(SAMPLES + 1) * 1e-3
+    wanted = STEP * signal.step(signal.ZerosPolesGain([], poles, np.prod(np.negative(poles))), T=t)[1]
+    assert advanced() == pytest.approx(wanted, abs=tolerance * STEP)
+    assert {tuple(message.name) for message in found} == {("joint1",)}
+    assert nanoseconds(found[-1]) - nanoseconds(found[0]) == 2 * SAMPLES * 1_000_000
