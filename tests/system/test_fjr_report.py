@@ -28,7 +28,7 @@ from system.executables import fjr_here, scenario
 
 pytestmark = pytest.mark.system
 STATES, ANSWERS, EFFORTS = "/joint_states", "/joint_commands", "/effort_controller/commands"
-REFERENCE = "/fjr_controller/reference"
+REFERENCE, TORQUE = "/fjr_controller/reference", "/fjr_controller/external_torque"
 OURS = (STATES, ANSWERS, EFFORTS, REFERENCE)
 
 
@@ -174,6 +174,20 @@ def test_velocities_are_estimated_if_not_measured(run: Path, tmp_path: Path, mod
     assert "observer" in recording.notes[0]
     late = data.t > 0.3
     assert np.abs(data.velocity - whole.velocity)[late].max() < 0.02 * np.abs(whole.velocity).max()
+
+
+def test_external_torque_is_that_of_the_topic_and_none_in_a_free_motion(
+    run: Path, tmp_path: Path, model: Scenario, whole: RunData
+) -> None:
+    bag = read_bag(run)
+    batch = next(bag.batches((TORQUE,), TORQUE, 10_000))
+    published = bag.table(batch[TORQUE], model.joints)
+    np.testing.assert_allclose(whole.external_torque, published.effort[: len(whole.t)], rtol=0, atol=1e-12)
+    free = rewritten(run / "bag", tmp_path / "copy", change=without(lambda _: True, "velocity"))
+    estimated = read(free, model)[1].external_torque
+    assert np.isnan(estimated[:5]).all()
+    for found, largest in ((whole.external_torque, 1e-3), (estimated[5:], 0.1)):
+        assert np.abs(found[-100:]).max() < largest
 
 
 def test_another_reference_than_the_scenarios_is_differentiated(run: Path, tmp_path: Path, whole: RunData) -> None:

@@ -53,7 +53,8 @@ class ExternalTorqueObserver:
         """The CasADi function (kept, position, velocity, bandwidth, dt) -> kept at this sample.
 
         kept (3n,): p_l, its rate without tau, r [N m]. position, velocity (2n,) [rad, rad/s]. dt [s]: since the last
-        sample. With dt below 0 or above LONGEST_GAP, or a kept value that is not finite, r restarts from 0.
+        sample. With dt below 0 or above LONGEST_GAP, or a kept value that is not finite, r restarts from 0. All of r is
+        NaN at a sample whose values are not finite.
         """
         if not self._compile:
             return self._function()
@@ -65,8 +66,9 @@ class ExternalTorqueObserver:
         parts, dt = PackedVector({"p": n, "f": n, "r": n}), s["dt"]
         kept = parts.unpack(s["kept"])
         p, f = (each[:n] for each in momenta(self.robot)(s["position"], s["velocity"]))
-        follows = ca.logic_and(ca.fabs(ca.sum1(s["kept"])) < ca.inf, ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
+        follows = ca.logic_and(_finite(s["kept"]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
         r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
+        r = ca.if_else(_finite(ca.vertcat(p, f)), r, np.nan)
         return dense_function("external_torque", s, {"next": parts.pack({"p": p, "f": f, "r": r})})
 
     def along(self, t: Array, position: Array, velocity: Array, before: Array | None = None) -> Array:
@@ -80,3 +82,8 @@ class ExternalTorqueObserver:
         bandwidth, dt = np.full((1, len(t)), self.bandwidth), np.diff(t, prepend=0.0)[None]
         found = self.function.mapaccum("along", len(t))(kept, position.T, velocity.T, bandwidth, dt)
         return np.asarray(found.full().T)
+
+
+def _finite(values: ca.MX) -> ca.MX:
+    """Return 1 if all values are finite, else 0."""
+    return ca.sum1(ca.fabs(values)) < np.inf

@@ -398,7 +398,7 @@ void fjr_certificate_restart(struct fjr_certificate* c);
 /* Evaluate the certificate of a command; return 0 if a function failed. */
 int fjr_certify(struct fjr_certificate* c, const struct fjr_command* command, int64_t stamp, struct fjr_certified* found);
 
-/* Write the external torques on the links [N m] at the sample that was answered last; return 1 if they are finite. */
+/* Write the external torques on the links [N m] at the sample that was answered last; return 1 if they are known. */
 int fjr_observe_torque(struct fjr_torque_observer* o, const struct fjr_model* m, const struct fjr_controller* c,
                        const struct fjr_sample* sample, double* torque);
 

@@ -90,6 +90,11 @@ class VelocityObserver:
         """Estimate (4n,): smoothed q_l, q_m [rad] and dq_l, dq_m [rad/s]; valid until the next update."""
         return self._x_hat
 
+    @property
+    def samples(self) -> int:
+        """Number of samples since the last reset; the control step uses velocities from the sample OBSERVED on."""
+        return self._k
+
     @cached_property
     def function(self) -> ca.Function:
         """The CasADi function (x_hat, y, u, dt, gain) -> x_hat at the next sample; compiled if requested.

@@ -23,6 +23,7 @@ from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import STARTS_REFUSED, STOPS
+from fjr_core.runtime.library import constant
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_monitor.diagnosis.record import LEAD, PART, Record
 from fjr_monitor.recording.bag import Bag, JointTable
@@ -33,6 +34,7 @@ from fjr_msgs_py.node.reports import STAMP
 OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
 HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
 SAME = 1e-9  # rad, rad/s, relative to the size of the reference: resolution of stamps in ns
+SETTLED = constant("OBSERVED")
 DEGREE = 5  # of the spline through the recorded velocities: its third derivative is d4q_ld
 
 
@@ -46,7 +48,7 @@ class RunData(Record):
     answered: Array  # (k,) s, send time of its command, NaN: none
     certify: Callable[[RunData], CertificateSeries]
     observe: Callable[[RunData], Array]
-    measured: Array  # (k, 2n) rad, positions as measured, also where `position` is an observer's
+    measured: Array  # (k, 2n) rad, positions as measured; NaN while velocities of an observer settle
     torque: Array  # (k, n) N m, measured at the motors
 
     @cached_property
@@ -133,9 +135,9 @@ class Recording:
             t = np.asarray((states.stamp - start) * 1e-9, dtype=np.float64)
             jets = reference.jets(recorded, states.stamp, t)[cut]
             seen, u, answered, t = states.rows(cut), u[cut], answered[cut], t[cut]
-            measured = seen.position
             if estimate is not None:
                 position, velocity = estimate.of(seen, u, begin)
+                measured = np.where(estimate.settled[:, None], seen.position, np.nan)
                 seen = replace(seen, position=position, velocity=velocity)
             first_sent, count = first_sent or int(seen.publish_time[0]), count + new.stop - new.start
             stop.add(seen.stamp, seen.publish_time, t)
@@ -143,7 +145,7 @@ class Recording:
                 begin=begin,
                 certify=certificate,
                 observe=torques.of,
-                measured=measured,
+                measured=seen.position if estimate is None else measured,
                 u_applied=seen.effort @ np.linalg.inv(self.scenario.robot.B_m).T if reader.known_torque else None,
                 sample_period=self.sample_period,
                 lockstep=self.lockstep,
@@ -175,7 +177,10 @@ class Recording:
 
 
 class EstimatedStates:
-    """Positions and velocities by the scenario's observer, for states that come in parts."""
+    """Positions and velocities by the scenario's observer, for states that come in parts.
+
+    settled (k,): whether the velocities of the last part may be used.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         values, n = scenario.controller_values, scenario.robot.n
@@ -189,11 +194,12 @@ class EstimatedStates:
 
         The first `begin` states are the last ones of the part before.
         """
-        n, rows = self._n, [*self._last[len(self._last) - begin :]]
+        n, rows, self.settled = self._n, [*self._last[len(self._last) - begin :]], np.ones(len(u), dtype=bool)
         for k in range(begin, len(u)):
             q = states.position[k]
             self._observer.update(int(states.stamp[k]), q[:n], q[n:], self._effort)
             rows.append(self._observer.state.copy())
+            self.settled[k] = self._observer.samples >= SETTLED
             self._effort = np.nan_to_num(u[k])
         estimate = np.array(rows).reshape(-1, 4 * n)
         self._last = estimate[-LEAD:]
