@@ -33,6 +33,7 @@ LONGEST_FIRST = (
     "system/test_labelled_set.py",
     "system/test_fjr_tune.py",
     "system/test_closed_loop.py",
+    "engines/test_film.py",
     "system/test_identify_measurements.py",
     "system/test_compare.py",
     "system/test_records.py",

@@ -11,6 +11,7 @@ from fjr_msgs_py.console import options
 from fjr_msgs_py.console.options import (
     command,
     duration_option,
+    film_option,
     force_over_ros2,
     implementation,
     output_option,
@@ -50,6 +51,7 @@ def demo(**given: Any) -> Any:
 @click.option("--engine", metavar="NAME", help="Simulator of the plant: own, mujoco, drake; --set engine:=NAME.")
 @click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
 @click.option("--no-report", is_flag=True, help="Write report.json only, no page and no picture.")
+@film_option
 @set_option
 @stamped_duration
 @runs_folder

@@ -12,12 +12,13 @@ from typing import Any
 
 from fjr_bringup import runner
 from fjr_bringup.runner import RunError, RunPlan
-from fjr_core.errors import FjrError
+from fjr_core.errors import FjrError, ParameterError
+from fjr_core.files import importing
 from fjr_core.numerics.jit import c_compiler
 from fjr_design.cli.preflight import refuse_coarse_steps, refuse_unstable
 from fjr_monitor.recording.files import BagError
 from fjr_monitor.report.comparison_page import Claim, paper_claim
-from fjr_monitor.report.shown import RunSummary
+from fjr_monitor.report.shown import RunSummary, arm_replay
 from fjr_monitor.report.write import compare, output_paths, play_hint, report_run, stops, table
 from fjr_msgs_py.console.ending import Exit, stoppable
 from fjr_msgs_py.console.output import Result, percent, phase
@@ -48,18 +49,26 @@ def run_scenario(
     engine: str | None,
     force: bool,
     no_report: bool,
+    film: Path | None = None,
 ) -> Result:
     """Run one scenario for `duration` [s] and report it; force: even if it is unstable as sampled.
 
     engine: the parameter of the plant node, None for that of the scenario. no_report: write report.json without page
-    and picture.
+    and picture. film: file of a moving picture.
     """
+    if film is not None:
+        importing.module("fjr_engines.film").check(film)
+        if no_report:
+            raise ParameterError("--film draws the motion of the page; expected it without --no-report")
     overrides = library.parse_assignments(assignments)
     if engine:
         overrides["engine"] = engine
     if lockstep:
         overrides = {**LOCKSTEP, **overrides, "lockstep": True}
-    return _result([_record_and_report(_plan(scenario, overrides, duration, output, force), not no_report)])
+    summary = _record_and_report(_plan(scenario, overrides, duration, output, force), not no_report)
+    if film is not None:
+        importing.module("fjr_engines.film").film(arm_replay(summary.data), film)
+    return _result([summary])
 
 
 def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:

@@ -12,6 +12,7 @@ from fjr_msgs_py.console.options import (
     COMMANDS,
     command,
     duration_option,
+    film_option,
     force_over_ros2,
     implementation,
     json_lines,
@@ -31,6 +32,7 @@ from fjr_msgs_py.console.options import (
     show_default=False,
     help="Namespace of the nodes, if the bag holds several.",
 )
+@film_option
 def report(**given: Any) -> Any:
     """Write pages and figures from bags of any robot.
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import FjrError, RecordError
+from fjr_core.files import importing
 from fjr_core.files.text_file import read_json
 from fjr_monitor.recording.bag import Bag, bag_folder, read_bag
 from fjr_monitor.recording.files import files_of
@@ -192,11 +193,18 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
-def report(bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str) -> Result:
+def report(
+    bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str, film: Path | None = None
+) -> Result:
     """Report each bag, and compare them if there are several; the result has failed if any bag failed.
 
     scenario: of the robot; None: that next to each bag. output: folder of the reports; None: next to each bag.
+    film: file of a moving picture of the only bag.
     """
+    if film is not None and len(bags) > 1:
+        raise RecordError(f"--film shows one bag; {len(bags)} are given; expected one")
+    if film is not None:
+        importing.module("fjr_engines.film").check(film)
     summaries: list[RunSummary] = []
     failures: list[str] = []
     namespace = f"/{namespace}" if (namespace := namespace.strip("/")) else ""
@@ -217,6 +225,8 @@ def report(bags: Sequence[Path], scenario: str | None, output: Path | None, name
     if not summaries:
         print("".join(f"fjr: {failure}\n" for failure in failures[:-1]), end="", file=sys.stderr)
         raise RecordError(failures[-1])
+    if film is not None:
+        importing.module("fjr_engines.film").film(arm_replay(summaries[0].data), film)
     names = [each.label for each in summaries]  # or the folder if two runs have the same scenario
     summaries = [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
     missing = [f"{each.label}: {note}" for each in summaries for note in each.report.missing]

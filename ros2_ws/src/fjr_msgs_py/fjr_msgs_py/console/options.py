@@ -137,6 +137,9 @@ set_option = click.option(
     help="Change a parameter, e.g. robot.joint_stiffness:=[10.0]; may be repeated.",
 )
 
+film_option = click.option(
+    "--film", type=PATH, metavar="FILE", help="Draw the motion as a moving picture, .gif, .png or .mp4."
+)
 json_lines = click.option("--json", "as_json", is_flag=True, help="Print each as JSON in one line.")
 force_over_ros2 = click.option("--force", is_flag=True, help="Run although ros2 is on the PATH.")
 

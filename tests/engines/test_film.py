@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A film of a recorded run: frames, size and duration as asked for, the motion in it, and what is refused."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from fjr_core.errors import ParameterError
+from fjr_engines import film
+from fjr_engines.film import HEIGHT, PERIOD, WIDTH, FilmError, check
+from system.executables import fjr_here
+from system.shared_runs import DURATION, shared_run
+
+pytestmark = pytest.mark.system
+needs_a_browser = pytest.mark.skipif(
+    not any(map(shutil.which, film.BROWSERS)), reason="no Chromium here: install the package chromium"
+)
+
+
+def program(folder: Path, name: str, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a shell script of this name at the beginning of the path."""
+    (folder / name).write_text(f"#!/bin/sh\n{text}\n")
+    (folder / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(folder), prepend=":")
+
+
+@needs_a_browser
+@pytest.mark.parametrize("ending", ["gif", "png"])
+def test_a_film_shows_the_motion_in_its_time(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, ending: str
+) -> None:
+    run, file = shared_run(tmp_path_factory, "arm7"), tmp_path / f"arm7.{ending}"
+    fjr_here("report", str(run), "--output", str(tmp_path / "report"), "--film", str(file))
+    with Image.open(file) as moving:
+        frames = [np.asarray(frame.convert("RGB"), dtype=float) for frame in ImageSequence.Iterator(moving)]
+        durations = {frame.info["duration"] for frame in ImageSequence.Iterator(moving)}
+    assert len(frames) == round(DURATION["arm7"] / PERIOD)
+    assert {frame.shape for frame in frames} == {(HEIGHT, WIDTH, 3)}
+    assert durations == {1e3 * PERIOD}
+    assert file.stat().st_size < 500e3
+    settled, half, period = (frames[round(t / PERIOD)] for t in (0.96, 1.96, 2.96))  # the reference repeats after 2 s
+    assert np.abs(settled - half).mean() > 10 * np.abs(settled - period).mean()
+
+
+def test_the_frames_of_mp4_go_to_ffmpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program(tmp_path, "ffmpeg", f'echo "$@" > {tmp_path}/asked; cat > {tmp_path}/pixels', monkeypatch)
+    frames = [Image.new("RGB", (WIDTH, HEIGHT), (shade, 0, 0)) for shade in (10, 20)]
+    film.save(frames, tmp_path / "arm.mp4")
+    asked = (tmp_path / "asked").read_text()
+    assert f"-video_size {WIDTH}x{HEIGHT} -framerate {1 / PERIOD:g} -i -" in asked
+    assert asked.split()[-1] == str(tmp_path / "arm.mp4")
+    pixels = np.fromfile(tmp_path / "pixels", np.uint8).reshape(2, HEIGHT, WIDTH, 3)
+    assert [tuple(frame[0, 0]) for frame in pixels] == [(10, 0, 0), (20, 0, 0)]
+
+
+def test_ffmpeg_that_fails_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program(tmp_path, "ffmpeg", "exit 1", monkeypatch)
+    with pytest.raises(FilmError, match="ffmpeg did not write"):
+        film.save([Image.new("RGB", (WIDTH, HEIGHT))], tmp_path / "arm.mp4")
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "sentence"),
+    [
+        ("arm.avi", 2, "is no film; expected a name that ends with one of .gif, .png, .apng, .mp4"),
+        ("arm.mp4", 1, "needs ffmpeg; expected it from: apt-get install ffmpeg"),
+        ("arm.gif", 1, "needs a browser, .* expected one from: apt-get install chromium"),
+    ],
+)
+def test_what_is_missing_is_named_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, code: int, sentence: str
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises((FilmError, ParameterError), match=sentence):
+        check(Path(name))
+    said = fjr_here("run", "paper_k31", "--output", str(tmp_path), "--film", name, code=code)
+    assert said.startswith(f"fjr: {name} ")
+    assert len(said.splitlines()) == 1
+
+
+def test_a_browser_that_draws_nothing_is_named(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shared_run(tmp_path_factory, "arm7")
+    program(tmp_path, "chromium", "exit 0", monkeypatch)
+    said = fjr_here("report", str(run), "--output", str(tmp_path), "--film", str(tmp_path / "a.gif"), code=1)
+    assert "chromium drew 0 of 40 frames; expected a browser with WebGL" in said
+
+
+def test_a_film_shows_one_bag(tmp_path: Path) -> None:
+    said = fjr_here("report", str(tmp_path), str(tmp_path), "--film", "arm.gif", code=2)
+    assert "--film shows one bag; 2 are given; expected one" in said
