@@ -29,7 +29,7 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-.PHONY: help demo test test-all bench faults hosts compare robots docs lint wheels build check clean
+.PHONY: help demo test test-all bench faults hosts compare robots engines docs lint wheels build check clean
 .DEFAULT_GOAL := help
 
 help:  ## print this list
@@ -70,6 +70,12 @@ robots: ## try `fjr new` on public robots, an hour, and write docs/tables/robots
 	$(SETUP) test
 	@$(ENTER) && "$(VENV)/bin/python" -m pip install --quiet --no-deps --constraint constraints.txt \
 		--requirement requirements/robots.txt && exec "$(VENV)/bin/python" -m tools.robot_survey
+
+engines: ## move robots by MuJoCo, by Drake and by the own plant, 15 minutes, and write docs/tables/engines.md
+	$(SETUP) test
+	@$(ENTER) && "$(VENV)/bin/python" -m pip install --quiet --constraint constraints.txt --requirement requirements/drake.txt && \
+		"$(VENV)/bin/python" -m pip install --quiet --no-deps --constraint constraints.txt \
+		--requirement requirements/robots.txt && PYTHONPATH="tools:$$PYTHONPATH" exec "$(VENV)/bin/python" -m engine_survey
 
 docs: ## build the pages and the API reference into build/docs/html; a warning is an error
 	$(SETUP) docs

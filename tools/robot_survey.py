@@ -131,29 +131,38 @@ def kept_result(robot: PublicRobot) -> Path:
     return FOLDER / f"{re.sub(r'[^a-z0-9]+', '_', robot.name.lower()).strip('_')}.json"
 
 
+def scenario_file(robot: PublicRobot) -> Path:
+    """Return the scenario that `fjr new` writes."""
+    return kept_result(robot).with_suffix(".yaml")
+
+
+def new_command(robot: PublicRobot) -> tuple[str, ...]:
+    """Return the command that writes the scenario of a robot."""
+    return "new", str(robot.urdf), "--name", kept_result(robot).stem, "--output", str(FOLDER), "--force"
+
+
 def outcome(robot: PublicRobot) -> Outcome:
     """Run the three commands, or read the kept result."""
     kept = kept_result(robot)
-    stem = kept.stem
     if not kept.exists():
         FOLDER.mkdir(parents=True, exist_ok=True)
         found: dict[str, Any] = {"new": {}, "check": {}, "run": {}, "refusal": ""}
-        scenario = str(FOLDER / f"{stem}.yaml")
+        scenario = str(scenario_file(robot))
         runs = ("--lockstep", "--duration", str(DURATION), "--no-report", "--output", str(FOLDER / "runs"))
         commands = {
-            "new": ("new", str(robot.urdf), "--name", stem, "--output", str(FOLDER), "--force"),
+            "new": new_command(robot),
             "check": ("check", scenario),
             "run": ("run", scenario, *runs, "--set", "compile:=false"),
         }
         for name, command in commands.items():
-            found[name], found["refusal"] = _fjr(*command)
+            found[name], found["refusal"] = run_fjr(*command)
             if found["refusal"]:
                 break
         kept.write_text(json.dumps(found), encoding="utf-8")
     return Outcome(robot.name, **json.loads(kept.read_text(encoding="utf-8")))
 
 
-def _fjr(*command: str) -> tuple[dict[str, Any], str]:
+def run_fjr(*command: str) -> tuple[dict[str, Any], str]:
     """Return the JSON result of a command, and why it failed if it did."""
     done = subprocess.run(["fjr", *command, "--json"], capture_output=True, text=True)
     said = [line for line in done.stderr.splitlines() if line.startswith("fjr: ")]

@@ -20,7 +20,10 @@ from system.shared_runs import DURATION, shared_run
 pytestmark = pytest.mark.system
 SCENARIOS = ("paper_k31", "paper_k3p1", "two_link", "arm7")
 TOGETHER = ("paper_k31", "two_link")
-FIGURES = ["tracking", "error", "effort", "storage", "rate", "power", "period", "latency", "timeline"]
+FIGURES = [
+    *("tracking", "error", "effort", "storage", "rate", "power"),
+    *("external_torque", "period", "latency", "timeline"),
+]
 COMPARED = ["error", "effort", "storage", "latency", "period"]
 LARGEST = 3e6  # bytes of a page
 # Number of all pixels of the picture, and of opaque ones: those of the arm, not of ground and ghosts.

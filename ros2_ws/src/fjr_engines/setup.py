@@ -17,6 +17,7 @@ setup(
     extras_require={
         "commands": ["fjr_msgs_py[commands]", "fjr_design[commands]", "click>=8.2"],
         "mujoco": ["mujoco>=3.17"],
+        "drake": ["drake>=1.40"],
     },  # rclpy and messages: from ROS 2, or its wheels
     zip_safe=True,
     maintainer="The fjr authors",
@@ -25,6 +26,9 @@ setup(
     license="Apache-2.0",
     entry_points={
         "fjr.commands": ["engines = fjr_engines.cli.commands"],
-        "fjr.engines": ["mujoco = fjr_engines.mujoco:MujocoEngine"],
+        "fjr.engines": [
+            "mujoco = fjr_engines.mujoco:MujocoEngine",
+            "drake = fjr_engines.drake:DrakeEngine",
+        ],
     },
 )

@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 
 from fjr_core.errors import ParameterError
-from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array
+from fjr_core.model.rigid_arm import tip_frame
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
@@ -26,6 +25,8 @@ DISABLED = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_L
 class MujocoEngine:
     """MuJoCo in place of the plant's own integrator (fjr_plant.engine.Engine); model, data: of MuJoCo."""
 
+    in_python = False
+
     def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> None:
         """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
         if plant.plant.in_python or plant.plant.integrator != "rk4":
@@ -38,7 +39,7 @@ class MujocoEngine:
         self.model = spec.compile()
         exact_inertia(self.model, plant.robot, joints)
         self.data = mujoco.MjData(self.model)
-        self._tip = tip_frame(plant.robot)
+        self._tip = tip_frame(plant.robot.links)
         self._build(plant, [*joints, *(joint + MOTOR for joint in joints)])
         handle = int(self._program.ffi.cast("intptr_t", self._state))
         function = self._program.ffi.addressof(self._program.lib, "fjr_mujoco_advance")
@@ -85,13 +86,3 @@ class MujocoEngine:
             },
         )
         self._space.lend(self._state)
-
-
-def tip_frame(robot: Robot) -> tuple[Array, Array]:
-    """Return rotation (3, 3) and origin (3,) [m] of the end-effector frame in the frame of the last body."""
-    R, r, tip = np.eye(3), np.zeros(3), robot.links.end_effector
-    assert tip is not None  # of a robot that has a specification
-    for body in robot.links.bodies:
-        R, r = R @ np.asarray(body.rotation), r + R @ np.asarray(body.translation)
-    points = [tip.position(np.zeros(robot.n), point).full().ravel() for point in np.vstack([np.zeros(3), np.eye(3)])]
-    return R.T @ (np.array(points[1:]) - points[0]).T, R.T @ (points[0] - r)

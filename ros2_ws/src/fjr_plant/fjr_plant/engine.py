@@ -7,9 +7,9 @@ do not know which simulator moved it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import entry_points
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from fjr_core.config.parameter import Values
 from fjr_core.config.plant import ENGINE, OWN
@@ -24,9 +24,10 @@ PACKAGE = "fjr_engines"
 class Engine(Protocol):
     """A simulator; advance, handle: the members engine_advance and engine of struct fjr_robot, in its `ffi`.
 
-    advance may run on any thread, one at a time.
+    advance may run on any thread, one at a time. in_python: it calls Python at each step, in lock-step only.
     """
 
+    in_python: ClassVar[bool]
     advance: Any
     handle: Any
 
@@ -37,17 +38,19 @@ class Engine(Protocol):
         """Forget what is kept between two steps, because the robot is back at its initial state."""
 
 
-EngineKind = Callable[[NonidealPlant, Sequence[str], int, Any], Engine]
-"""Constructor of a simulator: (plant, names of the joints, inner step [ns], cffi's FFI of robot.h) -> Engine.
+class EngineKind(Protocol):
+    """Constructor of a simulator, with its in_python; inner_step [ns], ffi: cffi's FFI of robot.h."""
 
-It raises ParameterError or RobotError for a robot that the simulator cannot express.
-"""
+    in_python: bool
+
+    def __call__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> Engine:
+        """Build it; raise ParameterError or RobotError for a robot that the simulator cannot express."""
 
 
 def engine_kind(values: Values) -> EngineKind | None:
     """Return the constructor of the simulator that the parameters of the plant name, None for the plant's own.
 
-    Raises ParameterError for one that is not installed, and for what no other simulator has.
+    Raises ParameterError for one that is not installed, and in real time for one that calls Python.
     """
     name = str(values[ENGINE.name])
     if name == OWN:
@@ -57,9 +60,11 @@ def engine_kind(values: Values) -> EngineKind | None:
         raise ParameterError(f"parameter '{ENGINE.name}' is '{name}'; expected the package {PACKAGE} beside fjr_plant")
     try:
         kind: EngineKind = found[name].load()
-        return kind
     except ModuleNotFoundError as error:
         raise ParameterError(
             f"parameter '{ENGINE.name}' is '{name}', but {error.name} is not installed; expected it from: "
             f"pip install {name}"
         ) from None
+    if kind.in_python and not values["lockstep"]:
+        raise ParameterError(f"parameter '{ENGINE.name}' is '{name}' in real time; expected lockstep: true")
+    return kind

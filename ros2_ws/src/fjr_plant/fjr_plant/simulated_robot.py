@@ -240,7 +240,8 @@ class SimulatedRobot:
     @property
     def in_machine_code(self) -> bool:
         """True if no function needs Python."""
-        return all(machine_code(each.function) is not None for each in self._functions.values())
+        own = all(machine_code(each.function) is not None for each in self._functions.values())
+        return own and not (self._engine and self._engine.in_python)
 
     def _use(self, imperfections: Imperfections) -> None:
         """Check imperfections and use them from now on. Raises ParameterError, then nothing has changed."""

@@ -90,6 +90,16 @@ class EndEffector:
     gravity: Array
 
 
+def tip_frame(links: ArmDynamics) -> tuple[Array, Array]:
+    """Return rotation (3, 3) and origin (3,) [m] of the end-effector frame in the frame of the last body."""
+    R, r, tip = np.eye(3), np.zeros(3), links.end_effector
+    assert tip is not None  # of links with bodies
+    for body in links.bodies:
+        R, r = R @ np.asarray(body.rotation), r + R @ np.asarray(body.translation)
+    points = [tip.position(np.zeros(links.n), point).full().ravel() for point in np.vstack([np.zeros(3), np.eye(3)])]
+    return R.T @ (np.array(points[1:]) - points[0]).T, R.T @ (points[0] - r)
+
+
 def closed_form(
     n: int,
     inertia: Callable[[ca.SX], ca.SX],

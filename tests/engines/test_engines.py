@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo moves the robot of eq. (36): MuJoCo, SciPy and the plant's own integrator agree, with each imperfection."""
+"""Engines move the robot of eq. (36): each, SciPy and the plant's own integrator agree, with each imperfection."""
 
 from __future__ import annotations
 
 import builtins
 import sys
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,17 @@ import fjr_core as fjr
 from core.oracles.chains import random_urdf
 from fjr_core.errors import FjrError
 from fjr_core.simulation.imperfections import Imperfections
-from fjr_engines.mujoco import MujocoEngine
 from fjr_plant.engine import engine_kind
 from fjr_plant.simulated_robot import SimulatedRobot
 
 Array = NDArray[Any]
+WHEELS = {"mujoco": "mujoco", "drake": "pydrake"}
+ORDERS = {"mujoco": (3.5, 4.7), "drake": (4.5, 5.7)}
+MISSING = {
+    name: pytest.mark.skipif(find_spec(wheel) is None, reason=f"{name} is not installed")
+    for name, wheel in WHEELS.items()
+}
+engines = pytest.mark.parametrize("engine", [pytest.param(name, marks=mark) for name, mark in MISSING.items()])
 INNER = 250_000  # ns
 SAMPLE = 1_000_000  # ns
 """Inner step and sample period."""
@@ -42,17 +49,16 @@ robots = pytest.mark.parametrize("robot", [make() for make in ROBOTS.values()], 
 
 def moved(
     robot: fjr.Robot,
-    mujoco: bool,
+    engine: str = "own",
     imperfections: Imperfections | None = None,
     inner_step: int = INNER,
     plant: fjr.Plant | None = None,
 ) -> SimulatedRobot:
     """Return a simulated robot that moves at the start."""
-
     k = np.arange(1, robot.n + 1)
     x0 = robot.state(0.4 / k, 0.45 / k, 0.3 * k, -0.2 * k)
-    joints, engine = [f"a{k}" for k in range(robot.n)], MujocoEngine if mujoco else None
-    return SimulatedRobot(plant or fjr.Plant(robot), x0, inner_step, imperfections, engine=engine, joints=joints)
+    joints, kind = [f"a{k}" for k in range(robot.n)], engine_kind({"engine": engine, "lockstep": True})
+    return SimulatedRobot(plant or fjr.Plant(robot), x0, inner_step, imperfections, engine=kind, joints=joints)
 
 
 def run(simulated: SimulatedRobot, samples: int = 100, external: float = 0.0) -> Array:
@@ -66,32 +72,36 @@ def run(simulated: SimulatedRobot, samples: int = 100, external: float = 0.0) ->
     return np.array(rows)
 
 
+@engines
 @robots
-def test_motion_is_the_solution_of_eq_36(robot: fjr.Robot) -> None:
+def test_motion_is_the_solution_of_eq_36(robot: fjr.Robot, engine: str) -> None:
     """Under a constant effort, by SciPy's method of order 8 from the Hamiltonian form."""
-    simulated, plant, u = moved(robot, mujoco=True), fjr.Plant(robot), np.linspace(0.5, 1.5, robot.n)
+    simulated, plant, u = moved(robot, engine), fjr.Plant(robot), np.linspace(0.5, 1.5, robot.n)
     exact = solve_ivp(lambda _, x: plant.derivative(x, u), (0, 0.1), simulated.x, "DOP853", rtol=1e-12, atol=1e-13)
     simulated.u = u
     simulated.advance_to(100 * SAMPLE)
     np.testing.assert_allclose(simulated.x, exact.y[:, -1], rtol=0, atol=2e-8)
 
 
+@engines
 @robots
-def test_error_falls_with_the_fourth_power_of_the_step(robot: fjr.Robot) -> None:
+def test_error_falls_with_the_order_of_the_integrator(robot: fjr.Robot, engine: str) -> None:
     plant, u, errors = fjr.Plant(robot), np.ones(robot.n), []
     for inner_step in (8 * INNER, 4 * INNER):
-        simulated = moved(robot, mujoco=True, inner_step=inner_step)
+        simulated = moved(robot, engine, inner_step=inner_step)
         start = simulated.x
         simulated.u = u
         simulated.advance_to(96 * SAMPLE)
         exact = solve_ivp(lambda _, x: plant.derivative(x, u), (0, 0.096), start, "DOP853", rtol=1e-12, atol=1e-13)
         errors.append(np.max(np.abs(simulated.x - exact.y[:, -1])))
-    assert 3.5 < np.log2(errors[0] / errors[1]) < 4.7
+    low, high = ORDERS[engine]
+    assert low < np.log2(errors[0] / errors[1]) < high
 
 
+@engines
 @robots
-def test_all_imperfections_act_as_in_the_own_plant(robot: fjr.Robot) -> None:
-    """Two integrators of order 4 of the same equation in other coordinates; without friction's corner."""
+def test_all_imperfections_act_as_in_the_own_plant(robot: fjr.Robot, engine: str) -> None:
+    """Two integrators of the same equation in other coordinates; short steps resolve the corner of friction."""
     k = 1 + 0.3 * np.arange(robot.n)
     bad = Imperfections(
         robot.n,
@@ -108,14 +118,15 @@ def test_all_imperfections_act_as_in_the_own_plant(robot: fjr.Robot) -> None:
         payload_mass=0.3,
         payload_position=(0.1, -0.05, 0.03),
     )
-    seen, expected = (run(moved(robot, engine, bad), external=0.5) for engine in (True, False))
+    seen, expected = (run(moved(robot, each, bad, INNER // 8), external=0.5) for each in (engine, "own"))
     np.testing.assert_allclose(seen, expected, rtol=1e-6, atol=1e-6)
-    assert np.max(np.abs(seen - run(moved(robot, mujoco=True), external=0.5))) > 0.01
+    assert np.max(np.abs(seen - run(moved(robot, engine), external=0.5))) > 0.01
 
 
+@engines
 @robots
-def test_payload_is_attached_and_released_without_a_jump_of_the_motion(robot: fjr.Robot) -> None:
-    simulated, other = moved(robot, mujoco=True), moved(robot, mujoco=False)
+def test_payload_is_attached_and_released_without_a_jump_of_the_motion(robot: fjr.Robot, engine: str) -> None:
+    simulated, other = moved(robot, engine), moved(robot)
     for mass in (0.0, 0.4, 0.0):
         bad, before = Imperfections(robot.n, payload_mass=mass, payload_position=(0.1, 0.0, 0.02)), simulated.measure()
         for each in (simulated, other):
@@ -124,21 +135,33 @@ def test_payload_is_attached_and_released_without_a_jump_of_the_motion(robot: fj
         np.testing.assert_allclose(run(simulated, 20), run(other, 20), rtol=1e-6, atol=1e-7)
 
 
-def test_run_after_a_reset_is_bit_identical() -> None:
-    simulated = moved(fjr.planar_two_link(), mujoco=True)
+@engines
+def test_run_after_a_reset_is_bit_identical(engine: str) -> None:
+    simulated = moved(fjr.planar_two_link(), engine)
     first = run(simulated)
     simulated.reset()
     assert np.array_equal(run(simulated), first)
 
 
-def test_two_robots_in_one_process_do_not_disturb_each_other() -> None:
-    one, two = moved(fjr.planar_two_link(), mujoco=True), moved(fjr.single_link(), mujoco=True)
-    alone = run(moved(fjr.planar_two_link(), mujoco=True), 40)
+@engines
+def test_two_robots_in_one_process_do_not_disturb_each_other(engine: str) -> None:
+    one, two = moved(fjr.planar_two_link(), engine), moved(fjr.single_link(), engine)
+    alone = run(moved(fjr.planar_two_link(), engine), 40)
     interleaved = []
     for _ in range(40):
         interleaved.append(run(one, 1)[0])
         run(two, 1)
     assert np.array_equal(interleaved, alone)
+
+
+@engines
+def test_state_that_is_not_finite_ends_the_motion_with_its_reason(engine: str) -> None:
+    simulated = moved(fjr.planar_two_link(), engine)
+    simulated.u = np.full(2, 1e200)
+    with pytest.raises(FjrError, match="is not finite after .* s: the motion diverged"):
+        simulated.advance_to(10 * SAMPLE)
+    simulated.reset()
+    assert np.isfinite(run(simulated, 10)).all()
 
 
 REFUSED = {
@@ -147,24 +170,32 @@ REFUSED = {
 }
 
 
+@engines
 @pytest.mark.parametrize("sentence", REFUSED)
-def test_what_mujoco_cannot_express_is_refused_in_one_sentence(sentence: str) -> None:
+def test_what_an_engine_cannot_express_is_refused_in_one_sentence(sentence: str, engine: str) -> None:
     plant = REFUSED[sentence]
     with pytest.raises(FjrError, match=sentence) as refused:
-        moved(plant.robot, mujoco=True, plant=plant)
+        moved(plant.robot, engine, plant=plant)
     assert "; expected" in str(refused.value)
 
 
-def test_missing_engine_names_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("engine", WHEELS)
+def test_missing_engine_names_the_command_that_installs_it(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
     real = builtins.__import__
 
     def without(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.partition(".")[0] == "mujoco":
-            raise ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
+        if name.partition(".")[0] == WHEELS[engine]:
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
         return real(name, *args, **kwargs)
 
     for name in [name for name in sys.modules if name.startswith("fjr_engines")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(FjrError, match="pip install mujoco"):
-        engine_kind({"engine": "mujoco"})
+    with pytest.raises(FjrError, match=f"pip install {engine}"):
+        engine_kind({"engine": engine})
+
+
+@MISSING["drake"]
+def test_engine_in_python_is_refused_in_real_time() -> None:
+    with pytest.raises(FjrError, match="'drake' in real time; expected lockstep: true"):
+        engine_kind({"engine": "drake", "lockstep": False})

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Move public robots and the example of the paper by each engine of the plant; write docs/tables/engines.md.
+
+make engines                                                  # 15 minutes
+PYTHONPATH=tools .venv/bin/python -m engine_survey Panda      # only scenarios with this in their name
+
+The nodes in lock-step move to the same bits (tests/engines/test_engine_survey.py). Results are kept in runs/survey, so
+that a second call goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.figures import markdown, put
+from fjr_core.config.plant import ENGINES, OWN
+from fjr_core.numerics.checks import Array
+from fjr_core.runtime.control_step import ControlStep
+from fjr_design.exports.step_code import loop_of
+from fjr_msgs_py.scenarios import library
+from fjr_plant.lock_step import START
+from fjr_plant.simulated_robot import simulated
+from robot_survey import FOLDER, ROBOTS, PublicRobot, kept_result, new_command, run_fjr, scenario_file
+
+BEGIN, END = "<!-- survey: written by tools/engine_survey.py -->", "<!-- end of survey -->"
+SHIPPED = ("paper_k31", "paper_k3p1", "two_link", "arm7")
+SCENARIOS: Mapping[str, PublicRobot | None] = {**dict.fromkeys(SHIPPED), **{robot.name: robot for robot in ROBOTS}}
+KINDS = (OWN, *ENGINES)
+PAIRS = {f"{one} - {other}": (one, other) for one, other in combinations(KINDS, 2)}
+DURATION, SETTLED = 5.0, 2.0  # s
+LARGEST = 1e-6  # rad, m: difference of two engines with the same motion
+MOST_STEPS = 64
+HEADINGS = ("scenario", "joints", "inner steps", *PAIRS, "half the step", "after 2 s", "peak effort")
+
+
+class Motion(NamedTuple):
+    """Positions (s, 2n) of links and motors [rad], tracking error after SETTLED [rad], largest effort [N m]."""
+
+    positions: Array
+    error: float
+    effort: float
+
+
+def motion(scenario: str, engine: str, inner_steps: int, duration: float) -> Motion:
+    """Move a scenario, by name or path, in the loop that both nodes form in lock-step."""
+    given = {"engine": engine, "inner_steps": inner_steps, "lockstep": "true", "compile": "false"}
+    s = library.load(scenario, [f"{name}:={value}" for name, value in given.items()])
+    loop, (robot, _) = loop_of(s), simulated(s.plant_values, s.plant, s.x0)
+    step = ControlStep(loop.law, loop.reference, loop.settings, loop.observer, True, loop.robust, loop.measurement)
+    period, samples, n = round(1e9 * s.sample_period), round(duration / s.sample_period), len(s.joints)
+    positions, wanted, efforts = np.empty((samples, 2 * n)), np.empty((samples, n)), np.empty((samples, n))
+    for k in range(samples):
+        positions[k], velocities, _ = robot.measure()
+        step.step(START + k * period, k * period, *np.split(positions[k], 2), *np.split(velocities, 2))
+        robot.u, wanted[k], efforts[k] = step.u, step.jets[0], step.u
+        robot.advance_to((k + 1) * period)
+    late = np.abs(positions[:, :n] - wanted)[round(SETTLED / s.sample_period) :]
+    return Motion(positions, float(np.max(late, initial=0.0)), float(np.max(np.abs(efforts))))
+
+
+def differences(motions: Mapping[str, Motion]) -> dict[str, float]:
+    """Return the largest difference of a joint between each pair of engines [rad]."""
+    return {
+        pair: float(np.max(np.abs(motions[one].positions - motions[other].positions)))
+        for pair, (one, other) in PAIRS.items()
+    }
+
+
+def compared(scenario: str, duration: float = DURATION) -> dict[str, Any]:
+    """Compare the engines with as many inner steps as they need to agree, and with twice as many."""
+    inner_steps = int(library.load(scenario).plant_values["inner_steps"])  # type: ignore[arg-type]
+    motions = {engine: motion(scenario, engine, inner_steps, duration) for engine in KINDS}
+    while True:
+        finer = {engine: motion(scenario, engine, 2 * inner_steps, duration) for engine in KINDS}
+        found = differences(motions)
+        if max(found.values()) <= LARGEST or inner_steps >= MOST_STEPS:
+            break
+        motions, inner_steps = finer, 2 * inner_steps
+    return {
+        "joints": motions[OWN].positions.shape[1] // 2,
+        "inner steps": inner_steps,
+        "differences": list(found.values()),
+        "finer": list(differences(finer).values()),
+        "errors": [each.error for each in motions.values()],
+        "efforts": [each.effort for each in motions.values()],
+    }
+
+
+def kept(name: str) -> Path:
+    """Return the file that keeps the result of a scenario."""
+    robot = SCENARIOS[name]
+    return (kept_result(robot) if robot else FOLDER / name).with_suffix(".engines.json")
+
+
+def outcome(name: str) -> dict[str, Any]:
+    """Compare the engines in a scenario, or read the kept result; {} for a robot that `fjr new` refuses."""
+    robot, file = SCENARIOS[name], kept(name)
+    if not file.exists():
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        if robot and not scenario_file(robot).exists() and run_fjr(*new_command(robot))[1]:
+            return {}
+        file.write_text(json.dumps(compared(str(scenario_file(robot)) if robot else name)), encoding="utf-8")
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return found
+
+
+def row(name: str, found: Mapping[str, Any]) -> list[str]:
+    """Return the cells of a scenario."""
+    finer = ", ".join(f"{each:.0e}" for each in found["finer"])
+    errors, efforts = {f"{each:.1e}" for each in found["errors"]}, {f"{each:.3f}" for each in found["efforts"]}
+    numbers = [f"{each:.1e}" for each in found["differences"]]
+    return [name, *(str(found[each]) for each in HEADINGS[1:3]), *numbers, finer, *map(", ".join, (errors, efforts))]
+
+
+def table(outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the Markdown lines: in how many scenarios all engines move alike, then a row for each."""
+    equal = sum(max(found["differences"]) <= LARGEST for found in outcomes.values())
+    said = f"In {equal} of {len(outcomes)} scenarios no joint differs by more than {LARGEST:g} rad (m) between engines."
+    return [said, "", *markdown(HEADINGS, [row(name, found) for name, found in outcomes.items()])]
+
+
+def main(names: Sequence[str]) -> int:
+    """Compare the engines in the scenarios whose names contain one of these, all for none; write all kept results."""
+    for name in SCENARIOS:
+        if not names or any(each.lower() in name.lower() for each in names):
+            found = outcome(name)
+            print(*(row(name, found) if found else (name, "refused by `fjr new`")), sep=" | ", flush=True)
+    put(table({name: outcome(name) for name in SCENARIOS if kept(name).exists()}), "engines.md", BEGIN, END)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
