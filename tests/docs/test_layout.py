@@ -81,7 +81,7 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 12_950,
+    "fjr_core": 13_000,
     "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_450,
     "fjr_plant": 1_500,
