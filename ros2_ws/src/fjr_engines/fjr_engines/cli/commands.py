@@ -14,7 +14,7 @@ import click
 
 from fjr_msgs_py.console import options
 from fjr_msgs_py.console.options import command, implementation, set_option
-from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.output import Result, plural
 
 
 @command("export-mjcf")
@@ -39,7 +39,7 @@ def exported(scenario: str, assignments: Sequence[str], file: Path, force: bool)
     paths = [file, *(file.parent / each for each in list(contents)[1:])]
     write(dict(zip(paths, contents.values(), strict=True)), force)
     lines = [
-        f"{file}: {', '.join(contents)}",
+        f"{file}: {plural(len(paths) - 1, 'mesh', 'meshes')} beside it",
         *(f"note  {note}" for note in notes),
         f"view  python -m mujoco.viewer --mjcf={file}",
         "ros2  mujoco_ros2_control: command interface <joint>_motor/effort, states of <joint> and <joint>_motor",

@@ -21,11 +21,8 @@ from fjr_core.errors import RobotError
 from fjr_core.numerics.checks import MOTOR, Array
 from fjr_design.scaffold.files import path_from
 
-from .writing import SPRING
+from .writing import SPRING, refusals
 
-BOX, SPHERE, CYLINDER, CAPSULE, MESH = (
-    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("BOX", "SPHERE", "CYLINDER", "CAPSULE", "MESH")
-)
 AT_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 AT_TENDONS = int(mujoco.mjtTrn.mjTRN_TENDON)
 JOINTS = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic"}
@@ -38,11 +35,9 @@ def read_mjcf(file: Path, folder: Path) -> tuple[str, dict[str, Any]]:
     The latter has the form of an entry of joint_data.yaml, with 0 for what is not known. Raises RobotError for a file
     that MuJoCo refuses, and for free and ball joints, tendons other than our springs, and equality constraints.
     """
-    try:
+    with refusals("an MJCF that it loads"):
         spec = mujoco.MjSpec.from_file(str(file))
         model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise RobotError(f"MuJoCo says: {' '.join(str(error).split())}; expected an MJCF that it loads") from None
     arm = _Arm(model, springs_of(model))
     weightless = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     known = {
@@ -210,15 +205,16 @@ def _add_joint(robot: Element, name: str, kind: str, parent: str, child: str, or
 
 def _add_visual(link: Element, model: mujoco.MjModel, geom: int, place: Array, meshes: Sequence[str]) -> None:
     """Add the shape of a geom, if a URDF has it; a capsule is a cylinder."""
-    kind, size, mesh = model.geom_type[geom], model.geom_size[geom], model.geom_dataid[geom]
+    kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_")
+    size, mesh = model.geom_size[geom], model.geom_dataid[geom]
     pose = place @ _pose(model.geom_pos[geom], model.geom_quat[geom])
-    if kind == BOX:
+    if kind == "BOX":
         tag, attributes = "box", {"size": _text(2 * size)}
-    elif kind == SPHERE:
+    elif kind == "SPHERE":
         tag, attributes = "sphere", {"radius": _text(size[0])}
-    elif kind in (CYLINDER, CAPSULE):
+    elif kind in ("CYLINDER", "CAPSULE"):
         tag, attributes = "cylinder", {"radius": _text(size[0]), "length": _text(2 * size[1])}
-    elif kind == MESH:  # the compiler moved its vertices
+    elif kind == "MESH":  # the compiler moved its vertices
         tag, attributes = "mesh", {"filename": meshes[mesh], "scale": _text(model.mesh_scale[mesh])}
         pose = pose @ np.linalg.inv(_pose(model.mesh_pos[mesh], model.mesh_quat[mesh]))
     else:

@@ -8,7 +8,8 @@ a fixed tendon of the length q_m - q_l. Damping acts at the hinges.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
@@ -71,6 +72,15 @@ def exact_inertia(model: mujoco.MjModel, robot: Robot, joints: Sequence[str]) ->
         link.mass, link.ipos, link.inertia = max(body.mass, LEAST), np.asarray(body.com), moments
         link.iquat = quaternion(axes)
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+@contextmanager
+def refusals(expected: str) -> Iterator[None]:
+    """Raise RobotError with what MuJoCo says, where it refuses a model, and what was expected."""
+    try:
+        yield
+    except (ValueError, mujoco.FatalError) as error:
+        raise RobotError(f"MuJoCo says: {' '.join(str(error).split())}; expected {expected}") from None
 
 
 def quaternion(rotation: Array) -> Array:
