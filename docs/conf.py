@@ -28,6 +28,7 @@ autodoc_default_options = {"members": True, "undoc-members": True, "show-inherit
 autodoc_type_aliases = {"Array": "Array", "ArrayLike": "ArrayLike", "NDArray": "NDArray"}
 python_maximum_signature_line_length = 100
 autosummary_generate = False
+autodoc_mock_imports = ["pydrake"]  # too large to be installed for the pages
 
 
 class Names(PythonDomain):

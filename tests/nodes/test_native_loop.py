@@ -332,7 +332,7 @@ def test_a_fault_in_the_thread_ends_the_node_with_one_sentence(ros: Ros, peer: P
 @pytest.mark.parametrize(
     ("parameters", "why"),
     [
-        ({"compile": False}, "the plant is evaluated in Python (compile is false, or a plant of one's own)"),
+        ({"compile": False}, "the plant is evaluated in Python (compile is false, engine is drake, or an own plant)"),
         ({"compile": True, "use_sim_time": True}, "the time comes from /clock"),
     ],
 )

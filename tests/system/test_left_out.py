@@ -104,11 +104,13 @@ except fjr.FjrError as error:
 
 
 IMPORT_ALL = """
-import importlib, pkgutil, sys
+import importlib, importlib.util, pkgutil, sys
 sys.modules["matplotlib"] = None
+left_out = () if importlib.util.find_spec("pydrake") else ("fjr_engines.drake",)
 for package in sys.argv[1:]:
     for each in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
-        importlib.import_module(each.name)
+        if each.name not in left_out:
+            importlib.import_module(each.name)
 """
 
 

@@ -157,7 +157,7 @@ class TimeBase(ABC):
         if simulated:
             return "the time comes from /clock"
         if not self._robot.in_machine_code:
-            return "the plant is evaluated in Python (compile is false, or a plant of one's own)"
+            return "the plant is evaluated in Python (compile is false, engine is drake, or an own plant)"
         return self._program.without_thread
 
     @property
