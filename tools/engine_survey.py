@@ -20,13 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.figures import markdown, put
+from diagnosis_benchmark.lock_step import LockStepLoop
 from fjr_core.config.plant import ENGINES, OWN
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.control_step import ControlStep
-from fjr_design.exports.step_code import loop_of
 from fjr_msgs_py.scenarios import library
-from fjr_plant.lock_step import START
-from fjr_plant.simulated_robot import simulated
 from robot_survey import FOLDER, ROBOTS, PublicRobot, kept_result, new_command, run_fjr, scenario_file
 
 BEGIN, END = "<!-- survey: written by tools/engine_survey.py -->", "<!-- end of survey -->"
@@ -51,17 +48,10 @@ class Motion(NamedTuple):
 def motion(scenario: str, engine: str, inner_steps: int, duration: float) -> Motion:
     """Move a scenario, by name or path, in the loop that both nodes form in lock-step."""
     given = {"engine": engine, "inner_steps": inner_steps, "lockstep": "true", "compile": "false"}
-    s = library.load(scenario, [f"{name}:={value}" for name, value in given.items()])
-    loop, (robot, _) = loop_of(s), simulated(s.plant_values, s.plant, s.x0)
-    step = ControlStep(loop.law, loop.reference, loop.settings, loop.observer, True, loop.robust, loop.measurement)
-    period, samples, n = round(1e9 * s.sample_period), round(duration / s.sample_period), len(s.joints)
-    positions, wanted, efforts = np.empty((samples, 2 * n)), np.empty((samples, n)), np.empty((samples, n))
-    for k in range(samples):
-        positions[k], velocities, _ = robot.measure()
-        step.step(START + k * period, k * period, *np.split(positions[k], 2), *np.split(velocities, 2))
-        robot.u, wanted[k], efforts[k] = step.u, step.jets[0], step.u
-        robot.advance_to((k + 1) * period)
-    late = np.abs(positions[:, :n] - wanted)[round(SETTLED / s.sample_period) :]
+    loop = LockStepLoop(library.load(scenario, [f"{name}:={value}" for name, value in given.items()])).run(duration)
+    positions = np.array([position for _, (_, position, _, _) in loop.states])
+    _, efforts, jets = map(np.array, zip(*loop.commands, strict=True))
+    late = np.abs(positions[:, : efforts.shape[1]] - jets[:, 0])[round(SETTLED / loop.scenario.sample_period) :]
     return Motion(positions, float(np.max(late, initial=0.0)), float(np.max(np.abs(efforts))))
 
 

@@ -14,15 +14,12 @@ TESTS = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(TESTS))
 
 import conftest  # noqa: E402, F401 (a ROS domain of its own)
+from bench.figures import markdown, put  # noqa: E402
 from faults.fault_rows import ROWS, Row  # noqa: E402
 from faults.outcome import Outcome, outcome  # noqa: E402
 
-DOCUMENT = TESTS.parent / "docs" / "tables" / "faults.md"
 BEGIN, END = "<!-- faults: written by python -m tests.faults -->", "<!-- end of faults -->"
-HEAD = (
-    "| fault | what the arm does | peak q_tilde_l [rad] | recovered after [s] | bad efforts |\n"
-    "| --- | --- | ---: | ---: | ---: |"
-)
+HEAD = ("fault", "what the arm does", "peak q_tilde_l [rad]", "recovered after [s]", "bad efforts")
 
 
 def main(words: list[str]) -> int:
@@ -32,18 +29,17 @@ def main(words: list[str]) -> int:
     for number, row in enumerate(rows, start=1):
         print(f"[{number}/{len(rows)}] {row.name}", file=sys.stderr, flush=True)
         done.append((row, outcome(row)))
-    text = "\n".join([HEAD, *(line(row, seen) for row, seen in done)])
-    print(text)
+    table = markdown(HEAD, [cells(row, seen) for row, seen in done], right=HEAD[2:])
+    print(*table, sep="\n")
     if not words:
-        before, rest = DOCUMENT.read_text(encoding="utf-8").split(BEGIN)
-        DOCUMENT.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+        put(table, "faults.md", BEGIN, END)
     return 1 if any(seen.bad for _, seen in done) else 0
 
 
-def line(row: Row, seen: Outcome) -> str:
-    """Return the line of a row in the table, as Markdown."""
+def cells(row: Row, seen: Outcome) -> tuple[str, ...]:
+    """Return the cells of a row of the table."""
     recovery = "stays stopped" if math.isinf(seen.recovery) else f"{seen.recovery:.2f}" if seen.recovery else "0"
-    return f"| {row.name} | {row.arm} | {seen.peak:.2g} | {recovery} | {seen.bad} of {seen.efforts} |"
+    return row.name, row.arm, f"{seen.peak:.2g}", recovery, f"{seen.bad} of {seen.efforts}"
 
 
 if __name__ == "__main__":

@@ -19,17 +19,18 @@ TESTS = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(TESTS))
 
 import conftest  # noqa: E402, F401 (a ROS domain of its own)
+from bench.figures import markdown, put  # noqa: E402
 from faults.fault_rows import ROWS  # noqa: E402
 from fjr_msgs_py.scenarios import installed  # noqa: E402
 from hosts import recording  # noqa: E402
 from hosts.comparison import HOSTS, Compared, Comparison, with_states  # noqa: E402
 from hosts.inputs import Sequence  # noqa: E402
 
-DOCUMENT = TESTS.parent / "docs" / "tables" / "hosts.md"
 SAMPLES = 100_000
 BEGIN = "<!-- hosts: written by python -m tests.hosts -->"
 END = "<!-- end of hosts -->"
 TITLES = {"rclpy": "node, rclpy", "native": "node, native thread", "campaign": "study", "C": "exported C"}
+HEAD = ("states of", "states", *(TITLES.get(host, host) for host in HOSTS))
 
 
 def main(words: list[str]) -> int:
@@ -39,15 +40,14 @@ def main(words: list[str]) -> int:
     parser.add_argument("words", nargs="*", metavar="WORD", help="only sequences whose name contains one of these")
     arguments = parser.parse_args(words)
     done: list[Compared] = []
-    print(head())
+    print(*markdown(HEAD, [], right=HEAD[1:]), sep="\n")
     with Comparison() as comparison:
         for name, run in _runs(comparison, arguments.samples).items():
             if not arguments.words or any(word in name for word in arguments.words):
                 done.append(run())
-                print(line(done[-1]), flush=True)
+                print(markdown(HEAD, [cells(done[-1])])[-1], flush=True)
     if not arguments.words:
-        text = "\n".join([head(), *map(line, done)])
-        DOCUMENT.write_text(written(DOCUMENT.read_text(encoding="utf-8"), text), encoding="utf-8")
+        put(markdown(HEAD, map(cells, done), right=HEAD[1:]), "hosts.md", BEGIN, END)
     return 0 if all(row.equal for row in done) else 1
 
 
@@ -66,22 +66,10 @@ def _runs(comparison: Comparison, samples: int) -> dict[str, Callable[[], Compar
     return {**scenarios, **rows, **{name: partial(of_sequence, record) for name, record in made.items()}}
 
 
-def head() -> str:
-    """Return the first two lines of the table as Markdown."""
-    titles = " | ".join(TITLES.get(host, host) for host in HOSTS)
-    return f"| states of | states | {titles} |\n| --- | ---: |{' ---: |' * len(HOSTS)}"
-
-
-def line(row: Compared) -> str:
-    """Return the line of a sequence: its states, and the efforts that differ, of those that each host sent."""
-    cells = (f"{row.different[host]} of {row.sent[host]:,}" if host in row.sent else "none" for host in HOSTS)
-    return f"| {row.name} | {row.states:,} | {' | '.join(cells)} |"
-
-
-def written(document: str, text: str) -> str:
-    """Return the document with `text` between its markers."""
-    before, rest = document.split(BEGIN)
-    return f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}"
+def cells(row: Compared) -> tuple[str, ...]:
+    """Return the cells of a sequence: its states, and the efforts that differ, of those that each host sent."""
+    of_hosts = (f"{row.different[host]} of {row.sent[host]:,}" if host in row.sent else "none" for host in HOSTS)
+    return row.name, f"{row.states:,}", *of_hosts
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
+from bench.figures import markdown
 from fjr_design.uncertainty.posterior import IDENTIFIED
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
@@ -54,7 +55,7 @@ def head(joints: Sequence[int]) -> str:
     """Return the first lines of the table."""
     columns = ["physics", *(f"named, joints of {n}" for n in joints), "where the torque changes its sign"]
     columns += ["K identified", "of these beyond the secants", "else"]
-    return "\n".join(["| " + " | ".join(columns) + " |", "| --- " + "| ---: " * (len(columns) - 2) + "| --- |"])
+    return "\n".join(markdown(columns, [], right=columns[1:-1]))
 
 
 def line(name: str, results: Sequence[Sequence[Named | None]]) -> str:

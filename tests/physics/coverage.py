@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import fjr_core as fjr
+from bench.figures import markdown
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord, record_of_samples
@@ -166,7 +167,7 @@ def head(_: Sequence[int] = ()) -> str:
         "width of K",
         "named",
     ]
-    return "\n".join(["| " + " | ".join(columns) + " |", "| --- " + "| ---: " * (len(columns) - 1) + "|"])
+    return "\n".join(markdown(columns, [], right=columns[1:]))
 
 
 def line(name: str, of_number: Sequence[Sequence[list[Interval] | None]]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import fjr_core as fjr
+from bench.figures import markdown
 from bench.identification_peers import CHANGES, Case, Estimated, theirs
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions
@@ -40,7 +41,7 @@ def of_batch(job: tuple[str, int, int, int]) -> list[Both]:
 
 def head(_: Sequence[int]) -> str:
     """Return the first lines of the table."""
-    return "\n".join([f"| {' | '.join(HEADINGS)} |", f"| --- {'| ---: ' * (len(HEADINGS) - 1)}|"])
+    return "\n".join(markdown(HEADINGS, [], right=HEADINGS[1:]))
 
 
 def line(name: str, of_number: Sequence[Sequence[Both]]) -> str:

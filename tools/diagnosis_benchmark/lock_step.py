@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fjr_core import StateError
 from fjr_core.config.controller import measurement, observer, safety
+from fjr_core.config.law import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import ControlStep
@@ -60,16 +61,10 @@ class LockStepLoop:
     def __init__(self, scenario: Scenario, fault: Fault = NONE) -> None:
         self.scenario, self._fault, self._n = scenario, fault, scenario.robot.n
         self._robot, self._transport = simulated(scenario.plant_values, scenario.plant, scenario.x0)
-        self._limits = safety(scenario.controller_values, scenario.robot)
-        values, robot = scenario.controller_values, scenario.robot
-        self.tracker = ControlStep(
-            scenario.law,
-            scenario.reference,
-            self._limits,
-            observer(values, robot),
-            simulated=True,
-            measurement=measurement(values, robot),
-        )
+        values, law, robot = scenario.controller_values, scenario.law, scenario.robot
+        self._limits = safety(values, robot)
+        options = observer(values, robot), True, robust_action(values, law), measurement(values, robot)
+        self.tracker = ControlStep(law, scenario.reference, self._limits, *options)
         self._arrived: deque[Sample] = deque()
         self._velocities: deque[Array] = deque(maxlen=fault.delay + 1)  # the latest ones
         self._newest = self.found_after = 0
