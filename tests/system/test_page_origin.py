@@ -21,7 +21,9 @@ from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 TEMPLATES = sorted((Path(html.__file__).parent / "templates").glob("*.html"))
-PAGES = [path for path in TEMPLATES if '{% extends "page.html" %}' in path.read_text() and path.stem != "live"]
+PAGES = [
+    path for path in TEMPLATES if '{% extends "page.html" %}' in path.read_text() and path.stem not in ("film", "live")
+]
 
 
 def origin(page: Path) -> list[str]:
