@@ -38,11 +38,11 @@ GROUPS = {
 """Commands of the help, by title; `fjr help all` shows the others, too."""
 OTHERS = {
     "Running nodes": ("send", "echo", "record", "play", "call", "set", "lifecycle", "description"),
-    "More": ("scenarios", "excite", "tune", "export-c", "export-ros2-control"),
+    "More": ("scenarios", "excite", "tune", "export-c", "export-ros2-control", "export-mjcf"),
 }
 RECORDING = ["run"], ["demo"]
 """First arguments of the commands that record in real time."""
-MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification"}
+MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification", "export-mjcf": "fjr_engines"}
 """Commands of packages without which the others run."""
 
 
