@@ -29,6 +29,7 @@ GIVEN_A_FILE = {
     "gains": ("gains", "FILE", "--beta", "1"),
     "export-c": ("export-c", "FILE", "made"),
     "export-ros2-control": ("export-ros2-control", "FILE", "made"),
+    "export-mjcf": ("export-mjcf", "FILE", "made.xml"),
     "identify, robot": ("identify", "log.csv", "--robot", "FILE"),
     "identify, record": ("identify", "FILE", "--robot", "joint.yaml", "--map", "map.yaml"),
     "identify, map": ("identify", "log.csv", "--robot", "joint.yaml", "--map", "FILE"),
