@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Film the recorded motion of an arm: GIF, animated PNG or MP4, from frames that a headless browser draws."""
+"""Film the recorded motion of an arm: GIF, animated PNG or MP4, from frames of MuJoCo or of a headless browser.
+
+MuJoCo draws where EGL or OSMesa is there. Else the browser draws the arm of the page, with the motor sides beside it.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +11,29 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from base64 import b64decode
-from collections.abc import Sequence
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fjr_core.errors import FjrError, ParameterError
+from fjr_core.config.scenario import Scenario
+from fjr_core.errors import FjrError, ParameterError, RobotError
+from fjr_core.numerics.checks import Array
 from fjr_monitor.report.html import ArmReplay, write_page
+from fjr_monitor.report.shown import Shown, arm_replay
 from fjr_msgs_py.console.output import note, phase
 
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
+Frames = NDArray[np.uint8]
+"""Red, green and blue (k, height, width, 3)."""
 PERIOD = 0.08  # s between two frames, of the run and of the film
 LONGEST = 20.0  # s; a longer run is filmed from its start
 WIDTH, HEIGHT = 480, 360  # pixels of a frame
-COLOURS = 64  # of GIF and PNG
+COLOURS, SPARSE = 64, 3  # of GIF and PNG; each third pixel along each side chooses them
 ENDINGS = (".gif", ".png", ".apng", ".mp4")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
@@ -39,7 +45,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-dev-shm-usage",
 )
-PATIENCE = 600.0  # s
+BACKENDS = ("egl", "osmesa")  # of MuJoCo's renderer without a display
 
 
 class FilmError(FjrError):
@@ -54,56 +60,89 @@ def check(file: Path) -> None:
         raise FilmError(f"{file} needs the Python package Pillow; expected it from: pip install pillow")
     if file.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
         raise FilmError(f"{file} needs ffmpeg; expected it from: apt-get install ffmpeg, or a name that ends with .gif")
-    if not any(map(shutil.which, BROWSERS)):
+    if not any(map(shutil.which, BROWSERS)) and not backend():
         raise FilmError(
-            f"{file} needs a browser, {', '.join(BROWSERS)} on the PATH; expected one from: apt-get install chromium"
+            f"{file} needs a browser ({', '.join(BROWSERS)}), or MuJoCo with EGL or OSMesa; expected one, e.g. from: "
+            "apt-get install chromium"
         )
 
 
-def film(arm: ArmReplay | None, file: Path) -> None:
+@cache
+def backend() -> str:
+    """Return the first of BACKENDS, or that of the variable MUJOCO_GL, with which MuJoCo draws here; "" if none."""
+    asked = os.environ.get("MUJOCO_GL")
+    begin = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).free()"]
+    for name in [asked] if asked else BACKENDS:
+        if not subprocess.run(begin, capture_output=True, env=os.environ | {"MUJOCO_GL": name}, check=False).returncode:
+            return name
+    return ""
+
+
+def film(data: Shown, file: Path) -> None:
     """Write the film of a run, as fast as the run, from its start and for at most LONGEST; raise FilmError."""
     check(file)
+    arm = arm_replay(data)
     if arm is None:
         raise FilmError("the bag has no positions of links; expected them in /joint_states")
     times = np.arange(arm.t[0], min(arm.t[-1], arm.t[0] + LONGEST), PERIOD)
-    with phase(f"{file}: drawing {len(times)} frames"):
-        save(frames_of_page(arm, times.tolist()), file)
+    with phase(f"{file}: drawing {len(times)} frames"), TemporaryDirectory(ignore_cleanup_errors=True) as name:
+        frames = frames_of_mujoco(data.run.scenario, arm, times, Path(name))
+        save(frames_of_page(arm, times, Path(name)) if frames is None else frames, file)
     note(f"{file}: {len(times)} frames, {PERIOD * len(times):.2f} s, {file.stat().st_size // 1000} kB")
 
 
-def frames_of_page(arm: ArmReplay, times: Sequence[float]) -> list[Image]:
-    """Return the arm of the page of a run at these times [s]; raise FilmError if the browser does not draw it."""
+def frames_of_mujoco(scenario: Scenario, arm: ArmReplay, times: Array, folder: Path) -> Frames | None:
+    """Return the arm at these times (k,) [s] as MuJoCo's renderer draws it; None where it cannot."""
+    if not backend():
+        return None
+    from fjr_engines.drawing import MOTION, written
+
+    try:
+        written(scenario, folder)
+    except (RobotError, ValueError):  # ValueError: MuJoCo's, for a mesh
+        return None
+    sides = np.hstack([arm.link, arm.motor])
+    q_l, q_m = np.split(np.column_stack([np.interp(times, arm.t, column) for column in sides.T]), 2, axis=1)
+    np.savez(folder / MOTION, joints=arm.joints, q_l=q_l, q_m=q_m, width=WIDTH, height=HEIGHT)
+    command, env = [sys.executable, "-m", "fjr_engines.drawing", str(folder)], os.environ | {"MUJOCO_GL": backend()}
+    drawn = np.frombuffer(subprocess.run(command, capture_output=True, env=env, check=False).stdout, np.uint8)
+    return drawn.reshape(-1, HEIGHT, WIDTH, 3) if drawn.size == len(times) * HEIGHT * WIDTH * 3 else None
+
+
+def frames_of_page(arm: ArmReplay, times: Array, folder: Path) -> Frames:
+    """Return the arm of the page of a run at these times (k,) [s]; raise FilmError if the browser does not draw it."""
     from PIL import Image
 
-    browser = next(filter(None, map(shutil.which, BROWSERS)))
-    with TemporaryDirectory(prefix="fjr-film-", ignore_cleanup_errors=True) as folder:
-        page = Path(folder, "film.html")
-        write_page(page, "film.html", "film", [], arm, times=times, width=WIDTH, height=HEIGHT)
-        sandbox = ("--no-sandbox",) if os.geteuid() == 0 else ()
-        command = [browser, *FLAGS, *sandbox, f"--user-data-dir={folder}/profile", "--dump-dom", page.as_uri()]
-        try:
-            said = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
-        except subprocess.TimeoutExpired:
-            raise FilmError(f"{browser} drew no picture in {PATIENCE:g} s; expected a browser with WebGL") from None
-    pictures = re.findall(r"data:image/png;base64,([\w+/=]+)", said.stdout)
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise FilmError("MuJoCo does not draw this robot; expected a browser from: apt-get install chromium")
+    page = folder / "film.html"
+    write_page(page, "film.html", "film", [], arm, times=times.tolist(), width=WIDTH, height=HEIGHT)
+    sandbox = ("--no-sandbox",) if os.geteuid() == 0 else ()
+    command = [browser, *FLAGS, *sandbox, f"--user-data-dir={folder}/profile", "--dump-dom", page.as_uri()]
+    said = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    pictures = re.findall(r"data:image/png;base64,([\w+/=]+)", said)
     if len(pictures) != len(times):
         raise FilmError(f"{browser} drew {len(pictures)} of {len(times)} frames; expected a browser with WebGL")
     white = Image.new("RGBA", (WIDTH, HEIGHT), "white")
     drawn = (Image.open(io.BytesIO(b64decode(text))).convert("RGBA") for text in pictures)
-    return [Image.alpha_composite(white, each).convert("RGB") for each in drawn]
+    return np.stack([np.asarray(Image.alpha_composite(white, each).convert("RGB")) for each in drawn])
 
 
-def save(frames: Sequence[Image], file: Path) -> None:
+def save(frames: Frames, file: Path) -> None:
     """Write frames, PERIOD apart, as the ending of the file says; raise FilmError if ffmpeg fails."""
+    from PIL import Image
+
     if file.suffix.lower() == ".mp4":
         rate, size = f"{1.0 / PERIOD:g}", f"{WIDTH}x{HEIGHT}"
         source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-video_size", size, "-framerate", rate, "-i", "-"]
         command = ["ffmpeg", "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p", str(file)]
-        pixels = b"".join(frame.tobytes() for frame in frames)
-        if subprocess.run(command, input=pixels, stdout=subprocess.DEVNULL, check=False).returncode:
+        if subprocess.run(command, input=frames.tobytes(), stdout=subprocess.DEVNULL, check=False).returncode:
             raise FilmError(f"ffmpeg did not write {file}; expected one that encodes MP4")
         return
-    palette = frames[0].quantize(COLOURS)
-    first, *others = (frame.quantize(palette=palette, dither=0) for frame in frames)
+    palette = Image.fromarray(np.concatenate(frames[:, ::SPARSE, ::SPARSE])).quantize(
+        COLOURS, Image.Quantize.FASTOCTREE
+    )
+    first, *others = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     kind = "GIF" if file.suffix.lower() == ".gif" else "PNG"
     first.save(file, kind, save_all=True, append_images=others, duration=round(1e3 * PERIOD), loop=0, optimize=True)

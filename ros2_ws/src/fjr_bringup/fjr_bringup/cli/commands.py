@@ -51,6 +51,7 @@ def demo(**given: Any) -> Any:
 @click.option("--engine", metavar="NAME", help="Simulator of the plant: own, mujoco, drake; --set engine:=NAME.")
 @click.option("--force", is_flag=True, help="Run a scenario even if it is unstable as sampled.")
 @click.option("--no-report", is_flag=True, help="Write report.json only, no page and no picture.")
+@click.option("--viewer", is_flag=True, help="Show the arm in MuJoCo's viewer while it runs.")
 @film_option
 @set_option
 @stamped_duration

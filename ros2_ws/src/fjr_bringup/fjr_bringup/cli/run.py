@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from fjr_core.numerics.jit import c_compiler
 from fjr_design.cli.preflight import refuse_coarse_steps, refuse_unstable
 from fjr_monitor.recording.files import BagError
 from fjr_monitor.report.comparison_page import Claim, paper_claim
-from fjr_monitor.report.shown import RunSummary, arm_replay
+from fjr_monitor.report.shown import RunSummary
 from fjr_monitor.report.write import compare, output_paths, play_hint, report_run, stops, table
 from fjr_msgs_py.console.ending import Exit, stoppable
 from fjr_msgs_py.console.output import Result, percent, phase
@@ -50,12 +50,15 @@ def run_scenario(
     force: bool,
     no_report: bool,
     film: Path | None = None,
+    viewer: bool = False,
 ) -> Result:
     """Run one scenario for `duration` [s] and report it; force: even if it is unstable as sampled.
 
     engine: the parameter of the plant node, None for that of the scenario. no_report: write report.json without page
-    and picture. film: file of a moving picture.
+    and picture. film: file of a moving picture. viewer: show the arm in that of MuJoCo.
     """
+    if viewer:
+        importing.module("fjr_engines.viewer").check()
     if film is not None:
         importing.module("fjr_engines.film").check(film)
         if no_report:
@@ -65,9 +68,11 @@ def run_scenario(
         overrides["engine"] = engine
     if lockstep:
         overrides = {**LOCKSTEP, **overrides, "lockstep": True}
-    summary = _record_and_report(_plan(scenario, overrides, duration, output, force), not no_report)
+    plan = _plan(scenario, overrides, duration, output, force)
+    with importing.module("fjr_engines.viewer").shown(plan.name, plan.scenario) if viewer else nullcontext():
+        summary = _record_and_report(plan, not no_report)
     if film is not None:
-        importing.module("fjr_engines.film").film(arm_replay(summary.data), film)
+        importing.module("fjr_engines.film").film(summary.data, film)
     return _result([summary])
 
 

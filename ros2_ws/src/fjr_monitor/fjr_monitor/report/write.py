@@ -226,7 +226,7 @@ def report(
         print("".join(f"fjr: {failure}\n" for failure in failures[:-1]), end="", file=sys.stderr)
         raise RecordError(failures[-1])
     if film is not None:
-        importing.module("fjr_engines.film").film(arm_replay(summaries[0].data), film)
+        importing.module("fjr_engines.film").film(summaries[0].data, film)
     names = [each.label for each in summaries]  # or the folder if two runs have the same scenario
     summaries = [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
     missing = [f"{each.label}: {note}" for each in summaries for note in each.report.missing]

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Show a running arm in MuJoCo's viewer: a process of its own, which takes the newest of /joint_states."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from fjr_core.config.scenario import parse_scenario
+from fjr_core.errors import FjrError
+
+PERIOD = 1.0 / 60.0  # s between two pictures
+GRACE = 5.0  # s to close the window
+NICE = 5  # below the nodes where those have no real-time priority
+
+
+class ViewerError(FjrError):
+    """MuJoCo's viewer cannot be shown here."""
+
+
+def check() -> None:
+    """Raise ViewerError unless a display and MuJoCo's viewer are there."""
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError(
+            "--viewer needs a display, and DISPLAY is not set; expected a desktop, or --film FILE, which needs none"
+        )
+    if not all(map(find_spec, ("mujoco", "glfw"))) or find_spec("mujoco.viewer") is None:
+        raise ViewerError("--viewer needs MuJoCo's viewer; expected it from: pip install mujoco")
+
+
+@contextmanager
+def shown(name: str, text: str) -> Iterator[None]:
+    """Show the arm of a scenario, by name and text, until the block ends or the user closes the window.
+
+    Raises RobotError for a robot that MuJoCo cannot express.
+    """
+    from fjr_engines.drawing import written
+
+    scenario = parse_scenario(name, text)
+    with TemporaryDirectory(prefix="fjr-viewer-") as folder:
+        file = written(scenario, Path(folder))
+        process = subprocess.Popen([sys.executable, "-m", "fjr_engines.viewer", str(file), *scenario.joints])
+        try:
+            yield
+        finally:
+            process.terminate()
+            try:
+                process.wait(GRACE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def main(file: Path, joints: tuple[str, ...]) -> None:
+    """Show an arm of `fjr export-mjcf` at the positions that /joint_states gives of its joints and their motors."""
+    import mujoco.viewer
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from sensor_msgs.msg import JointState
+
+    from fjr_engines.drawing import DrawnArm
+    from fjr_msgs_py.names import JOINT_STATES, state_names
+
+    arm, newest = DrawnArm(file, joints), dict[str, float]()
+    os.nice(NICE)
+    rclpy.init()
+    node = rclpy.create_node("fjr_viewer")
+    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # the plant waits for no answer
+    node.create_subscription(JointState, JOINT_STATES, lambda m: newest.update(zip(m.name, m.position)), qos)  # noqa: B905
+    with suppress(ExternalShutdownException):  # the run has ended
+        while not newest:
+            rclpy.spin_once(node)
+        seen = arm.camera(np.array([[newest[joint] for joint in joints]]))
+        with mujoco.viewer.launch_passive(arm.model, arm.data, show_left_ui=False, show_right_ui=False) as window:
+            for name in ("lookat", "azimuth", "elevation", "distance"):
+                setattr(window.cam, name, getattr(seen, name))
+            while window.is_running():
+                rclpy.spin_once(node, timeout_sec=PERIOD)
+                with window.lock():
+                    arm.pose(*np.split(np.array([newest.get(name, np.nan) for name in state_names(joints)]), 2))
+                window.sync()
+                time.sleep(PERIOD)
+    node.destroy_node()
+    os._exit(0)  # glfw would wait for ever for the thread of the window
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), tuple(sys.argv[2:]))
