@@ -21,8 +21,11 @@ from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
 TEMPLATES = sorted((Path(html.__file__).parent / "templates").glob("*.html"))
+WITHOUT_HEAD = ("film", "live")
 PAGES = [
-    path for path in TEMPLATES if '{% extends "page.html" %}' in path.read_text() and path.stem not in ("film", "live")
+    path
+    for path in TEMPLATES
+    if '{% extends "page.html" %}' in path.read_text() and path.stem not in WITHOUT_HEAD
 ]
 
 

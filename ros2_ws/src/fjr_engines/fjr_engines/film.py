@@ -34,7 +34,6 @@ PERIOD = 0.08  # s between two frames, of the run and of the film
 LONGEST = 20.0  # s; a longer run is filmed from its start
 WIDTH, HEIGHT = 480, 360  # pixels of a frame
 COLOURS, SPARSE = 64, 3  # of GIF and PNG; each third pixel along each side chooses them
-FASTOCTREE = 2  # Pillow's quantisation that keeps rare colours
 ENDINGS = (".gif", ".png", ".apng", ".mp4")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
@@ -144,7 +143,9 @@ def save(frames: Frames, file: Path) -> None:
         if subprocess.run(command, input=frames.tobytes(), stdout=subprocess.DEVNULL, check=False).returncode:
             raise FilmError(f"ffmpeg did not write {file}; expected one that encodes MP4")
         return
-    palette = Image.fromarray(np.concatenate(frames[:, ::SPARSE, ::SPARSE])).quantize(COLOURS, FASTOCTREE)
+    palette = Image.fromarray(np.concatenate(frames[:, ::SPARSE, ::SPARSE])).quantize(
+        COLOURS, Image.Quantize.FASTOCTREE
+    )
     first, *others = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     kind = "GIF" if file.suffix.lower() == ".gif" else "PNG"
     first.save(file, kind, save_all=True, append_images=others, duration=round(1e3 * PERIOD), loop=0, optimize=True)
