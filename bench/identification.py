@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
+from tqdm import tqdm
 
 import fjr_identification
 from bench.figures import markdown
@@ -277,13 +278,6 @@ def report(lines: Sequence[Row]) -> Iterable[str]:
         yield f"median time (joints): {medians}; longest: {longest:.0f} s"
 
 
-def summary(line: Row) -> str:
-    """Return one line about a case."""
-    outside = ", ".join(f"{row['name']} {row['score']:.1f}" for row in line["rows"] if not row["inside"])
-    found = line.get("error") or f"{line['seconds']:.1f} s; outside: {outside or 'none'}"
-    return f"{line['measured']} n={line['joints']} seed {line['seed']}: {found}"
-
-
 def finished(file: Path) -> list[Row]:
     """Return the results of this code in a file; its last line may have been cut off when the study was killed."""
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
@@ -306,9 +300,8 @@ def main() -> None:
     missing = [key for key in keys if key not in done]
     with Pool(options.processes) as pool, options.out.open("w", encoding="utf-8") as out:
         out.writelines(f"{json.dumps(line)}\n" for line in lines)
-        for k, line in enumerate(pool.imap_unordered(identified, missing), 1):
+        for line in tqdm(pool.imap_unordered(identified, missing), total=len(missing)):
             print(json.dumps(line), file=out, flush=True)
-            print(f"{k}/{len(missing)} {summary(line)}", flush=True)
             lines.append(line)
     print("\n".join(report(lines)))
 

@@ -49,17 +49,16 @@ def of_nodes(minutes: float = MINUTES) -> list[Figure]:
 
     For the hosts of the control step one after the other, with minutes each.
     """
-    return [each for host in HOSTS for each in _of_host(host, minutes)]
-
-
-def _of_host(host: str, minutes: float) -> list[Figure]:
-    executor = "-p", f"executor:={host}"
-    with scenario_file() as file, running(plant(file, *executor), controller(file, *executor)) as pids:
-        with Tap() as tap:
-            tap.next(names.JOINT_COMMANDS, LONGEST)
-        seconds, kilobytes = _watched(pids, 60 * minutes)
-    nodes = (f"plant node, {host}", f"controller node, {host}")
-    return [figure(name, seconds, column) for name, column in zip(nodes, kilobytes.T, strict=True)]
+    figures = []
+    for host in HOSTS:
+        executor = "-p", f"executor:={host}"
+        with scenario_file() as file, running(plant(file, *executor), controller(file, *executor)) as pids:
+            with Tap() as tap:
+                tap.next(names.JOINT_COMMANDS, LONGEST)
+            seconds, kilobytes = _watched(pids, 60 * minutes)
+        sides = zip(("plant", "controller"), kilobytes.T, strict=True)
+        figures += [figure(f"{side} node, {host}", seconds, column) for side, column in sides]
+    return figures
 
 
 def _watched(pids: Sequence[int], duration: float) -> tuple[Array, Array]:
