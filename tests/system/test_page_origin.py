@@ -23,9 +23,7 @@ pytestmark = pytest.mark.system
 TEMPLATES = sorted((Path(html.__file__).parent / "templates").glob("*.html"))
 WITHOUT_HEAD = ("film", "live")
 PAGES = [
-    path
-    for path in TEMPLATES
-    if '{% extends "page.html" %}' in path.read_text() and path.stem not in WITHOUT_HEAD
+    path for path in TEMPLATES if '{% extends "page.html" %}' in path.read_text() and path.stem not in WITHOUT_HEAD
 ]
 
 
