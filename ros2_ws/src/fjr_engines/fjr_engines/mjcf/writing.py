@@ -64,7 +64,10 @@ def exact_inertia(model: mujoco.MjModel, robot: Robot, joints: Sequence[str]) ->
     """Give the links of a compiled model the inertia of the robot, also one that MuJoCo refuses to compile.
 
     It compiles principal inertias that are positive and the sides of a triangle; those of public URDFs often are not.
+    Rotors have their armature alone.
     """
+    for joint in joints:
+        model.body(joint + MOTOR).inertia = np.zeros(3)
     for i, body in enumerate(robot.links.bodies):
         link = model.body(joints[robot.links.order.index(i)] + LINK)
         moments, axes = np.linalg.eigh(np.asarray(body.inertia))
