@@ -74,22 +74,22 @@ LAYERS = {
         "cli",
     ),
     "fjr_proofs": ("verification", "rate error_bound", "kept_rate check_rows"),
-    "fjr_engines": ("mjcf native", "mujoco drake drawing", "film viewer", "cli"),
+    "fjr_engines": ("mjcf native", "contact drawing", "mujoco drake", "film viewer", "cli"),
     "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 
 
 BUDGETS = {
-    "fjr_core": 13_000,
+    "fjr_core": 13_040,
     "fjr_msgs_py": 3_800,
-    "fjr_monitor": 7_450,
+    "fjr_monitor": 7_570,
     "fjr_plant": 1_500,
     "fjr_controller": 1_930,
     "fjr_design": 9_440,
     "fjr_identification": 6_540,
     "fjr_proofs": 3_570,
-    "fjr_engines": 1_340,
+    "fjr_engines": 1_440,
     "fjr_bringup": 1_350,
 }
 """Most lines of Python of each package. What needs more raises its budget in the same commit and says why."""

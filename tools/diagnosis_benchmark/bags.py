@@ -16,12 +16,13 @@ from fjr_monitor.recording.message_types import type_hash
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, REFERENCE, STATES
+from fjr_monitor.report.contact import TOPIC as CONTACT
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import FIELDS, HEADER, Form, float_array, joint_state
 
 from .lock_step import LockStepLoop
 
-TYPES = dict.fromkeys((STATES, ANSWERS, EFFORTS, REFERENCE), "sensor_msgs/msg/JointState")
+TYPES = dict.fromkeys((STATES, ANSWERS, EFFORTS, REFERENCE, CONTACT), "sensor_msgs/msg/JointState")
 TYPES[EFFORTS] = "std_msgs/msg/Float64MultiArray"
 LATENCY = 200_000  # ns; from a state to its command
 WHOLE = 1_000_000  # states of a part
@@ -50,6 +51,8 @@ def write_bag(loop: LockStepLoop, folder: Path) -> None:
             write(ANSWERS, time + LATENCY, _joint_state(joints, stamp, effort=u))
             write(EFFORTS, time + LATENCY, _filled(float_array(",".join(joints), n), [u]))
             write(REFERENCE, time + LATENCY, _joint_state(joints, stamp, position=jets[0], velocity=jets[1]))
+    for stamp, values in loop.contacts:
+        write(CONTACT, stamp, _joint_state([*joints, *names.WRENCH], stamp, effort=values))
     bag.close()
 
 

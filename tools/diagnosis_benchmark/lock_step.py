@@ -55,7 +55,8 @@ class LockStepLoop:
     """A scenario in lock-step with a fault; raises ParameterError for invalid values.
 
     states: messages as (send time [ns], sample); commands: as (stamp, u, jets). links: true link positions (n,) [rad]
-    by stamp. found_after: samples before the state that reveals a wiring fault, 0: none found.
+    by stamp. contacts: (stamp, torques and wrench by the obstacle) while it touches. found_after: samples before the
+    state that reveals a wiring fault, 0: none found.
     """
 
     def __init__(self, scenario: Scenario, fault: Fault = NONE) -> None:
@@ -71,6 +72,7 @@ class LockStepLoop:
         self.states: list[tuple[int, Sample]] = []
         self.commands: list[tuple[int, Array, Array]] = []
         self.links: dict[int, Array] = {}
+        self.contacts: list[tuple[int, Array]] = []
         if fault.push is not None:
             self._robot.external = fault.push
 
@@ -118,6 +120,8 @@ class LockStepLoop:
             velocity = np.where(fault.delayed, self._velocities[0], velocity)
         stamp = START + self._robot.time
         self.links[stamp] = self._robot.x[: self._n]
+        if (contact := self._robot.contact).any():
+            self.contacts.append((stamp, contact))
         return stamp, position, velocity, effort
 
     def _measure(self) -> None:

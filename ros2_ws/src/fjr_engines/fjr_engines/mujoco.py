@@ -9,12 +9,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from fjr_core.config.obstacle import Obstacle
 from fjr_core.errors import ParameterError
 from fjr_core.model.rigid_arm import tip_frame
+from fjr_core.numerics.checks import Array
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
+from .contact import ARM, OBSTACLE, InsideError, add_contact, check_outside
 from .mjcf.writing import LINK, MOTOR, exact_inertia, specification
 from .native import mujoco_program
 
@@ -27,7 +30,9 @@ class MujocoEngine:
 
     in_python = False
 
-    def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> None:
+    def __init__(
+        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, obstacle: Obstacle | None = None
+    ) -> None:
         """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
         if plant.plant.in_python or plant.plant.integrator != "rk4":
             raise ParameterError("engine is 'mujoco'; expected plant.type: flexible_joint and integrator: rk4 with it")
@@ -36,7 +41,10 @@ class MujocoEngine:
         spec.body(joints[plant.robot.links.order.index(plant.robot.n - 1)] + LINK).add_body(
             name=PAYLOAD, mass=1.0, inertia=[1.0] * 3, explicitinertial=True
         )
+        if obstacle:
+            add_contact(spec, plant.robot, joints, obstacle)
         self.model = spec.compile()
+        self._obstacle = np.flatnonzero(self.model.geom_contype == OBSTACLE)
         exact_inertia(self.model, plant.robot, joints)
         self.data = mujoco.MjData(self.model)
         self._tip = tip_frame(plant.robot.links)
@@ -63,6 +71,17 @@ class MujocoEngine:
         mujoco.mj_resetData(self.model, self.data)
         self._program.lib.fjr_mujoco_begin(self._state)
 
+    def obstruct(self, present: bool, position: Array) -> None:
+        """Put the obstacle to its place or take it away; raise InsideError if the arm at q_l, q_m (2n,) is there."""
+        geoms, there = self._obstacle, mujoco.MjData(self.model)
+        self.model.geom_contype[geoms], self.model.geom_conaffinity[geoms] = OBSTACLE * present, ARM * present
+        there.qpos[self._dof] = position
+        try:
+            check_outside(self.model, there)
+        except InsideError:
+            self.model.geom_contype[geoms] = self.model.geom_conaffinity[geoms] = 0
+            raise
+
     def _build(self, plant: NonidealPlant, joints: Sequence[str]) -> None:
         """Build struct fjr_mujoco; joints: of q_l and q_m."""
         self._program, n = mujoco_program(), plant.robot.n
@@ -72,9 +91,9 @@ class MujocoEngine:
         self._space = WorkSpace(ffi, list(functions))
         sizes = {"q": 2 * n, "dq": 2 * n, "torque": 2 * n, "known": 4 * n, "wide": 2 * self.model.nv}
         arrays = {name: np.zeros(size) for name, size in sizes.items()}
-        dof = np.array([self.model.joint(name).dofadr[0] for name in joints], dtype=np.int32)
+        self._dof = np.array([self.model.joint(name).dofadr[0] for name in joints], dtype=np.int32)
         self._kept = {name: ffi.from_buffer("double[]", values) for name, values in arrays.items()}
-        self._kept["dof"] = ffi.from_buffer("int32_t[]", dof)
+        self._kept["dof"] = ffi.from_buffer("int32_t[]", self._dof)
         self._state = ffi.new(
             "struct fjr_mujoco*",
             {

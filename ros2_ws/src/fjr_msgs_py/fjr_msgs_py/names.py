@@ -26,6 +26,7 @@ RESUME = "~/resume"
 ROBOT_DESCRIPTION = "robot_description"
 CLOCK = "/clock"
 EXTERNAL_TORQUE = "~/external_torque"
+CONTACT = "~/contact"
 RESET = "~/reset"
 PAUSE = "~/pause"
 ADVANCE = "~/advance"
@@ -38,6 +39,10 @@ HISTORY = QoSProfile(depth=5000)
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Constant data: reliable, late subscribers receive the last message."""
+
+
+WRENCH = ("force_x", "force_y", "force_z", "moment_x", "moment_y", "moment_z")
+"""Names in CONTACT, after the joints, of the force on the arm [N] and its moment [N m] about the origin of the base."""
 
 
 def motor_name(joint: str) -> str:

@@ -11,9 +11,11 @@ from collections.abc import Sequence
 from importlib.metadata import entry_points
 from typing import Any, ClassVar, Protocol
 
+from fjr_core.config.obstacle import Obstacle
 from fjr_core.config.parameter import Values
 from fjr_core.config.plant import ENGINE, OWN
 from fjr_core.errors import ParameterError
+from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
@@ -37,13 +39,21 @@ class Engine(Protocol):
     def forget(self) -> None:
         """Forget what is kept between two steps, because the robot is back at its initial state."""
 
+    def obstruct(self, present: bool, position: Array) -> None:
+        """Put the obstacle to its place or take it away; raise ParameterError if the arm at q_l, q_m (2n,) is there."""
+
 
 class EngineKind(Protocol):
-    """Constructor of a simulator, with its in_python; inner_step [ns], ffi: cffi's FFI of robot.h."""
+    """Constructor of a simulator, with its in_python; inner_step [ns], ffi: cffi's FFI of robot.h.
+
+    obstacle: at most one, for a simulator that has contact.
+    """
 
     in_python: bool
 
-    def __call__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> Engine:
+    def __call__(
+        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, *obstacle: Obstacle
+    ) -> Engine:
         """Build it; raise ParameterError or RobotError for a robot that the simulator cannot express."""
 
 

@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError
+from fjr_core.config.obstacle import KIND, NONE, PRESENT
 from fjr_core.config.plant import initial_state, plant_parameters
 from fjr_core.config.plant import plant as build_plant
 from fjr_core.config.robot import description, robot_name
@@ -94,7 +95,9 @@ class PlantNode(ParameterNode):
         super().destroy_node()
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
-        """Apply new imperfections from now on; an FjrError refuses them."""
+        """Apply new imperfections, and put or take away the obstacle, from now on; an FjrError refuses them."""
+        if PRESENT in names and values[KIND] != NONE:
+            self._time_base.change(lambda: self._robot.obstruct(values[PRESENT]))
         if any(name.startswith("imperfections.") for name in names):
             motion, sensors, messages = errors_of(values, self._model)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core import FjrError, ParameterError, Plant, Robot, StateError
+from fjr_core.config.obstacle import Obstacle, obstacle
 from fjr_core.config.plant import channel_errors, period_jitter, random_seed, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.model.springs import hardening
@@ -108,6 +109,7 @@ class SimulatedRobot:
     _sliders = _array_slice("state", lambda n: slice(5 * n, 6 * n), "Sliders of the Maxwell elements (n,) [rad].")
     u = _array_slice("u", slice, "Command (n,) [N m].")
     external = _array_slice("external", slice, "Torques on the links (n,) [N m].")
+    contact = _array_slice("contact", lambda n: slice(n + 6), "Torques (n,) and wrench (6,) by an obstacle, robot.h.")
 
     def __init__(
         self,
@@ -120,11 +122,13 @@ class SimulatedRobot:
         program: Program | None = None,
         engine: EngineKind | None = None,
         joints: Sequence[str] = (),
+        obstacle: Obstacle | None = None,
     ) -> None:
         """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
         seed: of the sensor noise. engine: constructor of a simulator with these names of the joints, None for the
-        plant's own integrator. Raises ParameterError for invalid imperfections.
+        plant's own integrator. obstacle: what the simulator lets it touch. Raises ParameterError for invalid
+        imperfections, and an obstacle inside the arm.
         """
         self._program = program or plant_program()
         self._plant, self._n = plant, plant.robot.n
@@ -133,17 +137,20 @@ class SimulatedRobot:
         self._inner_step = inner_step
         self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed, self._program)
         self._build(len(Imperfections(self._n).vector))
-        self._engine = engine(self._imperfect, joints, inner_step, self._program.ffi) if engine else None
+        more = (obstacle,) if obstacle else ()
+        self._engine = engine(self._imperfect, joints, inner_step, self._program.ffi, *more) if engine else None
         if self._engine:
             self.pointer.engine, self.pointer.engine_advance = self._engine.handle, self._engine.advance
         self._use(imperfections or Imperfections(self._n))
         self.reset()
+        if obstacle:
+            self.obstruct(obstacle.present)
 
     def _build(self, parameters: int) -> None:
         """Build struct fjr_robot; parameters: their number."""
         n, ffi = self._n, self._program.ffi
         sizes = {"state": 6 * n, "next": 6 * n, "u": n, "external": n, "parameters": parameters, "measured": 6 * n}
-        self._arrays = {name: np.zeros(size) for name, size in sizes.items()}
+        self._arrays = {name: np.zeros(size) for name, size in (sizes | {"contact": n + 6}).items()}
         functions = {
             "step": self._plant.step_function,
             "nonideal_step": self._imperfect.step_function,
@@ -167,7 +174,7 @@ class SimulatedRobot:
     def reset(self) -> None:
         """Return to the initial positions and velocities at time 0, without effort, and restart the sensor noise."""
         self.pointer.time = 0
-        for name in ("u", "external", "state"):
+        for name in ("u", "external", "state", "contact"):
             self._arrays[name][:] = 0.0
         self.x, self._sliders = self._x0, self._deflection(self._x0)
         if np.any(self._imperfections.payload_mass):
@@ -200,6 +207,11 @@ class SimulatedRobot:
             self.x = self._with_velocity(velocity)
         if sensor_errors is not None:
             self._sensors.change(sensor_errors)
+
+    def obstruct(self, present: bool) -> None:
+        """Put the obstacle to its place, or take it away; raise ParameterError if the arm is there."""
+        assert self._engine is not None  # an obstacle is one of a simulator
+        self._engine.obstruct(present, self.x[: 2 * self._n])
 
     def advance_to(self, time: int) -> None:
         """Integrate in whole inner steps up to, and never past, `time` [ns].
@@ -312,5 +324,5 @@ def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[Simul
     seed, (motion, sensors, messages) = random_seed(values), errors_of(values, plant.robot)
     transport = Transport(plant.robot.n, inner_step * values["inner_steps"], inner_step, seed)
     transport.change(*messages)
-    engine, joints = engine_kind(values), values["joints"]
-    return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed, engine=engine, joints=joints), transport
+    simulator = {"engine": engine_kind(values), "joints": values["joints"], "obstacle": obstacle(values)}
+    return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed, **simulator), transport

@@ -15,6 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fjr_core import FjrError
+from fjr_core.config.obstacle import KIND, NONE
 from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
@@ -99,7 +100,8 @@ class TimeBase(ABC):
         self._raised = False  # the error of the fault was raised
         self._lock_step = self.functions == "lock_step"
         qos = names.sample_qos(node, self._lock_step)
-        self._publishers = [node.create_publisher(JointState, names.JOINT_STATES, qos)]
+        states = node.create_publisher(JointState, names.JOINT_STATES, qos)
+        self._publishers = [states, states]
         others: dict[int, Callable[[int], None]] = {
             self._lib.FJR_MOVING: lambda _: self._on_moving(),
             self._lib.FJR_ADVANCED: lambda _: self._end_advance(True, ""),
@@ -108,6 +110,8 @@ class TimeBase(ABC):
         }
         self._events = Events(self._program, self._health, lambda data: self._read(data), others)
         self.plant = self._built()
+        if node.values[KIND] != NONE:
+            self._show_contact()
         self._health.add_counters(lambda: self._events.counts(self.plant))
 
     def _built(self) -> Any:
@@ -131,6 +135,14 @@ class TimeBase(ABC):
         plant.by_stamps = bool(self._node.get_parameter("use_sim_time").value)
         plant.origin = plant.late_at = plant.between = plant.awaited = plant.other = NO_TIME
         return plant
+
+    def _show_contact(self) -> None:
+        """Publish what the obstacle does to the arm while they touch: torques on the joints, and the wrench."""
+        named = (*self._node.values["joints"], *names.WRENCH)
+        lengths = (0, 0, len(named))
+        self._messages.append(NativeMessage(self._program, joint_state(named, lengths), lengths))
+        self.plant.contact = self._messages[-1].pointer
+        self._publishers[1] = self._node.create_publisher(JointState, names.CONTACT, names.HISTORY)
 
     def _serve(self, simulated: bool = False) -> None:
         """Let a host serve commands and ticks; simulated: the time comes from another publisher of /clock."""

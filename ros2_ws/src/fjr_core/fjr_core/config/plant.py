@@ -17,6 +17,7 @@ from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
 from ..numerics.parameter_field import declared
 from ..simulation.imperfections import ChannelErrors, Imperfections, SensorErrors
+from .obstacle import obstacle_parameters
 from .parameter import VECTOR, Parameter, Values, number, options, read, table
 from .process import process_parameters
 
@@ -87,7 +88,7 @@ _OWN = (
 def plant_parameters(n: int) -> list[Parameter]:
     """Return the plant node's own parameters for n joints."""
     own = [parameter.for_joints(n) for parameter in _OWN]
-    return [*own, *imperfection_parameters(n), *process_parameters()]
+    return [*own, *obstacle_parameters(), *imperfection_parameters(n), *process_parameters()]
 
 
 def plant(values: Values, robot: Robot) -> Plant:

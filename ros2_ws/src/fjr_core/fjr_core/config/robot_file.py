@@ -17,7 +17,7 @@ from ..files.text_file import read_text
 from ..urdf.tree import is_xml
 from . import ros_yaml
 
-FILE, URDF, MOTION = "robot.file", "robot.urdf", "reference.file.path"
+FILE, URDF, MOTION, OBSTACLE = "robot.file", "robot.urdf", "reference.file.path", "obstacle.mjcf"
 _SCHEME = "package://"
 
 
@@ -94,7 +94,7 @@ def resolve(reference: str, folder: Path) -> Path:
 def absolute(given: Mapping[str, object], folder: Path) -> dict[str, object]:
     """Return the values with the paths of files as absolute paths; relative paths start at `folder`."""
     values = dict(given)
-    for name in (FILE, URDF, MOTION):
+    for name in (FILE, URDF, MOTION, OBSTACLE):
         reference = values.get(name)
         if isinstance(reference, str) and reference and not is_xml(reference) and not is_text(reference):
             try:

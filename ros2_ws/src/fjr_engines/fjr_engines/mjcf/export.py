@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +50,10 @@ def mjcf(scenario: Scenario, name: str) -> tuple[dict[str, bytes], list[str]]:
         spec.body(joint + MOTOR).ipos = np.zeros(3)  # else the XML has no <inertial>
         _add_limits(spec, robot, k, joint)
         _add_sensors(spec, float(robot.K[k, k]), joint)
-    seen = add_looks(spec, scenario)
+    values = scenario.plant_values
+    seen = add_looks(spec, robot, joints, description(values), locked_positions(values))
     _add_start(spec, scenario)
-    meshes = {f"{spec.meshdir}/{mesh.file}": _stl(each) for mesh, each in zip(spec.meshes, seen["meshes"], strict=True)}
+    meshes = {f"{spec.meshdir}/{mesh.file}": stl(each) for mesh, each in zip(spec.meshes, seen["meshes"], strict=True)}
     spec.assets = meshes
     return {f"{name}.xml": _text(spec).encode(), **meshes}, [*_notes(scenario), *seen["notes"]]
 
@@ -116,27 +117,30 @@ def _add_start(spec: mujoco.MjSpec, scenario: Scenario) -> None:
     spec.add_key(name="start", qpos=scenario.x0[: 2 * robot.n][chain], qvel=velocity[chain])
 
 
-def add_looks(spec: mujoco.MjSpec, scenario: Scenario) -> dict[str, Any]:
-    """Add the shapes of the robot's URDF; return them, as of fjr_monitor.scene.shapes."""
-    values, links = scenario.plant_values, scenario.plant.robot.links
-    urdf, locked = description(values), locked_positions(values)
+def add_looks(
+    spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], urdf: str, locked: Mapping[str, float]
+) -> dict[str, Any]:
+    """Add the shapes of the URDF text of a robot of the named joints; return them, as of fjr_monitor.scene.shapes.
+
+    locked: positions [rad, m] of joints that do not move. The caller adds the meshes as files.
+    """
     seen, tree = shapes(urdf, locked), read_urdf(urdf)
     for i in range(1, len(seen["meshes"]) + 1):
         spec.add_mesh(name=f"mesh{i}", file=f"mesh{i}.stl", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     bodies, pose = {"": (spec.worldbody, np.eye(4))}, np.eye(4)
-    for i, body in enumerate(links.bodies):
-        joint = scenario.joints[links.order.index(i)]
+    for i, body in enumerate(robot.links.bodies):
+        joint = joints[robot.links.order.index(i)]
         pose = pose @ _pose(np.asarray(body.rotation), np.asarray(body.translation))
         bodies[joint] = spec.body(joint + LINK), pose
     for link, found in seen["links"].items():
-        joint, place = _placed(tree, link, scenario.joints, locked)
+        joint, place = _placed(tree, link, joints, locked)
         owner, frame = bodies[joint]
         for shape in found:
             _add_geom(owner, shape, np.linalg.inv(frame) @ place)
     return seen
 
 
-def _placed(tree: UrdfTree, link: str, joints: tuple[str, ...], locked: Mapping[str, float]) -> tuple[str, Array]:
+def _placed(tree: UrdfTree, link: str, joints: Sequence[str], locked: Mapping[str, float]) -> tuple[str, Array]:
     """Return the joint that carries a link, "" for none, and the pose (4, 4) of the link in the base at q_l = 0."""
     carriers = {joint.child: joint for joint in tree.joints.values()}
     owner, pose = "", np.eye(4)
@@ -178,7 +182,7 @@ def _rgba(colour: str | None) -> tuple[float, ...]:
     return GREY if colour is None else (*(byte / 255 for byte in bytes.fromhex(colour[1:])), 1.0)
 
 
-def _stl(mesh: Mesh) -> bytes:
+def stl(mesh: Mesh) -> bytes:
     """Return a mesh as binary STL."""
     triangles = np.zeros(len(mesh.triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("end", "<u2")])
     triangles["corners"] = mesh.vertices[mesh.triangles]

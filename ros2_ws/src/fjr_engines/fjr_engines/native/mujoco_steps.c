@@ -40,6 +40,24 @@ static void advance_memory(struct fjr_mujoco* e) {
   memcpy(a, r->next, 2 * (size_t)r->n * sizeof(double));
 }
 
+/* Add a share of what the contacts of the last step did: torques on the links, force and moment on the arm. */
+static void add_contact(const struct fjr_mujoco* e, double share) {
+  const mjModel* m = e->model;
+  const mjData* d = e->data;
+  double *torque = e->robot->contact, *force = torque + e->robot->n;
+  for (int32_t i = 0; i < e->robot->n; ++i) torque[i] += share * d->qfrc_constraint[e->dof[i]];
+  for (int32_t k = 0; k < d->ncon; ++k) {
+    const int second = m->body_weldid[m->geom_bodyid[d->contact[k].geom[1]]]; /* 0: the obstacle, pushed by the arm */
+    mjtNum in_contact[6], in_world[3], moment[3];
+    mj_contactForce(m, d, k, in_contact);
+    mju_mulMatTVec3(in_world, d->contact[k].frame, in_contact);
+    mju_scl3(in_world, in_world, second ? share : -share);
+    mju_cross(moment, d->contact[k].pos, in_world);
+    mju_addTo3(force, in_world);
+    mju_addTo3(force + 3, moment);
+  }
+}
+
 /* Give MuJoCo the state x = (q_l, q_m, p_l, p_m) if it is another one than after the last step. */
 static void load(struct fjr_mujoco* e) {
   const mjModel* m = e->model;
@@ -68,10 +86,12 @@ int fjr_mujoco_advance(void* engine, struct fjr_robot* robot, int64_t steps) {
   mjData* d = e->data;
   moving = e, e->robot = robot, e->failed = 0;
   load(e);
+  memset(robot->contact, 0, ((size_t)robot->n + 6) * sizeof(double));
   for (int64_t k = 0; k < steps && !e->failed; ++k) {
     e->start = d->time;
     mj_step(e->model, d);
     advance_memory(e);
+    if (d->ncon) add_contact(e, 1.0 / (double)steps);
   }
   store(e);
   moving = NULL;

@@ -32,9 +32,9 @@ from fjr_monitor.diagnosis.record import Innovations
 
 from . import thresholds
 from .thresholds import AT_LIMIT, BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE, JointTolerances
-from .verdict import NO_DECAY, SAMPLING, SATURATION, Diagnosis, detail, explained, unknown, violated
+from .verdict import MISMATCH, NO_DECAY, SAMPLING, SATURATION, Diagnosis, detail, explained, unknown, violated
 
-CAUSES = ("model mismatch", "saturation", "delay", "loss")
+CAUSES = (MISMATCH, SATURATION, "delay", "loss")
 CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
 EMPTY: Array = np.zeros((0, 0, 0))
 

@@ -35,7 +35,7 @@ from .fault_isolation import MOST_STATES, isolate
 from .record import PART, Innovations, Record, T
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
-from .verdict import NO_DECAY, SAMPLING, Diagnosis, unknown, violated
+from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, external, unknown, violated
 
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 VISITED = 200  # configurations of a run at which the rate is evaluated
@@ -181,9 +181,11 @@ class PartwiseDiagnosis:
             assert self._ends is not None  # a record has a part
             assert self._unsaturated is not None
             findings = isolate(self._ends, *self._unsaturated, self._law, self._axes.names)
-        known = diagnosis.kind in ("degraded", "violated") and "model mismatch" not in diagnosis.causes
+        known = diagnosis.kind in ("degraded", "violated") and MISMATCH not in diagnosis.causes
         explained = known or diagnosis.kind == "holding"
         findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
+        if any(each.kind == EXTERNAL for each in findings):
+            diagnosis = external(diagnosis)
         sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
         return replace(diagnosis, sentence=sentence, findings=findings)
 

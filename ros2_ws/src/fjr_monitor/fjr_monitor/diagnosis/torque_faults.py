@@ -31,7 +31,7 @@ from fjr_core.numerics.checks import Array
 
 from .record import Innovations
 from .thresholds import BLOCK
-from .verdict import Finding
+from .verdict import EXTERNAL, Finding
 
 FEWEST_BLOCKS = 20
 """Smallest number of blocks of a regression."""
@@ -46,6 +46,16 @@ ADVANTAGE = 0.7
 """Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
 NEAREST = 0.1
 """Smallest share of the residual that the nearest kind must explain to be named where no fault is reported."""
+EPISODE = 0.5
+"""Largest share of the blocks in which an external torque acts."""
+QUIET = 0.1
+"""Torque of a joint relative to its largest up to which it does not act."""
+NEGLIGIBLE = 0.05
+"""External torque relative to that of the joint with the largest up to which a joint is not named."""
+DRIVEN = 0.1
+"""Share of the energy by a torque that drives a joint, above which it is no friction."""
+REACTION = 0.2
+"""Largest torque on a motor, relative to the largest on a link, that is attributed to the prediction of the spring."""
 SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARAMETERS = 4 + len(SECOND_MOMENTS)
 LINK, MOTOR, JOINT = "link", "motor", "joint"
@@ -80,7 +90,8 @@ def fits(seen: Residuals) -> list[tuple[float, float, Hypothesis]]:
 def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     """Return the single fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
 
-    A fault is reported if it explains enough and clearly more than the best one of another kind or joint.
+    A fault is reported if it explains enough and clearly more than the best one of another kind or joint. Without one,
+    torques that act on the links only, and not all the time, are external.
     """
     power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
     if not np.isfinite(power).all() or power.max() < SIGNIFICANT**2:
@@ -90,11 +101,34 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     next_best = next(each for each, _, other in others if (other.kind, other.joint) != (fault.kind, fault.joint))
     share = float(np.clip(1 - max(left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
     if share < EXPLAINED or max(left - noise, 0.0) > ADVANTAGE * max(next_best - noise, 0.0):
-        return (unexplained(fault, share, names),)
+        return (external_torque(seen, names) or unexplained(fault, share, names),)
     what = f"{fault.kind} of {size:.3g} {fault.unit} explains {100 * share:.0f} % of the residual torque"
     return (
         Finding(fault.kind, names[fault.joint], fault.side, size, fault.unit, share, f"{fault.place(names)}: {what}"),
     )
+
+
+def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
+    """Return the finding that torques act on links for part of the time; None if they do not, or motors need some, too.
+
+    It names the joints whose torque is not NEGLIGIBLE. A fault of the robot acts all the time while it moves, and
+    friction, which may act at low speed only, never drives a joint.
+    """
+    size, n = np.abs(seen.r), seen.robot.n
+    largest = size.max(axis=0)
+    on_l = largest[:n]
+    felt = on_l > np.maximum(SIGNIFICANT * seen.sigma[:n], NEGLIGIBLE * on_l.max())
+    acting = size[:, :n] > np.maximum(SIGNIFICANT * seen.sigma[:n], QUIET * on_l)
+    often = float((acting & felt).any(axis=1).mean())
+    power = (seen.r * seen.means(seen.dq))[:, :n]
+    driven = np.maximum(power, 0.0).sum(axis=0) > DRIVEN * np.abs(power).sum(axis=0)
+    if not (felt & driven).any() or often > EPISODE or largest[n:].max() > REACTION * on_l.max():
+        return None
+    concerned, most = [names[j] for j in np.flatnonzero(felt)], int(on_l.argmax())
+    unit = seen.robot.units[most].effort
+    sentence = f"{EXTERNAL} on {', '.join(concerned)}: at most {on_l[most]:.3g} {unit} ({names[most]})"
+    share = float((size[:, :n] ** 2).sum() / (size**2).sum())
+    return Finding(EXTERNAL, ", ".join(concerned), LINK, float(on_l[most]), unit, share, sentence)
 
 
 def unexplained(nearest: Hypothesis, share: float, names: Sequence[str]) -> Finding:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from fjr_core.numerics.checks import Array
@@ -13,9 +13,11 @@ from fjr_core.numerics.one_line import brief
 from .thresholds import JointTolerances
 
 SAMPLING, SATURATION = "sampling", "saturation"
+MISMATCH, EXTERNAL = "model mismatch", "external torque"
 NO_DECAY = "V does not decay as guaranteed"
 _EXPLANATIONS = {
-    "model mismatch": "the robot differs from the model: torques act on links or motors that the model lacks",
+    MISMATCH: "the robot differs from the model: torques act on links or motors that the model lacks",
+    EXTERNAL: "torques from outside act on the links for part of the time, as in contact",
     SATURATION: "the effort was saturated at a limit",
     "delay": "the effort acted late",
     "loss": "states or efforts were lost",
@@ -47,9 +49,9 @@ class Diagnosis:
 
     kind: "holding": V decayed as guaranteed, to the floor that hold and noise predict. "degraded": V exceeds the floor
     and the resulting tracking error is within the tolerance. "violated": it is not, or V grew. "unknown": too few
-    data. causes: of the violating blocks, the strongest first, out of "model mismatch", "saturation",
-    "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the underlying
-    numbers by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
+    data. causes: of the violating blocks, the strongest first, out of "model mismatch", "external torque",
+    "saturation", "delay", "loss", "sampling"; empty if none is known. sentence: kind and causes as text. figures: the
+    underlying numbers by name. errors: the tracking error (n,) [rad; m if the joint slides] that each cause makes.
     detail: causes with the largest of these, e.g. "delay makes 0.14 mrad at joint2". findings: faults of the robot or
     its signals, by joint, side and kind.
     """
@@ -74,6 +76,19 @@ def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
 def violated(what: str, causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
     """Return "violated" with what was seen and the causes, the strongest first."""
     return Diagnosis("violated", causes, f"{what}: {explained(causes)}", figures, {}, ", ".join(causes))
+
+
+def external(diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis of which external torques explain the mismatch, or that nothing else explains."""
+
+    def said(text: str) -> str:
+        return text.replace(_EXPLANATIONS[MISMATCH], _EXPLANATIONS[EXTERNAL]).replace(MISMATCH, EXTERNAL)
+
+    if not diagnosis.causes and diagnosis.kind != "holding":
+        return replace(diagnosis, causes=(EXTERNAL,), detail=EXTERNAL)
+    causes, errors = map(said, diagnosis.causes), {said(cause): size for cause, size in diagnosis.errors.items()}
+    sentence, detailed = said(diagnosis.sentence), said(diagnosis.detail)
+    return replace(diagnosis, causes=tuple(causes), errors=errors, sentence=sentence, detail=detailed)
 
 
 def explained(causes: tuple[str, ...]) -> str:

@@ -119,6 +119,11 @@ class Recording:
         return (*self._answered.notes, *self._notes_of_parts, *self._rate_note)
 
     @property
+    def start(self) -> int:
+        """Stamp [ns] of the first state."""
+        return self._answered.section.start
+
+    @property
     def velocities_measured(self) -> bool:
         """Whether velocities are measured; else an observer estimates them."""
         return not self._answered.reader.estimated

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -22,9 +22,10 @@ from fjr_core.law.rate import NO_RATE
 from fjr_core.model.robot import joined
 from fjr_monitor.diagnosis.diagnosis import PartwiseDiagnosis
 from fjr_monitor.diagnosis.thresholds import JointTolerances
-from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
+from fjr_monitor.diagnosis.verdict import EXTERNAL, Diagnosis, unknown
 from fjr_monitor.recording.run import ControllerStop, Recording, RunData
 from fjr_monitor.recording.timing import Clock, Counts, Timing
+from fjr_monitor.report.contact import Contact, contact
 from fjr_monitor.report.performance import (
     Balance,
     Decay,
@@ -39,6 +40,7 @@ from fjr_monitor.report.performance import (
 from fjr_msgs_py.console.output import finite, number, percent
 from fjr_msgs_py.console.provenance import Provenance
 
+AFTER_CONTACT = 0.5  # s
 KEEPS_UP = 0.9  # fraction of states answered in time below which a violation shows the computer, not the law
 IN_TIME = 0.99  # the same, if delay or loss is the first cause
 VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
@@ -77,6 +79,7 @@ class Report:
     failure: str = ""  # why the run ended early
     planned_s: float | None = None  # planned duration; null: unknown
     guesses: tuple[str, ...] = ()  # values of the robot that are guesses, a sentence for each kind
+    contact: Contact | None = None  # null: the verdict has no external torque
     provenance: Provenance | None = None  # of the command that recorded the run; null: unknown
 
     @property
@@ -158,6 +161,13 @@ class Report:
         write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
 
 
+def _in_contact(stop: ControllerStop, touched: Contact | None) -> ControllerStop:
+    """Return a stop, with the contact that began before it and ended less than AFTER_CONTACT ago, in its reason."""
+    if touched is None or not touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
+        return stop
+    return replace(stop, reason=f"{stop.reason}; {touched.sentence}")
+
+
 class Metrics:
     """What is known of a run once all its parts were read twice: first what the second reading depends on.
 
@@ -210,9 +220,16 @@ class Metrics:
             return unknown("V does not include the disturbance estimate (robust.* is enabled)")
         return self._diagnosis.result(self.run.velocities_measured)
 
+    def _contact(self, verdict: Diagnosis) -> Contact | None:
+        """Return the contact of a run whose verdict has an external torque, None for others."""
+        joints = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
+        law = self.run.scenario.certified_law
+        return contact(self.run, law, joints) if joints and law else None
+
     def report(self, name: str, duration: float, **more: Any) -> Report:
         """Return the report of `duration` seconds of stamped time; more: fields that the bag does not hold."""
-        run = self.run
+        run, verdict = self.run, self.verdict()
+        touched = self._contact(verdict)
         lost = {topic: each.lost for topic, each in sorted(run.bag.topics.items())}
         versions: dict[str, str] = {}
         for each in VERSIONS:
@@ -225,8 +242,9 @@ class Metrics:
             lockstep=run.lockstep,
             bag=str(run.bag.path),
             bag_complete=run.bag.complete,
-            stop=run.stop,
-            verdict=self.verdict(),
+            stop=run.stop and _in_contact(run.stop, touched),
+            verdict=verdict,
+            contact=touched,
             missing=(*run.bag.notes, *run.notes),
             tracking=self.tracked.tracking(),
             joints=self.tracked.joints(),

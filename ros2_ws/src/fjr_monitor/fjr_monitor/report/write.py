@@ -143,7 +143,8 @@ def table(summaries: Sequence[RunSummary]) -> str:
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     found = [f"{each.label}: {fault.sentence}" for each in summaries for fault in each.report.verdict.findings]
     advised = [f"{each.label}: {each.report.advice}" for each in summaries if each.report.advice]
-    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *advised])
+    touched = [f"{each.label}: {each.report.contact.sentence}" for each in summaries if each.report.contact]
+    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *touched, *advised])
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:

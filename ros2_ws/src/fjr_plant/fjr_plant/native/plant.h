@@ -42,7 +42,7 @@ enum fjr_event {
 };
 
 /* Messages to send. */
-enum fjr_output { FJR_STATE, FJR_CLOCK };
+enum fjr_output { FJR_STATE, FJR_CONTACT, FJR_CLOCK, FJR_OUTPUTS };
 
 struct fjr_plant {
   struct fjr_robot* robot;
@@ -50,6 +50,7 @@ struct fjr_plant {
   struct fjr_sample_times* times;
   struct fjr_joint_reader* answer;     /* reader of named commands */
   struct fjr_message* state[2];        /* without and with velocities */
+  struct fjr_message* contact;         /* NULL without an obstacle */
   struct fjr_message* clock;
   double* sample;                      /* (2 + 6n) */
   double* held;                        /* (2 + 6n) lock-step: first sample, sent when the robot runs */
@@ -60,6 +61,7 @@ struct fjr_plant {
 
   int32_t fault;
   int32_t paused, by_stamps;           /* by_stamps: 1: notify FJR_SECOND */
+  int32_t touched;                     /* the obstacle, at the last sample */
   int64_t offset;                      /* stamp of robot time 0 */
   int64_t command_timeout, last_command;
   int64_t left;                        /* samples of an advance */

@@ -19,7 +19,7 @@ struct fjr_plant_loop {
   int32_t lock_step;
   struct fjr_ring* notes;
   int (*notify)(void* host, int32_t event, int64_t value, const uint8_t* data, size_t size); /* Python */
-  void* publisher[2];  /* rcl_publisher_t* by enum fjr_output */
+  void* publisher[FJR_OUTPUTS]; /* rcl_publisher_t* by enum fjr_output */
   int (*work)(void);   /* called for a request; returns an enum fjr_fault */
   void (*ended)(void); /* called after a failure */
 };

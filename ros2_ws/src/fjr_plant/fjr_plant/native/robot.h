@@ -54,6 +54,8 @@ struct fjr_robot {
   double* w;
   struct fjr_sensors* sensors;
   void* engine;              /* a simulator in place of the steps, NULL for none */
+  double* contact;           /* (n + 6) means over the last steps of an engine: torques on the links [N m], force [N] and
+                              * moment [N m] about the origin of the base on the arm, all by an obstacle */
   int (*engine_advance)(void* engine, struct fjr_robot* robot, int64_t steps); /* inner steps of `state`; returns 0 */
 };
 

@@ -85,6 +85,21 @@ static int integrate(struct fjr_plant* p, int64_t time) {
   return integrate_held(p, time);
 }
 
+static int send_message(struct fjr_plant* p, int32_t output, const struct fjr_message* message) {
+  return failed(p, p->send(p->host, output, message) ? FJR_NOT_SENT : FJR_NO_FAULT);
+}
+
+/* Show what the obstacle does to the arm while they touch, and once zero. */
+static int show_contact(struct fjr_plant* p, int64_t stamp) {
+  const int touched = p->touched;
+  if (!p->contact) return 0;
+  p->touched = any(p->robot->contact, p->robot->n + 6);
+  if (!touched && !p->touched) return 0;
+  fjr_put_stamp(p->contact, stamp);
+  fjr_put_numbers(p->contact, FJR_FIELDS - 1, p->robot->contact);
+  return send_message(p, FJR_CONTACT, p->contact);
+}
+
 /* Measure into p->sample. */
 static int take_sample(struct fjr_plant* p) {
   const int64_t stamp = stamp_of(p);
@@ -92,17 +107,13 @@ static int take_sample(struct fjr_plant* p) {
   memcpy(&p->sample[SAMPLE_STAMP], &stamp, sizeof stamp);
   p->sample[SAMPLE_VELOCITIES] = p->robot->sensors->velocities;
   memcpy(p->sample + SAMPLE_VALUES, p->robot->measured, 6 * (size_t)p->robot->n * sizeof(double));
-  return 0;
+  return show_contact(p, stamp);
 }
 
 static int64_t sample_stamp(const double* sample) {
   int64_t stamp;
   memcpy(&stamp, &sample[SAMPLE_STAMP], sizeof stamp);
   return stamp;
-}
-
-static int send_message(struct fjr_plant* p, int32_t output, const struct fjr_message* message) {
-  return failed(p, p->send(p->host, output, message) ? FJR_NOT_SENT : FJR_NO_FAULT);
 }
 
 static struct fjr_message* message_of(const struct fjr_plant* p, const double* sample) {
