@@ -34,6 +34,7 @@ LONGEST_FIRST = (
     "system/test_fjr_tune.py",
     "system/test_closed_loop.py",
     "engines/test_film.py",
+    "engines/test_mjcf_export.py",
     "system/test_identify_measurements.py",
     "system/test_compare.py",
     "system/test_records.py",
