@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 import fjr_core as fjr
+from diagnosis_benchmark.bags import write_bag
 from diagnosis_benchmark.lock_step import LockStepLoop
 from engines.walls import Array, loaded, met, random_walls, unchanged
 from fjr_core.config.obstacle import Obstacle
@@ -18,6 +19,8 @@ from fjr_core.config.robot import description
 from fjr_core.errors import FjrError
 from fjr_core.urdf.tree import read_urdf
 from fjr_engines.mujoco import MujocoEngine
+from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.report.write import report_bag
 from fjr_msgs_py.scenarios import library
 from fjr_plant.simulated_robot import SimulatedRobot, simulated
 
@@ -164,3 +167,25 @@ def test_report_at_random_walls_names_the_joints_and_the_force(seed: int, tmp_pa
         assert seen.finite
         assert not seen.beyond
         assert seen.force == pytest.approx(seen.own_force, rel=0.1)
+
+
+def test_force_at_the_tip_of_a_robot_without_simulator_is_that_of_its_joint_torques(tmp_path: Path) -> None:
+    """A push of J'f for 0.1 s in the plant's own integrator, whose bag has no contact."""
+    loop, force = (
+        LockStepLoop(loaded({"engine": "own", "obstacle.type": "none"})).run(0.9),
+        np.array([20.0, 30.0, -10.0]),
+    )
+    q, end, step = loop._robot.x[:7], loop.scenario.robot.links.end_effector.position, 1e-6
+    moved = [end(q + s * step * e, np.zeros(3)).full().ravel() for s in (1, -1) for e in np.eye(7)]
+    J = (np.array(moved[:7]) - np.array(moved[7:])).T / (2 * step)
+    loop._robot.external = J.T @ force
+    loop.run(1.0)
+    loop._robot.external = np.zeros(7)
+    loop.run(2.0)
+    write_bag(loop, tmp_path / "bag")
+    report = report_bag("tip", read_bag(tmp_path / "bag"), loop.scenario, tmp_path, pages=False).report
+    assert report.contact is not None
+    assert report.contact.force_at == "at the tip"
+    assert report.contact.simulated_force_n is None
+    assert (report.contact.begins_s, report.contact.ends_s) == pytest.approx((0.9, 1.0), abs=0.006)
+    assert report.contact.force_n == pytest.approx(float(np.linalg.norm(force)), rel=0.05)

@@ -75,3 +75,14 @@ def test_report_of_a_run_says_contact_beside_that_of_the_simulator(tmp_path: Pat
     for each in contact["joints"]:
         assert each["largest_torque_nm"] == pytest.approx(each["simulated_torque_nm"], rel=0.1, abs=1.0)
     assert "in the simulator" in (tmp_path / "arm7_contact" / "report.html").read_text()
+
+
+@pytest.mark.system
+def test_stop_at_a_wall_says_contact(tmp_path: Path) -> None:
+    changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
+    run = ("run", "arm7_contact", "--lockstep", "--no-report", "--duration", "1.5", "--output", str(tmp_path), *changes)
+    fjr_here(*run, codes=(Exit.FAILED,))
+    report = json.loads((tmp_path / "arm7_contact" / "report.json").read_text())
+    assert report["status"] == "stopped"
+    assert "; contact from 0.8" in report["stop"]["reason"]
+    assert "external torque" in report["verdict"]["causes"]
