@@ -17,6 +17,7 @@ import fjr_core as fjr
 from core.oracles.chains import random_urdf
 from fjr_core.errors import FjrError
 from fjr_core.simulation.imperfections import Imperfections
+from fjr_msgs_py.scenarios.library import load
 from fjr_plant.engine import engine_kind
 from fjr_plant.simulated_robot import SimulatedRobot
 
@@ -44,7 +45,8 @@ def chain() -> fjr.Robot:
 
 
 ROBOTS = {"single_link": fjr.single_link, "two_link": fjr.planar_two_link, "chain": chain}
-robots = pytest.mark.parametrize("robot", [make() for make in ROBOTS.values()], ids=ROBOTS)
+MADE = [make() for make in ROBOTS.values()]
+robots = pytest.mark.parametrize("robot", MADE, ids=ROBOTS)
 
 
 def moved(
@@ -73,10 +75,11 @@ def run(simulated: SimulatedRobot, samples: int = 100, external: float = 0.0) ->
 
 
 @engines
-@robots
+@pytest.mark.parametrize("robot", [*MADE, load("arm7").plant.robot], ids=[*ROBOTS, "arm7"])
 def test_motion_is_the_solution_of_eq_36(robot: fjr.Robot, engine: str) -> None:
     """Under a constant effort, by SciPy's method of order 8 from the Hamiltonian form."""
-    simulated, plant, u = moved(robot, engine), fjr.Plant(robot), np.linspace(0.5, 1.5, robot.n)
+    simulated = moved(robot, engine, inner_step=INNER // 10)
+    plant, u = fjr.Plant(robot), np.linspace(0.5, 1.5, robot.n)
     exact = solve_ivp(lambda _, x: plant.derivative(x, u), (0, 0.1), simulated.x, "DOP853", rtol=1e-12, atol=1e-13)
     simulated.u = u
     simulated.advance_to(100 * SAMPLE)
