@@ -40,10 +40,11 @@ def add_contact(spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], obstac
     for joint in joints:
         for geom in spec.body(joint + LINK).geoms:
             geom.contype, geom.conaffinity, geom.mass = ARM, OBSTACLE, 0.0
-    _add_obstacle(spec, obstacle)
+    add_obstacle(spec, obstacle)
 
 
-def _add_obstacle(spec: mujoco.MjSpec, obstacle: Obstacle) -> None:
+def add_obstacle(spec: mujoco.MjSpec, obstacle: Obstacle) -> None:
+    """Add an obstacle to a specification; raises ParameterError."""
     if obstacle.kind == MJCF:
         _attach(spec, obstacle.mjcf)
         return

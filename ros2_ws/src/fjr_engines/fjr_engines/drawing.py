@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw an arm of `fjr export-mjcf` in MuJoCo at given positions; a link turns orange as its spring deflects.
-
-As a program, which films start, it writes the frames of a motion to standard output.
-"""
+"""Draw an arm in MuJoCo at given positions; a link turns orange as its spring deflects. As a program, draw a film."""
 
 from __future__ import annotations
 
@@ -13,33 +10,35 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from fjr_core.config.obstacle import obstacle
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 
+from .contact import add_obstacle
 from .mjcf.export import mjcf
 
-MOTION = "motion.npz"
-"""File of the arrays joints (n,), q_l, q_m (k, n) [rad, m], width and height of a film."""
+MODEL, MOTION = "arm.mjb", "motion.npz"
+"""File of the arm, and of the arrays joints (n,), q_l, q_m (k, n) [rad, m], width and height of a film."""
 ORANGE = np.array([0.9, 0.4, 0.0, 1.0])
 AZIMUTH, ELEVATION, FIELD = 125.0, -20.0, 30.0  # degrees; of the camera
 CLOSER = 0.8  # the camera is nearer than where a ball about all poses is seen
 
 
-def written(scenario: Scenario, folder: Path) -> Path:
-    """Write the arm of a scenario and its meshes to a folder and return its file; raise RobotError, or ValueError."""
-    for name, content in mjcf(scenario, "arm")[0].items():
-        Path(folder, name).parent.mkdir(exist_ok=True)
-        Path(folder, name).write_bytes(content)
-    return folder / "arm.xml"
+def write(scenario: Scenario, folder: Path) -> None:
+    """Write MODEL, the arm of a scenario and its obstacle on a floor, to a folder; raise RobotError or ValueError."""
+    (_, xml), *meshes = mjcf(scenario, "arm")[0].items()
+    spec = mujoco.MjSpec.from_string(xml.decode(), assets=dict(meshes))
+    if (found := obstacle(scenario.plant_values)) is not None:
+        add_obstacle(spec, found)
+    _add_surroundings(spec)
+    mujoco.mj_saveModel(spec.compile(), str(folder / MODEL))
 
 
 class DrawnArm:
-    """MuJoCo's `model` and `data` of an arm on a floor, which `pose` changes; `largest` (n,): deflection so far."""
+    """MuJoCo's `model` and `data` of an arm in a folder, which `pose` changes; `largest` (n,): deflection so far."""
 
-    def __init__(self, file: Path, joints: Sequence[str]) -> None:
-        spec = mujoco.MjSpec.from_file(str(file))
-        _add_surroundings(spec)
-        self.model = spec.compile()
+    def __init__(self, folder: Path, joints: Sequence[str]) -> None:
+        self.model = mujoco.MjModel.from_binary_path(str(folder / MODEL))
         self.data = mujoco.MjData(self.model)
         self.largest = np.full(len(joints), 1e-9)
         self._positions = [self.model.joint(joint).qposadr[0] for joint in joints]
@@ -91,7 +90,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
 def main(folder: Path) -> None:
     """Write the frames of the arm and the motion in a folder to standard output, three bytes a pixel."""
     motion = np.load(folder / MOTION)
-    arm = DrawnArm(folder / "arm.xml", motion["joints"].tolist())
+    arm = DrawnArm(folder, motion["joints"].tolist())
     camera = arm.camera(motion["q_l"])
     arm.largest = np.maximum(arm.largest, np.abs(np.nan_to_num(motion["q_m"] - motion["q_l"])).max(axis=0))
     with mujoco.Renderer(arm.model, int(motion["height"]), int(motion["width"])) as renderer:

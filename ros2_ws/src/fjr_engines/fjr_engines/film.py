@@ -97,10 +97,10 @@ def frames_of_mujoco(scenario: Scenario, arm: ArmReplay, times: Array, folder: P
     """Return the arm at these times (k,) [s] as MuJoCo's renderer draws it; None where it cannot."""
     if not backend():
         return None
-    from fjr_engines.drawing import MOTION, written
+    from fjr_engines.drawing import MOTION, write
 
     try:
-        written(scenario, folder)
+        write(scenario, folder)
     except (RobotError, ValueError):  # ValueError: MuJoCo's, for a mesh
         return None
     sides = np.hstack([arm.link, arm.motor])

@@ -43,12 +43,12 @@ def shown(name: str, text: str) -> Iterator[None]:
 
     Raises RobotError for a robot that MuJoCo cannot express.
     """
-    from fjr_engines.drawing import written
+    from fjr_engines.drawing import write
 
     scenario = parse_scenario(name, text)
     with TemporaryDirectory(prefix="fjr-viewer-") as folder:
-        file = written(scenario, Path(folder))
-        command = [sys.executable, "-m", "fjr_engines.viewer", str(file), *scenario.joints]
+        write(scenario, Path(folder))
+        command = [sys.executable, "-m", "fjr_engines.viewer", folder, *scenario.joints]
         process = subprocess.Popen(command, cwd=folder)  # where MuJoCo logs its errors
         try:
             yield
@@ -61,8 +61,8 @@ def shown(name: str, text: str) -> Iterator[None]:
                 process.wait()
 
 
-def main(file: Path, joints: tuple[str, ...]) -> None:
-    """Show an arm of `fjr export-mjcf` at the positions that /joint_states gives of its joints and their motors."""
+def main(folder: Path, joints: tuple[str, ...]) -> None:
+    """Show the arm in a folder (fjr_engines/drawing.py) at the positions of both sides that /joint_states gives."""
     import mujoco.viewer
     import rclpy
     from rclpy.executors import ExternalShutdownException
@@ -72,7 +72,7 @@ def main(file: Path, joints: tuple[str, ...]) -> None:
     from fjr_engines.drawing import DrawnArm
     from fjr_msgs_py.names import JOINT_STATES, state_names
 
-    arm, newest = DrawnArm(file, joints), dict[str, float]()
+    arm, newest = DrawnArm(folder, joints), dict[str, float]()
     os.nice(NICE)
     rclpy.init()
     node = rclpy.create_node("fjr_viewer")
