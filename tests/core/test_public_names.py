@@ -98,7 +98,7 @@ def test_dir_shows_the_public_names_only() -> None:
 
 def test_all_packages_have_the_version_of_fjr_core() -> None:
     versions = {file.parent.name: ElementTree.parse(file).findtext("version") for file in SOURCES.glob("*/package.xml")}
-    assert len(versions) == 9
+    assert len(versions) == 10
     assert set(versions.values()) == {fjr.__version__}
 
 

@@ -228,6 +228,8 @@ HERE = "joints publish_rate inner_steps integrator wait_for_command robot.model 
 ELSEWHERE = {
     "test_lifecycle, test_controller_node, test_native_loop": "autostart state_timeout auxiliary_rate executor compile",
     "test_certificate": "certificate certificate_tolerance",
+    "test_external_torque": "external_torque_bandwidth",
+    "tests/engines/test_engines.py": "engine",
     "test_plant_node": "publish_description command_timeout start_paused",
     "test_lock_step, test_sim_time, test_advance": "lockstep_timeout restart_silence advance_samples",
     "tests/msgs/test_scheduling.py, tests/system/test_executables.py": "lock_memory cpu_affinity realtime_priority",
@@ -240,6 +242,7 @@ WIRED_BY_GROUP = (
     "imperfections.",  # test_plant_imperfections, test_simulated_robot
     "measurement.",  # tests/core/runtime/test_measurement.py, test_lifecycle
     "limits.",  # tests/tracking, test_lifecycle
+    "obstacle.",  # tests/engines/test_contact.py
     "on_stop",
     "start.",
     "recovery.",

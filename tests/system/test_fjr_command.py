@@ -190,7 +190,7 @@ def test_nodes_of_the_same_names_in_another_namespace_are_no_conflict(
     ("line", "code", "words"),
     [
         ("paper_k99", 2, "unknown scenario 'paper_k99'"),
-        ("", 2, "no scenario given: expected a YAML file or one of arm7, paper_k31"),
+        ("", 2, "no scenario given: expected a YAML file or one of arm7, arm7_contact, paper_k31"),
         ("paper_k31 --set robot.joint_stifness:=[1.0]", 2, "did you mean 'robot.joint_stiffness'"),
         ("paper_k31 --set publish_rate", 2, "expected name:=value"),
         ("paper_k31 --set publish_rate:=60.0 --set inner_steps:=200", 1, "unstable as sampled at 60 Hz"),
