@@ -27,14 +27,15 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES, LOG = ROOT / "ros2_ws" / "src", ROOT / "build" / "mutants.tsv"
 SEED, SIZE, LONGEST = 25, 300, 300.0  # s
-STEP = " ".join(f"core/runtime/test_{name}.py" for name in ("reference", "certificate", "measurement")) + " tracking"
+STEP = " ".join(f"core/runtime/test_{name}.py" for name in ("step", "reference", "certificate", "measurement"))
+STEP += " tracking"
 TESTS = {
     "model/*.py": "core/model core/law core/urdf core/simulation core/robust",
     "law/*.py": "core/law core/extensions core/model/test_springs.py core/simulation design/baselines design/stability",
     "monitoring/certificate.py": "core/monitoring core/runtime/test_certificate.py",
     "runtime/control_step.py": STEP,
     "runtime/[!w]*.c": STEP,
-    "runtime/wiring*.c": "system/test_wiring_faults.py",
+    "runtime/wiring*.c": "core/runtime/test_step.py system/test_wiring_faults.py",
 }
 SAME = re.compile(r'""".*?"""|"[^"\n]*"|\'[^\'\n]*\'|/\*.*?\*/|^ *[@#](?!define)[^\n]*|(?<= )#[^\n]*', re.S | re.M)
 SWAPPED = {"+": "-", "*": "/", "<": "<=", ">": ">=", "==": "!=", "and": "or", "&&": "||", "+=": "-=", "is": "is not"}

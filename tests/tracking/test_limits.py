@@ -84,6 +84,13 @@ def test_the_effort_rises_from_zero_at_its_rate_and_a_repeated_or_older_stamp_ch
     np.testing.assert_allclose(sent, [[u, 10.0] for u in (0.0, 1.0, 1.0, 3.0, 3.0, 4.0, 10.0)], rtol=1e-12)
 
 
+def test_a_constant_effort_is_not_limited_in_rate() -> None:
+    tracker = passing(effort_rate=1.0)
+    for stamp in (0, 0, MS):
+        send(tracker, [0.0], stamp)
+    assert "efforts rate limited" not in tracker.counters
+
+
 def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most() -> None:
     tracker = passing(effort_rate=10.0, state_timeout=0.1, recovery_join_time=0.0)
     send(tracker, [0.0], 0)

@@ -119,13 +119,15 @@ def test_a_repeated_state_does_not_update_the_observer() -> None:
     assert tracker.command(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()
 
 
-@pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper"])
+@pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper", "deflection"])
 def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> None:
     tracker = ControlStep(LAW, SINE, settings(**{name: 0.6}), Recorder())
     for k in range(OBSERVED + 1):
         tracker.command(bare_sample(k * MS), k * MS)
     for k, q in enumerate((0.5, 0.7)):  # after a silence
-        tracker.command(bare_sample(SECOND + k * MS, q), SECOND + k * MS)
+        bare = bare_sample(SECOND + k * MS, q)
+        bare.q_m = bare.q_m * (-1 if name == "deflection" else 1)
+        tracker.command(bare, SECOND + k * MS)
     assert LIMITED[name][0] in tracker.reason
 
 

@@ -125,6 +125,12 @@ def test_a_sample_that_waited_is_answered_if_no_newer_one_comes() -> None:
     assert "states stale" not in tracker.counters
 
 
+def test_one_late_sample_does_not_change_the_usual_age() -> None:
+    tracker, last = running(), SECOND + 200 * MS
+    for stamp, answered in ((last + MS, True), (last + 51 * MS, False)):  # the second may have waited
+        assert (tracker.command(sample(stamp, 0.5, 0.5), stamp + 4 * MS) is not None) == answered
+
+
 def test_a_robot_whose_clock_stood_still_is_answered_after_a_moment() -> None:
     """Its samples come at their own pace, all of them older than before."""
     tracker, last = running(state_timeout=0.5), SECOND + 200 * MS

@@ -80,6 +80,11 @@ def test_the_ramp_goes_from_the_effort_of_a_stop_to_that_of_the_law_as_a_smooths
         assert command.state is (State.JOINING if k < 100 else State.TRACKING)
 
 
+def test_a_start_by_a_transition_without_a_ramp_begins_at_the_last_effort() -> None:
+    tracker = tracker_at(on_stop="gravity_hold", start_join_time=0.5)
+    np.testing.assert_allclose(tracker.command(sample(0, 0.5, 0.5), 0).u, 0.0, atol=1e-12)
+
+
 def test_a_start_too_far_from_the_reference_is_refused() -> None:
     for far, q in ((False, 0.5), (True, float(np.nextafter(0.5, 1)))):
         tracker = ControlStep(LAW, SINE, settings(start_error=0.5, on_stop="gravity_hold"))

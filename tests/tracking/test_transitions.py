@@ -243,10 +243,19 @@ def test_a_matched_reference_takes_over_without_a_step(arm: str, ahead: int | No
     assert largest_step(loop.efforts[switch - 1 : switch + 1]) < 1.5 * usual
     assert largest_step(loop.efforts[before - 1 :]) < step
     np.testing.assert_allclose(loop.commands[switch].jets, jets, rtol=1e-9, atol=1e-9)
+    assert loop.commands[switch].state is State.TRACKING
     np.testing.assert_allclose(loop.commands[-1].jets, standing(np.full(law.robot.n, 0.2)), atol=1e-12)
     assert loop.error < 2e-3
     assert loop.tracker.end == start + SECOND
     assert loop.tracker.bound_start == SECOND
+
+
+def test_a_reference_that_differs_by_a_milliradian_is_reached_by_a_transition() -> None:
+    tracker = tracker_at(0, MS, reference=Hold([0.5]))
+    tracker.follow(Hold([0.501]))
+    command = tracker.command(sample(2 * MS, 0.5, 0.5), 2 * MS)
+    np.testing.assert_allclose(command.jets[0], 0.5, rtol=0, atol=1e-9)
+    assert command.state is State.JOINING
 
 
 @pytest.mark.parametrize("arm", ARMS)

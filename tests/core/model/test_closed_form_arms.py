@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -93,6 +94,8 @@ def test_robot_is_immutable() -> None:
         robot.K = np.eye(1)
     with pytest.raises(ValueError, match="read-only"):
         robot.K[0, 0] = 2.0
+    with pytest.raises(ValueError, match="read-only"):
+        replace(robot, cubic=[1.0]).cubic[0] = 2.0
 
 
 # Configurations: the Halton sequence over the joint ranges; larger sets contain smaller ones.

@@ -61,6 +61,15 @@ def test_derivative_agrees_with_the_literal_plant(arm: Arm, seed: int) -> None:
     assert fjr.Plant(arm.robot).derivative(p.x, p.u) == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 
 
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+def test_outputs_are_positions_velocities_and_torques_of_springs_and_motors(arm: Arm) -> None:
+    p, n = random_point(arm, 0), arm.n
+    q, dq, torques = (out.full().ravel() for out in fjr.Plant(arm.robot).output_function(p.x, p.u))
+    np.testing.assert_array_equal(q, p.x[: 2 * n])
+    np.testing.assert_allclose(dq, np.concatenate(arm.robot.velocities(p.x)), rtol=1e-12)
+    np.testing.assert_allclose(torques, [*arm.K @ (q[n:] - q[:n]), *arm.B_m @ p.u], rtol=1e-12)
+
+
 @pytest.mark.parametrize("arm", URDF_ARMS, ids=lambda arm: arm.name)
 @seeds
 def test_plant_satisfies_the_equation_of_motion_of_pinocchio(arm: Arm, seed: int) -> None:

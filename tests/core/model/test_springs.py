@@ -237,6 +237,11 @@ def test_a_scenario_gives_plant_and_law_the_curve() -> None:
     assert on_table.robot.deflection([20.0, 3.0]) == pytest.approx([0.3, 3.0 / on_table.robot.K[1, 1]])
 
 
+def test_more_points_than_the_step_has_room_for_are_refused() -> None:
+    with pytest.raises(fjr.RobotError, match="m of 1 to 8"):
+        springs.checked_torsion(np.ones((2, 9, 1)).cumsum(axis=1), np.eye(1))
+
+
 @pytest.mark.parametrize(
     ("curve", "more", "sentence"),
     [

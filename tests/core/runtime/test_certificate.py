@@ -93,5 +93,6 @@ def test_messages_for_observers_are_due_on_a_grid_that_a_jump_restarts() -> None
     assert due([137, 143, 144, 151]) == [143, 151]  # 140 and 150 are missing
     assert due([500, 505, 510]) == [500, 510]
     assert due([3, 12, 13]) == [3, 13]
+    assert due([33, 34, 43]) == [33, 43]  # one period late
     rate.period = 0
     assert due([14, 15]) == [14, 15]
