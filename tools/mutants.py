@@ -30,12 +30,13 @@ SEED, SIZE, LONGEST = 25, 300, 300.0  # s
 STEP = " ".join(f"core/runtime/test_{name}.py" for name in ("step", "reference", "certificate", "measurement"))
 STEP += " tracking"
 TESTS = {
-    "model/*.py": "core/model core/law core/urdf core/simulation core/robust",
+    "model/*.py": "core/model core/law core/urdf core/simulation core/robust core/config design/batch "
+    "engines/test_engines.py nodes/test_simulated_robot.py",
     "law/*.py": "core/law core/extensions core/model/test_springs.py core/simulation design/baselines design/stability",
     "monitoring/certificate.py": "core/monitoring core/runtime/test_certificate.py",
     "runtime/control_step.py": STEP,
     "runtime/[!w]*.c": STEP,
-    "runtime/wiring*.c": "core/runtime/test_step.py system/test_wiring_faults.py",
+    "runtime/wiring*.c": "core/runtime/test_step.py system/test_wiring_faults.py nodes/test_wiring.py",
 }
 SAME = re.compile(r'""".*?"""|"[^"\n]*"|\'[^\'\n]*\'|/\*.*?\*/|^ *[@#](?!define)[^\n]*|(?<= )#[^\n]*', re.S | re.M)
 SWAPPED = {"+": "-", "*": "/", "<": "<=", ">": ">=", "==": "!=", "and": "or", "&&": "||", "+=": "-=", "is": "is not"}
