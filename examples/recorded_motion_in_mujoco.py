@@ -17,7 +17,9 @@ data = mujoco.MjData(model)
 mujoco.mj_resetDataKeyframe(model, data, 0)  # the initial state of the scenario
 with open(bag, "rb") as file:
     reader = make_reader(file, decoder_factories=[DecoderFactory()])
-    first, *states = [state for *_, state in reader.iter_decoded_messages(topics=["/joint_states"])]
+    states = [state for *_, state in reader.iter_decoded_messages(topics=["/joint_states"])]
+stamps = [(state.header.stamp.sec, state.header.stamp.nanosec) for state in states]
+first, *states = dict(zip(stamps, states, strict=True)).values()  # a state that is answered late is sent again
 steps = round((states[0].header.stamp.nanosec - first.header.stamp.nanosec) % 10**9 * 1e-9 / model.opt.timestep)
 motors = [first.name.index(model.actuator(i).name) for i in range(model.nu)]
 place = [model.joint(name).qposadr[0] for name in first.name]
