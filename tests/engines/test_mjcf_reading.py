@@ -121,15 +121,20 @@ REFUSED = {
     ),
     "unknown element": (body(TWO, "<legs/>"), "MuJoCo says: .*legs.*; expected an MJCF that it loads"),
     "massless link": (body(TWO).replace('<geom type="sphere" size="0.1" pos="0 0 0.2"/>', ""), "MuJoCo says: .*mass"),
-    "no joint": (body("").replace('<joint name="one" axis="0 1 0"/>', ""), "the URDF has no joint|no chain of joints"),
+    "no joint": (body("").replace('<joint name="one" axis="0 1 0"/>', ""), "the MJCF has no joint; expected an arm"),
+    "a number that is none": (body(TWO).replace('size="0.1"', 'size="nan"'), "MuJoCo says: .*nan size"),
 }
 
 
 @pytest.mark.parametrize(("text", "says"), REFUSED.values(), ids=REFUSED)
-def test_what_is_no_serial_arm_is_refused_in_one_sentence(text: str, says: str, tmp_path: Path) -> None:
+def test_what_is_no_serial_arm_is_refused_in_one_sentence(
+    text: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(RobotError, match=says) as refused:
         arm_from(text, tmp_path)
     assert "\n" not in str(refused.value)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 def test_a_tendon_without_force_and_a_constraint_that_is_off_do_not_matter(tmp_path: Path) -> None:

@@ -16,16 +16,11 @@ from urllib.request import urlopen
 import pytest
 from websockets.sync.client import connect
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
+from fjr_engines import film
+
 LIMIT = 300.0  # s
 FLAGS = (
-    "--headless=new",
-    "--disable-gpu",
-    "--enable-unsafe-swiftshader",  # WebGL by the processor
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-dev-shm-usage",
+    *film.FLAGS,
     "--hide-scrollbars",
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
@@ -48,7 +43,7 @@ class Browser:
     """A browser with one tab; `said`: console output of the page, `asked`: its requests."""
 
     def __init__(self) -> None:
-        name = next((found for name in NAMES if (found := shutil.which(name))), None)
+        name = next((found for name in film.BROWSERS if (found := shutil.which(name))), None)
         if name is None:
             pytest.skip("no Chromium here: install the package chromium")
         self._profile = tempfile.TemporaryDirectory(prefix="fjr-chromium-", ignore_cleanup_errors=True)

@@ -4,6 +4,8 @@
 from fjr_core.errors import MissingPackageError
 
 try:
-    import mujoco  # noqa: F401
+    import mujoco
 except ModuleNotFoundError as missing:
     raise MissingPackageError(f"{missing.name} is not installed; expected it from: pip install mujoco") from None
+
+mujoco.set_mju_user_warning(lambda _: None)  # else it writes MUJOCO_LOG.TXT; what it refuses is raised as well

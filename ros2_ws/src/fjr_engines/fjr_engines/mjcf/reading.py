@@ -38,6 +38,8 @@ def read_mjcf(file: Path, folder: Path) -> tuple[str, dict[str, Any]]:
     with refusals("an MJCF that it loads"):
         spec = mujoco.MjSpec.from_file(str(file))
         model = spec.compile()
+    if not model.njnt:
+        raise RobotError("the MJCF has no joint; expected an arm of hinges and slides")
     arm = _Arm(model, springs_of(model))
     weightless = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     known = {
