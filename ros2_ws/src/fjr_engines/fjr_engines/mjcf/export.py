@@ -37,14 +37,14 @@ DIGITS, ALL_DIGITS = 6, 17
 
 
 def mjcf(scenario: Scenario, name: str) -> tuple[dict[str, bytes], list[str]]:
-    """Return the contents of the files by path, first the MJCF `name`.xml, and a note for each thing it leaves out.
+    """Return the contents of the files by path, first the MJCF `name`, and a note for each thing that it leaves out.
 
     Raises RobotError for a robot that MuJoCo cannot express.
     """
     robot, joints = scenario.plant.robot, scenario.joints
     _refuse(scenario)
     spec = specification(robot, joints)
-    spec.modelname, spec.meshdir, spec.compiler.degree = scenario.name, f"{name}_meshes", False
+    spec.modelname, spec.meshdir, spec.compiler.degree = scenario.name, f"{Path(name).stem}_meshes", False
     spec.option.timestep = scenario.sample_period / number(scenario.plant_values, "inner_steps")
     for k, joint in enumerate(joints):
         spec.body(joint + MOTOR).ipos = np.zeros(3)  # else the XML has no <inertial>
@@ -53,7 +53,7 @@ def mjcf(scenario: Scenario, name: str) -> tuple[dict[str, bytes], list[str]]:
     values = scenario.plant_values
     unseen = add_looks(spec, robot, joints, description(values), locked_positions(values))
     _add_start(spec, scenario)
-    return {f"{name}.xml": _text(spec).encode(), **spec.assets}, [*_notes(scenario), *unseen]
+    return {name: _text(spec).encode(), **spec.assets}, [*_notes(scenario), *unseen]
 
 
 def _refuse(scenario: Scenario) -> None:
