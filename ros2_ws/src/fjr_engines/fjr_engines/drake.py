@@ -29,13 +29,13 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Leaf
 from fjr_core.errors import ParameterError, RobotError
 from fjr_core.model.rigid_arm import Body, tip_frame
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.numerics.symbolic import bind, evaluate
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
-MOTOR, SPRING, ROTOR, LINK = "_motor", "_spring", "_rotor", "_link"
-"""Endings of the names of joints and bodies after that of the robot's joint."""
+SPRING, ROTOR, LINK = "_spring", "_rotor", "_link"
+"""Endings of the names of joints and bodies after that of the robot's joint, as MOTOR."""
 PAYLOAD = "payload"
 INTEGRATOR = "runge_kutta5"
 """Drake's method of Dormand and Prince, of order 5, here with the inner step of the plant."""
