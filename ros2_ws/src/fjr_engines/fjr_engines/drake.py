@@ -46,13 +46,8 @@ class DrakeEngine:
 
     in_python = True
 
-    def __init__(
-        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, integrator: str = INTEGRATOR
-    ) -> None:
-        """inner_step [ns]: of the integrator, one of Drake's; ffi: with the types of robot.h.
-
-        Raises ParameterError, RobotError.
-        """
+    def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> None:
+        """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
         if plant.plant.in_python or plant.plant.integrator != "rk4":
             raise ParameterError("engine is 'drake'; expected plant.type: flexible_joint and integrator: rk4 with it")
         self._plant, self._ffi, self._dt = plant, ffi, inner_step * 1e-9
@@ -63,7 +58,7 @@ class DrakeEngine:
         builder.Connect(self.arm.get_state_output_port(), self._forces.state)
         builder.Connect(self._forces.get_output_port(), self.arm.get_applied_generalized_force_input_port())
         self.simulator = Simulator(builder.Build())
-        ResetIntegratorFromFlags(self.simulator, integrator, self._dt).set_fixed_step_mode(True)
+        ResetIntegratorFromFlags(self.simulator, INTEGRATOR, self._dt).set_fixed_step_mode(True)
         self._context = self.simulator.get_mutable_context()
         self._of_arm = self.arm.GetMyMutableContextFromRoot(self._context)
         self._of_forces = self._forces.GetMyMutableContextFromRoot(self._context)
