@@ -57,32 +57,22 @@ def test_limits_stop_the_arm_at_a_wall_and_it_goes_on_once_the_wall_is_gone(ros:
 
 
 @pytest.mark.system
-def test_report_of_a_run_says_contact_beside_that_of_the_simulator(tmp_path: Path) -> None:
-    run = ("run", "arm7_contact", "--lockstep", "--duration", "2", "--output", str(tmp_path))
-    said = fjr_here(*run, codes=(Exit.VIOLATED,))
+def test_report_of_a_stop_at_a_wall_says_contact_beside_that_of_the_simulator(tmp_path: Path) -> None:
+    changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
+    run = ("run", "arm7_contact", "--lockstep", "--duration", "1.5", "--output", str(tmp_path), *changes)
+    said = fjr_here(*run, codes=(Exit.FAILED,))
     report = json.loads((tmp_path / "arm7_contact" / "report.json").read_text())
+    assert report["status"] == "stopped"
+    assert "; contact from 0.8" in report["stop"]["reason"]
     assert report["verdict"]["causes"] == ["external torque"], said
     contact = report["contact"]
-    assert [each["joint"] for each in contact["joints"]][:2] == ["joint1", "joint2"]
     assert f"arm7_contact: contact from {contact['begins_s']:.3g} to {contact['ends_s']:.3g} s" in said
     touched = [message for _, message in messages(tmp_path / "arm7_contact", "/fjr_plant/contact")]
     assert touched[0].name[-6:] == list(WRENCH)
     efforts = np.array([message.effort for message in touched])
-    assert not efforts[-1].any()
     largest = float(np.linalg.norm(efforts[:, 7:10], axis=1).max())
     assert contact["simulated_force_n"] == pytest.approx(largest)
     assert contact["force_n"] == pytest.approx(largest, rel=0.1)
     for each in contact["joints"]:
         assert each["largest_torque_nm"] == pytest.approx(each["simulated_torque_nm"], rel=0.1, abs=1.0)
     assert "in the simulator" in (tmp_path / "arm7_contact" / "report.html").read_text()
-
-
-@pytest.mark.system
-def test_stop_at_a_wall_says_contact(tmp_path: Path) -> None:
-    changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
-    run = ("run", "arm7_contact", "--lockstep", "--no-report", "--duration", "1.5", "--output", str(tmp_path), *changes)
-    fjr_here(*run, codes=(Exit.FAILED,))
-    report = json.loads((tmp_path / "arm7_contact" / "report.json").read_text())
-    assert report["status"] == "stopped"
-    assert "; contact from 0.8" in report["stop"]["reason"]
-    assert "external torque" in report["verdict"]["causes"]
