@@ -58,7 +58,6 @@ class MujocoEngine:
         self.advance = ffi.cast(
             "int(*)(void*, struct fjr_robot*, int64_t)", int(self._program.ffi.cast("intptr_t", function))
         )
-        self.use(Imperfections(plant.robot.n))
 
     def use(self, imperfections: Imperfections) -> None:
         """Attach the payload; the other imperfections are arguments of each step."""
@@ -87,26 +86,20 @@ class MujocoEngine:
 
     def _build(self, plant: NonidealPlant, joints: Sequence[str]) -> None:
         """Build struct fjr_mujoco; joints: of q_l and q_m."""
-        self._program, n = mujoco_program(), plant.robot.n
-        ffi = self._program.ffi
-        functions = plant.joint_torques, plant.memory_step
-        self._functions = [CFunction(ffi, function) for function in functions]
-        self._space = WorkSpace(ffi, list(functions))
-        sizes = {"q": 2 * n, "dq": 2 * n, "torque": 2 * n, "known": 4 * n, "wide": 2 * self.model.nv}
-        arrays = {name: np.zeros(size) for name, size in sizes.items()}
+        self._program, ffi = mujoco_program(), mujoco_program().ffi
+        functions = [plant.joint_torques, plant.memory_step]
+        self._functions, self._space = [CFunction(ffi, function) for function in functions], WorkSpace(ffi, functions)
         self._dof = np.array([self.model.joint(name).dofadr[0] for name in joints], dtype=np.int32)
-        self._kept = {name: ffi.from_buffer("double[]", values) for name, values in arrays.items()}
-        self._kept["dof"] = ffi.from_buffer("int32_t[]", self._dof)
-        self._state = ffi.new(
-            "struct fjr_mujoco*",
-            {
-                "model": ffi.cast("void*", self.model._address),
-                "data": ffi.cast("void*", self.data._address),
-                "torques": self._functions[0].pointer,
-                "memory": self._functions[1].pointer,
-                **self._kept,
-            },
-        )
+        self._known = ffi.new("double[]", 4 * plant.robot.n)
+        given = {
+            "model": ffi.cast("void*", self.model._address),
+            "data": ffi.cast("void*", self.data._address),
+            "dof": ffi.from_buffer("int32_t[]", self._dof),
+            "known": self._known,
+            "torques": self._functions[0].pointer,
+            "memory": self._functions[1].pointer,
+        }
+        self._state = ffi.new("struct fjr_mujoco*", given)
         self._space.lend(self._state)
 
 

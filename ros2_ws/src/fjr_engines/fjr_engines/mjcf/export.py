@@ -27,7 +27,7 @@ from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.urdf.tree import UrdfTree, read_urdf
 from fjr_monitor.scene import shapes
 
-from .writing import LINK, quaternion, refusals, specification
+from .writing import LINK, pose_of, quaternion, refusals, specification
 
 TORQUE = "_torque"
 """Ending of the name of the tendon and the sensor for the torque of a spring."""
@@ -130,7 +130,7 @@ def add_looks(
     bodies, pose = {"": (spec.worldbody, np.eye(4))}, np.eye(4)
     for i, body in enumerate(robot.links.bodies):
         joint = joints[robot.links.order.index(i)]
-        pose = pose @ _pose(np.asarray(body.rotation), np.asarray(body.translation))
+        pose = pose @ pose_of(body.translation, body.rotation)
         bodies[joint] = spec.body(joint + LINK), pose
     for link, found in seen["links"].items():
         joint, place = _placed(tree, link, joints, locked)
@@ -160,7 +160,7 @@ def _add_geom(body: mujoco.MjsBody, shape: Mapping[str, Any], place: Array) -> N
         ends = np.outer([start, start + 1.0], shape["to"]) @ place[:3, :3].T + place[:3, 3]
         geom.size, geom.fromto = [size[0], 0.0, 0.0], ends.ravel()
         return
-    pose = place @ _pose(Rotation.from_euler("xyz", shape["rpy"]).as_matrix(), np.asarray(shape["xyz"]))
+    pose = place @ pose_of(shape["xyz"], Rotation.from_euler("xyz", shape["rpy"]).as_matrix())
     geom.pos, geom.quat = pose[:3, 3], quaternion(pose[:3, :3])
     if kind == "mesh":
         geom.type, geom.meshname = GEOMS.mjGEOM_MESH, f"mesh{shape['mesh'] + 1}"
@@ -170,10 +170,6 @@ def _add_geom(body: mujoco.MjsBody, shape: Mapping[str, Any], place: Array) -> N
         geom.type, geom.size = GEOMS.mjGEOM_SPHERE, [size[0], 0.0, 0.0]
     else:
         geom.type, geom.size = GEOMS.mjGEOM_CYLINDER, [size[0], size[1] / 2, 0.0]
-
-
-def _pose(rotation: Array, translation: Array) -> Array:
-    return np.block([[rotation, translation[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
 
 
 def _rgba(colour: str | None) -> tuple[float, ...]:

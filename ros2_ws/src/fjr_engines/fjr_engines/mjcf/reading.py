@@ -21,7 +21,7 @@ from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.urdf.tree import INERTIA
 from fjr_design.scaffold.files import path_from
 
-from .writing import SPRING, refusals
+from .writing import SPRING, pose_of, refusals
 
 AT_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 AT_TENDONS = int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -130,7 +130,7 @@ def urdf(model: mujoco.MjModel, drives: Mapping[str, str], name: str, meshes: Se
         if any(joint.name not in drives for joint in joints):
             continue  # a rotor
         link, before = model.body(body.parentid[0]).name, frames.get(body.parentid[0], np.eye(4))
-        frame = frames[body.id] = _pose(data.xpos[body.id], data.xmat[body.id])
+        frame = frames[body.id] = pose_of(data.xpos[body.id], data.xmat[body.id])
         for joint in joints:
             parent, link = link, body.name if joint.id == joints[-1].id else f"{body.name}_{joint.name}"
             if link != body.name:
@@ -147,9 +147,9 @@ def urdf(model: mujoco.MjModel, drives: Mapping[str, str], name: str, meshes: Se
             _add_joint(robot, f"{body.name}_fixed", "fixed", (link, body.name), np.linalg.inv(before) @ frame)
         element = _add(robot, "link", name=body.name)
         if body.mass[0]:
-            _add_inertial(element, body, np.linalg.inv(frame) @ _pose(data.xipos[body.id], data.ximat[body.id]))
+            _add_inertial(element, body, np.linalg.inv(frame) @ pose_of(data.xipos[body.id], data.ximat[body.id]))
         for geom in _visible(model, body):
-            place = np.linalg.inv(frame) @ _pose(data.geom_xpos[geom.id], data.geom_xmat[geom.id])
+            place = np.linalg.inv(frame) @ pose_of(data.geom_xpos[geom.id], data.geom_xmat[geom.id])
             _add_visual(element, model, geom, place, meshes)
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
@@ -191,7 +191,7 @@ def _add_visual(link: Element, model: mujoco.MjModel, geom: Any, pose: Array, me
         shape = "mesh", {"filename": meshes[mesh], "scale": _text(model.mesh_scale[mesh])}
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, model.mesh_quat[mesh])
-        pose = pose @ np.linalg.inv(_pose(model.mesh_pos[mesh], turn))
+        pose = pose @ np.linalg.inv(pose_of(model.mesh_pos[mesh], turn))
     else:
         return
     visual = _add(link, "visual")
@@ -212,13 +212,6 @@ def _add_origin(owner: Element, pose: Array) -> None:
 
 def _add(owner: Element, tag: str, **attributes: str) -> Element:
     return ElementTree.SubElement(owner, tag, attributes)
-
-
-def _pose(position: ArrayLike, rotation: Array) -> Array:
-    """Return the pose (4, 4) of a frame at a position (3,) with the entries of a rotation (9,)."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), position
-    return pose
 
 
 def _text(numbers: ArrayLike) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fjr_core.errors import RobotError
 from fjr_core.model.rigid_arm import Body
@@ -87,6 +88,13 @@ def quaternion(rotation: Array) -> Array:
     found = np.empty(4)
     mujoco.mju_mat2Quat(found, np.ascontiguousarray(rotation, dtype=float).ravel())
     return found
+
+
+def pose_of(position: ArrayLike, rotation: ArrayLike) -> Array:
+    """Return the pose (4, 4) of a frame at a position (3,) with the nine entries of a rotation."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.reshape(rotation, (3, 3)), position
+    return pose
 
 
 def with_degree_0(value: float, coefficients: Any) -> Any:
