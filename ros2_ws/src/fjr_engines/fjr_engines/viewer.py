@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
@@ -18,23 +17,23 @@ import numpy as np
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import FjrError
 
+from .drawing import DrawnArm
+
 PERIOD = 1.0 / 60.0  # s between two pictures
 GRACE = 5.0  # s to close the window
 NICE = 5  # below the nodes where those have no real-time priority
 
 
 class ViewerError(FjrError):
-    """MuJoCo's viewer cannot be shown here."""
+    """A window cannot be shown here."""
 
 
 def check() -> None:
-    """Raise ViewerError unless a display and MuJoCo's viewer are there."""
+    """Raise ViewerError unless a display is there."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewerError(
             "--viewer needs a display, and DISPLAY is not set; expected a desktop, or --film FILE, which needs none"
         )
-    if not all(map(find_spec, ("mujoco", "glfw"))) or find_spec("mujoco.viewer") is None:
-        raise ViewerError("--viewer needs MuJoCo's viewer; expected it from: pip install mujoco")
 
 
 @contextmanager
@@ -43,8 +42,6 @@ def shown(name: str, text: str) -> Iterator[None]:
 
     Raises RobotError for a robot that MuJoCo cannot express.
     """
-    from fjr_engines.drawing import DrawnArm
-
     scenario = parse_scenario(name, text)
     with TemporaryFile() as arm, TemporaryDirectory(prefix="fjr-viewer-") as folder:  # where MuJoCo logs its errors
         pickle.dump((DrawnArm(scenario), scenario.joints), arm)
