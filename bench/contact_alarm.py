@@ -2,7 +2,7 @@
 """False alarms and delay of the contact alarm on arm7, beside a momentum observer with fixed thresholds.
 
     python -m bench.contact_alarm --hours 1 --seed 1 FOLDER     simulate, a file an hour
-    python -m bench.contact_alarm FOLDER                        write docs/tables/contact.md
+    python -m bench.contact_alarm FOLDER                        write the tables of docs/tables/contact.md
 
 Every minute a robot is drawn that differs from the model by the stated errors, and a pose and sines about it. The links
 follow them; the springs carry what the drawn robot needs, by a recursion that the observer does not use. Encoders and
@@ -13,11 +13,14 @@ largest estimates of all minutes, which is the least that gives no alarm in them
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
 from fjr_core.config.controller import contact_observer
 from fjr_core.config.scenario import Scenario
@@ -33,7 +36,27 @@ SCENARIO, FORCE = "arm7", 20.0  # N
 MINUTE, TRIAL, AT = 60_000, 300, (2_000, 10_000, 59_000)  # samples at 1 kHz
 POSITION_NOISE, VELOCITY_NOISE = 5e-6, 5e-4  # rad, rad/s
 SWING = 0.3  # rad, of each of two sines
+REACHES = (0.3, 0.5, 0.7)  # m, of the tip from the axis of joint 1, between the rows of the table
 TABLE = Path(__file__).parents[1] / "docs" / "tables" / "contact.md"
+
+BEGIN, END = "<!-- study -->\n", "<!-- end of study -->\n"
+TEXT = """
+**{alarms} false alarms in {hours} h** ({minutes} robots): at most {per_day:.2g} in 24 h with 95 % confidence.
+
+20 N in a random direction at the tip; delays in ms, "missed" if longer than 300 ms.
+
+| s after the start | median | 95 % | missed | peer: median | 95 % | missed | median of peer / alarm | at least 2 |
+| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+{delays}
+
+Median thresholds [N m] after 59 s, by the distance of the tip from the axis of joint 1, and median delays [ms]:
+
+| reach [m] | robots | {joints} | delay | peer's delay |
+| --- | ---: | {rules} | ---: | ---: |
+{by_reach}
+| peer, fixed | | {fixed} | | |
+
+"""
 
 
 @dataclass(frozen=True)
@@ -50,6 +73,9 @@ class Minute:
     threshold: Array
     delay: Array
     torque: Array
+
+
+FIELDS = tuple(field.name for field in fields(Minute))
 
 
 class Study:
@@ -76,14 +102,13 @@ class Study:
 
     def minute(self, rng: np.random.Generator) -> Minute:
         """Run a minute of a drawn robot."""
-        n, robot, t = self.n, self.robot, np.arange(MINUTE + 1)[:, None] * 1e-3
+        n, robot = self.n, self.robot
+        t = np.arange(MINUTE + 1, dtype=np.float64)[:, None] * 1e-3
         q, dq, ddq = self._motion(rng, t)
-        mass, stiffness, damping, friction, constant = (
-            self.observer.errors.deviations * rng.normal(size=5 * n)
-        ).reshape(5, n)
-        torque, tip = (
-            each.full().T for each in self.needed.map(len(t))(q.T, dq.T, ddq.T, np.tile(1 + mass, (len(t), 1)).T)
-        )
+        errors: Array = (self.observer.errors.deviations * rng.normal(size=5 * n)).reshape(5, n)
+        mass, stiffness, damping, friction, constant = errors
+        factors = np.tile((1 + mass)[:, None], len(t))
+        torque, tip = (each.full().T for each in self.needed.map(len(t))(q.T, dq.T, ddq.T, factors))
         torque += (1 + damping) * np.diag(robot.D_l) * dq + friction * np.tanh(dq / STICKING) - constant
         position, velocity = np.empty((len(t), 2 * n)), np.zeros((len(t), 2 * n))
         K = (1 + stiffness) * np.diag(robot.K)
@@ -95,10 +120,9 @@ class Study:
         for at in AT:
             before, seen = watch.along(position[done:at], velocity[done:at], done)
             largest, alarms, done = np.maximum(largest, np.abs(before).max(axis=0)), alarms + seen, at
-            direction = rng.normal(size=3)
-            push = tip[at : at + TRIAL].reshape(-1, 3, n).transpose(0, 2, 1) @ (
-                FORCE * direction / np.linalg.norm(direction)
-            )
+            force = rng.normal(size=3)
+            jacobian = tip[at : at + TRIAL].reshape(-1, 3, n).transpose(0, 2, 1)
+            push = jacobian @ (FORCE * force / np.linalg.norm(force))
             pushed = position[at : at + TRIAL].copy()
             pushed[:, n:] -= push / K
             runs.append(watch.tried(pushed, velocity[at : at + TRIAL], at))
@@ -169,10 +193,59 @@ def simulate(folder: Path, hours: int, seed: int) -> None:
         if file.exists():
             continue
         minutes = [study.minute(np.random.default_rng([seed, hour, k])) for k in range(60)]
-        np.savez_compressed(
-            file, **{name: np.array([getattr(each, name) for each in minutes]) for name in vars(minutes[0])}
-        )
+        columns: dict[str, Any] = {name: np.array([getattr(each, name) for each in minutes]) for name in FIELDS}
+        np.savez_compressed(file, **columns)
         print(f"{file.name}: {sum(each.alarms for each in minutes)} alarms", flush=True)
+
+
+def page(folder: Path) -> str:
+    """Return the tables of all hours in the folder."""
+    files = [np.load(file) for file in sorted(folder.glob("*.npz"))]
+    found = {name: np.concatenate([each[name] for each in files]) for name in FIELDS}
+    hours, alarms, fixed = len(files), int(found["alarms"].sum()), found["largest"].max(axis=0)
+    beyond = (np.abs(found["torque"]) > fixed).any(axis=-1)
+    late = np.where(beyond.any(axis=-1), beyond.argmax(axis=-1) + 1, TRIAL)  # (minutes, times)
+    per_day = stats.chi2.ppf(0.95, 2 * alarms + 2) / 2 / hours * 24
+    delays = [
+        f"| {at * 1e-3:g} | {_delay(found['delay'][:, k])} | {_delay(late[:, k])} | "
+        f"{np.median(late[:, k] / found['delay'][:, k]):.1f} | {_share(late[:, k] >= 2 * found['delay'][:, k])} |"
+        for k, at in enumerate(AT)
+    ]
+    reach, by_reach = _reach(found["pose"][:, -1]), []
+    for low, high in zip((0.0, *REACHES), (*REACHES, np.inf), strict=True):
+        rows = (reach >= low) & (reach < high)
+        thresholds = " | ".join(f"{each:.2f}" for each in np.median(found["threshold"][rows, -1], axis=0))
+        own, other = np.median(found["delay"][rows, -1]), np.median(late[rows, -1])
+        by_reach.append(f"| {low:g} to {high:g} | {rows.sum()} | {thresholds} | {own:g} | {other:g} |")
+    joints = range(1, len(fixed) + 1)
+    return TEXT.format(
+        hours=hours,
+        minutes=len(reach),
+        alarms=alarms,
+        per_day=per_day,
+        delays="\n".join(delays),
+        by_reach="\n".join(by_reach).replace("to inf", "and more"),
+        joints=" | ".join(f"joint {j}" for j in joints),
+        rules=" | ".join("---:" for _ in joints),
+        fixed=" | ".join(f"{each:.2f}" for each in fixed),
+    )
+
+
+def _delay(samples: Array) -> str:
+    """Return median and 95 % quantile, and how often there was no alarm."""
+    median, most = np.quantile(samples, (0.5, 0.95), method="inverted_cdf")
+    return f"{median} | {most if most < TRIAL else f'over {TRIAL}'} | {_share(samples >= TRIAL)}"
+
+
+def _share(cases: NDArray[Any]) -> str:
+    return f"{100 * np.mean(cases):.1f} %"
+
+
+def _reach(poses: Array) -> Array:
+    """Return the distances (k,) [m] of the tip from the axis of the first joint."""
+    tip = Study().robot.links.end_effector
+    assert tip is not None
+    return np.array([float(np.hypot(*tip.position(q, np.zeros(3)).full()[:2, 0])) for q in poses])
 
 
 def main() -> None:
@@ -182,7 +255,11 @@ def main() -> None:
     parser.add_argument("--hours", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    simulate(given.folder, given.hours, given.seed)
+    if given.hours:
+        simulate(given.folder, given.hours, given.seed)
+    else:
+        before, _, after = TABLE.read_text(encoding="utf-8").partition(BEGIN)
+        TABLE.write_text(before + BEGIN + page(given.folder) + END + after.partition(END)[2], encoding="utf-8")
 
 
 if __name__ == "__main__":
