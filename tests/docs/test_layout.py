@@ -81,7 +81,7 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 13_040,
+    "fjr_core": 13_270,
     "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_570,
     "fjr_plant": 1_500,
