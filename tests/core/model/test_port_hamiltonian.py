@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.cases import ARMS, HARD, Arm, random_point
+from core.oracles.cases import ARMS, HARD, TORSION, Arm, random_point
 from core.oracles.chains import arm7, two_joints
 from core.oracles.oracle import LiteralPlant, exact, jacobian, stencil
 from core.oracles.properties import TOLERANCE, residual
@@ -47,7 +47,7 @@ def test_derivative_is_structure_times_gradient(arm: Arm, seed: int) -> None:
     assert np.array_equal(G, np.vstack([np.zeros((3 * n, n)), arm.B_m]))
 
 
-@arms
+@pytest.mark.parametrize("arm", ARMS + HARD + TORSION, ids=lambda arm: arm.name)
 @seeds
 def test_derivative_agrees_with_the_literal_plant(arm: Arm, seed: int) -> None:
     p = random_point(arm, seed)
