@@ -159,10 +159,11 @@ ROWS = [
     Row(
         "arm7: no states for 2 s",
         "falls (it has no brakes); outside its range the controller stops and holds the weight",
-        tampered(2.0, message_faults.dropped),
+        fault_injection.plant_set(2.0, state_loss=1.0),
         10.0,
         None,
         counted=("silences", "stops"),
+        mode=STEPPED,
         setting=ARM,
     ),
     Row(
