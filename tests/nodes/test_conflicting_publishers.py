@@ -70,44 +70,35 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
     assert manager.change("activate")
 
 
-def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear) -> None:
-    node = manager.controller()
-    other = appear(EFFORTS, MANAGER_AND_CONTROLLER)
-    with other.talking():
-        manager.state_publisher.publish(stamped(0.0))
-        ros.until(lambda: node.ended, "the end")
-    assert isinstance(node.ended, CommandConflictError)
-    assert node.trouble is node.ended
-    assert manager.state() == "inactive"
-    manager.state_publisher.publish(stamped(0.1))
-    ros.settle()
-    assert not manager.references, "nothing must be sent"
-
-
-def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
-    ros: Ros, manager: Manager, appear: Appear
+@pytest.mark.parametrize("managed", [False, True])
+def test_a_conflict_found_with_the_first_state_ends_the_node_or_leaves_a_managed_one_inactive(
+    ros: Ros, manager: Manager, appear: Appear, managed: bool
 ) -> None:
-    node = ros.controller(autostart=False)
-    assert manager.change("configure")
-    assert manager.change("activate")
+    node = ros.controller(autostart=not managed)
+    if managed:
+        assert manager.change("configure")
+        assert manager.change("activate")
     manager.meet_controller()
     other = appear(EFFORTS, MANAGER_AND_CONTROLLER)
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.trouble, "the refusal")
+    assert isinstance(node.trouble, CommandConflictError)
+    assert node.ended is (None if managed else node.trouble)
     assert manager.state() == "inactive"
-    assert node.ended is None
-    assert manager.change("activate")
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    manager.state_publisher.publish(stamped(0.1))
+    ros.settle()
+    assert not manager.references, "nothing must be sent"
+    if managed:
+        assert manager.change("activate")
+        manager.meet_controller()
+        manager.ask(stamped(0.2))
 
 
-def test_a_silent_publisher_is_no_conflict(ros: Ros, manager: Manager, appear: Appear) -> None:
+def test_a_silent_publisher_is_no_conflict_and_one_that_appears_later_is_reported(
+    ros: Ros, manager: Manager, appear: Appear
+) -> None:
     appear(EFFORTS)
-    manager.started()
-
-
-def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear) -> None:
     node = manager.started()
     appear(EFFORTS)
     ros.until(lambda: "other controllers" in manager.kinds(), "the report")

@@ -27,7 +27,7 @@ from nodes.harness import Listener, Ros, stamped
 JOINTS = ("shoulder", "elbow")
 NAMES = state_names(JOINTS)
 LIMIT = (20.0, 10.0)  # N m
-EACH, EXAMPLES = 10, 40  # messages of an example; FJR_FUZZ_EXAMPLES=1000 tries more
+EACH, EXAMPLES = 10, 25  # messages of an example; FJR_FUZZ_EXAMPLES=1000 tries more
 
 # Messages.
 
