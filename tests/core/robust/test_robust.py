@@ -338,6 +338,7 @@ def test_other_gains_reuse_the_function() -> None:
 class Other:
     """A measured law without load torques."""
 
+    observes = ""
     robot = JOINT.robot
     gain_values = JOINT.gain_values
     measured_expression = JOINT.measured_expression

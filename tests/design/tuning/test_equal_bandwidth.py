@@ -51,10 +51,8 @@ def two_link() -> BaselineTarget:
 
 
 CASES = {"k = 31": joint, "two links": two_link}
-PEAK_IS_REACHED = {
-    "k = 31": {"pd_gravity", "pd_feedforward", "feedback_linearisation", "lqr"},
-    "two links": {"pd_gravity", "pd_feedforward", "feedback_linearisation", "lqr"},
-}
+REACHED = {"pd_gravity", "pd_feedforward", "feedback_linearisation", "lqr", "friction_observer", "active_disturbance"}
+PEAK_IS_REACHED = {"k = 31": REACHED, "two links": REACHED}
 CUT = {"backstepping", "torque_feedback", "torque_feedback_feedforward"}
 PEAK_IS_CUT = {"k = 31": CUT, "two links": CUT}
 cases = pytest.mark.parametrize("case", CASES)

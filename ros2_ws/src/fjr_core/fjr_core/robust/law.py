@@ -121,9 +121,9 @@ def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:
 
 
 def sampled_law(law: StaticLaw, robust: Robust | None = None) -> SampledLaw:
-    """Return the law with the robust action requested, the law itself if there is none. Raises GainsError."""
+    """Return the law with the robust action requested, as it is run alone if there is none. Raises GainsError."""
     robust = (robust or Robust()).checked(law.robot.n)
-    return law if robust.off else RobustLaw(law, robust)
+    return law.sampled if robust.off else RobustLaw(law, robust)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +143,15 @@ class RobustLaw:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robust", self.robust.checked(self.robot.n))
-        if (self.robust.estimates or self.robust.integrates) and not isinstance(self.law, TrackingLaw):
+        law, robust = self.law, self.robust
+        if law.observes and not robust.off:
             raise GainsError(
-                f"robust action by estimates or an integral is enabled for a {type(self.law).__name__}; "
+                f"{type(law).__name__} estimates {law.observes} itself; expected robust.* of 0: two estimates of one "
+                "torque cannot be told apart, and a prediction leaves its observer behind"
+            )
+        if (robust.estimates or robust.integrates) and not isinstance(law, TrackingLaw):
+            raise GainsError(
+                f"robust action by estimates or an integral is enabled for a {type(law).__name__}; "
                 "expected it for the law v_dpbc only"
             )
 
