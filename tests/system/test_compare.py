@@ -265,13 +265,12 @@ def test_the_paper_suite_holds_every_law_and_the_three_robots() -> None:
     assert chosen.margins == ("stiffness", "inertia", "delay", "noise", "friction", "load")
 
 
-def test_the_tuned_suites_hold_every_law_and_differ_in_robots_draws_and_the_slow_integral_only() -> None:
+def test_the_tuned_suites_hold_every_law_and_differ_in_robots_and_draws_only() -> None:
     few, seven = (suite.load(library.find(name, "suite")) for name in ("paper_tuned", "arm7_tuned"))
     assert {law.law for law in few.laws} == set(LAWS)
     assert [robot.scenario for robot in (*few.robots, *seven.robots)] == ["paper_k31", "two_link", "arm7"]
     tune = {**(few.tune or {}), "draws": 8, "fresh": 200}
-    quick = tuple(law for law in few.laws if "integral_gain" not in law.robust)
-    assert replace(few, name=seven.name, laws=quick, robots=seven.robots, tune=tune) == seven
+    assert replace(few, name=seven.name, robots=seven.robots, tune=tune) == seven
 
 
 WRONG: list[tuple[Any, str]] = [
@@ -290,6 +289,7 @@ WRONG: list[tuple[Any, str]] = [
         "'gains' of v_dpbc is 'best'; expected scenario or tuned",
     ),
     ({**QUICK, "laws": [{"law": "lqr", "options": {"K": 1.0}}]}, "law 'lqr' has options; expected them for a law of y"),
+    ({**QUICK, "laws": [{"law": "lqr", "join": -1.0}]}, "'join' of lqr is -1.0; expected a number in range"),
     ({**QUICK, "robots": []}, "has no 'robots'"),
     (
         {**QUICK, "robots": {"r": {"scenario": "paper_k31", "gains": {}}}},

@@ -17,8 +17,8 @@ from core.oracles.plain_loop import PlainLoop, standard_law
 from core.oracles.properties import residual
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import SampledLaw
+from fjr_core.law.linearized import slope_at_rest
 from fjr_core.robust.law import Robust, sampled_law
-from fjr_core.stability.linear_controller import slope_at_rest
 from fjr_design.baselines.feedback_linearisation import companion
 from fjr_design.baselines.lqr import velocity_matrices
 

@@ -17,8 +17,8 @@ from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
 from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.linearized import rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.stability.linear_controller import rest_position, slope_at_rest
 from fjr_design.baselines import feedback_linearisation
 from fjr_design.batch import ClosedLoop
 from fjr_design.studies.imperfections import motion_demand
