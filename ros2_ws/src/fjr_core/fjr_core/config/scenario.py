@@ -16,14 +16,14 @@ from ..errors import ParameterError
 from ..extensions.law_registry import V_DPBC
 from ..files.importing import is_named
 from ..law.gains import Gains
-from ..law.interfaces import SampledLaw, StaticLaw, ready_step
+from ..law.interfaces import SampledLaw, StaticLaw
 from ..law.vdpbc import TrackingLaw
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..monitoring.certificate import Certificate, Prediction
 from ..motions.reference import Reference
 from ..numerics.checks import Array
-from ..robust.law import sampled_law
+from ..robust.law import RobustLaw, sampled_law
 from ..runtime.measurement_model import OBSERVER, TORQUE
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
@@ -150,8 +150,8 @@ class Scenario:
     def warm_up(self) -> None:
         """Build law and plant step as the nodes do, so that their compiled functions are cached when they start."""
         _ = self.law.measured_function
-        if not isinstance(self.sampled_law, StaticLaw):
-            _ = ready_step(self.sampled_law)
+        if isinstance(self.sampled_law, RobustLaw):
+            _ = self.sampled_law.ready_step
         if self.controller_values["certificate"] and isinstance(self.law, TrackingLaw):
             _ = Certificate(self.law).function, Prediction(self.law).function
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)

@@ -210,7 +210,7 @@ class RobustLaw:
 
     def with_law(self, law: StaticLaw) -> RobustLaw:
         """Return this robust law for a law made by `self.law.with_gains`; nothing is built again."""
-        other = RobustLaw(law, self.robust)
+        other = type(self)(law, self.robust)
         other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
         return other
 

@@ -15,7 +15,7 @@ from ..law.interfaces import StaticLaw, raise_failure
 from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
 from ..numerics.symbolic import NumericFunction
-from ..robust.law import Robust, sampled_law
+from ..robust.law import Robust, RobustLaw, sampled_law
 from .events import NEVER, STATES, Event, Journal, State
 from .library import Model, law_function, model_functions, settings_struct, step_library
 from .measurement_model import JointSample, Measurement
@@ -186,7 +186,7 @@ class ControlStep:
 
         Raise GainsError if its effort is not finite; then the law remains.
         """
-        sampled = law if isinstance(self._sampled, StaticLaw) else self._sampled.with_law(law)  # type: ignore[attr-defined]
+        sampled = self._sampled.with_law(law) if isinstance(self._sampled, RobustLaw) else law
         before, self._sampled = self._sampled, sampled
         try:
             gains = self._checked_gains(law, self.jets)

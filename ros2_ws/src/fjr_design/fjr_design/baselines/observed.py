@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
 
@@ -13,9 +12,9 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.law.interfaces import step_symbols
-from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function
+from fjr_core.robust.law import Robust, RobustLaw
 
 from .baseline import Baseline
 
@@ -40,35 +39,18 @@ class ObservedBaseline(Baseline):
     @property
     def sampled(self) -> ObservedLaw:
         """The law with its observer."""
-        return ObservedLaw(self)
+        return ObservedLaw(self, Robust())
 
 
-@dataclass(frozen=True, eq=False)
-class ObservedLaw:
-    """A baseline with its observer, as a SampledLaw."""
+class ObservedLaw(RobustLaw):
+    """A baseline with its observer, as a SampledLaw; the robust action is off."""
 
     law: ObservedBaseline
-    lead = 0.0
-
-    @property
-    def robot(self) -> Robot:
-        """The robot model of the law."""
-        return self.law.robot
-
-    @property
-    def gain_values(self) -> Array:
-        """Gains of the law, those of its observer included."""
-        return self.law.gain_values
 
     @property
     def memory(self) -> Array:
         """Initial state of the observer: zeros, set by the first sample."""
         return np.zeros(PackedVector(self.law.memory_sizes).size)
-
-    @cached_property
-    def ready_step(self) -> ca.Function:
-        """step_function, compiled if the law is compiled."""
-        return self.law.ready(self.step_function)
 
     @cached_property
     def step_function(self) -> ca.Function:
@@ -79,9 +61,3 @@ class ObservedLaw:
         given = packed.named(s["memory"]), SimpleNamespace(**s), SimpleNamespace(**law.symbols.by_name)
         u, V, kept = law.observe(*given)
         return dense_function("observed_law", s, {"u": u, "V": V, "next": packed.pack(kept)}, cse=True)
-
-    def with_law(self, law: ObservedBaseline) -> ObservedLaw:
-        """Return this law with other gains; nothing is built again."""
-        other = ObservedLaw(law)
-        other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
-        return other
