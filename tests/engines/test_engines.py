@@ -20,6 +20,7 @@ from fjr_core.simulation.imperfections import Imperfections
 from fjr_msgs_py.scenarios.library import load
 from fjr_plant.engine import engine_kind
 from fjr_plant.simulated_robot import SimulatedRobot
+from system.executables import fjr_here
 
 Array = NDArray[Any]
 WHEELS = {"mujoco": "mujoco", "drake": "pydrake"}
@@ -183,7 +184,9 @@ def test_what_an_engine_cannot_express_is_refused_in_one_sentence(sentence: str,
 
 
 @pytest.mark.parametrize("engine", WHEELS)
-def test_missing_engine_names_the_command_that_installs_it(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_engine_is_refused_before_the_run_with_the_command_that_installs_it(
+    engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real = builtins.__import__
 
     def without(name: str, *args: Any, **kwargs: Any) -> Any:
@@ -194,8 +197,8 @@ def test_missing_engine_names_the_command_that_installs_it(engine: str, monkeypa
     for name in [name for name in sys.modules if name.startswith("fjr_engines")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(FjrError, match=f"pip install {engine}"):
-        engine_kind({"engine": engine})
+    said = fjr_here("run", "paper_k31", "--engine", engine, "--lockstep", code=2)
+    assert said.endswith(f"is not installed; expected it from: pip install {engine}\n")
 
 
 @MISSING["drake"]

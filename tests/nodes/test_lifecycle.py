@@ -29,13 +29,37 @@ def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS, reference: fjr.Sine = S
     return float(fjr.TrackingLaw(robot, gains).effort(x, x, reference.jets(t))[0])
 
 
-def test_lifecycle_transitions_are_those_of_a_managed_node(ros: Ros, manager: Manager) -> None:
-    ros.controller(autostart=False)
+def infos(text: str, node: str) -> list[str]:
+    return [line.partition(f"[{node}]: ")[2] for line in text.splitlines() if "[INFO]" in line and f"[{node}]" in line]
+
+
+LIFE = {
+    "configure": ("inactive", "configured", "configured: law v_dpbc for joint1"),
+    "activate": ("active", "activated", "activated: waiting for states on /joint_states"),
+    "ask": ("active", "tracking", "tracking: the effort is the law's own"),
+    "deactivate": ("inactive", "deactivated", "deactivated: no efforts are sent"),
+    "cleanup": ("unconfigured", "cleaned up", "cleaned up: all parameters may change"),
+}
+"""State after a transition, and kind and sentence of its event."""
+
+
+def test_transitions_are_those_of_a_managed_node_and_each_is_logged_once(ros: Ros, manager: Manager, capfd) -> None:
+    node = ros.controller(autostart=False)
+    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
     assert manager.state() == "unconfigured"
-    becomes = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
-    for transition in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure"):
+    for transition, (state, *_) in LIFE.items():
+        if transition == "ask":
+            manager.meet_controller()
+            for k in range(3):
+                manager.ask(stamped(0.001 * k))
+        else:
+            assert manager.change(transition)
+        assert manager.state() == state
+    ros.until(lambda: len(manager.events) >= len(LIFE), "the events")
+    assert [[event.name, event.message] for event in manager.events] == [event for _, *event in LIFE.values()]
+    assert infos(capfd.readouterr().err, "fjr_controller") == [event.message for event in manager.events]
+    for transition in ("configure", "activate", "deactivate", "activate", "deactivate"):
         assert manager.change(transition)
-        assert manager.state() == becomes[transition]
     assert {"unconfigured", "inactive", "active", "finalized"} <= set(manager.labels())
     assert manager.transitions() == {"activate", "cleanup", "shutdown"}
 
@@ -60,8 +84,10 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager) -
         manager.ask(stamped(0.0), answered=False)
     assert node._control.step.last_stamp is None
     assert not manager.efforts
-    assert manager.change("activate")
+    for transition in ("activate", "deactivate", "activate"):  # without a command there is no last one either
+        assert manager.change(transition)
     manager.meet_controller()
+    assert not manager.efforts
     manager.ask(stamped(0.1))
     assert manager.change("deactivate")
     ros.until(lambda: len(manager.commands) == 2, "the last command")
@@ -86,26 +112,6 @@ def test_last_command_is_the_stop_effort(ros: Ros, manager: Manager, transition:
     node.stop()  # a second call does nothing
     ros.settle()
     assert len(manager.efforts) == 2
-
-
-def test_no_last_command_without_an_earlier_command(ros: Ros, manager: Manager) -> None:
-    node = manager.controller()
-    node.stop()
-    ros.settle()
-    assert not manager.efforts
-
-
-def test_activation_restarts_the_reference(ros: Ros, manager: Manager) -> None:
-    manager.controller()
-    first = manager.ask(stamped(0.0))
-    manager.ask(stamped(0.3))
-    assert manager.change("deactivate")
-    assert manager.change("activate")
-    manager.meet_controller()
-    ros.until(lambda: len(manager.commands) == 3, "the last command")
-    manager.state_publisher.publish(stamped(5.0))
-    ros.until(lambda: len(manager.commands) == 4, "the answer")
-    assert list(manager.commands[-1].effort) == list(first.effort)
 
 
 def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, manager: Manager) -> None:
@@ -266,12 +272,13 @@ def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> Non
     assert status.level == DiagnosticStatus.OK, "a limited rate is what its setting asks for"
 
 
-@pytest.mark.parametrize("motor", ["position", "torque"])
-def test_positions_of_links_and_motors_or_joint_torques_suffice_with_an_observer(peer: Peer, motor: str) -> None:
+def test_positions_of_links_and_joint_torques_suffice_with_an_observer(peer: Peer) -> None:
     """The effort is zero while the observer settles, then the law's with the observer's velocities."""
-    peer.controller(measurement__motor=motor, measurement__velocity="observer", measurement__observer_bandwidth=200.0)
-    state = at() if motor == "position" else stamped(0.0, 0.5, names=["joint1"])
-    state.velocity, state.effort = [], [] if motor == "position" else [31.0 * 0.02]
+    peer.controller(
+        measurement__motor="torque", measurement__velocity="observer", measurement__observer_bandwidth=200.0
+    )
+    state = stamped(0.0, 0.5, names=["joint1"])
+    state.velocity, state.effort = [], [31.0 * 0.02]
     law, observer = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS), fjr.VelocityObserver(ROBOT, 200.0)
     for k in range(OBSERVED + 1):
         observer.update(k * 1_000_000, [0.5], [0.52], [0.0])
@@ -280,38 +287,6 @@ def test_positions_of_links_and_motors_or_joint_torques_suffice_with_an_observer
         assert bool(command.effort[0]) == (k == OBSERVED)
     u, _ = law.measured_command(observer.state[:2], observer.state[2:], fjr.Sine(1.0, 1.0).jets(0.001 * OBSERVED))
     np.testing.assert_allclose(command.effort, u, rtol=1e-9)
-
-
-# Log lines and events.
-
-
-LIFE = ["configured", "activated", "tracking", "deactivated", "cleaned up"]
-
-
-def infos(text: str, node: str) -> list[str]:
-    return [line.partition(f"[{node}]: ")[2] for line in text.splitlines() if "[INFO]" in line and f"[{node}]" in line]
-
-
-def test_a_controller_logs_each_transition(ros: Ros, manager: Manager, capfd: pytest.CaptureFixture[str]) -> None:
-    node = ros.controller(autostart=False)
-    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
-    for transition in ("configure", "activate"):
-        assert manager.change(transition)
-    manager.meet_controller()
-    for k in range(3):
-        manager.ask(stamped(0.001 * k))
-    for transition in ("deactivate", "cleanup"):
-        assert manager.change(transition)
-    ros.until(lambda: len(manager.events) >= len(LIFE), "the events")
-    assert manager.kinds() == LIFE
-    assert infos(capfd.readouterr().err, "fjr_controller") == [event.message for event in manager.events]
-    assert [event.message for event in manager.events] == [
-        "configured: law v_dpbc for joint1",
-        "activated: waiting for states on /joint_states",
-        "tracking: the effort is the law's own",
-        "deactivated: no efforts are sent",
-        "cleaned up: all parameters may change",
-    ]
 
 
 @pytest.mark.parametrize("lockstep", [True, False])

@@ -67,30 +67,13 @@ def test_runs_are_bit_identical_despite_lost_commands(ros: Ros, peer: Peer) -> N
         assert numbers(other.states) == one
 
 
-def clocks(peer: Peer) -> list[int]:
-    """Return the list of times received on /clock [ns]."""
-    times: list[int] = []
+def test_clock_shows_the_times_of_all_states_also_of_lost_ones(ros: Ros, peer: Peer) -> None:
+    shown: list[int] = []
     peer.create_subscription(
-        Clock, "/clock", lambda m: times.append(m.clock.sec * 10**9 + m.clock.nanosec), QoSProfile(depth=1000)
+        Clock, "/clock", lambda m: shown.append(m.clock.sec * 10**9 + m.clock.nanosec), QoSProfile(depth=1000)
     )
-    return times
-
-
-def test_clock_is_published_with_every_state_and_never_decreases(ros: Ros, peer: Peer) -> None:
-    shown = clocks(peer)
-    peer.plant(lockstep=True)
-    ros.until(lambda: shown, "the clock")
-    before = len(peer.states) - len(shown)
-    CommandLoop(peer).until(ros, 30)
-    ros.settle()
-    ros.until(lambda: len(shown) == len(peer.states) - before, "a clock for each state")
-    assert shown == [nanoseconds(state) for state in peer.states[before:]]
-    assert shown == sorted(shown)
-
-
-def test_clock_shows_the_times_of_lost_states(ros: Ros, peer: Peer) -> None:
-    shown = clocks(peer)
-    ros.plant(lockstep=True, start_paused=True, advance_samples=40, imperfections__state_loss=0.5)
+    lost = {"advance_samples": 40, "imperfections__state_loss": 0.5}
+    node = ros.plant(lockstep=True, start_paused=True, use_sim_time=True, **lost)
     CommandLoop(peer).listen()
     assert peer.advance().success
     times = [START + k * PERIOD for k in range(41)]
@@ -98,6 +81,7 @@ def test_clock_shows_the_times_of_lost_states(ros: Ros, peer: Peer) -> None:
     assert sorted(set(shown)) == times
     assert shown == sorted(shown)
     assert len({nanoseconds(state) for state in peer.states}) < 35, "many states must be lost"
+    ros.until(lambda: node.get_clock().now().nanoseconds == times[-1], "its own clock")
 
 
 def test_effort_expires_after_command_timeout_while_states_are_lost(ros: Ros, peer: Peer) -> None:
@@ -157,27 +141,17 @@ def test_silent_controller_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, 
     assert node._robot.time == 3 * PERIOD
 
 
-def test_silence_is_not_counted_while_paused(ros: Ros, peer: Peer) -> None:
+def test_silence_is_not_counted_while_paused_and_a_reset_waits_for_a_first_command_again(ros: Ros, peer: Peer) -> None:
     node = peer.plant(lockstep=True, lockstep_timeout=PATIENCE)
-    CommandLoop(peer).until(ros, 3)
+    loop = CommandLoop(peer)
+    loop.until(ros, 3)
     node._time_base.pause(True)
     node._time_base.plant.first_sent_at -= round(2e9 * PATIENCE)
     ros.settle()
     node._time_base.pause(False)
-    CommandLoop(peer).until(ros, 5)
-
-
-def test_reset_waits_for_a_first_command_again(ros: Ros, peer: Peer) -> None:
-    node = peer.plant(lockstep=True, lockstep_timeout=PATIENCE)
-    CommandLoop(peer).until(ros, 3)
+    loop.until(ros, 5)
     node._time_base.reset()
     count = len(peer.states)
     node._time_base.plant.first_sent_at -= round(2e9 * PATIENCE)
     ros.until(lambda: len(peer.states) > count + 2, "the first state, again and again")
     assert {nanoseconds(state) for state in peer.states[count:]} == {START}
-
-
-def test_with_use_sim_time_the_plant_follows_its_own_clock(ros: Ros, peer: Peer) -> None:
-    node = peer.plant(lockstep=True, use_sim_time=True)
-    CommandLoop(peer).until(ros, 30)
-    ros.until(lambda: node.get_clock().now().nanoseconds == START + 30 * PERIOD, "its own clock")

@@ -15,11 +15,8 @@ from fjr_core.robust.law import RobustLaw
 from nodes.harness import Peer, Ros, read_certificate, stamped
 from nodes.test_certificate import Hearer, running
 
-OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
-every_law = pytest.mark.parametrize("name", OTHERS)
 
-
-@every_law
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])
 def test_publishes_the_effort_of_the_selected_law(ros: Ros, peer: Peer, name: str) -> None:
     node = ros.controller(law__type=name, law__start_error=[0.5])
     law = control_law(node.values, fjr.single_link()).sampled
@@ -54,17 +51,6 @@ def test_gains_of_v_dpbc_cannot_change_under_another_law(ros: Ros) -> None:
     assert result.reason == "parameters 'gains.*' are of the law v_dpbc; the law is lqr"
     (result,) = node.set_parameters([Parameter("reference.amplitude", value=[0.5])])
     assert result.successful
-
-
-def test_natural_frequency_and_damping_ratio_are_those_of_the_parameters(ros: Ros, peer: Peer) -> None:
-    ros.controller(
-        law__type="feedback_linearisation", law__tuned=False, law__natural_frequency=30.0, law__damping_ratio=1.0
-    )
-    peer.meet_controller()
-    kind, robot = LAWS["feedback_linearisation"], fjr.single_link()
-    law = kind.make(robot, kind.tuning_rule(robot, np.zeros(1), 30.0, 1.0))
-    expected, _ = law.measured_command([0.5, 0.5], [0.0, 0.0], fjr.Sine(1.0, 1.0).jets(0.0))
-    np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, expected, rtol=1e-9)
 
 
 def test_gravity_hold_uses_the_motor_damping_of_the_law(ros: Ros, peer: Peer) -> None:

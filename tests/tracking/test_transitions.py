@@ -180,7 +180,8 @@ def test_after_a_short_gap_the_arm_follows_its_reference_almost_unchanged() -> N
     ("q", "dq", "joins"), [(0.05, 0.0, False), (0.05, 0.4, False), (0.05, 0.6, True), (0.2, 0.0, True)]
 )
 def test_a_start_within_the_start_error_has_no_transition(q: float, dq: float, joins: bool) -> None:
-    tracker = ControlStep(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0))
+    """The tracking error is that from the transition."""
+    tracker = ControlStep(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0, tracking_error=0.15))
     command = tracker.command(sample(0, q, q, dq, dq), 0)
     assert command.state is (State.JOINING if joins else State.TRACKING)
     assert command.jets[0, 0] == pytest.approx(q if joins else 0.0, abs=1e-12)

@@ -33,24 +33,18 @@ def test_gradient_is_the_gradient_of_the_hamiltonian(arm: Arm, seed: int) -> Non
 
 
 @arms
-def test_J_is_skew_and_R_is_symmetric_positive_semidefinite(arm: Arm) -> None:
-    J, R, G = fjr.Plant(arm.robot).structure(random_point(arm, 0).x)
-    n = arm.n
+@seeds
+def test_derivative_is_structure_times_gradient(arm: Arm, seed: int) -> None:
+    """J is skew, R symmetric and positive semidefinite."""
+    p, plant, n = random_point(arm, seed), fjr.Plant(arm.robot), arm.n
+    (J, R, G), gradient = plant.structure(p.x), plant.gradient(p.x)
+    assert residual(plant.derivative(p.x, p.u), J @ gradient, -R @ gradient, G @ p.u) <= TOLERANCE
     assert np.array_equal(J, -J.T)
     assert np.array_equal(R, R.T)
     assert np.min(np.linalg.eigvalsh(R)) >= -1e-15
     assert np.array_equal(R[2 * n : 3 * n, 2 * n : 3 * n], arm.D_l)
     assert np.array_equal(R[3 * n :, 3 * n :], arm.D_m)
     assert np.array_equal(G, np.vstack([np.zeros((3 * n, n)), arm.B_m]))
-
-
-@arms
-@seeds
-def test_derivative_is_structure_times_gradient(arm: Arm, seed: int) -> None:
-    p, plant = random_point(arm, seed), fjr.Plant(arm.robot)
-    J, R, G = plant.structure(p.x)
-    gradient = plant.gradient(p.x)
-    assert residual(plant.derivative(p.x, p.u), J @ gradient, -R @ gradient, G @ p.u) <= TOLERANCE
 
 
 @arms

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -52,23 +53,17 @@ def test_named_joints_in_any_order_with_others_locked_agree_with_pinocchio(case:
     assert agreement(*robot_of(case), seed=case[1]) < 1e-10
 
 
-def test_links_and_joints_may_share_names() -> None:
-    text = ARM7.read_text(encoding="utf-8")
-    named = text
-    for i in range(1, 8):
-        named = named.replace(f'"link{i}"', f'"joint{i}"')
-    assert named != text
-    here, there = (fjr.robot_from_urdf(xml, ARM7_JOINTS, 100.0, 0.1) for xml in (named, text))
-    q = np.linspace(-1, 1, 7)
-    assert np.array_equal(here.M_l(q), there.M_l(q))
-
-
-def test_file_path_and_text_give_the_same_robot_with_or_without_a_byte_order_mark(tmp_path: Path) -> None:
-    urdf, file, q = random_urdf(3, 0), tmp_path / "arm.urdf", np.array([0.3, -0.4, 0.5])
-    text = '\ufeff<?xml version="1.0" encoding="utf-8"?>\n' + urdf.xml
-    file.write_text(text, encoding="utf-8")
-    sources = (file, str(file), text, urdf.xml)
-    robots = [fjr.robot_from_urdf(source, urdf.joints, 100.0, 0.1) for source in sources]
+def test_path_and_text_give_the_same_robot_with_a_byte_order_mark_extensions_or_links_named_as_joints(
+    tmp_path: Path,
+) -> None:
+    text, file, q = ARM7.read_text(encoding="utf-8"), tmp_path / "arm.urdf", np.linspace(-1, 1, 7)
+    marked = f"\ufeff{text}"
+    extended = text.replace("</robot>", "<gazebo><sim:sensor sim:rate='1'/></gazebo></robot>")
+    same_names = re.sub(r'"link(\d)"', r'"joint\1"', text)
+    file.write_text(marked, encoding="utf-8")
+    assert len({text, marked, extended, same_names}) == 4
+    sources = (file, str(file), marked, text, extended, same_names)
+    robots = [fjr.robot_from_urdf(source, ARM7_JOINTS, 100.0, 0.1) for source in sources]
     assert all(np.array_equal(robot.M_l(q), robots[0].M_l(q)) for robot in robots)
 
 
@@ -221,11 +216,6 @@ def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.Lo
         "link 'antenna' has the principal inertia -1; expected 0 or more; "
         "link 'hub' has the mass -2.0; expected 0 or more; ignored, since no chosen joint moves them"
     ]
-
-
-def test_an_extension_with_an_undeclared_prefix_is_ignored() -> None:
-    extended = TWO.replace("</robot>", "<gazebo><sim:sensor sim:rate='1'/></gazebo></robot>")
-    assert np.array_equal(read(extended).M_l([0.1, 0.2]), read(TWO).M_l([0.1, 0.2]))
 
 
 # Invalid input: one sentence, nothing printed.

@@ -18,7 +18,7 @@ from fjr_core.model.rigid_arm import rotation_to
 from fjr_core.model.robot import Robot
 from fjr_core.urdf.tree import is_xml
 
-from .mjcf.export import add_looks, stl
+from .mjcf.export import add_looks
 from .mjcf.writing import LINK, quaternion
 
 ARM, OBSTACLE = 1, 2
@@ -35,8 +35,7 @@ def add_contact(spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], obstac
 
     Raises ParameterError, and RobotError for a URDF that cannot be read.
     """
-    seen = add_looks(spec, robot, joints, obstacle.urdf, obstacle.locked)
-    spec.assets = {mesh.file: stl(each) for mesh, each in zip(spec.meshes, seen["meshes"], strict=True)}
+    add_looks(spec, robot, joints, obstacle.urdf, obstacle.locked)
     for joint in joints:
         for geom in spec.body(joint + LINK).geoms:
             geom.contype, geom.conaffinity, geom.mass = ARM, OBSTACLE, 0.0

@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -12,14 +15,14 @@ import numpy as np
 from fjr_core.config.obstacle import Obstacle
 from fjr_core.errors import ParameterError
 from fjr_core.model.rigid_arm import tip_frame
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import MOTOR, Array
+from fjr_core.numerics.jit import CLibrary, c_library
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 from .contact import ARM, OBSTACLE, InsideError, add_contact, check_outside
-from .mjcf.writing import LINK, MOTOR, exact_inertia, specification
-from .native import mujoco_program
+from .mjcf.writing import LINK, exact_inertia, specification
 
 PAYLOAD = "payload"
 DISABLED = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_LIMIT
@@ -105,3 +108,15 @@ class MujocoEngine:
             },
         )
         self._space.lend(self._state)
+
+
+@cache
+def mujoco_program() -> CLibrary:
+    """Return the library of mujoco_steps.c, compiled and cached; raise CompilerError without a C compiler."""
+    wheel, native = Path(mujoco.__file__).parent, files(__package__) / "native"
+    robot = files("fjr_plant") / "native" / "robot.h"
+    *headers, source = (
+        path.read_text(encoding="utf-8") for path in (robot, native / "mujoco_steps.h", native / "mujoco_steps.c")
+    )
+    options = [f"-I{wheel / 'include'}", f"-L{wheel}", f"-l:libmujoco.so.{mujoco.__version__}", f"-Wl,-rpath,{wheel}"]
+    return c_library("fjr_mujoco", "\n".join(headers), source, options=options)

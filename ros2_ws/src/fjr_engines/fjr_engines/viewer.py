@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
 
@@ -43,13 +43,13 @@ def shown(name: str, text: str) -> Iterator[None]:
 
     Raises RobotError for a robot that MuJoCo cannot express.
     """
-    from fjr_engines.drawing import write
+    from fjr_engines.drawing import DrawnArm
 
     scenario = parse_scenario(name, text)
-    with TemporaryDirectory(prefix="fjr-viewer-") as folder:
-        write(scenario, Path(folder))
-        command = [sys.executable, "-m", "fjr_engines.viewer", folder, *scenario.joints]
-        process = subprocess.Popen(command, cwd=folder)  # where MuJoCo logs its errors
+    with TemporaryFile() as arm, TemporaryDirectory(prefix="fjr-viewer-") as folder:  # where MuJoCo logs its errors
+        pickle.dump((DrawnArm(scenario), scenario.joints), arm)
+        arm.seek(0)
+        process = subprocess.Popen([sys.executable, "-m", "fjr_engines.viewer"], stdin=arm, cwd=folder)
         try:
             yield
         finally:
@@ -61,18 +61,17 @@ def shown(name: str, text: str) -> Iterator[None]:
                 process.wait()
 
 
-def main(folder: Path, joints: tuple[str, ...]) -> None:
-    """Show the arm in a folder (fjr_engines/drawing.py) at the positions of both sides that /joint_states gives."""
+def main() -> None:
+    """Read (arm, joints) and show the arm at the positions of both sides that /joint_states gives."""
     import mujoco.viewer
     import rclpy
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import JointState
 
-    from fjr_engines.drawing import DrawnArm
     from fjr_msgs_py.names import JOINT_STATES, state_names
 
-    arm, newest = DrawnArm(folder, joints), dict[str, float]()
+    (arm, joints), newest = pickle.load(sys.stdin.buffer), dict[str, float]()
     os.nice(NICE)
     rclpy.init()
     node = rclpy.create_node("fjr_viewer")
@@ -96,4 +95,4 @@ def main(folder: Path, joints: tuple[str, ...]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), tuple(sys.argv[2:]))
+    main()
