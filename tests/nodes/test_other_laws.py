@@ -102,5 +102,5 @@ def test_a_scenario_builds_the_law_of_the_parameters() -> None:
     assert slow.warnings == scenario.warnings
     with pytest.raises(fjr.ParameterError, match="parameter 'robust.integral_gain': integral_gain is "):
         parse_scenario("bad", text.replace("residual_gain: [30.0]", "integral_gain: [-1.0]"))
-    with pytest.raises(fjr.ParameterError, match=r"parameters 'robust\.\*' with 'law\.type' 'friction_observer': .* of 0"):
+    with pytest.raises(fjr.ParameterError, match="with 'law.type' 'friction_observer': .* of 0"):
         parse_scenario("bad", text.replace("robust:", "law: {type: friction_observer}\n    robust:"))
