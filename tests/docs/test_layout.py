@@ -74,14 +74,14 @@ LAYERS = {
         "cli",
     ),
     "fjr_proofs": ("verification", "rate error_bound", "kept_rate check_rows"),
-    "fjr_engines": ("mjcf native", "contact", "mujoco drake drawing", "film viewer", "cli"),
+    "fjr_engines": ("mjcf", "contact", "mujoco drake drawing", "film viewer"),
     "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 
 
 BUDGETS = {
-    "fjr_core": 13_040,
+    "fjr_core": 13_270,
     "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_570,
     "fjr_plant": 1_500,

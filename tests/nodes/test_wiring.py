@@ -217,6 +217,7 @@ WIRED_BY_GROUP = (
     "limits.",  # tests/tracking, test_lifecycle
     "obstacle.",  # tests/engines/test_contact.py
     "on_stop",
+    "on_contact",  # tests/engines/test_contact_nodes.py
     "start.",
     "recovery.",
     "hold.",
@@ -226,6 +227,7 @@ WIRED_BY_GROUP = (
     "plant.",  # docs/own_law.md
     "robust.",  # test_other_laws
     "robot.guesses.",  # tests/core/config/test_robot_file.py
+    "robot.deviations.",  # tests/core/monitoring/test_contact.py
 )
 
 

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from fjr_core.motions.point_to_point import Hold, standing
 from fjr_core.motions.spline import Spline
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import State
+from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import (
     ARMS,
     LAW,
@@ -94,19 +98,8 @@ def test_a_start_too_far_from_the_reference_is_refused() -> None:
             np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([q]), rtol=1e-12)
             assert "joint1 is 0.5 rad; expected at most 0.5 rad" in tracker.reason
             assert kinds(tracker) == ["starts refused"]
-
-
-def test_a_refused_start_is_resumed_by_a_transition() -> None:
-    loop = Loop(LAW, SINE, settings(start_error=0.1, on_stop="gravity_hold"), LAW.robot.state(0.5, 0.51, 0.0, 0.0))
-    loop.run(0.5)
-    assert loop.tracker.state is State.STOPPED
-    loop.tracker.resume()
-    before = len(loop.efforts)
-    loop.step()
-    loop.run_through_transition()
-    assert loop.tracker.state is State.TRACKING
-    assert loop.error < 1e-3
-    assert largest_step(loop.efforts[before - 1 :]) < 0.2
+            tracker.resume()
+            assert tracker.command(sample(MS, q, 0.5), MS).state is State.JOINING
 
 
 def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
@@ -121,43 +114,51 @@ def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
     np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
 
 
-def test_a_start_begins_with_a_transition_from_the_first_state() -> None:
-    given = settings(start_error=0.1, start_join_time=0.5, tracking_error=0.1, deflection=0.5)
-    x0 = LAW.robot.state(1.0, 1.0 + 0.8 * np.sin(1.0) / 31, 0.0, 0.0)
-    loop = Loop(LAW, SINE, given, x0)
-    first = loop.step()
-    np.testing.assert_allclose(first.jets[:2, 0], [1.0, 0.0], atol=1e-9)
-    loop.run_through_transition()
-    assert loop.tracker.state is State.TRACKING
-    np.testing.assert_allclose(loop.commands[-1].jets, SINE.jets((loop.now - PERIOD - SECOND) * 1e-9), rtol=1e-9)
-    assert loop.error < 1e-4
+def stopped(loop: Loop, given: Settings) -> dict[str, int]:
+    """Stop at a limit that is lifted again, and ask to resume; return the counters."""
+    loop.tracker.apply(replace(given, link_velocity=1e-3))
+    loop.run(0.3)
+    loop.tracker.apply(given)
+    loop.run(0.1)
+    assert loop.tracker.state is State.STOPPED
+    loop.tracker.resume()
+    return {"stops": 1, "stops: link velocity": 1, "settings changed": 2, "resumes": 1, "recoveries": 1}
 
 
-@pytest.mark.parametrize(("policy", "quiet"), [("zero", 0.06), ("gravity_hold", 0.4)])
-@pytest.mark.parametrize("arm", ARMS)
-def test_tracking_recovers_from_a_silence_without_a_step(arm: str, policy: str, quiet: float) -> None:
-    law, reference, x0, step = ARMS[arm]
-    loop = Loop(law, reference, settings(law.robot.n, state_timeout=0.05, on_stop=policy), x0)
-    loop.run(1.0)
+def silenced(loop: Loop, given: Settings) -> dict[str, int]:
+    """Send no samples for longer than the timeout, under the effort of a stop; return the counters."""
+    robot, hold = loop.robot, given.on_stop == "gravity_hold"
+    weight = np.linalg.solve(robot.B_m, robot.grad_P_l(loop.states[-1][: robot.n]))
     assert loop.tracker.silence(loop.now + 48 * MS) is None
     loop.run(0.05, answered=False)
-    stop = loop.tracker.silence(loop.now)
-    weight = np.linalg.solve(law.robot.B_m, law.robot.grad_P_l(loop.states[999][: law.robot.n]))
-    np.testing.assert_allclose(stop, weight if policy == "gravity_hold" else 0.0, rtol=1e-12)
+    loop.u = loop.tracker.silence(loop.now).copy()
+    np.testing.assert_allclose(loop.u, weight if hold else 0.0, rtol=1e-12)
     assert loop.tracker.silence(loop.now + SECOND) is None
-    loop.u = stop.copy()
-    loop.run(quiet - 0.05, answered=False)
+    loop.run(0.35 if hold else 0.01, answered=False)
+    return {"silences": 1, "recoveries": 1}
+
+
+@pytest.mark.parametrize("interrupted", [stopped, silenced])
+@pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
+@pytest.mark.parametrize("arm", ARMS)
+def test_after_an_interruption_the_arm_returns_to_its_motion_without_a_step(
+    arm: str, policy: str, interrupted: Callable[[Loop, Settings], dict[str, int]]
+) -> None:
+    law, reference, x0, step = ARMS[arm]
+    given = settings(law.robot.n, state_timeout=0.05, on_stop=policy)
+    loop = Loop(law, reference, given, x0)
+    loop.run(1.0)
+    counters, before = interrupted(loop, given), len(loop.efforts)
     first = loop.step()
     assert first.state is State.JOINING
-    np.testing.assert_allclose(first.u, stop, atol=1e-12)
-    before = len(loop.efforts) - 1
+    np.testing.assert_allclose(first.u, loop.efforts[before - 1], atol=step / 10)
     loop.run_through_transition()
     assert largest_step(loop.efforts[before - 1 :]) < step
-    t = (loop.now - PERIOD - SECOND) * 1e-9
-    np.testing.assert_allclose(loop.commands[-1].jets, reference.jets(t), rtol=1e-12)
+    jets = reference.jets((loop.now - PERIOD - SECOND) * 1e-9)
+    np.testing.assert_allclose(loop.commands[-1].jets, jets, rtol=1e-12)
     assert loop.tracker.state is State.TRACKING
     assert loop.error < 2e-3
-    assert loop.tracker.counters == {"silences": 1, "recoveries": 1}
+    assert loop.tracker.counters == counters
 
 
 def test_a_second_silence_is_detected() -> None:

@@ -91,15 +91,6 @@ def test_too_many_values_are_rejected_before_construction(monkeypatch: pytest.Mo
     assert "more than 100 values" in answer(lambda: ros_yaml.parse("[" + "1, " * 200 + "]"))
 
 
-def test_a_date_is_text_as_in_ros() -> None:
-    assert ros_yaml.parse("a: 2024-12-24") == {"a": "2024-12-24"}
-
-
-def test_parsing_time_is_linear_in_the_number_of_keys() -> None:
-    keys = {f"key{i}": i for i in range(5000)}  # 25e6 pairwise comparisons would take far longer
-    assert ros_yaml.parse(yaml.safe_dump(keys)) == keys
-
-
 def test_a_special_file_does_not_block(folder: Path) -> None:
     os.mkfifo(folder / "pipe")
     for path in (folder / "pipe", "/dev/zero", folder, "a\0b", "\ud800", "x" * 5000):

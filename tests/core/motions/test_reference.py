@@ -8,7 +8,7 @@ import pytest
 from scipy.special import betainc
 
 import fjr_core as fjr
-from core.motions.cases import FREE, KNOTS, OTHERS, SERIES, SINES, SPLINES, T0, T1, references
+from core.motions.cases import FREE, KNOTS, OTHERS, REFERENCES, SERIES, SINES, SPLINES, T0, T1, references
 from core.oracles.oracle import stencil
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.sine import common_period
@@ -24,19 +24,17 @@ def test_each_row_is_the_derivative_of_the_one_above(reference: Reference, t: fl
 
 
 @references
-def test_references_are_c4_once_they_have_begun(reference: Reference) -> None:
+def test_references_are_c4_once_they_have_begun_and_constant_after_their_end(reference: Reference) -> None:
     motion = reference.segment if isinstance(reference, Transition) else getattr(reference, "pieces", None)
     begin = 0.0 if motion is None else motion.times[0]
     scale = 1.0 + np.abs(reference.jets(np.linspace(0.0, 5.0, 501))).max(axis=(0, 2))[:, None]
     for t in KNOTS:
         before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
         assert t <= begin or np.all(np.abs(before - after) < np.maximum(1e-12 * scale, 1e-11)), t
-
-
-@pytest.mark.parametrize("reference", SINES.values(), ids=SINES)
-def test_first_row_is_the_sine(reference: fjr.Sine) -> None:
-    a, w, c, p = (np.asarray(getattr(reference, key)) for key in ("amplitude", "frequency", "offset", "phase"))
-    assert reference.jets(0.9)[0] == pytest.approx(c + a * np.sin(w * 0.9 + p), abs=1e-15)
+    if np.isfinite(reference.end):
+        last = reference.jets(reference.end)
+        np.testing.assert_array_equal(last[1:], 0.0)
+        np.testing.assert_array_equal(reference.jets(reference.end + 100.0), last)
 
 
 @references
@@ -48,14 +46,6 @@ def test_jets_at_many_times_are_those_at_each_and_returned_arrays_are_copies(ref
     np.testing.assert_allclose(reference.jets(times), alone, rtol=1e-12, atol=1e-12)
     assert alone[0].shape == (5, reference.n)
     assert [reference.configurations(k).shape for k in (1, 17)] == [(1, reference.n), (17, reference.n)]
-
-
-@references
-def test_after_its_end_a_reference_is_constant(reference: Reference) -> None:
-    if np.isfinite(reference.end):
-        last = reference.jets(reference.end)
-        np.testing.assert_array_equal(last[1:], 0.0)
-        np.testing.assert_array_equal(reference.jets(reference.end + 100.0), last)
 
 
 @pytest.mark.parametrize("reference", [*SINES.values(), *OTHERS.values(), *SPLINES.values()])
@@ -74,12 +64,12 @@ def test_sines_cover_their_ranges_and_those_of_one_frequency_keep_their_phases()
     np.testing.assert_allclose(second, first / 2)
 
 
-def test_a_multi_sine_is_the_sum_of_its_sines() -> None:
-    a, w, p = np.random.default_rng(1).normal(size=(3, 4, 2))
-    whole = fjr.MultiSine(a, w, p, (0.5, -0.5))
-    each = [fjr.Sine(*rows) for rows in zip(a, w, (0.0,) * 4, p, strict=True)]
-    expected = sum(sine.jets(1.3) for sine in each) + fjr.standing((0.5, -0.5))
-    np.testing.assert_allclose(whole.jets(1.3), expected, rtol=1e-13, atol=1e-13)
+@pytest.mark.parametrize("name", [*SINES, "one row", "two sines"])
+def test_first_row_of_sines_is_their_sum(name: str) -> None:
+    reference = REFERENCES[name]
+    a, w, c, p = (np.asarray(getattr(reference, key)) for key in ("amplitude", "frequency", "offset", "phase"))
+    found = np.atleast_2d(a * np.sin(w * 0.9 + p)).sum(axis=0)
+    np.testing.assert_allclose(reference.jets(0.9)[0], c + found, rtol=1e-14, atol=1e-15)
 
 
 def test_point_to_point_is_the_smoothstep_of_degree_nine() -> None:
@@ -111,17 +101,14 @@ def test_circle_is_exact_from_rest_to_its_frequency() -> None:
     assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency is clockwise
 
 
-def test_the_basis_gives_the_jets_of_the_reference() -> None:
+def test_the_basis_of_a_series_gives_the_jets_of_its_reference_and_its_harmonics_are_distinct() -> None:
     t = np.linspace(0, 5, 23)
     jets = np.einsum("rks,sn->krn", SERIES.jet_basis(t), FREE)
-    assert np.allclose(jets, SERIES.reference(FREE).jets(t), rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize(("highest", "count"), [(3, 10), (8, 5), (100, 10)])
-def test_harmonics_are_distinct_and_reach_the_highest(highest: int, count: int) -> None:
-    found = logarithmic_harmonics(highest, count)
-    assert len(found) == min(highest, count) == len(set(found))
-    assert (found[0], found[-1]) == (1, highest)
+    np.testing.assert_allclose(jets, SERIES.reference(FREE).jets(t), rtol=1e-9, atol=1e-9)
+    for highest, count in ((3, 10), (8, 5), (100, 10)):
+        found = logarithmic_harmonics(highest, count)
+        assert len(found) == min(highest, count) == len(set(found))
+        assert (found[0], found[-1]) == (1, highest)
 
 
 def test_the_common_period_is_that_of_the_greatest_common_divisor() -> None:
