@@ -101,7 +101,7 @@ if __name__ == "__main__":
         sys.exit(f"usage: python -m bench.error_bound {'|'.join(SCENARIOS)} [NAME=VALUE ...] [runs=N] [searches=N]")
     settings = [word for word in sys.argv[2:] if ":=" in word]
     given = dict(model_error(word) for word in sys.argv[2:] if ":=" not in word)
-    runs, searches = int(given.pop("runs", RUNS)), int(given.pop("searches", SEARCHES))
+    runs, searches = (int(np.max(given.pop(*of))) for of in (("runs", RUNS), ("searches", SEARCHES)))
     figures = of_scenario(sys.argv[1], given, runs, searches, settings)
     print(table(figures))
     sys.exit(not all(figure.holds for figure in figures))

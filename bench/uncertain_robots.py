@@ -145,7 +145,9 @@ def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     q_l, q_m, dq_l, dq_m = ca.vertsplit(x, robot.n)
     M, torque, zero = ca.SX(robot.n, robot.n), ca.SX(robot.n, 1), ca.DM.zeros(robot.n)
     a, b = ca.vertsplit(p["gravity_direction"])
-    gravity = robot.links.end_effector.gravity
+    end_effector = robot.links.end_effector
+    assert end_effector is not None
+    gravity = end_effector.gravity
     across = np.linalg.svd(gravity[None, :])[2][1:]
     size, down = np.linalg.norm(gravity), gravity / np.linalg.norm(gravity)
     turned = size * (ca.sin(b) * across[0] - ca.sin(a) * ca.cos(b) * across[1] + ca.cos(a) * ca.cos(b) * down)
@@ -155,7 +157,7 @@ def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
         torque += factor * alone(gravity).inertial_torque(q_l, dq_l, dq_l, zero)
         for axis in range(3):
             torque += factor * p["gravity"] * turned[axis] * alone(np.eye(3)[axis]).grad_P_l(q_l)
-    place = robot.links.end_effector.position(q_l, p["payload_position"])
+    place = end_effector.position(q_l, p["payload_position"])
     J = ca.jacobian(place, q_l)
     bent = ca.jtimes(J @ dq_l, q_l, dq_l)
     M += p["payload_mass"] * J.T @ J

@@ -232,7 +232,8 @@ class Ranges:
     def _sampled_storage(self, tube: Tube) -> float:
         """Return V at the corners that the signs of dV/dz lead to in some steps: V is nearly quadratic in z."""
         largest, arguments = -np.inf, self._along(self._cells.sampling(self.blocks))
-        directions, signs = tube.directions, np.zeros((tube.directions.shape[1], len(arguments["c"].T)))
+        directions = tube.directions
+        signs: Array = np.zeros((directions.shape[1], len(arguments["c"].T)))
         for _ in range(CLIMBS):
             V, slope = _called(self._model.storage_slope, arguments | {"z": directions @ signs})
             largest = max(largest, float(V.max()))
@@ -299,7 +300,7 @@ class Ranges:
             elif name in ("z", "f") and tube is not None:
                 rows = tube.columns[:, : 4 * n] if name == "z" else tube.columns[:, 4 * n :]
                 models = TaylorModels.linear(rows.transpose(1, 2, 0), shape)
-                yield models if name == "z" else models.minus(-c)
+                yield models if name == "z" else models.minus(np.negative(c))
             else:
                 yield TaylorModels.exact(c, shape)
 

@@ -28,7 +28,7 @@ LARGEST = 0.9
 """Largest relative error of a factor."""
 
 
-class Parameter(NamedTuple):
+class Uncertainty(NamedTuple):
     """An uncertain parameter: what it is of, the numbers of it (0: one for each joint), its unit; "" for a factor."""
 
     of: str
@@ -37,17 +37,17 @@ class Parameter(NamedTuple):
 
 
 PARAMETERS = {
-    "payload": Parameter("all link masses and inertias", numbers=1),
-    "payload_mass": Parameter("a mass at the last link", numbers=1, unit="kg"),
-    "payload_position": Parameter("its place", numbers=3, unit="m"),
-    "link_mass": Parameter("mass and inertia of each link"),
-    "link_inertia": Parameter("inertia of each link about its centre of mass"),
-    "gravity": Parameter("gravity", numbers=1),
-    "gravity_direction": Parameter("the direction of gravity", numbers=2, unit="rad"),
-    "stiffness": Parameter("each joint stiffness"),
-    "motor_inertia": Parameter("each motor inertia"),
-    "link_damping": Parameter("each link damping"),
-    "motor_damping": Parameter("each motor damping"),
+    "payload": Uncertainty("all link masses and inertias", numbers=1),
+    "payload_mass": Uncertainty("a mass at the last link", numbers=1, unit="kg"),
+    "payload_position": Uncertainty("its place", numbers=3, unit="m"),
+    "link_mass": Uncertainty("mass and inertia of each link"),
+    "link_inertia": Uncertainty("inertia of each link about its centre of mass"),
+    "gravity": Uncertainty("gravity", numbers=1),
+    "gravity_direction": Uncertainty("the direction of gravity", numbers=2, unit="rad"),
+    "stiffness": Uncertainty("each joint stiffness"),
+    "motor_inertia": Uncertainty("each motor inertia"),
+    "link_damping": Uncertainty("each link damping"),
+    "motor_damping": Uncertainty("each motor damping"),
 }
 """Uncertain parameters; their errors are relative for factors, else in their units."""
 CHAIN = ("link_mass", "link_inertia", "gravity_direction")
@@ -72,7 +72,9 @@ class UncertainRobot:
         self.robot, n = robot, robot.n
         self._layout = PackedVector({name: kind.numbers or n for name, kind in PARAMETERS.items()})
         sizes = {name: _checked(name, errors.get(name, 0.0), size) for name, size in self._layout.sizes.items()}
-        own = {name: np.full(size, 0.0 if PARAMETERS[name].unit else 1.0) for name, size in self._layout.sizes.items()}
+        own: dict[str, Array] = {
+            name: np.full(size, 0.0 if PARAMETERS[name].unit else 1.0) for name, size in self._layout.sizes.items()
+        }
         own["payload_position"] = floats("payload_position", payload_position, ParameterError)
         self._middle, half = (np.concatenate([part[name] for name in PARAMETERS]) for part in (own, sizes))
         first, _ = self._place("payload_mass")
@@ -112,7 +114,7 @@ class UncertainRobot:
             torque, M = (inertial + p.gravity * chain.gravity_torque())[order], chain.inertia()[order, order]
         else:
             torque, M = own.inertial_torque(q, dq, dq, ddq) + p.gravity * own.grad_P_l(q), own.M_l(q)
-        if self._changes("payload_mass"):
+        if self._changes("payload_mass") and own.end_effector is not None:
             place = own.end_effector.position(q, p.payload_position)
             J, states = ca.jacobian(place, q), ca.vertcat(q, dq)
             acceleration = directional(directional(place, q, dq), states, ca.vertcat(dq, ddq))
@@ -197,5 +199,5 @@ def _checked(name: str, error: ArrayLike, numbers: int) -> Array:
     if size.shape not in ((), (numbers,)):
         raise ParameterError(f"error '{name}' has shape {size.shape}; expected one number or {numbers}")
     if not np.all((size >= 0) & (size <= limit) & np.isfinite(size)):
-        raise ParameterError(f"error '{name}' is {error}; expected 0 to {limit}")
+        raise ParameterError(f"error '{name}' is {size.tolist()}; expected 0 to {limit}")
     return np.broadcast_to(size, numbers).astype(float)
