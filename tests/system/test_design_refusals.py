@@ -21,7 +21,7 @@ REFUSED = [
         2,
         "integral_gain is [40] 1/s, which makes the loop unstable at a hold of 0.001 s; expected at most [2",
     ),
-    ("check paper_k31 --error mass=0.2", 2, "error 'mass' is unknown; expected some of payload, link_inertia"),
+    ("check paper_k31 --error mass=0.2", 2, "error 'mass' is unknown; expected some of payload, payload_mass"),
     (
         "check paper_k31 --error payload=0.1 --error payload=0.2",
         2,

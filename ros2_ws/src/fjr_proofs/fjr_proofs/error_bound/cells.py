@@ -92,6 +92,10 @@ class Cells:
         radius = mean + (whole + 1) * self.sample_period / 2 if self.verified else mean
         return CellTimes(self.sampled - whole * self.sample_period / 2, radius), mean / radius
 
+    def beside(self, blocks: int) -> range:
+        """Return the cells, relative to one, in which the samples of its windows lie."""
+        return range(1)
+
     @property
     def verifiable(self) -> bool:
         """True if the bounds of `models` hold between points, and the cells cover all times."""
@@ -140,6 +144,10 @@ class AlignedCells(Cells):
         self.sampled = self.middle - hold
         self.radius, self.reach = SLIP + hold, SLIP
 
+    def beside(self, blocks: int) -> range:
+        """Return the cell at whose start the window ends, too."""
+        return range(2)
+
 
 class DriftingCells(Cells):
     """Verified cells of any period; a sample that ends a cell is anywhere in it.
@@ -155,6 +163,12 @@ class DriftingCells(Cells):
         self.middle = self.sampled = self.starts + (self.length + (3 - samples) * T) / 2
         self.radius = self.reach = self.length / 2 + (samples + 1) * T / 2
         self.drift = abs(self.length - samples * T)
+
+    def beside(self, blocks: int) -> range:
+        """Return the cells in which the nearest sample of any time of the windows lies."""
+        reach = (self.samples + 2) * self.sample_period + blocks * self.drift
+        most = int(np.ceil(reach / self.length))
+        return range(-most, most + 1)
 
 
 class SampledCells(Cells):

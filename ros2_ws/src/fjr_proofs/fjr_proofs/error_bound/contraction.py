@@ -23,7 +23,7 @@ from fjr_core.motions.sine import Sines
 from fjr_core.numerics.checks import Array, kind_of, positive
 from fjr_core.numerics.one_line import one_line
 
-from .deviation_model import FACTORS
+from .deviation_model import DeviationModel
 from .enclosures import Ranges
 from .linear_loop import Response, transient
 from .search import Search
@@ -80,11 +80,11 @@ def sampled_contraction(
         raise StateError(f"delay is {delays[0]:g} to {delays[1]:g} samples; expected within 0 and 1")
     if not isinstance(reference, Sines):
         raise TrajectoryError(f"reference is {kind_of(reference)}; expected sines, whose derivatives are enclosed")
-    n, middle, one = law.robot.n, sample_period * (delays[0] + delays[1]) / 2, np.ones(len(FACTORS))
+    n, middle, none = law.robot.n, sample_period * (delays[0] + delays[1]) / 2, np.zeros(0)
     late = sample_period * (delays[1] - delays[0]) / 2
-    search = Search(law, reference, sample_period, middle, np.zeros(2 * n), verified=True, late=late)
-    linear = search.linear(one)
-    problem = search.problem(linear, one, one)
+    search = Search(DeviationModel(law), reference, sample_period, middle, np.zeros(2 * n), verified=True, late=late)
+    linear = search.linear(none)
+    problem = search.problem(linear, none, none)
     if problem is None:
         return None
     fastest = float(-np.log(linear.spectral_radius) / sample_period)
@@ -154,7 +154,8 @@ class Pairs:
         linear = self.problem.linear
         acceleration = np.abs(linear.coordinates.acceleration) @ tube.acceleration
         small = np.full((5 if linear.late else 4) * linear.n, SMALL)
-        mismatch = self.ranges.mismatch(tube.z, small, self.problem.lines, acceleration)
+        lines = self.problem.lines, self.problem.accelerations
+        mismatch = self.ranges.mismatch(tube.z, small, *lines, acceleration)
         if mismatch is None:
             return False
         oldest = linear.delay + 2 * linear.sample_period  # of what acts, before the nearest sample

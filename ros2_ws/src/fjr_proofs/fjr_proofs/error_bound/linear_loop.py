@@ -32,7 +32,8 @@ class ModalCoordinates:
 
         y = S z,  S = diag(R, R^-T K, R, R),   torques R^-T w,   accelerations R dz_3,   R' R = M_l
 
-    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (2n, 2n) acts on links and motors.
+    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (3n, 3n) acts on links, motors and
+    springs.
     """
 
     def __init__(self, robot: Robot, M_l: Array) -> None:
@@ -40,7 +41,7 @@ class ModalCoordinates:
         self.R: Array = np.sqrt(eigenvalues)[:, None] * vectors.T
         self.acceleration: Array = np.linalg.inv(self.R)
         self.torque: Array = self.acceleration.T
-        self.torques: Array = block_diag(self.torque, self.torque)
+        self.torques: Array = block_diag(*[self.torque] * 3)
         self.effort: Array = self.torque @ robot.B_m
         self.effort_inverse: Array = np.asarray(np.linalg.inv(self.effort), dtype=float)
         self.S: Array = block_diag(self.R, self.torque @ robot.K, self.R, self.R)
@@ -53,9 +54,10 @@ class LinearLoop:
 
     late [s]: longest time in a sample in which the effort before or after acts, as the delay varies; 0 if it does not.
 
-    M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation of
-    the effort. F (c, n, 4n): v = F z at the sample. The properties are in `coordinates`: y for z, and likewise for
-    torques and efforts.
+    M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (c, n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation
+    of the effort. F (c, n, 4n): v = F z at the sample. factors (c, 3n, u): torques d_l, d_m and d_s, which springs
+    exert on links and motors, by the share of each parameter. The properties are in `coordinates`: y for z, and
+    likewise for torques and efforts.
     """
 
     model: DeviationModel
@@ -68,6 +70,7 @@ class LinearLoop:
     G: Array
     B: Array
     F: Array
+    factors: Array
 
     @property
     def n(self) -> int:
@@ -86,7 +89,8 @@ class LinearLoop:
 
     def at(self, cells: Indices) -> LinearLoop:
         """Return the models of the selected cells."""
-        return replace(self, M=self.M[cells], H=self.H[cells], F=self.F[cells])
+        names = ("M", "H", "G", "F", "factors")
+        return replace(self, **{name: getattr(self, name)[cells] for name in names})
 
     def shifted(self, cells: int) -> LinearLoop:
         """Return the models of the cells a number of cells before."""
@@ -110,15 +114,18 @@ class LinearLoop:
 
     @cached_property
     def inputs(self) -> tuple[Array, Array]:
-        """Inputs of the effort (c, 4n, n), and of the torques d_l, d_m and link accelerations (c, 4n, 3n)."""
+        """Inputs of the effort (c, 4n, n), and of the torques d_l, d_m, d_s (c, 4n, 3n)."""
         n, c, S = self.n, len(self.M), self.coordinates
         by_effort, by_torque = np.zeros((c, 4 * n, n)), np.zeros((c, 4 * n, 3 * n))
         M_m_inverse = np.linalg.inv(self.model.robot.M_m)
         by_effort[:, 3 * n :] = M_m_inverse @ self.B
         by_torque[:, 2 * n : 3 * n, :n], by_torque[:, 3 * n :, n : 2 * n] = np.linalg.inv(self.M), M_m_inverse
-        by_torque[:, 2 * n : 3 * n, 2 * n :] = np.eye(n)
-        to_torques = block_diag(np.linalg.inv(S.torques), S.acceleration)
-        return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ to_torques
+        payload, inertia = (
+            self.model.uncertain.of_joints(name, self.centre.factors) for name in ("payload", "motor_inertia")
+        )
+        by_torque[:, 2 * n : 3 * n, 2 * n :] = np.linalg.inv(self.M) / payload
+        by_torque[:, 3 * n :, 2 * n :] = -M_m_inverse / inertia
+        return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ np.linalg.inv(S.torques)
 
     @cached_property
     def jumps(self) -> tuple[Array, Array]:
@@ -192,11 +199,11 @@ class LinearLoop:
     def forced(self, torque: Array, aging: Array) -> Array:
         """Return the integral of exp(A (T - s)) E (torque + aging age(s)) over a sample (c, 4n, k).
 
-        torque (c, 2n, k); aging (c, 2n) belongs to the first column. The effort that acts after s is s + whole T old,
+        torque (c, 3n, k); aging (c, 3n) belongs to the first column. The effort that acts after s is s + whole T old,
         and T older while s < fraction T.
         """
         T, (whole, fraction), E = self.sample_period, split(self.delay, self.sample_period), self.inputs[1]
-        force, slope = E[:, :, : 2 * self.n] @ torque, E[:, :, : 2 * self.n] @ aging[:, :, None]
+        force, slope = E @ torque, E @ aging[:, :, None]
         force[:, :, :1] += whole * T * slope
         c, N, k = force.shape
         ramp, inputs = np.zeros((c, N + 1, N + 1)), np.zeros((c, N + 1, k + 1))
@@ -213,20 +220,25 @@ def linear_loop(model: DeviationModel, centre: CentreMotion, delay: float, late:
     """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors."""
     n, cells, c = model.n, centre.cells, centre.factors
     zero, factors = np.zeros((4 * n, cells.count)), np.tile(c[:, None], cells.count)
-    H, M = columnwise(model.link_slope, centre.path.columns(cells.middle), zero, factors, factors)
-    G, B = (matrix.full() for matrix in model.motor_slope(c))
+    path = centre.path.columns(cells.middle)
+    (motors,) = columnwise(model.motors, path, factors)
+    X, M = columnwise(model.slopes, path, motors, zero, factors, factors)
     path, jets = centre.path.columns(cells.sampled), cells.columns(cells.sampled)
-    (F,) = columnwise(model.law_slope, path, jets, zero, factors)
-    inertia, slopes, law = (X.T.reshape(cells.count, -1, n).swapaxes(1, 2).copy() for X in (M, H, F))
+    (F,) = columnwise(model.law_slope, path, *columnwise(model.motors, path, factors), jets, zero)
+    inertia, slopes, law = (
+        A.T.reshape(cells.count, -1, rows).swapaxes(1, 2).copy() for A, rows in ((M, n), (X, 3 * n), (F, n))
+    )
     coordinates = ModalCoordinates(model.robot, inertia.mean(axis=0))
-    return LinearLoop(model, centre, delay, late, coordinates, inertia, slopes, G, B, law)
+    B = model.robot.B_m / model.uncertain.of_joints("motor_inertia", c)[:, None]
+    H, G, by_factor = slopes[:, :n, : 4 * n], slopes[:, n : 2 * n, : 4 * n], slopes[:, :, 4 * n :]
+    return LinearLoop(model, centre, delay, late, coordinates, inertia, H, G, B, law, by_factor)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownErrors:
     """Known errors of torques and efforts in each of c cells: the first of k columns, and the others times -1 to 1.
 
-    torque (c, 2n, k) [N m], effort (c, n, k) [N m]; aging (c, 2n) [N m/s] times the age of the acting effort in the
+    torque (c, 3n, k) [N m], effort (c, n, k) [N m]; aging (c, 3n) [N m/s] times the age of the acting effort in the
     first column.
     """
 
@@ -234,17 +246,24 @@ class KnownErrors:
     aging: Array
     effort: Array
 
-    def extended(self, other: KnownErrors) -> KnownErrors:
-        """Return the errors with the further columns of others, whose first is zero."""
-        torque = np.concatenate([self.torque, other.torque[:, :, 1:]], axis=2)
-        return KnownErrors(torque, self.aging, np.concatenate([self.effort, other.effort[:, :, 1:]], axis=2))
+    def extended(self, torque: Array, effort: Array) -> KnownErrors:
+        """Return the errors with others: the first columns are added, the further ones follow."""
+        first, whole = np.s_[:, :, :1], []
+        for own, other in ((self.torque, torque), (self.effort, effort)):
+            whole.append(np.concatenate([own[first] + other[first], own[:, :, 1:], other[:, :, 1:]], axis=2))
+        return KnownErrors(whole[0], self.aging, whole[1])
+
+    def without(self, columns: slice) -> KnownErrors:
+        """Return the errors without some columns."""
+        torque, effort = (np.delete(values, columns, axis=2) for values in (self.torque, self.effort))
+        return KnownErrors(torque, self.aging, effort)
 
     def shifted(self, cells: int) -> KnownErrors:
         """Return the errors of the cells a number of cells before."""
         return KnownErrors(*(np.roll(values, cells, axis=0) for values in (self.torque, self.aging, self.effort)))
 
     def torque_at(self, age: float) -> Array:
-        """Return the torques (c, 2n, k) at an age [s] of the effort."""
+        """Return the torques (c, 3n, k) at an age [s] of the effort."""
         torque = self.torque.copy()
         torque[:, :, 0] += age * self.aging
         return torque
@@ -314,7 +333,7 @@ def transient(linear: LinearLoop, Z: Array, blocks: int) -> Response:
     for k, i in enumerate(at):
         course[k] = Z
         Z = linear.models.loop[i] @ Z
-    zero = np.zeros((len(at), 2 * n, columns)), np.zeros((len(at), 2 * n)), np.zeros((len(at), n, columns))
+    zero = np.zeros((len(at), 3 * n, columns)), np.zeros((len(at), 3 * n)), np.zeros((len(at), n, columns))
     earlier = np.roll(course, 1, axis=0)
     return _magnitudes(linear.at(ended), course, earlier, KnownErrors(*zero), _largest(course))
 
@@ -333,7 +352,7 @@ def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownError
     for loop, acting in ((linear, errors), (following, errors_after)):
         by_effort, by_torque = loop.inputs
         for age in (linear.delay, linear.delay + T):
-            without_effort = loop.A @ z + by_torque[:, :, : 2 * n] @ acting.torque_at(age)
+            without_effort = loop.A @ z + by_torque @ acting.torque_at(age)
             rates += [_largest(without_effort + by_effort @ effort) for effort in efforts]
             accelerations.append(_largest(without_effort[:, 2 * n : 3 * n]))
     rate, acceleration = linear.growth @ np.max(rates, axis=0), np.max(accelerations, axis=0)

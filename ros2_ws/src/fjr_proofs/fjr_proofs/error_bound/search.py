@@ -14,29 +14,29 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import ParameterError, StateError
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import Reference
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import Array, floats
 from fjr_core.numerics.one_line import one_line
 from fjr_core.stability.linearization import checked_times
 
 from ..verification.taylor_models import taylor_function
 from .cells import Cells, cells_of
-from .deviation_model import FACTORS, CentreMotion, DeviationModel
+from .deviation_model import CentreMotion, DeviationModel
 from .enclosures import Ranges
 from .linear_loop import LinearLoop, linear_loop
 from .peak_gains import peak_gains
 from .tube import TubeProblem, steady_motion
+from .uncertain_robot import PARAMETERS, UncertainRobot
 
 TORQUES = ("link_torque", "motor_torque")
-"""Names of errors in N m; the others, FACTORS, are relative."""
+"""Names of errors in N m of any joint, with any time course; the others are PARAMETERS."""
 SECONDS_TO_PROVE = 2  # joints
-LARGEST = 0.9  # relative error of a factor
-NARROWEST = 0.002  # width of a factor that is not divided
+NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = 128
 HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
 TIGHT = 1.1  # ratio of a bound to that of the known response, below which a part is not divided
@@ -56,8 +56,8 @@ class ErrorBound:
 
     position, velocity (n,) [rad, rad/s]: ultimate bounds of |q_l - q_ld| and |dq_l - dq_ld| in steady motion; infinite
     if no invariant tube was found. from_start (n,) [rad]: bound of the positions at all times for a robot that starts
-    on the reference, and then ends within `position`; infinite unless proven. errors: relative errors of FACTORS, and
-    TORQUES in N m. storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
+    on the reference, and then ends within `position`; infinite unless proven. errors: of PARAMETERS and
+    TORQUES. storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
     of the box of factors. proven: every constant is verified; otherwise the bound rests on sampled constants.
     """
 
@@ -65,7 +65,7 @@ class ErrorBound:
     velocity: Array
     from_start: Array
     storage: float
-    errors: Mapping[str, float]
+    errors: Mapping[str, ArrayLike]
     sample_period: float
     delay: float
     parts: int
@@ -84,47 +84,49 @@ def bound_errors(
     reference: Reference,
     sample_period: float,
     delay: float = 0.0,
-    errors: Mapping[str, float] = {},
+    errors: Mapping[str, ArrayLike] = {},
     progress: Progress = lambda share: None,
     prove: bool | None = None,
+    payload_position: ArrayLike = (0.0, 0.0, 0.0),
 ) -> ErrorBound:
     """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
 
-    delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
-    factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
-    TORQUES [N m] that act at any joint with any time course. progress: see `Progress`. prove: whether a proof is
-    tried; None: where it takes seconds, with up to SECONDS_TO_PROVE joints or without an error of a factor.
+    delay [s]: constant, from a state to the effort that answers it. errors: largest errors of the robot's PARAMETERS,
+    one number or one for each joint or axis (`UncertainRobot`, also for payload_position), and largest TORQUES [N m]
+    that act at any joint with any time course. progress: see `Progress`. prove: whether a proof is tried; None: where
+    it takes seconds, with up to SECONDS_TO_PROVE joints or without an error of a parameter.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
     a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
     CompilerError without a C compiler.
     """
     checked_times(sample_period, delay)
-    for name, value in errors.items():
-        if name not in (*FACTORS, *TORQUES):
-            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join((*FACTORS, *TORQUES))}")
-        limit = LARGEST if name in FACTORS else np.inf
-        if not 0 <= value <= limit or not np.isfinite(value):
-            raise ParameterError(f"error '{name}' is {value}; expected 0 to {limit}")
-    n, half = law.robot.n, np.array([errors.get(name, 0.0) for name in FACTORS])
-    disturbing = np.repeat([errors.get(name, 0.0) for name in TORQUES], n)
-    search = Search(law, reference, sample_period, delay, disturbing, verified=True)
+    for name in errors:
+        if name not in (*PARAMETERS, *TORQUES):
+            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join((*PARAMETERS, *TORQUES))}")
+    n, torques = law.robot.n, [floats(name, errors.get(name, 0.0), ParameterError) for name in TORQUES]
+    for name, torque in zip(TORQUES, torques, strict=True):
+        if torque.ndim or not 0 <= torque < np.inf:
+            raise ParameterError(f"error '{name}' is {torque}; expected 0 to inf")
+    model = DeviationModel(law, UncertainRobot(law.robot, errors, payload_position))
+    box = -np.ones(model.uncertain.count), np.ones(model.uncertain.count)
+    given = model, reference, sample_period, delay, np.repeat(torques, n)
+    search = Search(*given, verified=True)
     if prove is None:
-        prove = n <= SECONDS_TO_PROVE or not np.any(half)
-    boxes = search.boxes(1 - half, 1 + half, progress) if prove and search.applies else []
+        prove = n <= SECONDS_TO_PROVE or not model.uncertain.count
+    boxes = search.boxes(*box, progress) if prove and search.applies else []
     proven = bool(boxes) and all(box.has_tube for box in boxes)
     if not proven:
-        search = Search(law, reference, sample_period, delay, disturbing, verified=False)
-        boxes = search.boxes(1 - half, 1 + half, progress)
+        boxes = Search(*given, verified=False).boxes(*box, progress)
     ultimate = np.max([box.ultimate for box in boxes], axis=0)
     start = np.max([box.from_start for box in boxes], axis=0)
     storage = float(np.max([box.storage for box in boxes]))
-    given = dict(errors), sample_period, delay
-    return ErrorBound(ultimate[:n], ultimate[n:], start[:n], storage, *given, len(boxes), proven)
+    loop = dict(errors), sample_period, delay
+    return ErrorBound(ultimate[:n], ultimate[n:], start[:n], storage, *loop, len(boxes), proven)
 
 
 @dataclass(frozen=True, eq=False)
 class FactorBox:
-    """Part of the box of factors, low to high (7,), with its centre motion and the tube about it.
+    """Part of the box of factors, low to high (u,), with its centre motion and the tube about it.
 
     centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effect:
     deviation of a position [rad] by each uncertain factor. first_order, ultimate, from_start (2n,): bounds of |q_l -
@@ -170,7 +172,7 @@ class FactorBox:
         return float(np.prod(np.divide(self.high - self.low, width, out=np.ones_like(width), where=width > 0)))
 
     def counts(self) -> NDArray[np.intp]:
-        """Return into how many (7,) the factors are divided, so that their effect is at most `share` of that here.
+        """Return into how many (u,) the factors are divided, so that their effect is at most `share` of that here.
 
         The factor with the largest effect in a box is divided first; without any effect the widest factor is halved.
         """
@@ -184,7 +186,7 @@ class FactorBox:
         return count
 
     def divided(self, counts: NDArray[np.intp]) -> list[tuple[Array, Array]]:
-        """Return boxes of equal size, of which `counts` (7,) are beside each other for each factor."""
+        """Return boxes of equal size, of which `counts` (u,) are beside each other for each factor."""
         width = (self.high - self.low) / counts
         places = map(np.array, product(*(range(count) for count in counts)))
         return [
@@ -197,7 +199,7 @@ class Search:
 
     def __init__(
         self,
-        law: StaticLaw,
+        model: DeviationModel,
         reference: Reference,
         T: float,
         delay: float,
@@ -206,7 +208,7 @@ class Search:
         late: float = 0.0,
     ) -> None:
         """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop."""
-        self.model, self.cells = DeviationModel(law), cells_of(reference, T, verified)
+        self.model, self.cells = model, cells_of(reference, T, verified)
         self.T, self.delay, self.disturbing, self._late = T, delay, disturbing, late
 
     @property
@@ -218,7 +220,7 @@ class Search:
         if not self.cells.verifiable:
             return False
         try:
-            for function in (self.model.law_slope, self.model.defect):
+            for function in (self.model.law_slope, self.model.defect, self.model.slopes):
                 taylor_function(function)
         except StateError:
             return False
@@ -237,10 +239,11 @@ class Search:
                 boxes.append(box)
                 progress(len(boxes) / (len(boxes) + len(waiting)))
                 continue
+            if box.narrow:
+                return [box]
             counts = box.counts()
             parts = np.prod(counts, dtype=float)
-            many = len(waiting) + len(boxes) + parts > MOST_PARTS or parts > HOPELESS * box.volume(low, high)
-            if box.narrow or many:
+            if len(waiting) + len(boxes) + parts > MOST_PARTS or parts > HOPELESS * box.volume(low, high):
                 return [box]
             waiting += [(*ends, box.centre) for ends in box.divided(counts)]
         while len(boxes) < MOST_PARTS:
@@ -254,7 +257,7 @@ class Search:
         return boxes
 
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
-        """Return the part of the box between the factors low and high (7,), with its invariant tube if there is one."""
+        """Return the part of the box between the factors low and high (u,), with its invariant tube if there is one."""
         linear, none = self.linear((low + high) / 2, start), np.full(2 * self.model.n, np.inf)
         box = FactorBox(low, high, linear.centre, np.ones(np.count_nonzero(high > low)), none, none, none)
         try:
@@ -264,12 +267,12 @@ class Search:
             return box
 
     def linear(self, factors: Array, start: CentreMotion | None = None) -> LinearLoop:
-        """Return the linear model about the steady motion of a robot with the factors (7,), found from `start`."""
+        """Return the linear model about the steady motion of a robot with the factors (u,), found from `start`."""
         coarse = steady_motion(self.model, self._coarse, factors, self.delay, start)
         return linear_loop(self.model, replace(coarse, cells=self.cells), self.delay, self._late)
 
     def problem(self, linear: LinearLoop, low: Array, high: Array) -> TubeProblem | None:
-        """Return the problem of a tube for factors from low to high (7,); None for an unstable loop."""
+        """Return the problem of a tube for factors from low to high (u,); None for an unstable loop."""
         found = self.gains(linear)
         return None if found is None else TubeProblem(Ranges(linear, low, high, found[1]), found[0], self.disturbing)
 

@@ -38,7 +38,7 @@ NARROWER, BETWEEN = 6, 1.4  # halvings of a box at which a tube is sought, and a
 def steady_motion(
     model: DeviationModel, cells: Cells, factors: Array, delay: float, start: CentreMotion | None = None
 ) -> CentreMotion:
-    """Return the centre motion of a robot with the factors (7,), along which its sampled loop is steady; delay [s].
+    """Return the centre motion of a robot with shares (u,), along which its sampled loop is steady; delay [s].
 
     Newton's method with one linear model: its steady response to the defect of the law and the age of the effort is
     added to the motion of the links until both balance on average over a sample. With cells of several samples the
@@ -62,8 +62,8 @@ def steady_motion(
 class DeviationBounds:
     """Bounds in the coordinates of the linear model at all times.
 
-    z (4n,): of what the lines leave of the deviation; effort (n,), its change in a sample (n,) if the delay varies, and
-    link acceleration (n,) of the whole deviation.
+    z (4n,), acceleration (n,) of the links: of what the lines leave of the deviation; effort (n,), and its change in a
+    sample (n,) if the delay varies: of the whole deviation.
     """
 
     z: Array
@@ -88,17 +88,17 @@ def fixed_point(
         bounds = _bounds_under(linear, gains, assumed, known)
         if not np.all(np.isfinite(bounds.z)) or bounds.z.max() > most:
             return None
-        links, motors = mismatch.H @ bounds.z, mismatch.G @ bounds.z + mismatch.B @ bounds.effort
-        accelerations, efforts = mismatch.M @ bounds.acceleration, mismatch.F @ bounds.z
+        torques = mismatch.X @ bounds.z
+        torques[: 2 * n] += np.concatenate([mismatch.M @ bounds.acceleration, mismatch.B @ bounds.effort])
         change = bounds.change + 2 * assumed[-n:] if linear.late else np.zeros(0)
-        disturbance = mismatch.unknown + aged * np.concatenate([links, motors, accelerations, change, efforts])
+        disturbance = mismatch.unknown + aged * np.concatenate([torques, change, mismatch.F @ bounds.z])
         if np.all(disturbance <= assumed):
             return bounds
     return None
 
 
 def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: Response) -> DeviationBounds:
-    """Return the bounds of deviations under disturbances: torques, accelerations, changes and errors of the effort.
+    """Return the bounds of deviations under disturbances: torques, changes and errors of the effort.
 
     Between samples a bound grows by its rate. Efforts and accelerations at the end of a cell are those of its own model
     or, if aligned, of the next.
@@ -174,20 +174,27 @@ class TubeProblem:
 
     @cached_property
     def known(self) -> Response:
-        """Steady response to what is known: to first order in the factors, and along the lines to second order."""
-        errors = self._known_errors
-        if self.lines.shape[2]:
-            errors = errors.extended(self.ranges.second_order(self.lines))
-        return steady_response(self.linear, errors, self.ranges.blocks)
+        """Steady response to what is known: to first order in the factors, and to second order along the lines."""
+        return steady_response(self.linear, self._to_second_order, self.ranges.blocks)
 
     @cached_property
     def lines(self) -> Array:
-        """Response (c, 4n, u) at the start of each cell to each factor, to first order, if it is known there."""
+        """Response (c, 4n, u) in each cell, at its start if aligned, to each factor to first order; zero if sampled."""
         cells, n = self.linear.centre.cells, self.linear.n
-        if not cells.aligned:
-            return np.zeros((cells.count, 4 * n, 0))
+        if not cells.verified:
+            return np.zeros((cells.count, 4 * n, self._uncertain))
         Z = steady_response(self.linear, self._known_errors, self.ranges.blocks).Z
-        return np.roll(Z[:, : 4 * n, 1 : 1 + self._uncertain], 1, axis=0)
+        return np.roll(Z[:, : 4 * n, 1 : 1 + self._uncertain], cells.aligned, axis=0)
+
+    @cached_property
+    def accelerations(self) -> Array:
+        """Accelerations (c, n, u) of the links on the lines."""
+        linear, n = self.linear, self.linear.n
+        links, u = slice(2 * n, 3 * n), self._uncertain
+        if not linear.centre.cells.verified:
+            return np.zeros((len(self.lines), n, u))
+        torque = linear.coordinates.torques @ self._known_errors.torque[:, :, 1 : 1 + u]
+        return np.asarray(linear.A[:, links] @ self.lines + linear.inputs[1][:, links] @ torque)
 
     @property
     def effect(self) -> Array:
@@ -211,12 +218,12 @@ class TubeProblem:
         first_order = ROUNDING * np.abs(inverse @ self.known.Z[:, : 4 * n]).sum(axis=2).max(axis=0)
         if bounds is None:
             return np.asarray(first_order)
-        return np.asarray(first_order + np.abs(inverse) @ (bounds.z - self._known_without_lines))
+        return np.asarray(first_order + np.abs(inverse) @ (bounds.z - self._rest.z))
 
     def as_tube(self, bounds: DeviationBounds) -> Tube:
         """Return the tube about the lines with the bounds of what they leave."""
         inverse = self.linear.coordinates.S_inverse
-        return Tube(inverse * bounds.z, inverse @ self.lines)
+        return self.ranges.tube(inverse * bounds.z, self.lines)
 
     @cached_property
     def _steady_tube(self) -> DeviationBounds | None:
@@ -258,22 +265,38 @@ class TubeProblem:
 
     def _bounds_within(self, tube: Array, rest: Response) -> DeviationBounds | None:
         """Return bounds of the deviations that hold while these stay within a tube (4n,); None without any."""
-        mismatch = self.ranges.mismatch(tube, self._unknown, self.lines)
+        mismatch = self.ranges.mismatch(tube, self._unknown, self.lines, self.accelerations)
         return None if mismatch is None else fixed_point(self.linear, self.gains, mismatch, rest)
 
     def _without_lines(self, known: Response) -> Response:
-        """Return a response without the lines, but with their changes in a cell."""
-        if not self.lines.shape[2]:
+        """Return a response without the lines, but with their changes in the window of a cell."""
+        if not self.linear.centre.cells.verified:
             return known
-        changes = np.abs(np.roll(self.lines, -1, axis=0) - self.lines).sum(axis=2).max(axis=0)
-        inexact = (ROUNDING - 1) * np.abs(self.lines).sum(axis=2).max(axis=0)
-        return replace(known, z=ROUNDING * (known.z - self.known.z + self._known_without_lines + changes) + inexact)
+        parts = []
+        for name, lines in (("z", self.lines), ("acceleration", self.accelerations)):
+            whole, own, rest = (getattr(response, name) for response in (known, self.known, self._rest))
+            inexact = (ROUNDING - 1) * np.abs(lines).sum(axis=2).max(axis=0)
+            parts.append(ROUNDING * (whole - own + rest + self._changes(lines)) + inexact)
+        return replace(known, z=parts[0], acceleration=parts[1])
+
+    def _changes(self, lines: Array) -> Array:
+        """Return the largest differences (rows,) of lines (c, rows, u) of the cells whose times a window contains."""
+        offsets = self.linear.centre.cells.beside(self.ranges.blocks)
+        apart = [np.abs(np.roll(lines, -k, axis=0) - lines).sum(axis=2) for k in offsets]
+        return np.asarray(np.max(apart, axis=(0, 1)))
 
     @cached_property
-    def _known_without_lines(self) -> Array:
-        """Bounds (4n,) of the known response at samples less that along the lines."""
-        known, u = self.known.Z[:, : 4 * self.linear.n], self.lines.shape[2]
-        return np.asarray(np.abs(np.delete(known, slice(1, 1 + u), axis=2)).sum(axis=2).max(axis=0))
+    def _rest(self) -> Response:
+        """Steady response to what is known beside the lines."""
+        on_lines = self._uncertain if self.linear.centre.cells.verified else 0
+        errors = self._to_second_order.without(slice(1, 1 + on_lines))
+        return steady_response(self.linear, errors, self.ranges.blocks)
+
+    @cached_property
+    def _to_second_order(self) -> KnownErrors:
+        if not self.linear.centre.cells.verified or not self._uncertain:
+            return self._known_errors
+        return self._known_errors.extended(*self.ranges.second_order(self.lines, self.accelerations))
 
     @cached_property
     def _known_errors(self) -> KnownErrors:
@@ -284,18 +307,18 @@ class TubeProblem:
         S, unknown = self.linear.coordinates, self.ranges.unknown_errors(self._known_errors)
         unknown[: len(self.disturbing)] += self.disturbing
         changes = [S.torque] if self.linear.late else []
-        return np.asarray(np.abs(block_diag(S.torques, S.R, *changes, S.effort)) @ unknown)
+        return np.asarray(np.abs(block_diag(S.torques, *changes, S.effort)) @ unknown)
 
     @property
     def _uncertain(self) -> int:
         """Number of uncertain factors."""
-        return int(np.count_nonzero(self.ranges.high > self.ranges.low))
+        return len(self.ranges.low)
 
     @property
     def _start(self) -> Array:
         """Z (S,) of a robot on the reference at time 0; its efforts in transit are those of its model."""
         n, centre, S = self.linear.n, self.linear.centre, self.linear.coordinates
-        ideal = CentreMotion.ideal(centre.cells, np.ones_like(centre.factors))
+        ideal = CentreMotion.ideal(centre.cells, self.linear.model.uncertain.nominal)
 
         def state(motion: CentreMotion, t: float) -> tuple[Array, Array]:
             path = motion.path.columns(np.array([t])).reshape(-1, n).T
