@@ -39,7 +39,7 @@ SECONDS_TO_PROVE = 2  # joints
 NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = 128
 HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
-TIGHT = 1.1  # ratio of a bound to that of the known response, below which a part is not divided
+TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
 WORTH = 0.95  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 1e-3  # of a deviation after the sums of the gains
 LONGEST_SUM = 20_000  # samples
@@ -314,7 +314,7 @@ def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
         q, _, dq, _ = np.split(z, 4)
         return np.asarray(box.centre.largest + np.concatenate([q, dq]))
 
-    box = replace(box, effect=problem.effect, first_order=bound(problem.in_joints()))
+    box = replace(box, effect=problem.effect, first_order=bound(problem.first_order))
     if problem.tube is None:
         return replace(box, share=problem.share)
     storage = problem.ranges.storage(problem.as_tube(problem.tube))

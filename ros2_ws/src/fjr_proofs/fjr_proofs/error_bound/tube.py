@@ -153,7 +153,7 @@ class TubeProblem:
             return first
         if self.from_start is None:
             n, largest = self.linear.n, self.linear.centre.largest[: self.linear.n]
-            excess = (largest + self.in_joints(first)[:n]) / (largest + self.in_joints()[:n])
+            excess = (largest + self.in_joints(first)[:n]) / (largest + self.first_order[:n])
             if np.max(excess) <= CLOSE:
                 return first
         return self.shrunk(self.from_start or first)
@@ -183,8 +183,7 @@ class TubeProblem:
         cells, n = self.linear.centre.cells, self.linear.n
         if not cells.verified:
             return np.zeros((cells.count, 4 * n, self._uncertain))
-        Z = steady_response(self.linear, self._known_errors, self.ranges.blocks).Z
-        return np.roll(Z[:, : 4 * n, 1 : 1 + self._uncertain], cells.aligned, axis=0)
+        return np.roll(self._to_first_order.Z[:, : 4 * n, 1:], cells.aligned, axis=0)
 
     @cached_property
     def accelerations(self) -> Array:
@@ -200,8 +199,14 @@ class TubeProblem:
     def effect(self) -> Array:
         """Largest deviation of a position by each uncertain factor, to first order."""
         n = self.linear.n
-        positions = self.linear.coordinates.S_inverse[:n] @ self.known.Z[:, : 4 * n, 1 : 1 + self._uncertain]
+        positions = self.linear.coordinates.S_inverse[:n] @ self._to_first_order.Z[:, : 4 * n, 1:]
         return np.asarray(np.abs(positions).max(axis=(0, 1)))
+
+    @property
+    def first_order(self) -> Array:
+        """Largest deviations (4n,) to first order in the factors."""
+        responses = self.linear.coordinates.S_inverse @ self._to_first_order.Z[:, : 4 * self.linear.n]
+        return np.asarray(np.abs(responses).sum(axis=2).max(axis=0))
 
     @property
     def share(self) -> float:
@@ -212,13 +217,11 @@ class TubeProblem:
             return float(share)
         return float(BETWEEN * share if self._has_tube(BETWEEN * share) else share)
 
-    def in_joints(self, bounds: DeviationBounds | None = None) -> Array:
+    def in_joints(self, bounds: DeviationBounds) -> Array:
         """Return bounds (4n,) of the deviations z: of the known response, and of what else `bounds` contain."""
         inverse, n = self.linear.coordinates.S_inverse, self.linear.n
-        first_order = ROUNDING * np.abs(inverse @ self.known.Z[:, : 4 * n]).sum(axis=2).max(axis=0)
-        if bounds is None:
-            return np.asarray(first_order)
-        return np.asarray(first_order + np.abs(inverse) @ (bounds.z - self._rest.z))
+        known = ROUNDING * np.abs(inverse @ self.known.Z[:, : 4 * n]).sum(axis=2).max(axis=0)
+        return np.asarray(known + np.abs(inverse) @ (bounds.z - self._rest.z))
 
     def as_tube(self, bounds: DeviationBounds) -> Tube:
         """Return the tube about the lines with the bounds of what they leave."""
@@ -291,6 +294,10 @@ class TubeProblem:
         on_lines = self._uncertain if self.linear.centre.cells.verified else 0
         errors = self._to_second_order.without(slice(1, 1 + on_lines))
         return steady_response(self.linear, errors, self.ranges.blocks)
+
+    @cached_property
+    def _to_first_order(self) -> Response:
+        return steady_response(self.linear, self._known_errors, self.ranges.blocks)
 
     @cached_property
     def _to_second_order(self) -> KnownErrors:
