@@ -46,6 +46,10 @@ class CellTimes(NamedTuple):
         """True if the window is a sampling instant."""
         return self.radius <= SLIP
 
+    def of(self, cells: Indices) -> CellTimes:
+        """Return the windows of the selected cells."""
+        return CellTimes(self.middle[cells], self.radius)
+
 
 class Cells:
     """c cells of `samples` sample periods each, that cover a reference: a period of it, or all of it.
@@ -95,6 +99,16 @@ class Cells:
     def beside(self, blocks: int) -> range:
         """Return the cells, relative to one, in which the samples of its windows lie."""
         return range(1)
+
+    def sampled_beside(self, blocks: int) -> tuple[int, range]:
+        """Return a sample of each cell, counted from its start, and others in the windows of it, relative to that.
+
+        The samples are counted from time 0 on, over at most as many blocks.
+        """
+        slip = int(np.ceil(2 * blocks * self.drift / self.sample_period))
+        middle = self.samples // 2 + 1
+        reach = self.samples + middle + slip
+        return middle, range(-reach, reach + 1)
 
     @property
     def verifiable(self) -> bool:
@@ -147,6 +161,10 @@ class AlignedCells(Cells):
     def beside(self, blocks: int) -> range:
         """Return the cell at whose start the window ends, too."""
         return range(2)
+
+    def sampled_beside(self, blocks: int) -> tuple[int, range]:
+        """Return the start of the cell, and its end."""
+        return 0, range(2)
 
 
 class DriftingCells(Cells):

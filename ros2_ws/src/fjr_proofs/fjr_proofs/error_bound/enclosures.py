@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from scipy.linalg import block_diag
 
 from fjr_core.errors import StateError
+from fjr_core.law.linearized import Indices
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import split
 
@@ -112,8 +114,7 @@ class MatrixModels:
         return slice(self.shape.order + first, self.shape.order + last)
 
 
-@dataclass(frozen=True, eq=False)
-class Mismatch:
+class Mismatch(NamedTuple):
     """Bounds over all cells, tube and factors of the differences of a robot from the linear model.
 
     unknown (4n,): torque errors d_l, d_m, d_s and defects of the law along the centre motion and the lines, beside the
@@ -128,21 +129,31 @@ class Mismatch:
     B: Array
     F: Array
 
+    def most(self, other: Mismatch) -> Mismatch:
+        """Return the larger bounds of two."""
+        return Mismatch(*map(np.maximum, self, other))
+
 
 class Ranges:
     """Ranges of the deviation model's functions about a centre motion, for shares of the factors from low to high (u,).
 
-    They are found by Taylor models on verified cells, else at random corners. linear: model about the centre motion.
-    blocks: cells of the sums of the gains.
+    They are found by Taylor models on verified cells, all or those `at`, else at random corners. linear: model about
+    the centre motion. blocks: cells of the sums of the gains.
     """
 
-    def __init__(self, linear: LinearLoop, low: Array, high: Array, blocks: int) -> None:
+    def __init__(self, linear: LinearLoop, low: Array, high: Array, blocks: int, at: Indices | None = None) -> None:
         self.linear, self.low, self.high, self.blocks = linear, low, high, blocks
         self._half: Array = (high - low) / 2
         self._model, self._cells, self._path = linear.model, linear.centre.cells, linear.centre.path
         self._whole = split(linear.delay, linear.sample_period)[0]  # samples of the delay
         count = self._cells.count if self._cells.verified else min(SAMPLED, self._cells.count)
-        self._at = np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))  # cells of the ranges
+        spread = np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))
+        self.at = spread if at is None else at
+
+    @property
+    def factors(self) -> int:
+        """Number u of uncertain factors."""
+        return len(self.low)
 
     def known_errors(self) -> KnownErrors:
         """Return known torques and efforts: of the centre motion, and by each uncertain factor."""
@@ -199,7 +210,7 @@ class Ranges:
         others = np.zeros(len(unknown) - 4 * n)
         along = torques.beside(M).along(whole, known), others, efforts.along(lines[first], known)
         return Mismatch(
-            unknown + np.concatenate(along),
+            unknown if anywhere is not None else unknown + np.concatenate(along),
             X=torques.largest[:, : 4 * n],
             M=M.largest,
             B=self._input_apart(),
@@ -207,9 +218,9 @@ class Ranges:
         )
 
     def second_order(self, lines: Array, accelerations: Array) -> tuple[Array, Array]:
-        """Return the torques (c, 3n, k) and efforts (c, n, k) of second order in the factors, which z follows.
+        """Return the torques (c, 3n, k) and efforts (c, n, k) of second order along lines that z follows.
 
-        The first column is their mean, as a square is 1/2 +- 1/2; the others are times -1 to 1.
+        Their columns are those of the lines, then the further ones of `_of_pairs`.
         """
         torques, M, efforts = self._slopes(self.tube(np.zeros((4 * self.linear.n, 0)), lines))
         whole = np.concatenate([_with_factors(lines), accelerations], axis=1)
@@ -283,7 +294,7 @@ class Ranges:
         self, names: list[str], window: CellTimes, tube: Tube | None, acceleration: Array | None
     ) -> Iterator[TaylorModels]:
         """Return models of arguments in the time of a window, the deviations and the uncertain factors."""
-        n, symbols = self.linear.n, 0 if tube is None else tube.symbols
+        n, symbols, window = self.linear.n, 0 if tube is None else tube.symbols, window.of(self.at)
         shape = Shape(symbols, order=2, mixed=1) if window.instant else Shape(symbols)
         c = np.outer(self.linear.centre.factors, np.ones(len(window.middle)))
         for name in names:
@@ -318,7 +329,7 @@ class Ranges:
 
     def _along(self, window: CellTimes) -> dict[str, Array]:
         """Return the arguments along the centre motion at three instants of the sampled windows."""
-        t = (window.middle[self._at] + window.radius * np.array(INSTANTS)[:, None]).ravel()
+        t = (window.of(self.at).middle + window.radius * np.array(INSTANTS)[:, None]).ravel()
         c, path = np.repeat(self.linear.centre.factors[:, None], len(t), axis=1), self._path.columns(t)
         (motors,) = columnwise(self._model.motors, path, c)
         return {"path": path, "motors": motors, "jets": self._cells.columns(t), "c": c}
@@ -345,7 +356,7 @@ class Ranges:
 
     def _at_points(self, of_cells: Array) -> Array:
         """Return values (c, ..) of the cells at the instants of the ranges."""
-        return of_cells if self._cells.verified else np.concatenate([of_cells[self._at]] * len(INSTANTS))
+        return np.concatenate([of_cells[self.at]] * (1 if self._cells.verified else len(INSTANTS)))
 
 
 def _after_zeros(columns: Array) -> Array:
@@ -354,20 +365,22 @@ def _after_zeros(columns: Array) -> Array:
 
 
 def _with_factors(lines: Array) -> Array:
-    """Return lines (c, 4n + u, u) of deviations and of the factors, which they follow."""
-    c, _, u = lines.shape
-    return np.concatenate([lines, np.broadcast_to(np.eye(u), (c, u, u))], axis=1)
+    """Return lines (c, 4n + u, 1 + u) of deviations and of the factors, which all but the first follow."""
+    c, _, columns = lines.shape
+    factors = np.eye(columns - 1, columns, 1)
+    return np.concatenate([lines, np.broadcast_to(factors, (c, *factors.shape))], axis=1)
 
 
 def _of_pairs(products: Array) -> Array:
-    """Return products (c, rows, u, u) of two factors as columns (c, rows, k), the first the mean of squares.
+    """Return products (c, rows, 1 + u, 1 + u) of a known line and of u factors as columns (c, rows, 1 + u + k).
 
-    The square of a number from -1 to 1 is 1/2 +- 1/2.
+    The first is known, u follow the factors, the others are times -1 to 1: the square of a factor is 1/2 +- 1/2.
     """
-    i, j = np.triu_indices(products.shape[2], 1)
-    squares = np.diagonal(products, axis1=2, axis2=3) / 2
-    mixed = (products + products.swapaxes(2, 3))[:, :, i, j]
-    return np.concatenate([squares.sum(axis=2, keepdims=True), squares, mixed], axis=2)
+    pairs = products + products.swapaxes(2, 3)
+    i, j = np.triu_indices(products.shape[2] - 1, 1)
+    squares, mixed = np.diagonal(products, axis1=2, axis2=3)[:, :, 1:] / 2, pairs[:, :, i + 1, j + 1]
+    known = products[:, :, :1, 0] + squares.sum(axis=2, keepdims=True)
+    return np.concatenate([known, pairs[:, :, 0, 1:], squares, mixed], axis=2)
 
 
 def _called(function: ca.Function, arguments: dict[str, Array]) -> list[Array]:

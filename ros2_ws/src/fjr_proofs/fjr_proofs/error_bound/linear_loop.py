@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -246,21 +247,18 @@ class KnownErrors:
     aging: Array
     effort: Array
 
-    def extended(self, torque: Array, effort: Array) -> KnownErrors:
-        """Return the errors with others: the first columns are added, the further ones follow."""
-        first, whole = np.s_[:, :, :1], []
-        for own, other in ((self.torque, torque), (self.effort, effort)):
-            whole.append(np.concatenate([own[first] + other[first], own[:, :, 1:], other[:, :, 1:]], axis=2))
-        return KnownErrors(whole[0], self.aging, whole[1])
-
-    def without(self, columns: slice) -> KnownErrors:
-        """Return the errors without some columns."""
-        torque, effort = (np.delete(values, columns, axis=2) for values in (self.torque, self.effort))
-        return KnownErrors(torque, self.aging, effort)
+    def at(self, cells: Indices) -> KnownErrors:
+        """Return the errors of the selected cells."""
+        return KnownErrors(self.torque[cells], self.aging[cells], self.effort[cells])
 
     def shifted(self, cells: int) -> KnownErrors:
         """Return the errors of the cells a number of cells before."""
-        return KnownErrors(*(np.roll(values, cells, axis=0) for values in (self.torque, self.aging, self.effort)))
+        return self.at(np.roll(np.arange(len(self.torque)), cells))
+
+    def followed_by(self, others: KnownErrors) -> KnownErrors:
+        """Return the errors with those of further cells."""
+        pairs = (self.torque, others.torque), (self.aging, others.aging), (self.effort, others.effort)
+        return KnownErrors(*map(np.concatenate, pairs))
 
     def torque_at(self, age: float) -> Array:
         """Return the torques (c, 3n, k) at an age [s] of the effort."""
@@ -269,8 +267,7 @@ class KnownErrors:
         return torque
 
 
-@dataclass(frozen=True, eq=False)
-class Response:
+class Response(NamedTuple):
     """Response Z (c, S, k) at the end of each cell, and largest magnitudes over all cells and all columns together.
 
     z, rate (4n,): deviation and its rate. acceleration, effort (n,). change (n,): of the effort since the last sample.
@@ -290,10 +287,22 @@ class Response:
         """Return the response to nothing."""
         return cls(np.zeros((0, states, 0)), *map(np.zeros, (4 * n, 4 * n, n, n, n, states)))
 
+    @classmethod
+    def within(cls, linear: LinearLoop, Z: Array) -> Response:
+        """Return the largest magnitudes of any response within bounds Z (S,)."""
+        n, law, y = linear.n, np.abs(linear.law).max(axis=0), Z[: 4 * linear.n]
+        effort = np.max([law @ y, *Z[4 * n :].reshape(-1, n)], axis=0)
+        slope, by_effort = np.abs(linear.A).max(axis=0), np.abs(linear.inputs[0]).max(axis=0)
+        rate = linear.growth @ (slope @ y + by_effort @ effort)
+        return cls(np.zeros((0, len(Z), 0)), y, rate, slope[2 * n : 3 * n] @ y, effort, 2 * effort, Z)
+
     def plus(self, other: Response, share: float = 1.0) -> Response:
         """Return the sum with a share of the largest magnitudes of another response; Z stays."""
-        names = ("z", "rate", "acceleration", "effort", "change", "remaining")
-        return Response(self.Z, *(getattr(self, name) + share * getattr(other, name) for name in names))
+        return Response(self.Z, *(own + share * more for own, more in zip(self[1:], other[1:], strict=True)))
+
+    def most(self, other: Response) -> Response:
+        """Return the larger magnitudes of two responses; Z stays."""
+        return Response(self.Z, *(np.maximum(own, more) for own, more in zip(self[1:], other[1:], strict=True)))
 
 
 def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) -> Response:
@@ -302,10 +311,8 @@ def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) ->
     blocks: cells of the sums of the gains. A chain that is longer than them ends `slips` cells beside the one in which
     it is, where the samples do not divide the period.
     """
-    models, cells, S = linear.models, linear.centre.cells, linear.coordinates
-    errors = KnownErrors(S.torques @ errors.torque, errors.aging @ S.torques.T, S.effort @ errors.effort)
-    force = models.effort @ errors.effort
-    force[:, : 4 * linear.n] += linear.forced(errors.torque, errors.aging)
+    models, cells = linear.models, linear.centre.cells
+    errors, force = _forced(linear, errors)
     step, pushed = np.zeros_like(models.loop) + np.eye(models.loop.shape[1]), np.zeros_like(force)
     for _ in range(cells.samples - 1):
         step, pushed = models.loop @ step, models.loop @ pushed + force
@@ -321,37 +328,64 @@ def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) ->
         earlier[i] = before_last[i] @ Z + pushed_before_last[i]
         ends[i] = Z = step[i] @ Z + pushed[i]
     slips = np.ceil(blocks * cells.drift / cells.length) + 1 if cells.drift else 0.0
-    return _magnitudes(linear, ends, earlier, errors, slips * _largest(ends - np.roll(ends, 1, axis=0)))
+    remaining = slips * _largest(ends - np.roll(ends, 1, axis=0))
+    following = (linear.shifted(-1), errors.shifted(-1)) if cells.aligned else (linear, errors)
+    return _magnitudes((linear, errors), following, ends, earlier, remaining)
 
 
-def transient(linear: LinearLoop, Z: Array, blocks: int) -> Response:
-    """Return the decay of Z (S, k) at time 0 over a number of cells."""
-    cells, n, columns = linear.centre.cells, linear.n, Z.shape[1]
-    at = np.repeat(np.arange(blocks) % cells.count, cells.samples)
-    ended = np.roll(at, 1) if cells.aligned else at
-    course = np.empty((len(at), *Z.shape))
-    for k, i in enumerate(at):
-        course[k] = Z
-        Z = linear.models.loop[i] @ Z
-    zero = np.zeros((len(at), 3 * n, columns)), np.zeros((len(at), 3 * n)), np.zeros((len(at), n, columns))
-    earlier = np.roll(course, 1, axis=0)
-    return _magnitudes(linear.at(ended), course, earlier, KnownErrors(*zero), _largest(course))
+def course(linear: LinearLoop, Z: Array, at: Indices, errors: KnownErrors | None = None) -> Response:
+    """Return the response to known errors of the cells `at`, one after the other, from Z (S, k) at time 0.
+
+    Z (samples, S, k) of the result is the response at the end of each sample of them: a sample ends its cell, so that
+    the first cell is as long as it has to be. Without errors Z decays.
+    """
+    n, samples, own = linear.n, linear.centre.cells.samples, linear.at(at)
+    if errors is None:
+        errors = KnownErrors(*map(np.zeros, ((len(at), 3 * n, Z.shape[1]), (len(at), 3 * n), (len(at), n, Z.shape[1]))))
+    errors, force = _forced(own, errors)
+    loop = own.models.loop
+    course, earlier = np.empty((2, len(at), samples, *Z.shape))
+    for sample in range(samples):
+        earlier[0, sample], Z = Z, loop[0] @ Z + force[0]
+        course[0, sample] = Z
+    for i in range(1, len(at)):
+        course[i] = course[i - 1]
+        for _ in range(samples):
+            earlier[i], course[i] = course[i], loop[i] @ course[i] + force[i]
+    of_samples = np.repeat(np.arange(len(at)), samples)
+    after = np.minimum(of_samples + linear.centre.cells.aligned, len(at) - 1)
+    cells = ((own.at(each), errors.at(each)) for each in (of_samples, after))
+    shape = len(of_samples), *Z.shape
+    return _magnitudes(*cells, course.reshape(shape), earlier.reshape(shape), np.zeros(len(Z)))
 
 
-def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownErrors, remaining: Array) -> Response:
+def _forced(linear: LinearLoop, errors: KnownErrors) -> tuple[KnownErrors, Array]:
+    """Return errors in the coordinates of the linear model, and by what (c, S, k) they move Z in a sample."""
+    S = linear.coordinates
+    errors = KnownErrors(S.torques @ errors.torque, errors.aging @ S.torques.T, S.effort @ errors.effort)
+    force = linear.models.effort @ errors.effort
+    force[:, : 4 * linear.n] += linear.forced(errors.torque, errors.aging)
+    return errors, force
+
+
+def _magnitudes(
+    ended: tuple[LinearLoop, KnownErrors],
+    following: tuple[LinearLoop, KnownErrors],
+    Z: Array,
+    earlier: Array,
+    remaining: Array,
+) -> Response:
     """Return the response at the end of cells with its largest magnitudes.
 
     earlier: Z one sample before; the last of its efforts acts until the sample, the torque is that of either end of it.
-    If aligned, the next cell follows: its law answers, and both have their rates.
+    following: the cells whose law answers, the next ones if aligned; both have their rates.
     """
-    n, T, z = linear.n, linear.sample_period, Z[:, : 4 * linear.n]
-    aligned = linear.centre.cells.aligned
-    following, errors_after = (linear.shifted(-1), errors.shifted(-1)) if aligned else (linear, errors)
-    efforts = [*_efforts(following, Z, errors_after), _efforts(linear, earlier, errors)[-1]]
+    linear, n, z = ended[0], ended[0].n, Z[:, : 4 * ended[0].n]
+    efforts = [*_efforts(*following, Z), _efforts(*ended, earlier)[-1]]
     rates, accelerations = [], []
-    for loop, acting in ((linear, errors), (following, errors_after)):
+    for loop, acting in (ended, following):
         by_effort, by_torque = loop.inputs
-        for age in (linear.delay, linear.delay + T):
+        for age in (linear.delay, linear.delay + linear.sample_period):
             without_effort = loop.A @ z + by_torque @ acting.torque_at(age)
             rates += [_largest(without_effort + by_effort @ effort) for effort in efforts]
             accelerations.append(_largest(without_effort[:, 2 * n : 3 * n]))
@@ -361,7 +395,7 @@ def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownError
     return Response(Z, _largest(z), rate, acceleration, effort, change, remaining)
 
 
-def _efforts(linear: LinearLoop, Z: Array, errors: KnownErrors) -> list[Array]:
+def _efforts(linear: LinearLoop, errors: KnownErrors, Z: Array) -> list[Array]:
     """Return the efforts (c, n, k) of the law at Z and of those in transit, the oldest last."""
     n = linear.n
     answer = linear.law @ Z[:, : 4 * n] + errors.effort

@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError, StateError
 from fjr_core.law.interfaces import StaticLaw
@@ -40,7 +39,7 @@ NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = 128
 HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
 TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
-WORTH = 0.95  # ratio of the bounds of halves to that of a part, up to which it is divided
+WORTH = 0.99  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 1e-3  # of a deviation after the sums of the gains
 LONGEST_SUM = 20_000  # samples
 SAMPLED_FINALS = 16  # cells at whose end the gains of a sampled bound are computed
@@ -128,22 +127,21 @@ def bound_errors(
 class FactorBox:
     """Part of the box of factors, low to high (u,), with its centre motion and the tube about it.
 
-    centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effect:
-    deviation of a position [rad] by each uncertain factor. first_order, ultimate, from_start (2n,): bounds of |q_l -
+    centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effects (u,):
+    of second order in each factor on a position [rad]. first_order, ultimate, from_start (2n,): bounds of |q_l -
     q_ld| and |dq_l - dq_ld|: by the known response to the factors alone; in the steady state; at all times for a
     robot that starts on the reference. The latter two are infinite without a tube. storage: largest V [J] in the
-    steady state; nan if the law has none. share: width of parts of this one that have a tube, relative to it.
+    steady state; nan if the law has none.
     """
 
     low: Array
     high: Array
     centre: CentreMotion
-    effect: Array
+    effects: Array
     first_order: Array
     ultimate: Array
     from_start: Array
     storage: float = np.inf
-    share: float = 0.5
 
     @property
     def has_tube(self) -> bool:
@@ -171,27 +169,13 @@ class FactorBox:
         width = high - low
         return float(np.prod(np.divide(self.high - self.low, width, out=np.ones_like(width), where=width > 0)))
 
-    def counts(self) -> NDArray[np.intp]:
-        """Return into how many (u,) the factors are divided, so that their effect is at most `share` of that here.
-
-        The factor with the largest effect in a box is divided first; without any effect the widest factor is halved.
-        """
+    def halves(self) -> list[tuple[Array, Array]]:
+        """Return two boxes, halves of this one in the wide factor with the largest effect; without any, the widest."""
         width = self.high - self.low
-        effect, count = np.zeros_like(width), np.ones(len(width), dtype=np.intp)
-        effect[width > 0] = self.effect
-        while np.sum(effect / count) > self.share * np.sum(effect) and np.any(width / count > NARROWEST):
-            count[np.argmax(np.where(width / count > NARROWEST, effect / count, -1.0))] += 1
-        if np.all(count == 1):
-            count[np.argmax(width)] = 2
-        return count
-
-    def divided(self, counts: NDArray[np.intp]) -> list[tuple[Array, Array]]:
-        """Return boxes of equal size, of which `counts` (u,) are beside each other for each factor."""
-        width = (self.high - self.low) / counts
-        places = map(np.array, product(*(range(count) for count in counts)))
-        return [
-            (self.low + width * i, np.where(i + 1 == counts, self.high, self.low + width * (i + 1))) for i in places
-        ]
+        effect = np.where(width > NARROWEST, self.effects, -1.0) if np.any(self.effects) else width
+        first = np.arange(len(width)) == np.argmax(effect)
+        middle = self.low + width / 2
+        return [(self.low, np.where(first, middle, self.high)), (np.where(first, middle, self.low), self.high)]
 
 
 class Search:
@@ -239,18 +223,14 @@ class Search:
                 boxes.append(box)
                 progress(len(boxes) / (len(boxes) + len(waiting)))
                 continue
-            if box.narrow:
+            if box.narrow or len(waiting) + len(boxes) + 2 > MOST_PARTS or HOPELESS * box.volume(low, high) < 2:
                 return [box]
-            counts = box.counts()
-            parts = np.prod(counts, dtype=float)
-            if len(waiting) + len(boxes) + parts > MOST_PARTS or parts > HOPELESS * box.volume(low, high):
-                return [box]
-            waiting += [(*ends, box.centre) for ends in box.divided(counts)]
+            waiting += [(*ends, box.centre) for ends in box.halves()]
         while len(boxes) < MOST_PARTS:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
-            halves = [self._solved(*ends, worst.centre) for ends in worst.divided(worst.counts())]
+            halves = [self._solved(*ends, worst.centre) for ends in worst.halves()]
             if max(half.size for half in halves) > WORTH * worst.size:
                 break
             boxes = [box for box in boxes if box is not worst] + halves
@@ -259,7 +239,7 @@ class Search:
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
         """Return the part of the box between the factors low and high (u,), with its invariant tube if there is one."""
         linear, none = self.linear((low + high) / 2, start), np.full(2 * self.model.n, np.inf)
-        box = FactorBox(low, high, linear.centre, np.ones(np.count_nonzero(high > low)), none, none, none)
+        box = FactorBox(low, high, linear.centre, np.zeros(len(low)), none, none, none)
         try:
             problem = self.problem(linear, low, high)
             return box if problem is None else _with_bounds(box, problem)
@@ -314,11 +294,12 @@ def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
         q, _, dq, _ = np.split(z, 4)
         return np.asarray(box.centre.largest + np.concatenate([q, dq]))
 
-    box = replace(box, effect=problem.effect, first_order=bound(problem.first_order))
+    box = replace(box, effects=problem.effects, first_order=bound(problem.first_order))
     if problem.tube is None:
-        return replace(box, share=problem.share)
+        return box
     storage = problem.ranges.storage(problem.as_tube(problem.tube))
-    box = replace(box, ultimate=bound(problem.in_joints(problem.tube)), storage=storage)
+    box = replace(box, ultimate=bound(problem.steady.positions_and_velocities(problem.tube)), storage=storage)
     if problem.from_start is None:
         return box
-    return replace(box, from_start=bound(problem.as_tube(problem.from_start).box))
+    start = [bound(known.positions_and_velocities(problem.from_start)) for known in problem.started]
+    return replace(box, from_start=np.max(start, axis=0))
