@@ -48,7 +48,7 @@ REFUSED = [
     ("check paper_k31 --set robot.file:=none.yaml", 2, "parameter 'robot.file': cannot read robot file"),
     ("check arm7 --set robot.joint_stiffness:=[1.0]", 2, "'robot.joint_stiffness' has 1 entries; expected 7"),
     ("check paper_k3p1 --set robust.integral_gain:=[40.0]", 2, "integral_gain is [40] 1/s, which makes the loop unst"),
-    ("check paper_k31 --error mass=0.2", 2, "error 'mass' is unknown; expected some of payload, link_inertia"),
+    ("check paper_k31 --error mass=0.2", 2, "error 'mass' is unknown; expected some of payload, payload_mass"),
     ("check paper_k31 --error payload=0.1 --error payload=0.2", 2, "'payload' is given 2 times; expected it once"),
     ("check paper_k31 --error payload", 2, "'' is not an error; expected NAME=VALUE with 0 or a positive number"),
     ("check paper_k31 --delay 1 --set robust.residual_gain:=[60.0]", 2, "robust.* is enabled; expected a static law"),
