@@ -48,7 +48,7 @@ LONGEST_FIRST = (
     "system/test_paper_claim.py",
     "system/test_fjr_report.py",
     "system/test_wheels.py",
-    "system/test_joint_units.py",
+    "system/test_other_joints.py",
     "design/exports/ros2_control/test_package.py",
     "design/stability/test_sampled_loop.py",
     "nodes/test_other_laws.py",

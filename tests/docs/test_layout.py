@@ -81,12 +81,12 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 13_270,
+    "fjr_core": 13_330,
     "fjr_msgs_py": 3_800,
-    "fjr_monitor": 7_570,
+    "fjr_monitor": 7_630,
     "fjr_plant": 1_500,
     "fjr_controller": 1_930,
-    "fjr_design": 9_440,
+    "fjr_design": 9_850,
     "fjr_identification": 6_540,
     "fjr_proofs": 3_570,
     "fjr_engines": 1_450,

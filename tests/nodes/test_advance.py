@@ -53,7 +53,7 @@ def test_lockstep_in_steps_is_bit_identical_to_a_run(ros: Ros, peer: Peer) -> No
 
 
 def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -> None:
-    node = peer.plant(command_timeout=100.0, advance_samples=25)
+    node = peer.plant(command_timeout=100.0, advance_samples=25, restart_silence=0.1)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: peer.states[-1].effort[1] == 0.3)
     peer.pause(True)

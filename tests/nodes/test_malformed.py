@@ -2,27 +2,23 @@
 """Malformed trajectories cause no exception and no output that is not finite or exceeds a limit.
 
 tests/msgs has states and commands: what their readers let pass is finite, and tests/tracking has any finite state.
-Messages are serialised and passed to the subscription callback of the node, as an executor would do; after each the
-node answers a valid state. Messages take longer to generate than to handle: each goes to all nodes.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Duration, Time
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from fjr_controller.controller_node import ControllerNode
 from fjr_msgs_py.names import state_names
-from fjr_msgs_py.node.failure import EndingNode
 from fuzzing import fuzzed
-from nodes.harness import Listener, Ros, stamped
+from nodes.harness import Ros, stamped
+from nodes.managed import Manager
 
 JOINTS = ("shoulder", "elbow")
 NAMES = state_names(JOINTS)
@@ -80,28 +76,11 @@ def any_trajectories(draw: st.DrawFn) -> JointTrajectory:
 
 
 trajectories = st.one_of(good_trajectories(), any_trajectories(), any_trajectories())
-# Nodes.
-
-
-def deliver(node: EndingNode, topic: str, message: Any) -> None:
-    """Pass the serialised message to the subscription callback of the node."""
-    subscription = next(s for s in node.subscriptions if s.topic_name == f"{node.get_namespace()}/{topic}")
-    wire = serialize_message(message)
-    subscription.callback(wire if subscription.raw else deserialize_message(wire, type(message)))
-    assert node.unexpected is None
-
-
-def namespace(name: str) -> list[str]:
-    return ["--ros-args", "-r", f"__ns:=/{name}"]
-
-
 TWO_LINK = {
     "joints": list(JOINTS),
     "robot__model": "planar_two_link",
     "reference__amplitude": [0.5, 0.5],
     "limits__effort": list(LIMIT),
-}
-GUARDED = {
     "limits__effort_rate": [1000.0, 1000.0],
     "limits__link_position_lower": [-4.0, -4.0],
     "limits__link_position_upper": [4.0, 4.0],
@@ -112,62 +91,33 @@ GUARDED = {
     "start__ramp_time": 0.2,
     "start__join_time": 0.5,
 }
-CONTROLLERS: dict[str, dict[str, Any]] = {"effort_limit": {}, "all_limits": GUARDED}
-
-
-class Answered:
-    """A controller in this process, its output, and valid states for it."""
-
-    def __init__(self, ros: Ros, name: str) -> None:
-        self.ros, self.name = ros, name
-        self.heard = Listener(ros, f"/{name}/")
-        self.node = ros.controller(arguments=namespace(name), **TWO_LINK, **CONTROLLERS[name])
-        topics = ("effort_controller/commands", "joint_commands")
-        ros.until(lambda: all(map(self.heard.heard, topics)), "the controller")
-        self._seconds = 200.0
-
-    def state(self, message: JointState) -> None:
-        deliver(self.node, "joint_states", message)
-
-    def plan(self, message: JointTrajectory) -> None:
-        """Request a trajectory; return when its outcome is known."""
-        known = self._planned
-        deliver(self.node, "fjr_controller/joint_trajectory", message)
-        self.ros.until(lambda: self._planned > known, "the trajectory's fate")
-
-    @property
-    def _planned(self) -> int:
-        counted = self.node._control.reports.count
-        return sum(number for kind, number in counted.items() if kind.startswith("traject"))
-
-    def answer(self, later: float) -> None:
-        """Send a valid state `later` seconds after the last, wait for its command and check all commands until then."""
-        self._seconds += later
-        good = stamped(self._seconds, 0.1, 0.0, NAMES)
-        for _ in range(2):  # a jump of the stamps is confirmed by the second state
-            self.state(good)
-        commands, wanted = self.heard.commands, good.header.stamp
-        self.ros.until(lambda: commands and commands[-1].header.stamp == wanted, "the answer to a good state")
-        self.ros.until(lambda: len(self.heard.efforts) == len(commands), "the effort of that answer")
-        for effort in (*(m.data for m in self.heard.efforts), *(m.effort for m in commands)):
-            assert len(effort) == 2
-            assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), (self.name, effort)
-        self.heard.efforts.clear()
-        commands.clear()
 
 
 @pytest.fixture
-def controllers(ros: Ros) -> list[Answered]:
-    return [Answered(ros, name) for name in CONTROLLERS]
+def node(ros: Ros, manager: Manager) -> ControllerNode:
+    made = manager.controller(**TWO_LINK)
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
+    return made
 
 
 @fuzzed(EXAMPLES)
 @given(messages=st.lists(trajectories, min_size=EACH, max_size=EACH))
 def test_malformed_trajectories_are_refused_and_cause_no_invalid_effort(
-    controllers: list[Answered], messages: list[JointTrajectory]
+    ros: Ros, manager: Manager, node: ControllerNode, messages: list[JointTrajectory]
 ) -> None:
-    for controller in controllers:
-        controller.answer(0.01)
-        for message in messages:
-            controller.plan(message)
-            controller.answer(0.01)
+    counted = node._control.reports.count
+
+    def known() -> int:
+        return sum(number for kind, number in counted.items() if kind.startswith("traject"))
+
+    for message in messages:
+        last = node._control.step.last_stamp or 200 * 10**9
+        manager.answer(stamped(last * 1e-9 - 100 + 0.01, 0.1, 0.0, NAMES))
+        before = known()
+        manager.trajectories.publish(message)
+        ros.until(lambda before=before: known() > before, "the trajectory's fate")
+    for effort in (*(m.data for m in manager.efforts), *(m.effort for m in manager.commands)):
+        assert len(effort) == 2
+        assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), effort
+    manager.efforts.clear()
+    manager.commands.clear()

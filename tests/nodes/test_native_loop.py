@@ -14,7 +14,6 @@ import re
 import struct
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -41,16 +40,6 @@ HOSTS = ("events", "native")
 
 def loop_of(node: Any) -> Any:
     return node._control._command_loop
-
-
-def alone(program: str, **environment: str) -> str:
-    """Return the output of a program of nodes/alone.py in a process of its own."""
-    tests = str(Path(__file__).parents[1])
-    outside = {**os.environ, **environment, "PYTHONPATH": f"{tests}:{os.environ.get('PYTHONPATH', '')}"}
-    command = [sys.executable, "-m", "nodes.alone", program]
-    done = subprocess.run(command, env=outside, capture_output=True, text=True, timeout=HANG)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def test_trajectories_arrive_in_a_participant_of_their_own_beside_the_native_loop(ros: Ros) -> None:
@@ -162,11 +151,6 @@ def test_the_thread_has_short_slices_though_python_steps_back(ros: Ros) -> None:
     assert planner._worker.submit(os.sched_getscheduler, 0).result() == os.SCHED_BATCH
 
 
-def test_no_module_is_loaded_while_the_controller_is_active() -> None:
-    """An import takes up to 300 ms and locks the memory map, for which page faults of the loop wait."""
-    assert alone("late_imports") == "changed\nlate:\n"
-
-
 # Another thread holds Python's lock.
 
 
@@ -212,30 +196,35 @@ def test_the_first_state_is_answered_while_the_lock_is_held(peer: Peer, hold: Ho
     assert hold(loop_of(node), 1)
 
 
-# Memory.
+# Modules and memory.
 
 
 COUNTER = Path(__file__).with_name("allocations.c")
 MIDDLEWARE = re.compile(r"lib(stdc\+\+|fastcdr|fastrtps|fastdds|rmw|rcl|rcutils|tracetools)")
 """Libraries of ROS 2 and Fast DDS, and the one that has the operator new of C++."""
-LOOPS = ("controller_loop", "fjr_plant")
 
 
 @pytest.fixture(scope="module")
-def allocations(tmp_path_factory: pytest.TempPathFactory) -> Counter[tuple[str, str]]:
-    """Calls of allocators by thread, named by the library that began it, and calling library."""
+def alone(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Return the lines that nodes/alone.py prints: of modules, then thread, caller and number of allocations."""
     counter = built(("cc", "-shared", "-fPIC", "-O1"), [COUNTER], tmp_path_factory.mktemp("counter") / "counter.so")
-    found: Counter[tuple[str, str]] = Counter()
-    for thread, caller, count in map(str.split, alone("count_allocations", LD_PRELOAD=str(counter)).splitlines()):
-        found[Path(thread).name, Path(caller).name] += int(count)
-    return found
+    path = f"{Path(__file__).parents[1]}:{os.environ.get('PYTHONPATH', '')}"
+    outside = {**os.environ, "LD_PRELOAD": str(counter), "PYTHONPATH": path}
+    command = [sys.executable, "-m", "nodes.alone"]
+    done = subprocess.run(command, env=outside, capture_output=True, text=True, timeout=HANG)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
 
 
-@pytest.mark.parametrize("loop", LOOPS)
-def test_the_thread_of_a_native_loop_allocates_only_in_the_middleware(
-    allocations: Counter[tuple[str, str]], loop: str
-) -> None:
-    callers = {caller for thread, caller in allocations if thread.startswith(loop)}
+def test_no_module_is_loaded_while_the_controller_is_active(alone: list[str]) -> None:
+    """An import takes up to 300 ms and locks the memory map, for which page faults of the loop wait."""
+    assert alone[:2] == ["changed", "late:"]
+
+
+@pytest.mark.parametrize("loop", ["controller_loop", "fjr_plant"])
+def test_the_thread_of_a_native_loop_allocates_only_in_the_middleware(alone: list[str], loop: str) -> None:
+    found = [[Path(word).name for word in line.split()[:2]] for line in alone[2:]]  # thread by its library, and caller
+    callers = {caller for thread, caller in found if thread.startswith(loop)}
     assert "libstdc++.so.6" in callers  # the counter sees this thread
     assert not [caller for caller in callers if not MIDDLEWARE.match(caller)]
 

@@ -28,11 +28,11 @@ def test_publishes_the_effort_of_the_law_with_its_options(ros: Ros, peer: Peer) 
 
 
 def test_an_exception_in_the_law_stops_the_arm_and_the_node_continues(ros: Ros, peer: Peer) -> None:
-    peer.controller(law__type="own_code:FailsAtSpeed")
+    node = peer.controller(law__type="own_code:FailsAtSpeed")
     assert peer.ask(stamped(0.0, 0.2)).effort[0] != 0.0
     for k in range(1, 4):
         assert peer.ask(stamped(0.001 * k, 0.2, [0.0, -0.1])).effort[0] == 0.0
-    ros.until(lambda: peer.count("stops: law", "fjr_controller"), "the counter")
+    peer.reported(node, "stops: law")
 
 
 def test_law_and_options_change_while_the_node_is_unconfigured(ros: Ros) -> None:

@@ -17,13 +17,11 @@ from rclpy.parameter import Parameter as RosParameter
 import fjr_core as fjr
 from fjr_controller.controller_node import ControllerNode
 from fjr_core.config import ros_yaml
-from fjr_core.config.nodes import OWN_PARAMETERS, self_contained
 from fjr_msgs_py.node.command_line import parameter_rules
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Peer, Ros
 from nodes.managed import Manager
 from system.executables import scenario
-from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 NAN = float("nan")
 BAD: list[tuple[str, dict[str, Any], str]] = [
@@ -39,6 +37,7 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("controller", {"reference__type": "square"}, "expected one of sine"),
     ("plant", {"robot__file": "package://nobody/arm.yaml"}, "robot.file.*'nobody'.*AMENT_PREFIX_PATH"),
     ("plant", {"publish_rat": 500.0}, "unknown parameter 'publish_rat'; did you mean 'publish_rate'"),
+    ("controller", {"limits__efort": [1.0]}, r"'limits.efort'; did you mean 'limits.effort'\?"),
     (
         "controller",
         {"limits__link_velocity": [0.5]},
@@ -58,12 +57,6 @@ def test_invalid_parameters_are_refused(ros: Ros, kind: str, parameters: dict[st
     with pytest.raises(fjr.FjrError, match=sentence) as caught:
         ros.start({"plant": PlantNode, "controller": ControllerNode}[kind], **parameters)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(("kind", "section"), [(PlantNode, "/**"), (ControllerNode, "fjr_controller")])
-def test_a_misspelled_limit_in_a_file_is_refused(ros: Ros, tmp_path: Path, section: str, kind: type) -> None:
-    with pytest.raises(fjr.ParameterError, match=r"'limits.efort'; did you mean 'limits.effort'\?"):
-        ros.start(kind, in_file(tmp_path, f"{section}: {{ros__parameters: {{limits.efort: [1.0]}}}}"))
 
 
 @pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
@@ -217,25 +210,6 @@ def test_written_files_are_read_equally_by_rcl(ros: Ros, tmp_path: Path) -> None
 def test_files_are_read_as_by_rcl(ros: Ros, tmp_path: Path) -> None:
     values = ros_yaml.values_for("probe", ros_yaml.parse(HAND_WRITTEN))
     assert seen_by_rcl(ros, HAND_WRITTEN, tmp_path / "hand.yaml") == values
-
-
-@pytest.mark.parametrize("kind", [PlantNode, ControllerNode])
-def test_node_starts_from_a_self_contained_scenario_with_embedded_urdf(
-    ros: Ros, tmp_path: Path, kind: type[Node]
-) -> None:
-    (tmp_path / "arm.urdf").write_text(two_link_urdf())
-    robot = {
-        "robot.model": "urdf",
-        "robot.urdf": "arm.urdf",
-        "robot.joint_stiffness": STIFFNESS,
-        "robot.motor_inertia": MOTOR_INERTIA,
-    }
-    given = {node: {"joints": JOINTS, "compile": False, **robot} for node in OWN_PARAMETERS}
-    path = tmp_path / "scenario.yaml"
-    path.write_text(ros_yaml.dump(self_contained(given, tmp_path)))
-    (tmp_path / "arm.urdf").unlink()
-    node = ros.start(kind, ["--ros-args", "--params-file", str(path)])
-    assert node.get_parameter("robot.urdf").value == two_link_urdf()
 
 
 STATES: dict[str, tuple[str, ...]] = {

@@ -17,7 +17,8 @@ from std_msgs.msg import Float64MultiArray, String
 
 from fjr_core.config.robot import description
 from fjr_msgs_py.names import LATCHED
-from fjr_plant.plant_node import SETTLING, PlantConflictError, PlantNode
+from fjr_plant import plant_node
+from fjr_plant.plant_node import PlantConflictError, PlantNode
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, command, integrate, state_of
 
@@ -46,8 +47,9 @@ def block(node: PlantNode, seconds: float) -> None:
     node._time_base.host.run(busy)
 
 
-def test_a_plant_of_the_same_name_that_is_discovered_late_must_be_heard(ros: Ros, peer: Peer) -> None:
+def test_a_plant_of_the_same_name_that_is_discovered_late_must_be_heard(ros: Ros, peer: Peer, monkeypatch) -> None:
     """A plant that was killed stays listed for seconds, and the one that replaces it goes on."""
+    monkeypatch.setattr(plant_node, "SETTLING", settling := 0.5)
     node = peer.plant()
     other = Ros()
     ros.at_close(other.close)
@@ -55,7 +57,7 @@ def test_a_plant_of_the_same_name_that_is_discovered_late_must_be_heard(ros: Ros
     states = namesake.create_publisher(JointState, "joint_states", 10)
     ros.until(lambda: node._namesake.listed() and states.get_subscription_count() >= 2, "the listed plant")
     count = len(peer.states)
-    ros.until(lambda: len(peer.states) > count + 2 * SETTLING / 1e-3, "states after the time to settle")
+    ros.until(lambda: len(peer.states) > count + 2 * settling / 1e-3, "states after the time to settle")
     assert node.ended is None
 
     def ended() -> bool:
@@ -130,17 +132,7 @@ def test_malformed_commands_are_refused_counted_and_logged_once_by_kind(ros: Ros
     assert "".join([*said, capfd.readouterr().err]).count("command refused") == len(wanted)
 
 
-def test_reset_returns_to_the_initial_state_after_a_silence(ros: Ros, peer: Peer) -> None:
-    peer.plant(restart_silence=0.3)
-    peer.effort_publisher.publish(command(0.3))
-    ros.until(lambda: len(in_motion(peer)) > 20)
-    peer.reset()
-    ros.until(lambda: list(peer.states[-1].position) == [0.5, 0.5], "the initial state")
-    last, first = [nanoseconds(state) for state in peer.states[-2:]]
-    assert first >= last + 0.3e9
-
-
-def test_pause_stops_publication_and_the_motion(ros: Ros, peer: Peer) -> None:
+def test_a_pause_stops_publication_and_motion_and_a_reset_returns_after_a_silence(ros: Ros, peer: Peer) -> None:
     node = ros.plant(start_paused=True, restart_silence=0.2)
     ros.until(lambda: ros.matched(peer.effort_publisher, 2))
     ros.settle()
@@ -157,6 +149,10 @@ def test_pause_stops_publication_and_the_motion(ros: Ros, peer: Peer) -> None:
     peer.pause(False)
     ros.until(lambda: len(peer.states) > count)
     assert nanoseconds(peer.states[count]) >= stopped + 0.2e9
+    peer.reset()
+    ros.until(lambda: list(peer.states[-1].position) == [0.5, 0.5], "the initial state")
+    last, first = [nanoseconds(state) for state in peer.states[-2:]]
+    assert first >= last + 0.2e9
 
 
 def test_reset_while_paused_does_not_block_the_motion_after_resume(ros: Ros, peer: Peer) -> None:

@@ -161,14 +161,14 @@ def test_advance_is_refused_before_the_first_clock_message(ros: Ros, peer: Peer)
 
 
 def test_samples_are_delayed_by_the_period_jitter_while_enabled(ros: Ros, peer: Peer) -> None:
-    """Ticks are 20 ms apart and the clock has steps of 1 ms, to which the delay of a sample is rounded up."""
-    player = Player(ros, peer, wait_for_command=False, publish_rate=50.0, inner_steps=80)
+    """Ticks are 4 ms apart and the clock has steps of 1 ms, to which the delay of a sample is rounded up."""
+    player = Player(ros, peer, wait_for_command=False, publish_rate=250.0, inner_steps=16)
     player.play(50 * SECOND)
-    assert set(np.diff(player.run(50 * SECOND, 60))) == {20 * PERIOD}
-    assert player.node.set_parameters([Parameter("imperfections.period_jitter", value=0.015)])[0].successful
-    late = np.array(player.run(50 * SECOND + 61 * PERIOD, 140)) % (20 * PERIOD)
+    assert set(np.diff(player.run(50 * SECOND, 20))) == {4 * PERIOD}
+    assert player.node.set_parameters([Parameter("imperfections.period_jitter", value=0.0025)])[0].successful
+    late = np.array(player.run(50 * SECOND + 21 * PERIOD, 60)) % (4 * PERIOD)
     assert len(set(late)) > 2
-    assert late.max() <= 16 * PERIOD
+    assert late.max() <= 3 * PERIOD
     assert_one_motion(peer.states)
 
 
@@ -204,24 +204,3 @@ def test_stamps_equal_the_clock_when_time_starts_or_resumes(ros: Ros, peer: Peer
     assert node._time_base.plant.origin == NO_TIME, "after a reset the plant must wait for a command"
     stamps = [nanoseconds(state) for state in peer.states]
     assert stamps == sorted(stamps)
-
-
-def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
-    """The controller detects a silence and joins the reference without a jump or a large effort."""
-    player = Player(ros, peer)
-    controller = peer.controller(use_sim_time=True, state_timeout=0.5)
-    player.run(50 * SECOND, 50)
-    ros.until(lambda: peer.states[-1].position[0] != 0.5, "motion")
-    peer.reset()
-    ros.settle()
-    count = len(peer.efforts)  # commands for states before the reset have arrived
-    for k in range(105):
-        player.play(50 * SECOND + 50 * PERIOD + k * 10 * PERIOD)
-    player.run(51 * SECOND + 100 * PERIOD, 100)
-    counters = controller._control.step.counters
-    assert (counters["silences"], counters["recoveries"]) == (1, 1)
-    assert counters["reference restarts"] == counters["stops"] == 0
-    assert max(abs(message.data[0]) for message in peer.efforts[count:]) < 2.0
-    stamps = [nanoseconds(state) for state in peer.states]
-    assert np.all(np.diff(stamps) >= 0)
-    assert stamps[-1] > 51 * SECOND + 100 * PERIOD

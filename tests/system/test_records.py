@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,23 +58,20 @@ def both(kr300: Robot, reading: Reading) -> dict[str, Read]:
     return {name: read_record(EXAMPLE / f"{name}.csv.gz", AXES, kr300, reading) for name in names}
 
 
-@pytest.mark.parametrize("name", ["record_a", "record_b"])
-def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(
-    kr300: Robot, both: dict[str, Read], name: str
-) -> None:
-    record, notes = both[name]
-    raw = np.genfromtxt(EXAMPLE / f"{name}.csv.gz", delimiter=",", names=True)
-    assert record.dt == pytest.approx(4e-3)
-    assert np.array_equal(record.q_m[:, 3], raw["a4_motor_rad"])
-    assert np.array_equal(record.q_l[:, 0], raw["a1_link_rad"])
-    assert record.u[:, 1] == pytest.approx(267.43 * raw["a2_motor_torque_nm"])
-    assert np.isnan(record.q_l[:, 3:]).all()
-    assert np.isnan(record.torque).all()
-    assert notes == ()
-    assert [said.split(":")[:2] for said in lacking([record], kr300)] == [
-        ["a4, a5, a6", " no link encoder and no torque sensor"],
-        ["a4, a5, a6", " one side only is measured"],
-    ]
+def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(kr300: Robot, both: dict[str, Read]) -> None:
+    for name, (record, notes) in both.items():
+        raw = np.genfromtxt(EXAMPLE / f"{name}.csv.gz", delimiter=",", names=True)
+        assert record.dt == pytest.approx(4e-3)
+        assert np.array_equal(record.q_m[:, 3], raw["a4_motor_rad"])
+        assert np.array_equal(record.q_l[:, 0], raw["a1_link_rad"])
+        assert record.u[:, 1] == pytest.approx(267.43 * raw["a2_motor_torque_nm"])
+        assert np.isnan(record.q_l[:, 3:]).all()
+        assert np.isnan(record.torque).all()
+        assert notes == ()
+        assert [said.split(":")[:2] for said in lacking([record], kr300)] == [
+            ["a4, a5, a6", " no link encoder and no torque sensor"],
+            ["a4, a5, a6", " one side only is measured"],
+        ]
 
 
 def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_other_one(
@@ -128,18 +126,13 @@ def test_part_of_a_table_is_the_same_rows(reading: Reading, both: dict[str, Read
     assert np.array_equal(part.q_m, whole.q_m[500:1250])
 
 
-def changed(tmp_path: Path, change: object) -> Path:
-    """Return the lines of record A, changed, as a file."""
-    lines = gzip.decompress((EXAMPLE / "record_a.csv.gz").read_bytes()).decode().splitlines()
-    file = tmp_path / "changed.csv"
-    file.write_text("\n".join(change(lines)) + "\n")  # type: ignore[operator]
-    return file
+Lines = list[str]
 
 
-def cell(row: int, column: int, value: str) -> object:
+def cell(row: int, column: int, value: str) -> Callable[[Lines], Lines]:
     """Return a change of one cell."""
 
-    def change(lines: list[str]) -> list[str]:
+    def change(lines: Lines) -> Lines:
         cells = lines[row].split(",")
         cells[column] = value
         return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
@@ -147,60 +140,56 @@ def cell(row: int, column: int, value: str) -> object:
     return change
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (cell(0, 2, "other"), "column a2_motor_rad is missing; expected it once (the header is time_s, "),
-        (cell(0, 2, "a1_motor_rad"), "column a1_motor_rad is more than once"),
-        (cell(12, 3, "nan"), "row 12, column a3_motor_rad: nan; expected a finite number (1 such rows"),
-        (cell(12, 3, ""), "row 12, column a3_motor_rad: nan; expected a finite number"),
-        (cell(12, 3, "abc"), "is not a table of numbers (In CSV column #3"),
-        (lambda lines: [*lines[:300], *lines[900:]], "time jumps by 2.404 s"),
-        (lambda lines: lines[:100], "the record has 99 samples; expected at least 200"),
-        (lambda lines: lines[:1], "holds no samples"),
-        (lambda lines: [], "has no header"),
-    ],
-    ids=["missing", "twice", "nan", "empty", "text", "gap", "short", "no rows", "nothing"],
-)
+BAD_TABLES: dict[str, tuple[Callable[[Lines], Lines], str]] = {
+    "missing": (cell(0, 2, "other"), "column a2_motor_rad is missing; expected it once (the header is time_s, "),
+    "twice": (cell(0, 2, "a1_motor_rad"), "column a1_motor_rad is more than once"),
+    "nan": (cell(12, 3, "nan"), "row 12, column a3_motor_rad: nan; expected a finite number (1 such rows"),
+    "empty": (cell(12, 3, ""), "row 12, column a3_motor_rad: nan; expected a finite number"),
+    "text": (cell(12, 3, "abc"), "is not a table of numbers (In CSV column #3"),
+    "gap": (lambda lines: [*lines[:300], *lines[900:]], "time jumps by 2.404 s"),
+    "short": (lambda lines: lines[:100], "the record has 99 samples; expected at least 200"),
+    "no rows": (lambda lines: lines[:1], "holds no samples"),
+    "nothing": (lambda lines: [], "has no header"),
+}
+
+
+@pytest.mark.parametrize(("change", "sentence"), BAD_TABLES.values(), ids=BAD_TABLES)
 def test_bad_table_is_refused_in_one_sentence(
-    kr300: Robot, reading: Reading, tmp_path: Path, change: object, sentence: str
+    kr300: Robot, reading: Reading, tmp_path: Path, change: Callable[[Lines], Lines], sentence: str
 ) -> None:
-    with pytest.raises(FjrError) as caught:
-        read_record(changed(tmp_path, change), AXES, kr300, reading)
+    lines = gzip.decompress((EXAMPLE / "record_a.csv.gz").read_bytes()).decode().splitlines()
+    (tmp_path / "changed.csv").write_text("\n".join(change(lines)) + "\n")
+    with pytest.raises(FjrError, match="changed.csv") as caught:
+        read_record(tmp_path / "changed.csv", AXES, kr300, reading)
     assert sentence in str(caught.value)
-    assert "changed.csv" in str(caught.value)
+
+
+SWAPPED = {"motor_position": ("link_position", "a3"), "link_position": ("motor_position", "a3")}
 
 
 @pytest.mark.parametrize(
-    ("given", "sentence"),
+    ("factors", "swapped", "sentence"),
     [
-        ({"motor_position": {"factor": 1.01}}, "expected 1: wrong gear ratio (and 2 more)"),
-        ({"effort": {"factor": 1.0}}, "expected about 1: links in the robot file, gear ratio, unit of the effort?"),
+        ({"motor_position": 1.01}, {}, "expected 1: wrong gear ratio (and 2 more)"),
+        ({"effort": 1.0}, {}, "expected about 1: links in the robot file, gear ratio, unit of the effort?"),
+        ({}, SWAPPED, "expected about 1: sides swapped"),
     ],
-    ids=["gear ratio", "effort at the motor"],
+    ids=["gear ratio", "effort at the motor", "swapped sides"],
 )
 def test_wrong_mapping_of_a_real_record_is_named(
-    kr300: Robot, reading: Reading, given: dict[str, dict[str, float]], sentence: str
+    kr300: Robot, reading: Reading, factors: dict[str, float], swapped: dict[str, tuple[str, str]], sentence: str
 ) -> None:
     mapping = reading.mapping
     assert isinstance(mapping, TableMap)
-    signals = dict(mapping.signals)
-    for name, change in given.items():
-        signals[name] = {joint: replace(column, **change) for joint, column in signals[name].items()}
+    signals = {name: dict(columns) for name, columns in mapping.signals.items()}
+    for name, factor in factors.items():
+        signals[name] = {joint: replace(column, factor=factor) for joint, column in signals[name].items()}
+    for name, (other, joint) in swapped.items():
+        signals[name][joint] = mapping.signals[other][joint]
     wrong = replace(reading, mapping=replace(mapping, signals=signals))
     with pytest.raises(FjrError, match="--accept") as caught:
         read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, wrong)
     assert sentence in str(caught.value)
-
-
-def test_swapped_sides_of_a_real_axis_are_named(kr300: Robot, reading: Reading) -> None:
-    mapping = reading.mapping
-    assert isinstance(mapping, TableMap)
-    motor, link = (dict(mapping.signals[name]) for name in ("motor_position", "link_position"))
-    motor["a3"], link["a3"] = link["a3"], motor["a3"]
-    signals = {**mapping.signals, "motor_position": motor, "link_position": link}
-    with pytest.raises(FjrError, match="q_m - q_l of a3 is -0.8.* expected about 1: sides swapped"):
-        read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, Reading(replace(mapping, signals=signals)))
 
 
 @pytest.mark.parametrize(

@@ -45,23 +45,22 @@ COMPLETE = {
 }
 
 
-def log(folder: Path, header: str) -> Path:
-    file = folder / "log.csv"
-    file.write_text(header + "\n", encoding="utf-8")
-    return file
+def made(folder: Path, header: str) -> tuple[str, list[str]]:
+    """Return the map of a table with a header, and what is left to do."""
+    (folder / "log.csv").write_text(header + "\n", encoding="utf-8")
+    return written_map(folder / "log.csv", ARM)
 
 
 def read(folder: Path, text: str) -> TableMap:
-    file = folder / "map.yaml"
-    file.write_text(text, encoding="utf-8")
-    found = read_map(file, ARM)
+    (folder / "map.yaml").write_text(text, encoding="utf-8")
+    found = read_map(folder / "map.yaml", ARM)
     assert isinstance(found, TableMap)
     return found
 
 
 @pytest.mark.parametrize("header", COMPLETE)
 def test_names_that_say_everything_give_a_complete_map(tmp_path: Path, header: str) -> None:
-    text, todo = written_map(log(tmp_path, header), ARM)
+    text, todo = made(tmp_path, header)
     assert FILL_IN not in text
     assert not [line for line in todo if line.startswith("fill in")]
     found = read(tmp_path, text)
@@ -82,7 +81,7 @@ INCOMPLETE = {
 
 @pytest.mark.parametrize("header", INCOMPLETE)
 def test_what_names_do_not_say_is_marked_and_refused_until_it_is_filled_in(tmp_path: Path, header: str) -> None:
-    text, todo = written_map(log(tmp_path, header), ARM)
+    text, todo = made(tmp_path, header)
     assert {line.split()[2].rstrip(":") for line in todo if line.startswith("fill in")} == {
         each.split(":")[0] for each in INCOMPLETE[header]
     }
@@ -102,12 +101,11 @@ def test_the_command_says_what_is_left_to_do_and_replaces_nothing(
     assert "check    effort.gear_ratio is 1: a1_motor_torque_nm to a6_motor_torque_nm count at the joint's side" in said
     assert "the robot file has the gear ratios [256.86, " in said
     assert "fill in" not in said
-    made = read_map(tmp_path / "record_a_map.yaml", ("a1", "a2", "a3", "a4", "a5", "a6"))
-    assert isinstance(made, TableMap)
-    assert list(made.signals[LINK]) == ["a1", "a2", "a3"]
+    found = read_map(tmp_path / "record_a_map.yaml", ("a1", "a2", "a3", "a4", "a5", "a6"))
+    assert isinstance(found, TableMap)
+    assert list(found.signals[LINK]) == ["a1", "a2", "a3"]
     assert "effort of a1 is" in fjr_here(*command, "--map", "record_a_map.yaml", code=2)
     assert "record_a_map.yaml exists" in fjr_here(*command, "--write-map", code=2)
-    assert "Missing option '--robot'" in fjr_here("identify", str(record), "--map", "record_a_map.yaml", code=2)
 
 
 def test_parquet_has_a_header_too_and_other_files_are_refused(tmp_path: Path) -> None:

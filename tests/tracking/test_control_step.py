@@ -5,17 +5,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import settings as effort_spent
-from hypothesis import strategies as st
 
 import fjr_core as fjr
 import own_code
-from fjr_core.motions.point_to_point import Hold
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import KINDS, STATES, State
@@ -26,9 +21,6 @@ from tracking.tracked import (
     SECOND,
     SINE,
     SOFT,
-    TWO,
-    TWO_LINK_GAINS,
-    TWO_SINES,
     Loop,
     kinds,
     sample,
@@ -100,73 +92,6 @@ def test_invalid_first_sample_does_not_start_the_reference() -> None:
     assert tracker.state is State.WAITING
     first = tracker.command(sample(100 * MS, 0.5, 0.5), 100 * MS)
     np.testing.assert_array_equal(first.jets, SINE.jets(0.0))
-
-
-numbers = st.one_of(
-    st.floats(-2, 2), st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e308, -1e308, 1e160, 1e100, 1e9, 5e-324])
-)
-steps = st.sampled_from([MS, MS, MS, 0, -MS, 5 * MS, 400 * MS, 700 * MS, 10 * SECOND, -300 * MS, -2 * SECOND, 10**18])
-samples = st.tuples(steps, steps, *(st.tuples(numbers, numbers),) * 4)
-small = st.floats(-0.6, 0.6)
-calm = st.tuples(st.just(MS), st.just(MS), *(st.tuples(small, small),) * 4)
-acts = st.sampled_from(["silence", "resume", "hold", "follow", "follow later", "start", "use"])
-policies = st.sampled_from(["zero", "gravity_hold"])
-OTHER = fjr.TrackingLaw(TWO.robot, replace(TWO_LINK_GAINS, Lambda_l=8.0))
-OBSERVER = fjr.VelocityObserver(TWO.robot, 150.0)
-
-
-def act(tracker: ControlStep, name: str, stamp: int, arrival: int) -> Any:
-    """Carry out an action; return the effort that it sends, or None."""
-    if name == "silence":
-        return tracker.silence(arrival)
-    if name == "follow":
-        return tracker.follow(Hold([0.1, 0.2]))
-    if name == "follow later":
-        return tracker.follow(TWO_SINES, stamp + 3 * MS)
-    if name == "use":
-        return tracker.use(OTHER)
-    return getattr(tracker, name)()
-
-
-@effort_spent(max_examples=60, deadline=None, derandomize=True)
-@given(st.lists(st.one_of(calm, calm, calm, samples, acts), max_size=60), policies, st.booleans(), st.booleans())
-def test_for_any_input_efforts_are_finite_and_within_limit_and_rate(
-    happenings: list[Any], policy: str, joins: bool, observes: bool
-) -> None:
-    limit, rate = np.array([3.0, 2.0]), np.array([100.0, 500.0])
-    given = settings(
-        2,
-        effort=limit,
-        effort_rate=rate,
-        on_stop=policy,
-        link_velocity=5.0,
-        tracking_error=1.5,
-        start_error=1.0,
-        ramp_time=0.01,
-        start_join_time=0.3 if joins else 0.0,
-        recovery_join_time=0.2 if joins else 0.0,
-    )
-    OBSERVER.reset()
-    tracker = ControlStep(TWO, TWO_SINES, given, OBSERVER if observes else None)
-    stamp = arrival = SECOND
-    last, last_stamp = np.zeros(2), None
-    for happening in happenings:
-        if isinstance(happening, str):
-            alone = act(tracker, happening, stamp, arrival)
-            if alone is not None:
-                assert (np.abs(alone) <= limit).all()
-                last = alone.copy()
-            continue
-        stamp, arrival = stamp + happening[0], arrival + max(happening[1], 0)
-        command = tracker.command(sample(stamp, *(np.array(v) for v in happening[2:])), arrival)
-        if command is None:
-            continue
-        assert np.isfinite(command.u).all()
-        assert (np.abs(command.u) <= limit).all()
-        dt = 0.0 if last_stamp is None else min(max(stamp - last_stamp, 0), SECOND // 2) * 1e-9
-        assert (np.abs(command.u - last) <= rate * dt * (1 + 1e-9) + 1e-12).all()
-        last, last_stamp = command.u.copy(), stamp
-    assert (np.abs(tracker.stop_effort()) <= limit).all()
 
 
 def test_changed_gains_act_from_the_next_sample_and_restart_the_certificate() -> None:

@@ -102,19 +102,15 @@ def test_a_stop_is_not_resumed_outside_the_limits(name: str) -> None:
     assert tracker.state is State.JOINING
 
 
-def test_a_stop_is_counted_once_although_samples_pause_outside_the_limits() -> None:
-    tracker = tracker_at(0, MS, link_position_upper=1.0)
-    for stamp in (2 * MS, SECOND, SECOND + MS):
-        tracker.command(sample(stamp, 4.5, 4.5), stamp)
-    assert tracker.counters["stops"] == 1
-
-
-def test_resume_without_a_stop_does_nothing() -> None:
-    tracker = tracker_at(0)
+def test_a_stop_is_counted_once_although_samples_pause_outside_the_limits_and_resume_without_one_does_nothing() -> None:
+    tracker = tracker_at(0, link_position_upper=1.0)
     tracker.resume()
     command = tracker.command(sample(MS, 0.5, 0.5), MS)
     assert command.state is State.TRACKING
     assert not tracker.counters
+    for stamp in (2 * MS, SECOND, SECOND + MS):
+        tracker.command(sample(stamp, 4.5, 4.5), stamp)
+    assert tracker.counters["stops"] == 1
 
 
 @pytest.mark.parametrize("arm", ["paper", "two"])

@@ -265,15 +265,14 @@ def test_a_reference_that_does_not_match_is_reached_by_a_transition(arm: str) ->
     n = law.robot.n
     loop = Loop(law, reference, settings(n), x0)
     loop.run(2.0)
-    loop.tracker.follow(fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2)))
-    start = loop.now
+    sine, start = fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2)), loop.now
+    loop.tracker.follow(sine)
     before = len(loop.efforts)
     command = loop.step()
     np.testing.assert_allclose(command.jets, reference.jets(2.0), rtol=1e-9, atol=1e-9)
     assert command.state is State.JOINING
     loop.run_through_transition()
     assert largest_step(loop.efforts[before - 1 :]) < step
-    sine = fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2))
     np.testing.assert_allclose(loop.tracker.jets_at(loop.now), sine.jets((loop.now - start) * 1e-9))
     assert loop.error < 2e-3
 
@@ -295,14 +294,6 @@ def test_hold_comes_to_a_standstill_without_a_step(arm: str) -> None:
     assert loop.error < 2e-3
 
 
-def test_hold_before_the_first_sample_holds_the_present_position() -> None:
-    tracker = ControlStep(LAW, SINE, settings(start_error=0.1))
-    tracker.hold()
-    command = tracker.command(sample(0, 0.7, 0.7), 0)
-    np.testing.assert_array_equal(command.jets, standing([0.7]))
-    assert command.state is State.TRACKING
-
-
 def test_hold_while_stopped_holds_the_position_at_resume() -> None:
     tracker = tracker_at(0, link_velocity=1.0)
     tracker.command(sample(MS, 0.5, 0.5, 2.0), MS)
@@ -314,9 +305,12 @@ def test_hold_while_stopped_holds_the_position_at_resume() -> None:
         np.testing.assert_allclose(command.jets, standing([0.6]), atol=1e-12)
 
 
-def test_a_reference_given_before_the_first_sample_begins_there() -> None:
-    tracker = ControlStep(LAW, SINE, settings())
-    assert tracker.jets_at(0) is None
-    tracker.follow(Hold([0.3]))
-    command = tracker.command(sample(SECOND, 0.5, 0.5), 0)
-    np.testing.assert_array_equal(command.jets, standing([0.3]))
+def test_before_the_first_sample_a_reference_begins_there_and_a_hold_holds_the_present_position() -> None:
+    following, holding = (ControlStep(LAW, SINE, settings(start_error=given)) for given in (np.inf, 0.1))
+    assert following.jets_at(0) is None
+    following.follow(Hold([0.3]))
+    holding.hold()
+    for tracker, q in ((following, 0.3), (holding, 0.7)):
+        command = tracker.command(sample(SECOND, 0.7, 0.7), 0)
+        np.testing.assert_array_equal(command.jets, standing([q]))
+        assert command.state is State.TRACKING

@@ -131,6 +131,16 @@ SHOULDER, ELBOW = joint("shoulder", "base", "upper"), joint("elbow", "upper", "l
 TWO = robot(BASE, link("upper"), link("lower"), SHOULDER, ELBOW)
 
 
+def with_more(*parts: str, xml: str = TWO) -> str:
+    """Return the URDF with further links and joints."""
+    return xml.replace("</robot>", "".join(parts) + "</robot>")
+
+
+def limited(limit: str, kind: str = "revolute") -> str:
+    """Return an arm with one joint and a tag <limit>."""
+    return robot(BASE, link("upper"), joint("shoulder", "base", "upper", kind, limit))
+
+
 def read(xml: str, joints: Any = ("shoulder", "elbow"), stiffness: Any = 50.0, **values: Any) -> fjr.Robot:
     return fjr.robot_from_urdf(xml, joints, stiffness, values.pop("motor_inertia", 0.1), **values)
 
@@ -173,7 +183,7 @@ def test_a_gear_ratio_reflects_the_rotors_inertia() -> None:
     ],
 )
 def test_zero_or_absent_limits_are_no_limits(inner: str, kind: str, expected: list[float]) -> None:
-    limits = read(robot(BASE, link("upper"), joint("shoulder", "base", "upper", kind, inner)), ["shoulder"]).limits
+    limits = read(limited(inner, kind), ["shoulder"]).limits
     assert [float(getattr(limits, name)[0]) for name in ("lower", "upper", "velocity", "effort")] == expected
 
 
@@ -209,7 +219,7 @@ def with_limits(xml: str) -> str:
 def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     bad = link("antenna", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + link("hub", mass=-2.0)
     arms = joint("mast", "base", "antenna", "fixed") + joint("wheel", "base", "hub", "continuous")
-    found = read(TWO.replace("</robot>", bad + arms + "</robot>"))
+    found = read(with_more(bad, arms))
     q = np.array([0.4, -0.7])
     assert np.array_equal(found.M_l(q), read(TWO).M_l(q))
     assert [record.getMessage() for record in caplog.records] == [
@@ -221,9 +231,9 @@ def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.Lo
 # Invalid input: one sentence, nothing printed.
 
 POINT = link("lower", 1.0, 0.0, ZERO)
-SIDE = TWO.replace("</robot>", link("other") + joint("wing", "upper", "other") + "</robot>")
+SIDE = with_more(link("other"), joint("wing", "upper", "other"))
 HOOK = link("hook", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + joint("wrist", "lower", "hook")
-FIXED = HAND.replace("</robot>", '<link name="camera"/>' + joint("mount", "lower", "camera", "fixed") + "</robot>")
+FIXED = with_more('<link name="camera"/>', joint("mount", "lower", "camera", "fixed"), xml=HAND)
 REFUSED: dict[str, tuple[str, str]] = {
     "broken": ("<robot", "the URDF text does not parse as XML"),
     "not a urdf": ("<sdf/>", "root element <sdf>; expected the <robot> of a URDF"),
@@ -235,16 +245,16 @@ REFUSED: dict[str, tuple[str, str]] = {
     "unknown link": (TWO.replace('child link="lower"', 'child link="fore"'), "joint 'elbow' names the link 'fore'"),
     "no child": (TWO.replace('<child link="lower"/>', ""), "joint 'elbow' has no <child link"),
     "two parents": (
-        TWO.replace("</robot>", joint("rod", "base", "lower") + "</robot>"),
+        with_more(joint("rod", "base", "lower")),
         "link 'lower' is the child of joints 'elbow' and 'rod' .a closed chain.; expected a tree",
     ),
     "loop": (
         robot(BASE, link("upper"), link("lower"), joint("shoulder", "lower", "upper"), ELBOW),
         "is its own ancestor .a closed chain.; expected a tree",
     ),
-    "two roots": (TWO.replace("</robot>", link("loose") + "</robot>"), "links base, loose have no parent joint"),
+    "two roots": (with_more(link("loose")), "links base, loose have no parent joint"),
     "floating base": (
-        TWO.replace("</robot>", '<link name="world"/>' + joint("free", "world", "base", "floating") + "</robot>"),
+        with_more('<link name="world"/>', joint("free", "world", "base", "floating")),
         "joint 'free' is floating; expected an arm with a fixed base",
     ),
     "zero axis": (TWO.replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"', 1), "joint 'shoulder' has the axis 0 0 0"),
@@ -254,27 +264,18 @@ REFUSED: dict[str, tuple[str, str]] = {
     "mass zero": (TWO.replace('value="1.0"', 'value="0"', 1), "link 'upper' has the mass 0 and an inertia; expected"),
     "negative mass": (TWO.replace('value="1.0"', 'value="-1"', 1), "link 'upper' has the mass -1.0; expected 0"),
     "negative inertia": (TWO.replace('iyy="0.01"', 'iyy="-1"', 1), "link 'upper' has the principal inertia -1"),
-    "bad inertia beyond a locked joint": (
-        TWO.replace("</robot>", HOOK + "</robot>"),
-        "link 'hook' has the principal inertia -1; expected 0 or more",
-    ),
+    "bad inertia beyond a locked joint": (with_more(HOOK), "link 'hook' has the principal inertia -1; expected 0 or"),
     "mass on the axis": (robot(BASE, link("upper"), POINT, SHOULDER, ELBOW), "joint 'elbow' can move without moving"),
     "all massless": (
         robot(BASE, '<link name="upper"/>', '<link name="lower"/>', SHOULDER, ELBOW),
         "joint 'elbow' can move without moving mass .M_l is singular.; expected links with mass and inertia beyond it",
     ),
     "range upside down": (
-        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit lower="1" upper="-1"/>')),
+        limited('<limit lower="1" upper="-1"/>'),
         "joint 'shoulder' has <limit> lower=1 upper=-1 velocity=0 effort=0; expected lower <= upper",
     ),
-    "negative effort": (
-        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit effort="-1"/>')),
-        "expected lower <= upper, velocity and effort 0 or more",
-    ),
-    "nan limit": (
-        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit effort="nan"/>')),
-        "joint 'shoulder' has <limit effort=\"nan\">; expected a number",
-    ),
+    "negative effort": (limited('<limit effort="-1"/>'), "expected lower <= upper, velocity and effort 0 or more"),
+    "nan limit": (limited('<limit effort="nan"/>'), "joint 'shoulder' has <limit effort=\"nan\">; expected a number"),
     "mimics a named joint": (
         HAND.replace('mimic joint="left_finger"', 'mimic joint="elbow"'),
         "joint 'right_finger' mimics the named joint 'elbow'",

@@ -19,7 +19,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
 
 from . import thresholds
-from .causes import BlockStatistics, CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
+from .causes import CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
 from .delay_estimation import (
     AFTER,
     BEFORE,
@@ -32,10 +32,11 @@ from .delay_estimation import (
     regular_changes,
 )
 from .fault_isolation import MOST_STATES, isolate
+from .grading import BlockStatistics
 from .record import PART, Innovations, Record, T
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
-from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, external, unknown, violated
+from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, Finding, external, unknown, violated
 
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 VISITED = 200  # configurations of a run at which the rate is evaluated
@@ -181,13 +182,7 @@ class PartwiseDiagnosis:
             assert self._ends is not None  # a record has a part
             assert self._unsaturated is not None
             findings = isolate(self._ends, *self._unsaturated, self._law, self._axes.names)
-        known = diagnosis.kind in ("degraded", "violated") and MISMATCH not in diagnosis.causes
-        explained = known or diagnosis.kind == "holding"
-        findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
-        if any(each.kind == EXTERNAL for each in findings):
-            diagnosis = external(diagnosis)
-        sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
-        return replace(diagnosis, sentence=sentence, findings=findings)
+        return with_findings(diagnosis, findings)
 
     def _acted(self, age: EffortDelay) -> ActingSums:
         """Return the sums for a delay."""
@@ -208,6 +203,21 @@ class PartwiseDiagnosis:
             acted = moved.acting(found, required)
             usual = usual + acted.late + acted.lost
         return found.rows(free), usual[free]
+
+
+def with_findings(diagnosis: Diagnosis, findings: tuple[Finding, ...]) -> Diagnosis:
+    """Return the diagnosis with what was found; a run with a fault of the robot or its signals does not hold.
+
+    That nothing explains the residual torques is said only where the cause is a model mismatch or not known.
+    """
+    known = diagnosis.kind == "holding" or (diagnosis.kind != "unknown" and MISMATCH not in diagnosis.causes)
+    findings = tuple(each for each in findings if not (known and each.kind == UNKNOWN))
+    if findings and diagnosis.kind == "holding":
+        diagnosis = replace(diagnosis, kind="degraded", causes=(MISMATCH,), detail=MISMATCH)
+    if any(each.kind == EXTERNAL for each in findings):
+        diagnosis = external(diagnosis)
+    sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
+    return replace(diagnosis, sentence=sentence, findings=findings)
 
 
 def with_ends(before: T | None, new: T) -> T:

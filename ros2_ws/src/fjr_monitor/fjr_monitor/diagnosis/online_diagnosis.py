@@ -19,7 +19,6 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import CLibrary, record_type
 from fjr_monitor.diagnosis.causes import (
     EMPTY,
-    BlockStatistics,
     CauseErrors,
     CausePropagation,
     StorageBudget,
@@ -29,6 +28,7 @@ from fjr_monitor.diagnosis.causes import (
     storage_budget,
 )
 from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay, needed
+from fjr_monitor.diagnosis.grading import BlockStatistics
 from fjr_monitor.diagnosis.record import Innovations
 from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
 
