@@ -21,7 +21,7 @@ from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.sweep_run import complete, run_missing
 from system.browser import Browser
 from system.documented import documented_keys
-from system.executables import Executable, fjr_here, wait_for
+from system.executables import Start, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
 SWEEP = """
@@ -48,17 +48,13 @@ def table(folder: Path) -> bytes:
     return (folder / "joint" / "table.parquet").read_bytes()
 
 
-def test_killed_study_is_resumed(tmp_path: Path) -> None:
+def test_killed_study_is_resumed(start: Start, tmp_path: Path) -> None:
     name = sweep_file(tmp_path, 500)
-    running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path / "killed"))
-    parts = tmp_path / "killed" / "joint" / "parts"
-    try:
-        wait_for(lambda: len(list(parts.glob("*.parquet"))) >= 3 or running.process.poll() is not None, "three parts")
-        running.signal(signal.SIGKILL)
-        assert running.process.wait(timeout=10) == -signal.SIGKILL
-    finally:
-        running.kill()
-    kept = {path: path.stat().st_mtime_ns for path in parts.glob("*.parquet")}
+    running, parts = start("fjr", "sweep", name, "--output", str(tmp_path / "killed")), tmp_path / "killed/joint/parts"
+    wait_for(lambda: len(list(parts.glob("*.parquet"))) >= 3 or running.process.poll() is not None, "three parts")
+    running.signal(signal.SIGKILL)
+    assert running.process.wait(timeout=10) == -signal.SIGKILL
+    kept = list(parts.glob("*.parquet"))
     assert 3 <= len(kept) < 50
     said = fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "killed"))
     assert f"{10 * len(kept)} of 500 runs are finished already" in said

@@ -118,14 +118,6 @@ def test_every_module_loads_without_matplotlib(tmp_path: Path) -> None:
     assert status == 0, said
 
 
-def test_a_run_without_matplotlib_has_its_page_but_no_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    said = fjr_here("run", "paper_k31", "--lockstep", "--duration", "0.2", "--output", str(tmp_path))
-    assert "Matplotlib" not in said  # the page has every plot
-    assert {path.suffix for path in (tmp_path / "paper_k31").glob("*.*")} >= {".html", ".json"}
-    assert not (tmp_path / "paper_k31" / "overview.png").exists()
-
-
 SENTENCE = (
     "no C compiler (no-such-cc) is on the path; expected one: apt-get install gcc libc6-dev, or pip install ziglang"
 )
