@@ -17,11 +17,14 @@ from typing import Any
 import pytest
 import yaml
 
+from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError, FjrError
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.numerics import jit as jit_cache
+from fjr_design.batch import Draws
 from fjr_design.studies import compare_page, compare_run, suite
 from fjr_design.studies.compare_results import BEGIN, END, Row, Value, extent, markdown, marks, rows, table_rows
+from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
@@ -231,6 +234,19 @@ def test_the_installed_suites_hold_every_law_and_the_tuned_ones_differ_in_robots
     laws = [{"law": law.law} for law in paper.laws]  # versions of a law count as one law
     described = extent({"laws": laws, "robots": {"one": {}}, "runs": 12, "suite": {"duration": 10.0}})
     assert described == f"{len(LAWS) - 2} control laws in {len(laws)} versions on 1 robot, 12 runs of 10 s."
+
+
+def test_a_transition_from_the_measured_state_spares_the_first_effort_and_every_law_starts_without_a_limit() -> None:
+    """two_link limits the error of its start to 0.41 and 0.22 rad; noise of the velocity would exceed it."""
+    (robot,) = suite.read("two", {"laws": ["v_dpbc"], "robots": {"two_link": {}}}).robots
+    peaks = []
+    for join in (0.0, 0.5):
+        ((_, text),) = suite.scenario_texts(robot, join)
+        scenario = parse_scenario("two", text)
+        found = scenario_loop(scenario, scenario.sampled_law, 0.5, settle_after=0.1).run(Draws(1, velocity_noise=0.3))
+        assert found.cause[0] == ""
+        peaks.append(found.effort_peak[0].max())
+    assert peaks[1] < 0.5 * peaks[0]
 
 
 PAPER = {"scenario": "paper_k31"}
