@@ -59,8 +59,7 @@ LONGEST_FIRST = (
     "system/test_fjr_sweep.py",
     "system/test_lock_step.py",
     "core/numerics/test_fused_code.py",
-    "nodes/test_malformed.py",
-    "nodes/test_hostile_requests.py",
+    "nodes/test_native_loop.py",
     "system/test_running_nodes.py",
 )
 

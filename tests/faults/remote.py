@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -23,9 +24,11 @@ class Remote:
     def __init__(self) -> None:
         self._ros = Ros()
         self._node = Listener(self._ros, only=())
+        self.requests: list[tuple[str, int, Mapping[str, Any]]] = []  # node, time [ns], parameters
 
     def set(self, node: str, values: Mapping[str, Any]) -> str:
         """Set parameters of a node together; return the reason of a refusal, or ""."""
+        self.requests.append((node, time.time_ns(), values))
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         service = f"{node}/set_parameters_atomically"
         result = self._node.call(SetParametersAtomically, service, parameters=parameters).result

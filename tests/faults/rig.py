@@ -105,6 +105,8 @@ class Rig:
         self._cleanup.callback(gc.enable)
         gc.disable()  # a collection in a large test process would stop the relay beyond state_timeout
         self._period = round(SECOND / setting.parameters("plant")["publish_rate"])
+        self.started: dict[str, int] = {}  # times [ns] of the last start and kill
+        self.killed: dict[str, int] = {}
         self._running: dict[str, Executable] = {}
         self._ended: list[Executable] = []
 
@@ -112,6 +114,7 @@ class Rig:
         """Start "plant" or "controller" and return its key; `key` names another process of the same kind."""
         remaps = ["-r", f"joint_states:={TRUE_STATES}"] if self.relay and node == "plant" else []
         words = ("--ros-args", "--params-file", str(self._file), *remaps, *self._executor, *arguments)
+        self.started[key or node] = time.time_ns()
         with mock.patch.dict(os.environ, WITHOUT_SHARED_MEMORY):
             self._running[key or node] = Executable(*NODES[node], *words)
         return key or node
@@ -146,6 +149,7 @@ class Rig:
     def kill(self, node: str) -> None:
         """Kill a node by SIGKILL."""
         executable = self._running.pop(node)
+        self.killed[node] = time.time_ns()
         executable.signal(signal.SIGKILL)
         executable.process.wait()
         self._ended.append(executable)

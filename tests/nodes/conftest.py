@@ -12,11 +12,9 @@ RCLPY = ("test_own_code", "test_parameters", "test_wiring")
 
 
 @pytest.fixture(autouse=True)
-def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Set the host of the nodes of a test: native ones by default; that both are equal, tests/hosts shows."""
-    kind = str(getattr(request, "param", "events" if request.path.stem in RCLPY else "native"))
-    monkeypatch.setattr(Ros, "host", kind)
-    return kind
+    monkeypatch.setattr(Ros, "host", "events" if request.path.stem in RCLPY else "native")
 
 
 @pytest.fixture(params=["events", "single"])

@@ -35,8 +35,6 @@ from nodes.harness import PATIENCE, Peer, Ros, nanoseconds, stamped
 from nodes.plants import INNER, PERIOD, CommandLoop, command, integrate, numbers, state_of
 from time_limits import HANG, Limit
 
-HOSTS = ("events", "native")
-
 
 def loop_of(node: Any) -> Any:
     return node._control._command_loop
@@ -58,10 +56,7 @@ def test_trajectories_arrive_in_a_participant_of_their_own_beside_the_native_loo
     ros.until(lambda: len(set(found())) == 2, "the discovery of both subscriptions")
 
 
-@pytest.mark.parametrize("host", HOSTS, indirect=True)
-def test_listeners_have_every_answered_state_and_topics_for_observers_a_rate_of_their_own(
-    ros: Ros, peer: Peer, host: str
-) -> None:
+def test_listeners_have_every_answered_state_and_topics_for_observers_a_rate_of_their_own(ros: Ros, peer: Peer) -> None:
     certificates: list[Float64MultiArray] = []
     peer.create_subscription(Float64MultiArray, "fjr_controller/certificate", certificates.append, 10)
     node, heard = peer.controller(auxiliary_rate=100.0), []

@@ -36,14 +36,6 @@ def test_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, s
     ended_by(controller, number)
 
 
-@pytest.mark.parametrize(("number", "lockstep"), [(signal.SIGINT, "true"), (signal.SIGTERM, "false")])
-def test_a_signal_ends_the_plant_with_code_0(ros: Ros, start: Start, number: int, lockstep: str) -> None:
-    peer = Peer(ros)
-    plant = start("plant", "--ros-args", "-p", f"lockstep:={lockstep}")
-    ros.until(lambda: peer.states, "a state")
-    ended_by(plant, number)
-
-
 def ended_by(executable: Executable, number: int) -> str:
     """End a node by a signal; return its output."""
     executable.signal(number)
@@ -99,7 +91,7 @@ def test_a_node_without_messages_has_ordinary_scheduling_no_scipy_and_ends_by_a_
     ros.until(lambda: peer.diagnostics, "its first diagnostics")
     assert policies(executable.process.pid) == {os.SCHED_OTHER, os.SCHED_BATCH}  # the loop, and Python beside it
     assert "/scipy/" not in Path(f"/proc/{executable.process.pid}/maps").read_text()  # it would double the start
-    ended_by(executable, signal.SIGINT)
+    ended_by(executable, signal.SIGTERM if node == "plant" else signal.SIGINT)
 
 
 def test_realtime_priority_applies_to_the_process_or_its_refusal_is_reported(ros: Ros, start: Start) -> None:

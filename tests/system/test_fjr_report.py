@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
@@ -23,6 +22,7 @@ from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Columns, Shown
+from fjr_msgs_py.scenarios import library
 from system.bags import JOINT_STATE, STORE, in_chunks, rewritten, text_message
 from system.executables import fjr_here, scenario
 
@@ -49,6 +49,12 @@ def in_order(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def model(run: Path) -> Scenario:
     return load_scenario(run / "scenario.yaml")
+
+
+@pytest.fixture(scope="module")
+def another(run: Path) -> Scenario:
+    """Return the scenario of the run with other amplitudes."""
+    return library.as_run(run / "scenario.yaml", {"reference.amplitude": [0.123, 0.321]})[1]
 
 
 @pytest.fixture(scope="module")
@@ -174,17 +180,8 @@ def test_velocities_and_external_torques_are_estimated_if_not_recorded(
         assert np.abs(found[-100:]).max() < largest  # none acts in a free motion
 
 
-def with_another_reference(run: Path, folder: Path) -> Scenario:
-    """Return the scenario of the run with other amplitudes."""
-    document = yaml.safe_load((run / "scenario.yaml").read_text())
-    section = next(part for part in document.values() if "reference" in part["ros__parameters"])
-    section["ros__parameters"]["reference"]["amplitude"] = [0.123, 0.321]
-    (folder / "other.yaml").write_text(yaml.safe_dump(document))
-    return load_scenario(folder / "other.yaml")
-
-
-def test_another_reference_than_the_scenarios_is_differentiated(run: Path, tmp_path: Path, whole: RunData) -> None:
-    recording, data = read(run, with_another_reference(run, tmp_path))
+def test_another_reference_than_the_scenarios_is_differentiated(run: Path, another: Scenario, whole: RunData) -> None:
+    recording, data = read(run, another)
     assert "numerical" in recording.notes[-1]
     np.testing.assert_allclose(data.q_ld, whole.q_ld, atol=1e-12)
     inside = (data.t > 0.01) & (data.t < 0.99)
@@ -214,7 +211,6 @@ def looped(topic: str, message: Any) -> Any:
     ids=["whole", "other reference", "efforts without stamps", "no velocities", "links only", "looped"],
 )
 def test_a_run_in_many_parts_has_the_report_of_one_part(
-    run: Path,
     in_order: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -223,10 +219,11 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
     topics: Any,
     other: bool,
     model: Scenario,
+    another: Scenario,
 ) -> None:
     """Up to its end, or up to a planned duration."""
     bag = rewritten(in_order, tmp_path / "copy", topics=topics, change=change) if change or topics else in_order
-    model = with_another_reference(run, tmp_path) if other else model
+    model = another if other else model
     found = []
     for size, around in ((10_000, 10_000), (97, 60)):
         monkeypatch.setattr(signals, "AROUND", around)

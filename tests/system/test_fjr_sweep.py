@@ -21,7 +21,7 @@ from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.sweep_run import complete, run_missing
 from system.browser import Browser
 from system.documented import documented_keys
-from system.executables import Executable, fjr_here, wait_for
+from system.executables import Start, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
 SWEEP = """
@@ -48,17 +48,13 @@ def table(folder: Path) -> bytes:
     return (folder / "joint" / "table.parquet").read_bytes()
 
 
-def test_killed_study_is_resumed(tmp_path: Path) -> None:
+def test_killed_study_is_resumed(start: Start, tmp_path: Path) -> None:
     name = sweep_file(tmp_path, 500)
-    running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path / "killed"))
-    parts = tmp_path / "killed" / "joint" / "parts"
-    try:
-        wait_for(lambda: len(list(parts.glob("*.parquet"))) >= 3 or running.process.poll() is not None, "three parts")
-        running.signal(signal.SIGKILL)
-        assert running.process.wait(timeout=10) == -signal.SIGKILL
-    finally:
-        running.kill()
-    kept = {path: path.stat().st_mtime_ns for path in parts.glob("*.parquet")}
+    running, parts = start("fjr", "sweep", name, "--output", str(tmp_path / "killed")), tmp_path / "killed/joint/parts"
+    wait_for(lambda: len(list(parts.glob("*.parquet"))) >= 3 or running.process.poll() is not None, "three parts")
+    running.signal(signal.SIGKILL)
+    assert running.process.wait(timeout=10) == -signal.SIGKILL
+    kept = list(parts.glob("*.parquet"))
     assert 3 <= len(kept) < 50
     said = fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "killed"))
     assert f"{10 * len(kept)} of 500 runs are finished already" in said
@@ -90,14 +86,18 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
     assert not Path(f"/proc/{killed[0]}/stat").exists() or "Z" in Path(f"/proc/{killed[0]}/stat").read_text()
 
 
-def test_a_scheduler_without_address_answer_or_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_without_address_answer_or_program_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed")
+    line = ("sweep", sweep_file(tmp_path, 20), "--scheduler", "nowhere", "--output", str(tmp_path))
+    assert "address is 'nowhere'; expected e.g. tcp://" in fjr_here(*line, code=1)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        for given, words in ((address, f"no Dask scheduler answers at {address}"), ("nowhere", "expected e.g. tcp://")):
-            with pytest.raises(ClusterError, match=words), cluster(given, timeout=0.5):
-                pass
+        words = f"no Dask scheduler answers at {address}"
+        with pytest.raises(ClusterError, match=words), cluster(address, timeout=0.5):
+            pass
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = "dask.distributed is not installed here; .*pip install distributed"
     with pytest.raises(ClusterError, match=words), cluster("tcp://127.0.0.1:8786"):

@@ -144,7 +144,7 @@ POINTS = ("robot.torsion_deflection:=[0.02, 0.02, 0.05, 0.05]", "robot.torsion_t
 TABLE = ("two_link", *(part for each in POINTS for part in ("--set", each)))  # the second joint softens
 
 
-@pytest.mark.parametrize("springs", [HARD, TABLE], ids=["cubic", "table"])
+@pytest.mark.parametrize("springs", [HARD, pytest.param(TABLE, marks=pytest.mark.full)], ids=["cubic", "table"])
 def test_a_run_keeps_the_certificate_and_no_wiring_fault_is_seen(tmp_path: Path, springs: tuple[str, ...]) -> None:
     options = ("--lockstep", "--no-report", "--duration", "1.5", "--output", str(tmp_path))
     said = fjr_here("run", *springs, *NEAR, *options)

@@ -22,7 +22,7 @@ from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
 from system.bags import JOINT_STATE, STORE, joint_state, text_message
 from system.documented import documented_keys
-from system.executables import Executable, fjr_here, wait_for
+from system.executables import Start, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
 STATES, EFFORTS, MODEL = "/left/joint_states", "/left/joint_commands", "/left/robot_description"
@@ -42,39 +42,32 @@ def written(folder: Path, storage: StoragePlugin, count: int) -> Path:
     return folder
 
 
-def test_bag_without_metadata_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(tmp_path: Path) -> None:
+def test_bag_without_metadata_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(
+    start: Start, tmp_path: Path
+) -> None:
     bag = written(tmp_path / "bag", StoragePlugin.MCAP, LONG)
     (bag / "metadata.yaml").unlink()
+    numbers: list[int] = []
     with own_node("test_play") as node:
         subscription = node.create_subscription(JointState, STATES, lambda _: None, 1000)
-        command = Executable("fjr_bringup", "fjr", "play", str(bag))
-        try:
-            numbers = received(subscription, 5)
-            assert node.count_publishers(EFFORTS) == 0
-            late, texts = node.create_subscription(String, MODEL, lambda _: None, LATCHED), []
-            wait_for(lambda: bool(texts.append(late.handle.take_message(String, False)) or texts[-1]), "the text")
-            command.signal(signal.SIGINT)
-            code, said = command.end()
-        finally:
-            command.kill()
+        command = start("fjr", "play", str(bag))
+
+        def are_there() -> bool:
+            while (taken := subscription.handle.take_message(JointState, False)) is not None:
+                numbers.append(taken[0].header.stamp.sec)
+            return len(numbers) >= 5
+
+        wait_for(are_there, "messages")
+        assert node.count_publishers(EFFORTS) == 0
+        late, texts = node.create_subscription(String, MODEL, lambda _: None, LATCHED), []
+        wait_for(lambda: bool(texts.append(late.handle.take_message(String, False)) or texts[-1]), "the text")
+        command.signal(signal.SIGINT)
+        code, said = command.end()
     assert code == 0, said
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     assert texts[-1][0].data == "robot"  # latched: it was sent before the subscription
     assert f"{EFFORTS} not played: --efforts commands a robot" in said
     assert "stopped before the end of the bag" in said
-
-
-def received(subscription: object, count: int) -> list[int]:
-    """Return the seconds of the stamps of the first messages."""
-    found: list[int] = []
-
-    def are_there() -> bool:
-        while (taken := subscription.handle.take_message(JointState, False)) is not None:  # type: ignore[attr-defined]
-            found.append(taken[0].header.stamp.sec)
-        return len(found) >= count
-
-    wait_for(are_there, "messages")
-    return found
 
 
 def test_named_topics_and_efforts_are_played_to_the_end(tmp_path: Path) -> None:

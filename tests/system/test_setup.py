@@ -123,7 +123,7 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_changed_pin_changes_the_fingerprint_of_the_environment(checkout: Path) -> None:
+def test_a_changed_pin_changes_the_environment_and_what_colcon_reads_the_build(checkout: Path) -> None:
     environment = Environment(checkout, sourced_ros=False)
     before = environment.wanted("run")
     assert environment.wanted("run") == before
@@ -131,19 +131,15 @@ def test_a_changed_pin_changes_the_fingerprint_of_the_environment(checkout: Path
     constraints = checkout / "constraints.txt"
     constraints.write_text(constraints.read_text().replace("casadi==", "casadi==0."))
     assert environment.wanted("run") != before
-
-
-def test_only_what_colcon_reads_changes_the_fingerprint_of_the_build(checkout: Path) -> None:
-    workspace = Workspace(Environment(checkout, sourced_ros=False))
-    package = checkout / "ros2_ws" / "src" / "pack"
-    before = workspace.content()
+    workspace, package = Workspace(environment), checkout / "ros2_ws" / "src" / "pack"
+    built = workspace.content()
     (package / "module.py").write_text("# two\n")
     (package / "__pycache__").mkdir()
     (package / "__pycache__" / "module.pyc").write_text("")
-    assert workspace.content() == before
+    assert workspace.content() == built
     (package / "setup.py").write_text("# two\n")
     changed = workspace.content()
-    assert changed != before
+    assert changed != built
     (package / "added.yaml").write_text("")
     assert workspace.content() != changed
 

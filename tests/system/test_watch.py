@@ -13,7 +13,7 @@ import subprocess
 import termios
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from fcntl import ioctl
 from http.client import HTTPConnection
 from pathlib import Path
@@ -88,19 +88,6 @@ class Terminal:
             self._stream.feed(data)
 
 
-@pytest.fixture
-def terminal() -> Iterator[Callable[..., Terminal]]:
-    opened: list[Terminal] = []
-
-    def open_one(*arguments: str) -> Terminal:
-        opened.append(Terminal(*arguments))
-        return opened[-1]
-
-    yield open_one
-    for one in opened:
-        one.close()
-
-
 @pytest.fixture(scope="module")
 def loop() -> Iterator[dict[str, Executable]]:
     """A plant and a controller in the namespace left; the last test ends the plant."""
@@ -149,11 +136,11 @@ def view(*joints: dict[str, object]) -> dict[str, object]:
     return {"joints": list(joints), "silence": 0.0, "timing": None, "health": []}
 
 
-def test_missing_nodes_are_reported_until_ctrl_c(terminal: Callable[..., Terminal]) -> None:
-    watch = terminal("watch", "--remap", "joint_states:=/robot/states")
-    screen = watch.until(lambda text: "waiting for joint states" in text and "no publisher of" in text)
-    assert "/robot/states" in screen
-    assert watch.interrupt() == 0
+def test_missing_nodes_are_reported_until_ctrl_c() -> None:
+    with closing(Terminal("watch", "--remap", "joint_states:=/robot/states")) as watch:
+        screen = watch.until(lambda text: "waiting for joint states" in text and "no publisher of" in text)
+        assert "/robot/states" in screen
+        assert watch.interrupt() == 0
 
 
 def test_link_reference_and_motor_are_posed_by_the_view(page: BrowserPage, browser: Browser) -> None:
@@ -228,18 +215,17 @@ def test_the_arm_of_a_running_loop_moves_in_the_browser(browser: Browser) -> Non
         watch.communicate()
 
 
-def test_a_running_loop_is_on_the_screen_until_the_plant_ends(
-    loop: dict[str, Executable], terminal: Callable[..., Terminal]
-) -> None:
-    watch = terminal("watch", "two_link", "--namespace", "left")
+def test_a_running_loop_is_on_the_screen_until_the_plant_ends(loop: dict[str, Executable]) -> None:
     words = ("state to command", "ok    left/fjr_controller", "left/fjr_plant")
-    screen = watch.until(lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"})
-    assert np.all(np.abs(rows(screen)["elbow"]) < [2, 20, 1, 2])  # q_l, dq_l, deflection, error
-    assert "fjr watch left" in screen
-    before = screen
-    watch.until(lambda text: text != before and "elbow" in text)
-    loop["plant"].kill()
-    watch.until(lambda text: "no state for" in text)
-    assert watch.interrupt() == 0
+    with closing(Terminal("watch", "two_link", "--namespace", "left")) as watch:
+        before = watch.until(
+            lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"}
+        )
+        assert np.all(np.abs(rows(before)["elbow"]) < [2, 20, 1, 2])  # q_l, dq_l, deflection, error
+        assert "fjr watch left" in before
+        watch.until(lambda text: text != before and "elbow" in text)
+        loop["plant"].kill()
+        watch.until(lambda text: "no state for" in text)
+        assert watch.interrupt() == 0
     assert b"\x1b[?1049l" in watch.raw, "the terminal must be restored"
     assert b"Traceback" not in watch.raw

@@ -14,7 +14,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import fjr_core as fjr
-from bench.error_bound import Observed, largest_errors, on_reference
+from bench.error_bound import drawn, on_reference
+from bench.uncertain_robots import UncertainLoop
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
@@ -23,11 +24,13 @@ from fjr_design.baselines.feedback_linearisation import CompositeGains
 from fjr_design.batch import ClosedLoop, Draws
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.cells import cells_of
-from fjr_proofs.error_bound.deviation_model import FACTORS, DeviationModel
+from fjr_proofs.error_bound.deviation_model import DeviationModel
 from fjr_proofs.error_bound.search import TORQUES
 from fjr_proofs.error_bound.tube import steady_motion
+from fjr_proofs.error_bound.uncertain_robot import PARAMETERS, UncertainRobot
 
 T = 1e-3
+PLACE = (0.2, 0.0, 0.01)  # m, of a payload
 SWING = fjr.Sine(1.0, 1.0)
 STILL = fjr.Sine(0.0, 1.0)
 TWO_LINK_GAINS = fjr.Gains(
@@ -36,6 +39,9 @@ TWO_LINK_GAINS = fjr.Gains(
 TWO_LINK_SWING = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
 EACH_SECOND = fjr.Sine(0.3, 2 * np.pi)  # a period of 1000 samples
 TWO_LINK_EACH_SECOND = fjr.Sine([0.2, 0.3], 2 * np.pi, [0.3, 0.0])
+
+
+FACTORS = [name for name, parameter in PARAMETERS.items() if not parameter.unit]
 
 
 def joint(gravity: float = 0.8) -> fjr.TrackingLaw:
@@ -55,30 +61,42 @@ CASES = [
     (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
     (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
     (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
+    (joint, SWING, T, {"payload_mass": 0.1, "payload_position": 0.02, "gravity_direction": 0.05, "link_inertia": 0.2}),
+    (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.1, 0.1], "stiffness": [0.05, 0.02]}),
 ]
 """A joint and two links, samples beside the period and on it, delays below and above a sample."""
 MORE = [
     (joint, SWING, 0.0, {}),
-    (joint, SWING, T, {"payload": 0.2}),
+    (joint, SWING, T, {"payload": 0.2, "link_damping": 0.3, "motor_damping": 0.3, "gravity": 0.05}),
     (two_link, TWO_LINK_SWING, T, {}),
     (joint, EACH_SECOND, 0.0, {"payload": 0.2}),
     (two_link, TWO_LINK_EACH_SECOND, T, {"payload": 0.1}),
+    (two_link, TWO_LINK_SWING, T, {"payload_mass": 0.1, "link_mass": 0.05, "motor_inertia": [0.1, 0.0]}),
 ]
+
+
+def class_of(
+    law: fjr.TrackingLaw, reference: Reference, delay: float, errors: dict[str, Any], duration: float = 4.0
+) -> UncertainLoop:
+    return UncertainLoop(law, reference, T, delay, errors, 1.0, duration, PLACE)
 
 
 @pytest.mark.parametrize(
     ("law", "reference", "delay", "errors"),
     [*CASES, *(pytest.param(*case, marks=pytest.mark.full) for case in MORE)],
 )
-def test_no_run_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_as_large(
+def test_no_robot_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_as_large(
     law, reference, delay, errors
 ) -> None:
     made = law()
-    bound = bound_errors(made, reference, T, delay, errors)
-    runs = 40 if errors else 1
-    seen = largest_errors(made, reference, (T, delay), errors, runs, Observed(1.0, 4.0)).max(axis=0)
+    bound = bound_errors(made, reference, T, delay, errors, payload_position=PLACE)
+    loop = class_of(made, reference, delay, errors)
+    steady, whole = drawn(loop, 40 if errors else 1)
+    found = loop.worst(0, 3, bound.position) if errors else steady.max(axis=0)
+    seen = np.maximum(steady.max(axis=0), found)
     assert bound.proven
     assert np.all(seen <= bound.position)
+    assert np.all(whole.max(axis=0) <= bound.from_start)
     assert np.all(bound.position <= bound.from_start)
     assert np.all(bound.position <= 2.1 * seen)
 
@@ -89,8 +107,7 @@ def test_runs_of_seven_joints_stay_within_the_proven_bound(errors: dict[str, flo
     made = load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
     law = fjr.TrackingLaw(made.robot, made.gains, compile=True)
     bound = bound_errors(law, made.reference, T, T, errors, prove=True)
-    runs = 50 if errors else 1
-    seen = largest_errors(law, made.reference, (T, T), errors, runs, Observed(1.0, 3.0)).max(axis=0)
+    seen = drawn(class_of(law, made.reference, T, errors, 3.0), 50 if errors else 1)[0].max(axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert largest_storage(law, made.reference, errors.get("payload", 0.0)) <= bound.storage
@@ -125,8 +142,9 @@ def test_a_law_without_storage_has_no_bound_of_V() -> None:
 
 def test_the_centre_of_a_tube_is_the_steady_motion_of_the_simulated_late_loop() -> None:
     law, payload = joint(), 1.2
-    factors = np.where(np.array(FACTORS) == "payload", payload, 1.0)
-    centre = steady_motion(DeviationModel(law), cells_of(SWING, T, verified=True, most=100), factors, T)
+    model, heaviest = DeviationModel(law, UncertainRobot(law.robot, {"payload": payload - 1})), np.array([-1.0])
+    assert model.uncertain.of_joints("payload", heaviest) == pytest.approx(payload)
+    centre = steady_motion(model, cells_of(SWING, T, verified=True, most=100), heaviest, T)
     loop = ClosedLoop(law.robot, law, SWING, on_reference(law.robot, SWING), 4.0, T)
     _, run = loop.recorded(Draws(1, link_inertia=payload, gravity=payload, delay=T))
     settled = run.t > 2.0
@@ -208,7 +226,7 @@ def test_a_robot_of_another_weight_rests_within_its_bound(factor: float) -> None
 
 def test_delay_and_every_error_enlarge_the_bound() -> None:
     assert paper(0.0).position < paper(T).position
-    for name in (*FACTORS, *TORQUES):
+    for name in {*PARAMETERS, *TORQUES} - {"payload_position", "link_inertia"}:
         assert paper(T, **{name: 0.05}).position > paper(T).position, name
 
 
@@ -273,6 +291,8 @@ def test_a_reference_that_ends_is_bounded_from_samples() -> None:
         ((SWING, T, -T), "expected"),
         ((SWING, T, 0.0, {"payloads": 0.1}), "error 'payloads' is unknown; expected some of payload, "),
         ((SWING, T, 0.0, {"payload": -0.1}), "error 'payload' is -0.1; expected 0 to 0.9"),
+        ((SWING, T, 0.0, {"stiffness": [0.1, 0.1]}), r"error 'stiffness' has shape \(2,\); expected one number or 1"),
+        ((SWING, T, 0.0, {"payload_position": 0.1}), "error 'payload_position' is given alone; expected one with"),
         ((SWING, T, 0.0, {"stiffness": 1.5}), "error 'stiffness' is 1.5; expected 0 to 0.9"),
         ((SWING, T, 0.0, {"link_torque": np.nan}), "error 'link_torque' is nan; expected 0 to inf"),
         ((fjr.Sine(0.5, 0.01), T), "neither a common period nor an end within 60 s"),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, ParameterError
@@ -19,18 +20,9 @@ from fjr_msgs_py.console.output import progress_bar
 
 from .error_bound.contraction import SampledContraction, sampled_contraction
 from .error_bound.search import SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
+from .error_bound.uncertain_robot import PARAMETERS
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
-COMMON = {
-    "payload": "link masses and inertias",
-    "link_inertia": "link inertias",
-    "gravity": "link weights",
-    "stiffness": "joint stiffnesses",
-    "motor_inertia": "motor inertias",
-    "link_damping": "link dampings",
-    "motor_damping": "motor dampings",
-}
-"""What one relative error multiplies."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +35,7 @@ class ProofRows:
 
 
 def errors_bounded(
-    scenario: Scenario, errors: Mapping[str, float], delay: float | None, prove: bool | None = None
+    scenario: Scenario, errors: Mapping[str, ArrayLike], delay: float | None, prove: bool | None = None
 ) -> ProofRows:
     """Return the bound for model errors and a delay [samples], by default that of the scenario.
 
@@ -66,11 +58,11 @@ def errors_bounded(
     late = scenario.loop_delay if delay is None else delay * period
     loop = scenario.law, scenario.reference, period, late, errors
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
-        bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove)
+        bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove, payload_position(scenario))
     tried = prove or scenario.robot.n <= SECONDS_TO_PROVE
     hint = "no proof was found" if tried else "--prove-error tries a proof"
     values = {
-        "errors": dict(bound.errors),
+        "errors": {name: np.asarray(size).tolist() for name, size in bound.errors.items()},
         "delay_samples": bound.delay / bound.sample_period,
         "position": _by_joint(scenario, bound.position),
         "from_start": _by_joint(scenario, bound.from_start),
@@ -79,6 +71,11 @@ def errors_bounded(
         "parts": bound.parts,
     }
     return ProofRows({"error bound": _sentence(scenario, bound, hint)}, values)
+
+
+def payload_position(scenario: Scenario) -> Array:
+    """Return the place (3,) [m] of a payload of the plant, in the frame of the last link."""
+    return np.broadcast_to(scenario.plant_values["imperfections.payload_position"], 3)
 
 
 def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
@@ -100,10 +97,13 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     return f"|q_l - q_ld| at most {largest}{storage} {when} along this reference, with {conditions}; {basis}"
 
 
-def _error(name: str, size: float) -> str:
+def _error(name: str, size: ArrayLike) -> str:
+    unit = "N m" if name in TORQUES else PARAMETERS[name].unit
+    sizes = " and ".join(f"{value if unit else 100 * value:g}" for value in np.atleast_1d(size))
     if name in TORQUES:
-        return f"{name.replace('_', ' ')}s of up to {size:g} N m"
-    return f"all {COMMON[name]} off by one common factor of up to {100 * size:g} %"
+        return f"{name.replace('_', ' ')}s of up to {sizes} {unit}"
+    amount = "one common factor of up to" if name == "payload" else "up to"
+    return f"{PARAMETERS[name].of} off by {amount} {sizes} {unit or '%'}"
 
 
 def _by_joint(scenario: Scenario, sizes: Array) -> dict[str, float | None]:

@@ -163,7 +163,7 @@ class ChainAt:
 
     def gravity_torque(self) -> ca.SX:
         """Return grad P_l: minus the moment of the composite weight about joint i, or minus the weight along it."""
-        torques, gravity = [], ca.SX(ca.DM(self.gravity))
+        torques, gravity = [], ca.SX(self.gravity)
         for body, frame, composite in zip(self.bodies, self.frames, self.composites, strict=True):
             gravity = frame.R.T @ gravity
             pull = composite.m * gravity if body.prismatic else ca.cross(composite.h, gravity)

@@ -48,6 +48,8 @@ from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured
 CONTINUOUS = "in continuous time"
+ModelError = float | list[float]
+"""Largest error of a parameter, or of each joint."""
 OTHER_PLANT = "not proven here, the plant is not the law's model"
 
 
@@ -65,7 +67,7 @@ def check_scenario(
     assignments: Sequence[str],
     certificate: Path | None = None,
     seconds: float = 120.0,
-    errors: Sequence[tuple[str, float]] = (),
+    errors: Sequence[tuple[str, ModelError]] = (),
     prove_error: bool = False,
     prove_sampled: bool = False,
     delay: float | None = None,
@@ -100,7 +102,7 @@ def check_scenario(
     return Result(text, values, Exit.FAILED if failed else Exit.DONE)
 
 
-def _once(errors: Sequence[tuple[str, float]]) -> dict[str, float]:
+def _once(errors: Sequence[tuple[str, ModelError]]) -> dict[str, ModelError]:
     """Return the errors by name; raise ParameterError for one that is given twice."""
     for name, count in Counter(name for name, _ in errors).items():
         if count > 1:

@@ -98,9 +98,11 @@ def check(**given: Any) -> Any:
     """Check rates, stability and margins before a run.
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error, --delay or
-    --prove-error a bound of the tracking error along the reference is computed. Relative errors: payload (inertia and
-    weight of the links), link_inertia, gravity, stiffness, motor_inertia, link_damping, motor_damping; in N m:
-    link_torque, motor_torque.
+    --prove-error a bound of the tracking error along the reference is computed. Relative errors, of each joint by
+    itself or a list of them: link_mass, link_inertia, stiffness, motor_inertia, link_damping, motor_damping; of all
+    together: payload (mass and inertia of the links), gravity. payload=1.4kg is a mass at the last link, up to
+    payload_position [m] beside imperfections.payload_position; gravity_direction is in rad, link_torque and
+    motor_torque are in N m.
     """
     return implementation("fjr_design.cli.check").check_scenario(**given)
 

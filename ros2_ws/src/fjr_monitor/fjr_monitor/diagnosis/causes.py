@@ -259,7 +259,8 @@ class CausePropagation:
         self._done += count
         causes, measured = made[:, :-1], found.tracking[:count]
         values = causes, made[:, -1], measured - causes.sum(axis=1), measured
-        return CauseErrors(*(np.abs(blocks_of(each)).max(axis=1) for each in values))
+        peaks, noise, *rest = (np.abs(blocks_of(each)).max(axis=1) for each in values)
+        return CauseErrors(peaks, np.minimum(noise, peaks[:, 0]), *rest)
 
 
 def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:

@@ -136,7 +136,8 @@ class BlockStatistics:
         if not (beyond | unforeseen).any():
             return None
         worst = int(np.argmax(np.where(beyond | unforeseen, measured / tolerance, 0.0)))
-        largest = self._settled[:, worst] / self._settled[:, worst].sum()
+        possible = self._settled[: len(PARTS if beyond.any() else CAUSES), worst]
+        largest = possible / possible.sum()
         causes = tuple(PARTS[i] for i in np.argsort(-largest, kind="stable") if largest[i] >= thresholds.CAUSE_SHARE)
         errors = dict(zip(PARTS, self._settled, strict=True))
         size, why = detail(causes, errors, self._axes), explained(causes)

@@ -66,8 +66,10 @@ HALF_WAY = 0.3
 """Share of the residual that a change of the measured torque within the interval must explain to be accepted."""
 NO_WORSE = 1.1
 """Accept the measured torque if its residual is at most this multiple of that of the best delay."""
-OLDEST = 6
+OLDEST = 24
 """Largest delay searched, in samples."""
+MOST_LOST = 6
+"""Samples beyond the delay by which an acting effort may be older because others were lost."""
 SAME_OLDER = 0.1
 """The acting torque is an older effort if its distance is at most this fraction of that from the newest."""
 MIXED = 0.02

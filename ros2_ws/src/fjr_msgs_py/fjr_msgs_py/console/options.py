@@ -47,10 +47,14 @@ def cores(text: str) -> int:
     return integer("a number of cores", "1 or more, or all", 1, 1024)(text)
 
 
-def model_error(text: str) -> tuple[str, float]:
-    """Convert NAME=VALUE, the largest error of a parameter."""
+def model_error(text: str) -> tuple[str, float | list[float]]:
+    """Convert NAME=VALUE, the largest error of a parameter, or of each joint; payload=1.4kg is payload_mass=1.4."""
     name, _, value = text.partition("=")
-    return name, number("an error", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)(value)
+    if name == "payload" and value.endswith("kg"):
+        name, value = "payload_mass", value.removesuffix("kg")
+    convert = number("an error", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)
+    first, *others = map(convert, value.split(","))
+    return name, [first, *others] if others else first
 
 
 def remap(text: str) -> str:

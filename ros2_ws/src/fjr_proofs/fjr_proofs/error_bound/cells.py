@@ -46,6 +46,10 @@ class CellTimes(NamedTuple):
         """True if the window is a sampling instant."""
         return self.radius <= SLIP
 
+    def of(self, cells: Indices) -> CellTimes:
+        """Return the windows of the selected cells."""
+        return CellTimes(self.middle[cells], self.radius)
+
 
 class Cells:
     """c cells of `samples` sample periods each, that cover a reference: a period of it, or all of it.
@@ -91,6 +95,20 @@ class Cells:
         mean = self.reach + blocks * self.drift + self.sample_period / 2
         radius = mean + (whole + 1) * self.sample_period / 2 if self.verified else mean
         return CellTimes(self.sampled - whole * self.sample_period / 2, radius), mean / radius
+
+    def beside(self, blocks: int) -> range:
+        """Return the cells, relative to one, in which the samples of its windows lie."""
+        return range(1)
+
+    def sampled_beside(self, blocks: int) -> tuple[int, range]:
+        """Return a sample of each cell, counted from its start, and others in the windows of it, relative to that.
+
+        The samples are counted from time 0 on, over at most as many blocks.
+        """
+        slip = int(np.ceil(2 * blocks * self.drift / self.sample_period))
+        middle = self.samples // 2 + 1
+        reach = self.samples + middle + slip
+        return middle, range(-reach, reach + 1)
 
     @property
     def verifiable(self) -> bool:
@@ -140,6 +158,14 @@ class AlignedCells(Cells):
         self.sampled = self.middle - hold
         self.radius, self.reach = SLIP + hold, SLIP
 
+    def beside(self, blocks: int) -> range:
+        """Return the cell at whose start the window ends, too."""
+        return range(2)
+
+    def sampled_beside(self, blocks: int) -> tuple[int, range]:
+        """Return the start of the cell, and its end."""
+        return 0, range(2)
+
 
 class DriftingCells(Cells):
     """Verified cells of any period; a sample that ends a cell is anywhere in it.
@@ -155,6 +181,12 @@ class DriftingCells(Cells):
         self.middle = self.sampled = self.starts + (self.length + (3 - samples) * T) / 2
         self.radius = self.reach = self.length / 2 + (samples + 1) * T / 2
         self.drift = abs(self.length - samples * T)
+
+    def beside(self, blocks: int) -> range:
+        """Return the cells in which the nearest sample of any time of the windows lies."""
+        reach = (self.samples + 2) * self.sample_period + blocks * self.drift
+        most = int(np.ceil(reach / self.length))
+        return range(-most, most + 1)
 
 
 class SampledCells(Cells):

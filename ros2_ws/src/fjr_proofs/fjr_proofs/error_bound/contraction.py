@@ -11,8 +11,8 @@ exist only if the mismatch makes no Y grow, so that |y| <= c exp(-rate t).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -23,11 +23,11 @@ from fjr_core.motions.sine import Sines
 from fjr_core.numerics.checks import Array, kind_of, positive
 from fjr_core.numerics.one_line import one_line
 
-from .deviation_model import FACTORS
-from .enclosures import Ranges
-from .linear_loop import Response, transient
+from .deviation_model import DeviationModel
+from .enclosures import Mismatch, Ranges
+from .linear_loop import Response, course
 from .search import Search
-from .tube import DeviationBounds, TubeProblem, fixed_point
+from .tube import DeviationBounds, Known, TubeProblem, fixed_point
 
 SHARES = (0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
 """Rates near the reference that are tried, as shares of that of the linear loop."""
@@ -80,11 +80,11 @@ def sampled_contraction(
         raise StateError(f"delay is {delays[0]:g} to {delays[1]:g} samples; expected within 0 and 1")
     if not isinstance(reference, Sines):
         raise TrajectoryError(f"reference is {kind_of(reference)}; expected sines, whose derivatives are enclosed")
-    n, middle, one = law.robot.n, sample_period * (delays[0] + delays[1]) / 2, np.ones(len(FACTORS))
+    n, middle, none = law.robot.n, sample_period * (delays[0] + delays[1]) / 2, np.zeros(0)
     late = sample_period * (delays[1] - delays[0]) / 2
-    search = Search(law, reference, sample_period, middle, np.zeros(2 * n), verified=True, late=late)
-    linear = search.linear(one)
-    problem = search.problem(linear, one, one)
+    search = Search(DeviationModel(law), reference, sample_period, middle, np.zeros(2 * n), verified=True, late=late)
+    linear = search.linear(none)
+    problem = search.problem(linear, none, none)
     if problem is None:
         return None
     fastest = float(-np.log(linear.spectral_radius) / sample_period)
@@ -135,7 +135,7 @@ class Pairs:
         on_progress(1.0)
         tube, linear = self.approach(size), self.problem.linear
         assert tube is not None
-        final = self.problem.in_joints(self.problem.shrunk(tube))[: linear.n]
+        final = self.problem.steady.positions_and_velocities(self.problem.shrunk(tube))[: linear.n]
         S, n = linear.coordinates, linear.n
         start = np.abs(S.S_inverse[:n]) @ self._shape
         start *= np.min(self._shape[:n] / (np.abs(S.S[:n, :n]) @ start))  # all joints together within the modal box
@@ -145,20 +145,28 @@ class Pairs:
     def approach(self, size: float) -> DeviationBounds | None:
         """Return the tube of starts with link errors up to a size [rad, m], if motions in it approach each other."""
         try:
-            tube = self.problem.grown(self.problem.started.plus(self._decay, size))
-            return tube if tube is not None and self._approach_in(tube) else None
+            started = [replace(known, rest=known.rest.plus(self._decay, size)) for known in self.problem.started]
+            tube = self.problem.grown(*started)
+            return tube if tube is not None and self._approach_in(tube, started) else None
         except ZeroDivisionError:  # a divisor may be zero: the tube is too wide
             return None
 
-    def _approach_in(self, tube: DeviationBounds) -> bool:
+    def _approach_in(self, tube: DeviationBounds, started: list[Known]) -> bool:
         linear = self.problem.linear
         acceleration = np.abs(linear.coordinates.acceleration) @ tube.acceleration
         small = np.full((5 if linear.late else 4) * linear.n, SMALL)
-        mismatch = self.ranges.mismatch(tube.z, small, self.problem.lines, acceleration)
-        if mismatch is None:
-            return False
+        found: list[Mismatch] = []
+        for known in started:
+            ranges = Ranges(linear, self.ranges.low, self.ranges.high, self.ranges.blocks, known.ranges.at)
+            mismatch = ranges.mismatch(tube.z, small, known.lines, known.accelerations, acceleration)
+            if mismatch is None:
+                return False
+            found.append(mismatch)
         oldest = linear.delay + 2 * linear.sample_period  # of what acts, before the nearest sample
-        return fixed_point(linear, self.gains, mismatch, aged=float(np.exp(self.rate * oldest))) is not None
+        return (
+            fixed_point(linear, self.gains, reduce(Mismatch.most, found), aged=float(np.exp(self.rate * oldest)))
+            is not None
+        )
 
     @cached_property
     def _shape(self) -> Array:
@@ -170,7 +178,9 @@ class Pairs:
     @cached_property
     def _decay(self) -> Response:
         """Response to the start: each deviation, and each effort in transit, that of the law, with either sign."""
-        linear, states = self.problem.linear, len(self.problem.known.Z[0])
+        linear, states = self.problem.linear, len(self.problem.steady.whole.Z[0])
         efforts = np.abs(linear.law).max(axis=0) @ self._shape
         transit = np.tile(efforts, (states - 4 * linear.n) // linear.n)
-        return transient(linear, np.diag(np.append(self._shape, transit)), self.problem.ranges.blocks)
+        cells = np.arange(self.problem.ranges.blocks) % linear.centre.cells.count
+        decay = course(linear, np.diag(np.append(self._shape, transit)), cells)
+        return decay._replace(remaining=np.abs(decay.Z).sum(axis=2).max(axis=0))

@@ -2,13 +2,13 @@
 """Equations of the deviation z of the robot from a centre motion, the exact motion of a robot with other parameters.
 
     z = (q_l - q_lc, zeta - zeta_c, dq_l - dq_lc, dq_m - dq_mc),   zeta = q_m - q_l
-    M_l(q_l) dz_3 = h(z) = (f_K K zeta - f_D D_l dq_l) / (p f_M) - C dq_l - f_g / f_M grad P_l - M_l(q_l) ddq_lc
-    M_m dz_4      = (B_m u - f_K K zeta - f_Dm D_m dq_m) / f_Mm - M_m ddq_mc
+    M_f(q_l) dz_3 = h_l = (K_f zeta - D_lf dq_l) / p_f - C_f dq_l - grad P_f - M_f(q_l) ddq_lc
+    M_m dz_4      = h_m = M_m M_mf^-1 (B_m u - K_f zeta - D_mf dq_m) - M_m ddq_mc
 
-The centre motion (index c) solves the equations of a robot with the factors c: its links move along q_lc(t), which
-determines the springs, the motors and the effort u_c(t). The factors of the true robot are f (`FACTORS`); p multiplies
-inertia and weight of the links together. At z = 0, h is the torque error d_l of the links, which vanishes for f = c;
-likewise d_m of the motors. The law answers the centre motion by u_c + e_c, with the defect e_c.
+Index f: of the true robot, whose uncertain parameters have the shares f (`UncertainRobot`). The centre motion (index c)
+solves the equations of a robot with the shares c: its links move along q_lc(t), which determines the springs, the
+motors and the effort u_c(t). h vanishes at z = 0, f = c and u = u_c. The law answers the centre motion by u_c + e_c,
+with the defect e_c.
 
 q_lc is the reference plus a Fourier series, a sum of sines with its period. The defect is small if the series is that
 of the steady motion, which `tube.steady_motion` finds. A bound holds for any series; a better one makes it smaller.
@@ -32,17 +32,8 @@ from fjr_core.numerics.symbolic import directional, sparse
 
 from .cells import DERIVATIVES, Cells, cycles
 from .peak_gains import ROUNDING
+from .uncertain_robot import UncertainRobot
 
-FACTORS = (
-    "payload",
-    "link_inertia",
-    "gravity",
-    "stiffness",
-    "motor_inertia",
-    "link_damping",
-    "motor_damping",
-)
-"""Factors of the true robot on the parameters of the model, 1 without an error."""
 HARMONICS = 6
 """Highest harmonic of the series, relative to the highest frequency of the reference."""
 POINTS = 8
@@ -52,7 +43,7 @@ NEGLIGIBLE = 1e-6  # of the largest coefficient
 
 @dataclass(frozen=True, eq=False)
 class CentreMotion:
-    """Motion of the links along the reference of `cells` plus a Fourier series, of a robot with `factors` (7,).
+    """Motion of the links along the reference of `cells` plus a Fourier series, of a robot with shares `factors` (u,).
 
     series (k + 1, n) complex: q_lc - q_ld = sum of Re(series[i] exp(j i w t)), w the base frequency of the period.
     """
@@ -122,75 +113,67 @@ def _rows(series: Array, base: float) -> tuple[Array, Array, Array]:
 class DeviationModel:
     """CasADi functions of the deviation under a static law and its robot; n joints.
 
-    Arguments: path (n, 6) q_lc .. d5q_lc of the centre motion, jets (n, 6) q_ld .. d5q_ld of the reference, z (4n,),
-    c and f (7,) factors of the centre motion and of the robot. Raises ParameterError for springs that harden.
+    Arguments: path (n, 6) q_lc .. d5q_lc of the centre motion, motors (n, 3) its zeta, dq_m and ddq_m, jets (n, 6) q_ld
+    .. d5q_ld of the reference, z (4n,), c and f (u,) shares of the centre motion and of the robot. Raises
+    ParameterError for springs that harden.
     """
 
-    def __init__(self, law: StaticLaw) -> None:
+    def __init__(self, law: StaticLaw, uncertain: UncertainRobot | None = None) -> None:
         if law.robot.curve:
             raise ParameterError(
                 f"the robot has a {law.robot.curve}; expected straight springs for a proof of the sampled loop"
             )
         self.law, self.robot, self.n = law, law.robot, law.robot.n
+        self.uncertain = uncertain or UncertainRobot(law.robot)
         self._path, self._jets = (ca.SX.sym(name, self.n, DERIVATIVES) for name in ("path", "jets"))
-        self._z, (self._c, self._f) = ca.SX.sym("z", 4 * self.n), (ca.SX.sym(name, len(FACTORS)) for name in "cf")
+        self._motors, self._z = ca.SX.sym("motors", self.n, 3), ca.SX.sym("z", 4 * self.n)
+        self._c, self._f = (ca.SX.sym(name, self.uncertain.count) for name in "cf")
 
     @cached_property
-    def torque_terms(self) -> ca.Function:
-        """(path, c) -> terms T (2n, 6) [N m] of the torque errors (d_l, d_m) = T a(f)."""
-        robot = self.robot
-        motors = sparse(robot.M_m) @ self._centre.ddtheta, sparse(robot.D_m) @ self._centre.dtheta, self._centre.tau
-        terms = ca.diagcat(ca.horzcat(*self._link_torques), ca.horzcat(*motors))
-        return self._function("torque_terms", "path c", terms)
-
-    @cached_property
-    def coefficients(self) -> ca.Function:
-        """(c, f) -> derivatives (6, 7) of the coefficients a(f) of the torque terms with respect to f; a(c) = 0."""
-        p, f_M, f_g, f_K, f_Mm, f_D, f_Dm = ca.vertsplit(self._f)
-        c_p, c_M, c_g, c_K, c_Mm, c_D, c_Dm = ca.vertsplit(self._c)
-        inertial, friction = c_p * c_M * f_K / c_K / (p * f_M) - 1, (c_D * f_K / c_K - f_D) / (p * f_M)
-        weight = (c_p * c_g * f_K / c_K / p - f_g) / f_M
-        motors = (c_Mm - f_Mm) / f_Mm, (c_Dm - f_Dm) / f_Mm, (1 - f_K / c_K) / f_Mm
-        derivatives = ca.jacobian(ca.vertcat(inertial, friction, weight, *motors), self._f)
-        return self._function("coefficients", "c f", derivatives)
+    def motors(self) -> ca.Function:
+        """(path, c) -> springs zeta, and dq_m, ddq_m of the centre motion (n, 3)."""
+        return self._function("motors", "path c", self._motors_of_path)
 
     @cached_property
     def defect(self) -> ca.Function:
         """(path, jets, c) -> defect e_c of the law (n,) [N m], and the rate of B_m u_c (n,) [N m/s]."""
         torque = self._centre.torque
-        e = self._answer(ca.DM.zeros(4 * self.n))[0] - ca.DM(np.linalg.inv(self.robot.B_m)) @ torque
+        e = ca.substitute(self._answer(ca.DM.zeros(4 * self.n))[0], self._motors, self._motors_of_path)
+        e -= ca.DM(np.linalg.inv(self.robot.B_m)) @ torque
         return self._function("defect", "path jets c", e, self._rate(torque))
 
     @cached_property
     def states(self) -> ca.Function:
         """(path, c) -> state of the centre motion: q_l, zeta, dq_l and dq_m (4n,), and the effort u_c (n,)."""
         effort = ca.DM(np.linalg.inv(self.robot.B_m)) @ self._centre.torque
-        state = ca.vertcat(*self._moving(ca.DM.zeros(4 * self.n)))
+        state = ca.substitute(ca.vertcat(*self._moving(ca.DM.zeros(4 * self.n))), self._motors, self._motors_of_path)
         return self._function("states", "path c", state, effort)
 
     @cached_property
-    def link_slope(self) -> ca.Function:
-        """(path, z, c, f) -> dh/dz (n, 4n), M_l(q_l) (n, n)."""
-        p, f_M, f_g, f_K, _, f_D, _ = ca.vertsplit(self._f)
-        robot, (q_l, zeta, dq_l, _) = self.robot, self._moving(self._z)
-        spring, friction = f_K * (sparse(robot.K) @ zeta), f_D * (sparse(robot.D_l) @ dq_l)
-        h = (spring - friction) / (p * f_M) - f_g / f_M * robot.links.grad_P_l(q_l)
-        h -= robot.links.inertial_torque(q_l, dq_l, dq_l, self._path[:, 2])
-        results = ca.jacobian(h, self._z), robot.links.M_l(q_l)
-        return self._function("link_slope", "path z c f", *results)
+    def slopes(self) -> ca.Function:
+        """(path, motors, z, c, f) -> d(h_l, h_m, h_s) / d(z, f) (3n, 4n + u) for u = u_c, and M_f(q_l) (n, n).
 
-    @cached_property
-    def motor_slope(self) -> ca.Function:
-        """(f) -> slope (n, 4n) of M_m dz_4 in z, and B_m / f_Mm (n, n)."""
-        _, _, _, f_K, f_Mm, _, f_Dm = ca.vertsplit(self._f)
-        zero = ca.SX(self.n, self.n)
-        slope = ca.horzcat(zero, -f_K / f_Mm * self.robot.K, zero, -f_Dm / f_Mm * self.robot.D_m)
-        return self._function("motor_slope", "f", slope, self.robot.B_m / f_Mm)
+        h_s is what the springs pull more than those of the centre motion would; h_l and h_m are without it.
+        """
+        robot, (q_l, zeta, dq_l, dq_m) = self.uncertain, self._moving(self._z)
+        K, D_m = (robot.matrix(name, self._f) for name in ("stiffness", "motor_damping"))
+        force = K @ zeta - robot.matrix("link_damping", self._f) @ dq_l
+        torque, inertia = robot.links(q_l, dq_l, self._path[:, 2], self._f)
+        h_l = force / robot.factor("payload", self._f) - torque
+        h_s = (K - robot.matrix("stiffness", self._c)) @ zeta
+        names = ("stiffness", "motor_inertia", "motor_damping")
+        torque = ca.horzcat(*(robot.matrix(name, self._c) for name in names)) @ ca.vec(self._motors[:, [0, 2, 1]])
+        h_m = (torque - K @ zeta - D_m @ dq_m) / robot.factor("motor_inertia", self._f)
+        h_m -= sparse(self.robot.M_m) @ self._motors[:, 2]
+        h_l -= h_s / robot.factor("payload", self._c)
+        h_m += h_s / robot.factor("motor_inertia", self._c)
+        slopes = ca.jacobian(ca.vertcat(h_l, h_m, h_s), ca.vertcat(self._z, self._f))
+        return self._function("slopes", "path motors z c f", slopes, inertia)
 
     @cached_property
     def law_slope(self) -> ca.Function:
-        """(path, jets, z, c) -> du/dz (n, 4n) of the law."""
-        return self._function("law_slope", "path jets z c", ca.jacobian(self._answer(self._z)[0], self._z))
+        """(path, motors, jets, z) -> du/dz (n, 4n) of the law."""
+        return self._function("law_slope", "path motors jets z", ca.jacobian(self._answer(self._z)[0], self._z))
 
     @cached_property
     def has_storage(self) -> bool:
@@ -200,15 +183,15 @@ class DeviationModel:
 
     @cached_property
     def storage(self) -> ca.Function:
-        """(path, jets, z, c) -> V [J] of the law."""
+        """(path, motors, jets, z) -> V [J] of the law."""
         _, V = self._answer(self._z)
-        return self._function("storage", "path jets z c", V)
+        return self._function("storage", "path motors jets z", V)
 
     @cached_property
     def storage_slope(self) -> ca.Function:
-        """(path, jets, z, c) -> V [J] and dV/dz (4n,)."""
+        """(path, motors, jets, z) -> V [J] and dV/dz (4n,)."""
         _, V = self._answer(self._z)
-        return self._function("storage_slope", "path jets z c", V, ca.gradient(V, self._z))
+        return self._function("storage_slope", "path motors jets z", V, ca.gradient(V, self._z))
 
     def _answer(self, z: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the effort (n,) of the law and its storage V at the deviation z."""
@@ -219,28 +202,26 @@ class DeviationModel:
 
     def _moving(self, z: ca.SX) -> list[ca.SX]:
         """Return q_l, zeta, dq_l and dq_m (n,) at the deviation z."""
-        zeta = sparse(np.linalg.inv(self.robot.K)) @ self._centre.tau / self._c[FACTORS.index("stiffness")]
-        centre = ca.vertcat(self._path[:, 0], zeta, self._path[:, 1], self._centre.dtheta)
+        centre = ca.vertcat(self._path[:, 0], self._motors[:, 0], self._path[:, 1], self._motors[:, 1])
         return ca.vertsplit(centre + z, self.n)
 
     @cached_property
-    def _link_torques(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Inertial torque, friction and weight (n,) [N m] of the model along the centre motion."""
-        q, dq, ddq = (self._path[:, i] for i in range(3))
-        links = self.robot.links
-        return links.inertial_torque(q, dq, dq, ddq), sparse(self.robot.D_l) @ dq, links.grad_P_l(q)
+    def _motors_of_path(self) -> ca.SX:
+        """Springs zeta, and dq_m, ddq_m (n, 3) of the centre motion."""
+        centre = self._centre
+        return ca.horzcat(centre.theta - self._path[:, 0], centre.dtheta, centre.ddtheta)
 
     @cached_property
     def _centre(self) -> MotorMotion:
-        """Spring torque, motor motion and motor torque B_m u_c of the robot with the factors c."""
-        robot, (c_p, c_M, c_g, c_K, c_Mm, c_D, c_Dm) = self.robot, ca.vertsplit(self._c)
-        inertial, friction, weight = self._link_torques
-        tau = c_p * c_M * inertial + c_D * friction + c_p * c_g * weight
-        q_m = self._path[:, 0] + sparse(np.linalg.inv(robot.K)) @ tau / c_K
+        """Spring torque, motor motion and motor torque B_m u_c of the robot with the shares c."""
+        robot, (q, dq, ddq) = self.uncertain, (self._path[:, i] for i in range(3))
+        torque = robot.factor("payload", self._c) * robot.links(q, dq, ddq, self._c)[0]
+        tau = torque + robot.matrix("link_damping", self._c) @ dq
+        q_m = q + sparse(np.linalg.inv(self.robot.K)) @ (tau / robot.factor("stiffness", self._c))
         dq_m = self._rate(q_m)
         ddq_m = self._rate(dq_m)
-        torque = c_Mm * (sparse(robot.M_m) @ ddq_m) + c_Dm * (sparse(robot.D_m) @ dq_m) + tau
-        return MotorMotion(tau, q_m, dq_m, ddq_m, torque)
+        M_m, D_m = (robot.matrix(name, self._c) for name in ("motor_inertia", "motor_damping"))
+        return MotorMotion(tau, q_m, dq_m, ddq_m, M_m @ ddq_m + D_m @ dq_m + tau)
 
     def _rate(self, e: ca.SX) -> ca.SX:
         """Return de/dt along path and reference; e must not depend on their fifth derivatives."""

@@ -5,18 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
 
 from fjr_core.errors import StateError
+from fjr_core.law.linearized import Indices
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import split
 
 from ..verification.taylor_models import Shape, TaylorModels, taylor_function
 from .cells import CellTimes
-from .deviation_model import FACTORS
 from .linear_loop import KnownErrors, LinearLoop
 from .peak_gains import ROUNDING, columnwise
 
@@ -26,7 +27,6 @@ INSTANTS = (-1.0, 0.0, 1.0)  # of a window, relative to its radius
 SEED = 0
 CLIMBS = 6  # corners of a tube that are tried for the largest V
 PRODUCTS = 1e-13  # relative error of two products of matrices of up to 4n rows
-INERTIA = FACTORS.index("motor_inertia")
 
 Enclosure = list[TaylorModels]
 """Models that together contain an output of a function: one if verified, else points."""
@@ -34,7 +34,10 @@ Enclosure = list[TaylorModels]
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """Deviations z (4n,) in c cells: sums of `directions` (4n, m) and of `lines` (c, 4n, u), each times -1 to 1."""
+    """Deviations z and factors f in c cells: sums of columns, each times -1 to 1.
+
+    directions (4n, m): of z. lines (c, 4n + u, u): of z and of what f differs from the middle of their box.
+    """
 
     directions: Array
     lines: Array
@@ -45,13 +48,16 @@ class Tube:
         return self.directions.shape[1] + self.lines.shape[2]
 
     @property
+    def columns(self) -> Array:
+        """All columns (c, 4n + u, m + u), the directions first."""
+        below = np.zeros((self.lines.shape[1] - len(self.directions), self.directions.shape[1]))
+        directions = np.concatenate([self.directions, below])
+        return np.concatenate([np.broadcast_to(directions, (len(self.lines), *directions.shape)), self.lines], axis=2)
+
+    @property
     def box(self) -> Array:
         """Bounds (4n,) of |z|."""
-        return np.asarray(np.abs(self.directions).sum(axis=1) + np.abs(self.lines).sum(axis=2).max(axis=0))
-
-    def corners(self, share: Array) -> Array:
-        """Return points (4n, k) of a tube without lines at shares (m, k) of its width."""
-        return np.asarray(self.directions @ (2 * share - 1))
+        return np.asarray(np.abs(self.columns[:, : len(self.directions)]).sum(axis=2).max(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +74,18 @@ class MatrixModels:
         values = np.concatenate([left @ exact @ right, np.abs(left) @ rest @ np.abs(right)], axis=1)
         return MatrixModels(values, self.shape)
 
-    def mean_from_zero(self, tube: Tube) -> MatrixModels:
-        """Return models of the mean of X on the way from 0 to a deviation in the tube: its terms grow in proportion."""
+    def mean_from_zero(self) -> MatrixModels:
+        """Return models of the mean of X on the way from the middle of the tube, where its terms grow in proportion."""
         values = self.values.copy()
-        if self.shape.symbols:
-            values[:, self.shape.order : self.shape.order + tube.symbols] /= 2
+        values[:, self.shape.order : -1] /= 2
         return MatrixModels(values, self.shape)
+
+    def beside(self, M: MatrixModels) -> MatrixModels:
+        """Return models of torques with further columns, those of minus the inertia for the first rows."""
+        more = np.zeros((*self.values.shape[:3], M.values.shape[3]))
+        more[:, :, : M.values.shape[2]] = -M.values
+        more[:, -1] = np.abs(more[:, -1])
+        return MatrixModels(np.concatenate([self.values, more], axis=3), self.shape)
 
     @property
     def largest(self) -> Array:
@@ -92,9 +104,9 @@ class MatrixModels:
         return np.asarray(ROUNDING * (signed + (self.values[:, -1] @ np.abs(lines)).sum(axis=2)).max(axis=0))
 
     def products(self, lines: Array) -> Array:
-        """Return the products (k, rows, symbols u) of the slopes of X in its symbols and the lines."""
+        """Return the products (k, rows, u, u) of the slopes of X in its symbols, those of the lines, and the lines."""
         products = self.values[:, self._places(slice(None))] @ lines[:, None]
-        return np.asarray(products.transpose(0, 2, 1, 3).reshape(len(products), products.shape[2], -1))
+        return np.asarray(products.transpose(0, 2, 1, 3))
 
     def _places(self, symbols: slice) -> slice:
         """Return the places of the slopes in these symbols."""
@@ -102,126 +114,119 @@ class MatrixModels:
         return slice(self.shape.order + first, self.shape.order + last)
 
 
-@dataclass(frozen=True, eq=False)
-class Mismatch:
+class Mismatch(NamedTuple):
     """Bounds over all cells, tube and factors of the differences of a robot from the linear model.
 
-    unknown (4n,): torque errors d_l, d_m, accelerations (none) and defects of the law along the centre motion and the
-    lines, beside the known ones. H (n, 4n), G (n, 4n), B (n, n), F (n, 4n): largest differences of the slopes from
-    those of the model, elementwise. M (n, n): of M_i^-1 M_l(q_l) from the identity. All in the coordinates of the
-    linear model.
+    unknown (4n,): torque errors d_l, d_m, d_s and defects of the law along the centre motion and the lines, beside the
+    known ones. X (3n, 4n), M (n, n), B (n, n), F (n, 4n): largest differences of the slopes of torques in z, of the
+    inertia, of the input of the effort and of the law from those of the model, elementwise. All in the coordinates of
+    the linear model.
     """
 
     unknown: Array
-    H: Array
+    X: Array
     M: Array
-    G: Array
     B: Array
     F: Array
 
+    def most(self, other: Mismatch) -> Mismatch:
+        """Return the larger bounds of two."""
+        return Mismatch(*map(np.maximum, self, other))
+
 
 class Ranges:
-    """Ranges of the deviation model's functions about a centre motion, for factors from low to high (7,).
+    """Ranges of the deviation model's functions about a centre motion, for shares of the factors from low to high (u,).
 
-    They are found by Taylor models on verified cells, else at random corners. linear: model about the centre motion.
-    blocks: cells of the sums of the gains.
+    They are found by Taylor models on verified cells, all or those `at`, else at random corners. linear: model about
+    the centre motion. blocks: cells of the sums of the gains.
     """
 
-    def __init__(self, linear: LinearLoop, low: Array, high: Array, blocks: int) -> None:
+    def __init__(self, linear: LinearLoop, low: Array, high: Array, blocks: int, at: Indices | None = None) -> None:
         self.linear, self.low, self.high, self.blocks = linear, low, high, blocks
         self._half: Array = (high - low) / 2
         self._model, self._cells, self._path = linear.model, linear.centre.cells, linear.centre.path
         self._whole = split(linear.delay, linear.sample_period)[0]  # samples of the delay
         count = self._cells.count if self._cells.verified else min(SAMPLED, self._cells.count)
-        self._at = np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))  # cells of the ranges
+        spread = np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))
+        self.at = spread if at is None else at
+
+    @property
+    def factors(self) -> int:
+        """Number u of uncertain factors."""
+        return len(self.low)
 
     def known_errors(self) -> KnownErrors:
-        """Return known torques and efforts: of the centre motion, by each uncertain factor, by each torque term."""
-        cells, uncertain = self._cells, self._half > 0
-        c = np.repeat(self.linear.centre.factors[:, None], cells.count, axis=1)
+        """Return known torques and efforts: of the centre motion, and by each uncertain factor."""
+        cells, linear = self._cells, self.linear
+        c = np.repeat(linear.centre.factors[:, None], cells.count, axis=1)
         defect, _ = columnwise(self._model.defect, self._path.columns(cells.sampled), cells.columns(cells.sampled), c)
         acting = cells.acting(self.blocks, self._whole)[0].middle
         _, rate = columnwise(self._model.defect, self._path.columns(acting), cells.columns(acting), c)
-        slopes, _, second = self._coefficients
-        by_factor = (self._terms @ (slopes * self._half))[:, :, uncertain]
-        by_term = (self._terms * second)[:, :, second > 0]
-        torque = _after_zeros(np.concatenate([by_factor, by_term], axis=2))
-        aging = np.concatenate([np.zeros_like(rate), -rate / self.linear.centre.factors[INERTIA]]).T
-        effort = np.zeros((len(torque), self.linear.n, torque.shape[2]))
+        torque = _after_zeros(linear.factors * self._half)
+        (inertia,) = self._inertias(linear.centre.factors)
+        aging = np.concatenate([0 * rate, -rate / inertia[:, None], 0 * rate]).T
+        effort = np.zeros((len(torque), linear.n, torque.shape[2]))
         effort[:, :, 0] = defect.T
         return KnownErrors(torque, aging, effort)
 
     def unknown_errors(self, known: KnownErrors) -> Array:
-        """Return bounds (4n,) of torques, accelerations and defects along the centre motion beside the known ones.
+        """Return bounds (4n,) of torques and defects along the centre motion beside the known ones.
 
         With a delay that varies the torques (n,) of the change of the effort in a sample precede the defects.
         """
         n, age = self.linear.n, self.linear.delay + self._cells.sample_period
-        (terms,) = self._range(self._model.torque_terms, self._cells.windows(self.blocks))
-        apart = self._apart(terms, self._terms.swapaxes(1, 2).reshape(self._cells.count, -1))
-        torque = self._coefficients[1] @ apart.reshape(-1, 2 * n)
+        torque = np.zeros(3 * n)
         acting, share = self._cells.acting(self.blocks, self._whole)
         rates = self._range(self._model.defect, acting)[1]
         rate = [models.mean_within(share) for models in rates]
-        inertias = self.low[INERTIA], self.high[INERTIA]
-        torque[n:] += age * np.max([self._apart(rate, -f * known.aging[:, n:]) / f for f in inertias], axis=0)
+        inertias = self._inertias(self.low, self.high)
+        torque[n : 2 * n] = age * np.max(
+            [self._apart(rate, -f * known.aging[:, n : 2 * n]) / f for f in inertias], axis=0
+        )
         defect, _ = self._range(self._model.defect, self._cells.sampling(self.blocks))
-        changes = [self._cells.sample_period / inertias[0] * np.max([m.magnitude.max(axis=1) for m in rates], axis=0)]
-        late = changes if self.linear.late else []
-        return np.concatenate([torque, np.zeros(n), *late, self._apart(defect, known.effort[:, :, 0])])
+        largest = np.max([m.magnitude.max(axis=1) for m in rates], axis=0)
+        late = [self._cells.sample_period * largest / np.minimum(*inertias)] if self.linear.late else []
+        return np.concatenate([torque, *late, self._apart(defect, known.effort[:, :, 0])])
 
     def mismatch(
-        self, bounds: Array, unknown: Array, lines: Array, acceleration: Array | None = None
+        self, bounds: Array, unknown: Array, lines: Array, accelerations: Array, anywhere: Array | None = None
     ) -> Mismatch | None:
         """Return the differences from the linear model; None if they cannot be enclosed.
 
         The deviation at the start of a cell is a sum of its `lines` (c, 4n, u), each times -1 to 1, and of one within
-        the bounds (4n,). The slopes are the means on the way from zero to it. With bounds of the acceleration (n,) they
-        are those anywhere in the tube: of the difference of two motions, since M_l a_1 - M_l' a_2 = M_l (a_1 - a_2) +
+        the bounds (4n,); that of the acceleration is a sum of `accelerations` (c, n, u) and of one that is bounded
+        elsewhere. The slopes are the means on the way from zero to it. With bounds (n,) of the acceleration they are
+        those `anywhere` in the tube: of the difference of two motions, since M_l a_1 - M_l' a_2 = M_l (a_1 - a_2) +
         (M_l - M_l') a_2.
         """
-        linear, n, windows = self.linear, self.linear.n, self._cells.windows(self.blocks)
-        S = linear.coordinates
-        z = Tube(S.S_inverse * bounds, S.S_inverse @ lines)
-        G_middle, B_middle = (np.broadcast_to(X, (self._cells.count, *X.shape)) for X in (linear.G, linear.B))
+        n, S = self.linear.n, self.linear.coordinates
+        z = self.tube(S.S_inverse * bounds, lines)
         try:
-            H, M = self._range(self._model.link_slope, windows, z, acceleration)
-            (F,) = self._range(self._model.law_slope, self._cells.sampling(self.blocks), z)
-            G, B = self._range(self._model.motor_slope, windows, z)
+            torques, M, efforts = self._slopes(z, anywhere)
         except ZeroDivisionError:
             return None
-        links = self._matrices_apart(H, linear.H, S.torque, S.S_inverse)
-        motors = self._matrices_apart(G, G_middle, S.torque, S.S_inverse)
-        efforts = self._matrices_apart(F, linear.F, S.effort, S.S_inverse)
-        if acceleration is None:
-            links, efforts = links.mean_from_zero(z), efforts.mean_from_zero(z)
-        known = slice(z.directions.shape[1], None)
-        others = np.zeros(len(unknown) - 3 * n)
-        along_lines = links.along(lines, known), motors.along(lines), others, efforts.along(lines, known)
+        known, first = slice(z.directions.shape[1], None), slice(len(torques.values) if self._cells.verified else 1)
+        whole = np.concatenate([_with_factors(lines), accelerations], axis=1)[first]
+        others = np.zeros(len(unknown) - 4 * n)
+        along = torques.beside(M).along(whole, known), others, efforts.along(lines[first], known)
         return Mismatch(
-            unknown + np.concatenate(along_lines),
-            H=links.largest,
-            M=self._matrices_apart(M, linear.M, S.R @ np.linalg.inv(linear.M), S.acceleration).largest,
-            G=motors.largest,
-            B=self._matrices_apart(B, B_middle, S.torque, S.effort_inverse).largest,
+            unknown if anywhere is not None else unknown + np.concatenate(along),
+            X=torques.largest[:, : 4 * n],
+            M=M.largest,
+            B=self._input_apart(),
             F=efforts.largest,
         )
 
-    def second_order(self, lines: Array) -> KnownErrors:
-        """Return the torques on the links and the efforts of second order in the factors, to which z follows `lines`.
+    def second_order(self, lines: Array, accelerations: Array) -> tuple[Array, Array]:
+        """Return the torques (c, 3n, k) and efforts (c, n, k) of second order along lines that z follows.
 
-        Its k columns are those of the products of two factors; the first, of none, is zero.
+        Their columns are those of the lines, then the further ones of `_of_pairs`.
         """
-        linear, n, S = self.linear, self.linear.n, self.linear.coordinates
-        z = Tube(np.zeros((4 * n, 0)), S.S_inverse @ lines)
-        H, _ = self._range(self._model.link_slope, self._cells.windows(self.blocks), z)
-        (F,) = self._range(self._model.law_slope, self._cells.sampling(self.blocks), z)
-        links, efforts = (
-            self._matrices_apart(X, middle, np.eye(n), S.S_inverse).mean_from_zero(z).products(lines)
-            for X, middle in ((H, linear.H), (F, linear.F))
-        )
-        torque = np.concatenate([links, np.zeros_like(links)], axis=1)
-        return KnownErrors(_after_zeros(torque), np.zeros(torque.shape[:2]), _after_zeros(efforts))
+        torques, M, efforts = self._slopes(self.tube(np.zeros((4 * self.linear.n, 0)), lines))
+        whole = np.concatenate([_with_factors(lines), accelerations], axis=1)
+        to_joints, S = np.linalg.inv, self.linear.coordinates
+        torque, effort = torques.beside(M).products(whole), efforts.products(lines)
+        return to_joints(S.torques) @ _of_pairs(torque), to_joints(S.effort) @ _of_pairs(effort)
 
     def storage(self, tube: Tube) -> float:
         """Return the largest V [J] of the law in a tube; nan if the law has none, inf if it cannot be enclosed."""
@@ -238,31 +243,42 @@ class Ranges:
     def _sampled_storage(self, tube: Tube) -> float:
         """Return V at the corners that the signs of dV/dz lead to in some steps: V is nearly quadratic in z."""
         largest, arguments = -np.inf, self._along(self._cells.sampling(self.blocks))
-        share: Array = np.full((tube.symbols, len(arguments["c"].T)), 0.5)
+        directions = tube.directions
+        signs: Array = np.zeros((directions.shape[1], len(arguments["c"].T)))
         for _ in range(CLIMBS):
-            V, slope = _called(self._model.storage_slope, arguments | {"z": tube.corners(share)})
+            V, slope = _called(self._model.storage_slope, arguments | {"z": directions @ signs})
             largest = max(largest, float(V.max()))
-            share = np.where(tube.directions.T @ slope > 0, 1.0, 0.0)
+            signs = np.where(directions.T @ slope > 0, 1.0, -1.0)
         return largest
 
-    @cached_property
-    def _terms(self) -> Array:
-        """Torque terms (c, 2n, 6) in the middle of the cells."""
-        factors = np.repeat(self.linear.centre.factors[:, None], self._cells.count, axis=1)
-        (terms,) = columnwise(self._model.torque_terms, self._path.columns(self._cells.middle), factors)
-        return np.asarray(terms.T.reshape(self._cells.count, -1, 2 * self.linear.n).swapaxes(1, 2))
+    def tube(self, directions: Array, lines: Array) -> Tube:
+        """Return the tube of directions (4n, m), and of lines (c, 4n, u) in the coordinates of the linear model."""
+        right = block_diag(self.linear.coordinates.S_inverse, np.diag(self._half))
+        return Tube(directions, right @ _with_factors(lines))
 
-    @cached_property
-    def _coefficients(self) -> tuple[Array, Array, Array]:
-        """Derivatives (6, 7) of the coefficients of the torque terms, their largest values and second order (6,)."""
-        c, half = self.linear.centre.factors[:, None], self._half
-        middle = self._model.coefficients(c, c).full()
-        shape = Shape(np.count_nonzero(half), order=1, mixed=1)
-        factors = TaylorModels.exact(c, shape), TaylorModels.boxes(c, half[:, None], 0, shape)
-        (models,) = taylor_function(self._model.coefficients)(*factors)
-        apart = models.minus(middle.T.reshape(-1, 1))
-        largest, differences = (X.magnitude.reshape(len(half), -1).T for X in (models, apart))
-        return middle, largest @ half, differences @ half
+    def _slopes(self, tube: Tube, anywhere: Array | None = None) -> tuple[MatrixModels, MatrixModels, MatrixModels]:
+        """Return the differences of slopes of torques (3n, 4n + u), inertia (n, n) and law (n, 4n) from the model."""
+        linear, S = self.linear, self.linear.coordinates
+        X, M = self._range(self._model.slopes, self._cells.windows(self.blocks), tube, anywhere)
+        (F,) = self._range(self._model.law_slope, self._cells.sampling(self.blocks), tube)
+        slopes = np.concatenate([linear.H, linear.G, 0 * linear.H], axis=1)
+        middle = np.concatenate([slopes, linear.factors], axis=2)
+        torques = self._matrices_apart(X, middle, S.torques, block_diag(S.S_inverse, np.diag(self._half)))
+        efforts = self._matrices_apart(F, linear.F, S.effort, S.S_inverse)
+        if anywhere is None:
+            torques, efforts = torques.mean_from_zero(), efforts.mean_from_zero()
+        return torques, self._matrices_apart(M, linear.M, S.torque, S.acceleration), efforts
+
+    def _input_apart(self) -> Array:
+        """Return the largest differences (n, n) of the input of the effort from the model."""
+        linear, S = self.linear, self.linear.coordinates
+        low, middle, high = self._inertias(self.low, linear.centre.factors, self.high)
+        apart = ROUNDING * np.maximum(np.abs(1 / low - 1 / middle), np.abs(1 / high - 1 / middle))
+        return np.asarray(np.abs(S.torque) * apart @ np.abs(self._model.robot.B_m @ S.effort_inverse))
+
+    def _inertias(self, *shares: Array) -> list[Array]:
+        """Return the factors (n,) of the motor inertias at shares (u,)."""
+        return [self._model.uncertain.of_joints("motor_inertia", each) for each in shares]
 
     def _range(
         self, function: ca.Function, window: CellTimes, tube: Tube | None = None, acceleration: Array | None = None
@@ -278,25 +294,26 @@ class Ranges:
         self, names: list[str], window: CellTimes, tube: Tube | None, acceleration: Array | None
     ) -> Iterator[TaylorModels]:
         """Return models of arguments in the time of a window, the deviations and the uncertain factors."""
-        k, symbols = np.ones(len(window.middle)), 0
-        if tube is not None:
-            symbols = tube.symbols + np.count_nonzero(self._half)
+        n, symbols, window = self.linear.n, 0 if tube is None else tube.symbols, window.of(self.at)
         shape = Shape(symbols, order=2, mixed=1) if window.instant else Shape(symbols)
+        c = np.outer(self.linear.centre.factors, np.ones(len(window.middle)))
         for name in names:
             if name in ("path", "jets"):
                 models = (self._path if name == "path" else self._cells).models(window, shape)
                 if name == "path" and acceleration is not None:
-                    models.values[:, 2 * self.linear.n : 3 * self.linear.n, -1] += acceleration
+                    models.values[:, 2 * n : 3 * n, -1] += acceleration
                 yield models
-            elif name == "z" and tube is not None:
-                directions = np.broadcast_to(tube.directions, (len(tube.lines), *tube.directions.shape))
-                slopes = np.concatenate([directions, tube.lines], axis=2)
-                yield TaylorModels.linear(slopes.transpose(1, 2, 0), shape)
-            elif name == "f" and tube is not None:
-                half = np.outer(self._half, k)
-                yield TaylorModels.boxes(np.outer(self.linear.centre.factors, k), half, tube.symbols, shape)
+            elif name == "motors":
+                in_time = shape._replace(symbols=0)
+                path = self._path.models(window, in_time)
+                (models,) = taylor_function(self._model.motors)(path, TaylorModels.exact(c, in_time))
+                yield models.among(shape)
+            elif name in ("z", "f") and tube is not None:
+                rows = tube.columns[:, : 4 * n] if name == "z" else tube.columns[:, 4 * n :]
+                models = TaylorModels.linear(rows.transpose(1, 2, 0), shape)
+                yield models if name == "z" else models.minus(np.negative(c))
             else:
-                yield TaylorModels.exact(np.outer(self.linear.centre.factors, k), shape)
+                yield TaylorModels.exact(c, shape)
 
     def _points(self, window: CellTimes, tube: Tube | None) -> Iterator[dict[str, Array]]:
         """Yield arguments at three instants of windows: the middles and random corners of tube and factors."""
@@ -304,17 +321,18 @@ class Ranges:
         if tube is None:
             yield along
             return
-        size, k = tube.symbols, len(along["c"].T)
-        corners = np.random.default_rng(SEED).integers(0, 2, (POINTS - 1, size + len(FACTORS), k)).astype(float)
-        for share in (np.full((size + len(FACTORS), k), 0.5), *corners):
-            f = self.low[:, None] + share[size:] * 2 * self._half[:, None]
-            yield along | {"z": tube.corners(share[:size]), "f": f}
+        columns, k = tube.columns[0], len(along["c"].T)
+        corners = np.random.default_rng(SEED).choice([-1.0, 1.0], (POINTS - 1, tube.symbols, k))
+        for signs in (np.zeros((tube.symbols, k)), *corners):
+            z, f = np.split(columns @ signs, [4 * self.linear.n])
+            yield along | {"z": z, "f": along["c"] + f}
 
     def _along(self, window: CellTimes) -> dict[str, Array]:
         """Return the arguments along the centre motion at three instants of the sampled windows."""
-        t = (window.middle[self._at] + window.radius * np.array(INSTANTS)[:, None]).ravel()
-        c = np.repeat(self.linear.centre.factors[:, None], len(t), axis=1)
-        return {"path": self._path.columns(t), "jets": self._cells.columns(t), "c": c}
+        t = (window.of(self.at).middle + window.radius * np.array(INSTANTS)[:, None]).ravel()
+        c, path = np.repeat(self.linear.centre.factors[:, None], len(t), axis=1), self._path.columns(t)
+        (motors,) = columnwise(self._model.motors, path, c)
+        return {"path": path, "motors": motors, "jets": self._cells.columns(t), "c": c}
 
     def _apart(self, enclosure: Enclosure, known: Array) -> Array:
         """Return the largest distances (size,) of an output from known values (c, size) of the cells."""
@@ -338,12 +356,31 @@ class Ranges:
 
     def _at_points(self, of_cells: Array) -> Array:
         """Return values (c, ..) of the cells at the instants of the ranges."""
-        return of_cells if self._cells.verified else np.concatenate([of_cells[self._at]] * len(INSTANTS))
+        return np.concatenate([of_cells[self.at]] * (1 if self._cells.verified else len(INSTANTS)))
 
 
 def _after_zeros(columns: Array) -> Array:
     """Return columns (c, rows, k) after a first one of zeros."""
     return np.concatenate([np.zeros((*columns.shape[:2], 1)), columns], axis=2)
+
+
+def _with_factors(lines: Array) -> Array:
+    """Return lines (c, 4n + u, 1 + u) of deviations and of the factors, which all but the first follow."""
+    c, _, columns = lines.shape
+    factors = np.eye(columns - 1, columns, 1)
+    return np.concatenate([lines, np.broadcast_to(factors, (c, *factors.shape))], axis=1)
+
+
+def _of_pairs(products: Array) -> Array:
+    """Return products (c, rows, 1 + u, 1 + u) of a known line and of u factors as columns (c, rows, 1 + u + k).
+
+    The first is known, u follow the factors, the others are times -1 to 1: the square of a factor is 1/2 +- 1/2.
+    """
+    pairs = products + products.swapaxes(2, 3)
+    i, j = np.triu_indices(products.shape[2] - 1, 1)
+    squares, mixed = np.diagonal(products, axis1=2, axis2=3)[:, :, 1:] / 2, pairs[:, :, i + 1, j + 1]
+    known = products[:, :, :1, 0] + squares.sum(axis=2, keepdims=True)
+    return np.concatenate([known, pairs[:, :, 0, 1:], squares, mixed], axis=2)
 
 
 def _called(function: ca.Function, arguments: dict[str, Array]) -> list[Array]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -32,7 +33,8 @@ class ModalCoordinates:
 
         y = S z,  S = diag(R, R^-T K, R, R),   torques R^-T w,   accelerations R dz_3,   R' R = M_l
 
-    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (2n, 2n) acts on links and motors.
+    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (3n, 3n) acts on links, motors and
+    springs.
     """
 
     def __init__(self, robot: Robot, M_l: Array) -> None:
@@ -40,7 +42,7 @@ class ModalCoordinates:
         self.R: Array = np.sqrt(eigenvalues)[:, None] * vectors.T
         self.acceleration: Array = np.linalg.inv(self.R)
         self.torque: Array = self.acceleration.T
-        self.torques: Array = block_diag(self.torque, self.torque)
+        self.torques: Array = block_diag(*[self.torque] * 3)
         self.effort: Array = self.torque @ robot.B_m
         self.effort_inverse: Array = np.asarray(np.linalg.inv(self.effort), dtype=float)
         self.S: Array = block_diag(self.R, self.torque @ robot.K, self.R, self.R)
@@ -53,9 +55,10 @@ class LinearLoop:
 
     late [s]: longest time in a sample in which the effort before or after acts, as the delay varies; 0 if it does not.
 
-    M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation of
-    the effort. F (c, n, 4n): v = F z at the sample. The properties are in `coordinates`: y for z, and likewise for
-    torques and efforts.
+    M (c, n, n), H (c, n, 4n): M dz_3 = H z + d_l;  G (c, n, 4n), B (n, n): M_m dz_4 = G z + B v + d_m, v the deviation
+    of the effort. F (c, n, 4n): v = F z at the sample. factors (c, 3n, u): torques d_l, d_m and d_s, which springs
+    exert on links and motors, by the share of each parameter. The properties are in `coordinates`: y for z, and
+    likewise for torques and efforts.
     """
 
     model: DeviationModel
@@ -68,6 +71,7 @@ class LinearLoop:
     G: Array
     B: Array
     F: Array
+    factors: Array
 
     @property
     def n(self) -> int:
@@ -86,7 +90,8 @@ class LinearLoop:
 
     def at(self, cells: Indices) -> LinearLoop:
         """Return the models of the selected cells."""
-        return replace(self, M=self.M[cells], H=self.H[cells], F=self.F[cells])
+        names = ("M", "H", "G", "F", "factors")
+        return replace(self, **{name: getattr(self, name)[cells] for name in names})
 
     def shifted(self, cells: int) -> LinearLoop:
         """Return the models of the cells a number of cells before."""
@@ -110,15 +115,18 @@ class LinearLoop:
 
     @cached_property
     def inputs(self) -> tuple[Array, Array]:
-        """Inputs of the effort (c, 4n, n), and of the torques d_l, d_m and link accelerations (c, 4n, 3n)."""
+        """Inputs of the effort (c, 4n, n), and of the torques d_l, d_m, d_s (c, 4n, 3n)."""
         n, c, S = self.n, len(self.M), self.coordinates
         by_effort, by_torque = np.zeros((c, 4 * n, n)), np.zeros((c, 4 * n, 3 * n))
         M_m_inverse = np.linalg.inv(self.model.robot.M_m)
         by_effort[:, 3 * n :] = M_m_inverse @ self.B
         by_torque[:, 2 * n : 3 * n, :n], by_torque[:, 3 * n :, n : 2 * n] = np.linalg.inv(self.M), M_m_inverse
-        by_torque[:, 2 * n : 3 * n, 2 * n :] = np.eye(n)
-        to_torques = block_diag(np.linalg.inv(S.torques), S.acceleration)
-        return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ to_torques
+        payload, inertia = (
+            self.model.uncertain.of_joints(name, self.centre.factors) for name in ("payload", "motor_inertia")
+        )
+        by_torque[:, 2 * n : 3 * n, 2 * n :] = np.linalg.inv(self.M) / payload
+        by_torque[:, 3 * n :, 2 * n :] = -M_m_inverse / inertia
+        return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ np.linalg.inv(S.torques)
 
     @cached_property
     def jumps(self) -> tuple[Array, Array]:
@@ -192,11 +200,11 @@ class LinearLoop:
     def forced(self, torque: Array, aging: Array) -> Array:
         """Return the integral of exp(A (T - s)) E (torque + aging age(s)) over a sample (c, 4n, k).
 
-        torque (c, 2n, k); aging (c, 2n) belongs to the first column. The effort that acts after s is s + whole T old,
+        torque (c, 3n, k); aging (c, 3n) belongs to the first column. The effort that acts after s is s + whole T old,
         and T older while s < fraction T.
         """
         T, (whole, fraction), E = self.sample_period, split(self.delay, self.sample_period), self.inputs[1]
-        force, slope = E[:, :, : 2 * self.n] @ torque, E[:, :, : 2 * self.n] @ aging[:, :, None]
+        force, slope = E @ torque, E @ aging[:, :, None]
         force[:, :, :1] += whole * T * slope
         c, N, k = force.shape
         ramp, inputs = np.zeros((c, N + 1, N + 1)), np.zeros((c, N + 1, k + 1))
@@ -213,20 +221,25 @@ def linear_loop(model: DeviationModel, centre: CentreMotion, delay: float, late:
     """Return the linear model in the middle of each cell about a centre motion, for a robot with its factors."""
     n, cells, c = model.n, centre.cells, centre.factors
     zero, factors = np.zeros((4 * n, cells.count)), np.tile(c[:, None], cells.count)
-    H, M = columnwise(model.link_slope, centre.path.columns(cells.middle), zero, factors, factors)
-    G, B = (matrix.full() for matrix in model.motor_slope(c))
+    path = centre.path.columns(cells.middle)
+    (motors,) = columnwise(model.motors, path, factors)
+    X, M = columnwise(model.slopes, path, motors, zero, factors, factors)
     path, jets = centre.path.columns(cells.sampled), cells.columns(cells.sampled)
-    (F,) = columnwise(model.law_slope, path, jets, zero, factors)
-    inertia, slopes, law = (X.T.reshape(cells.count, -1, n).swapaxes(1, 2).copy() for X in (M, H, F))
+    (F,) = columnwise(model.law_slope, path, *columnwise(model.motors, path, factors), jets, zero)
+    inertia, slopes, law = (
+        A.T.reshape(cells.count, -1, rows).swapaxes(1, 2).copy() for A, rows in ((M, n), (X, 3 * n), (F, n))
+    )
     coordinates = ModalCoordinates(model.robot, inertia.mean(axis=0))
-    return LinearLoop(model, centre, delay, late, coordinates, inertia, slopes, G, B, law)
+    B = model.robot.B_m / model.uncertain.of_joints("motor_inertia", c)[:, None]
+    H, G, by_factor = slopes[:, :n, : 4 * n], slopes[:, n : 2 * n, : 4 * n], slopes[:, :, 4 * n :]
+    return LinearLoop(model, centre, delay, late, coordinates, inertia, H, G, B, law, by_factor)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownErrors:
     """Known errors of torques and efforts in each of c cells: the first of k columns, and the others times -1 to 1.
 
-    torque (c, 2n, k) [N m], effort (c, n, k) [N m]; aging (c, 2n) [N m/s] times the age of the acting effort in the
+    torque (c, 3n, k) [N m], effort (c, n, k) [N m]; aging (c, 3n) [N m/s] times the age of the acting effort in the
     first column.
     """
 
@@ -234,24 +247,27 @@ class KnownErrors:
     aging: Array
     effort: Array
 
-    def extended(self, other: KnownErrors) -> KnownErrors:
-        """Return the errors with the further columns of others, whose first is zero."""
-        torque = np.concatenate([self.torque, other.torque[:, :, 1:]], axis=2)
-        return KnownErrors(torque, self.aging, np.concatenate([self.effort, other.effort[:, :, 1:]], axis=2))
+    def at(self, cells: Indices) -> KnownErrors:
+        """Return the errors of the selected cells."""
+        return KnownErrors(self.torque[cells], self.aging[cells], self.effort[cells])
 
     def shifted(self, cells: int) -> KnownErrors:
         """Return the errors of the cells a number of cells before."""
-        return KnownErrors(*(np.roll(values, cells, axis=0) for values in (self.torque, self.aging, self.effort)))
+        return self.at(np.roll(np.arange(len(self.torque)), cells))
+
+    def followed_by(self, others: KnownErrors) -> KnownErrors:
+        """Return the errors with those of further cells."""
+        pairs = (self.torque, others.torque), (self.aging, others.aging), (self.effort, others.effort)
+        return KnownErrors(*map(np.concatenate, pairs))
 
     def torque_at(self, age: float) -> Array:
-        """Return the torques (c, 2n, k) at an age [s] of the effort."""
+        """Return the torques (c, 3n, k) at an age [s] of the effort."""
         torque = self.torque.copy()
         torque[:, :, 0] += age * self.aging
         return torque
 
 
-@dataclass(frozen=True, eq=False)
-class Response:
+class Response(NamedTuple):
     """Response Z (c, S, k) at the end of each cell, and largest magnitudes over all cells and all columns together.
 
     z, rate (4n,): deviation and its rate. acceleration, effort (n,). change (n,): of the effort since the last sample.
@@ -271,10 +287,22 @@ class Response:
         """Return the response to nothing."""
         return cls(np.zeros((0, states, 0)), *map(np.zeros, (4 * n, 4 * n, n, n, n, states)))
 
+    @classmethod
+    def within(cls, linear: LinearLoop, Z: Array) -> Response:
+        """Return the largest magnitudes of any response within bounds Z (S,)."""
+        n, law, y = linear.n, np.abs(linear.law).max(axis=0), Z[: 4 * linear.n]
+        effort = np.max([law @ y, *Z[4 * n :].reshape(-1, n)], axis=0)
+        slope, by_effort = np.abs(linear.A).max(axis=0), np.abs(linear.inputs[0]).max(axis=0)
+        rate = linear.growth @ (slope @ y + by_effort @ effort)
+        return cls(np.zeros((0, len(Z), 0)), y, rate, slope[2 * n : 3 * n] @ y, effort, 2 * effort, Z)
+
     def plus(self, other: Response, share: float = 1.0) -> Response:
         """Return the sum with a share of the largest magnitudes of another response; Z stays."""
-        names = ("z", "rate", "acceleration", "effort", "change", "remaining")
-        return Response(self.Z, *(getattr(self, name) + share * getattr(other, name) for name in names))
+        return Response(self.Z, *(own + share * more for own, more in zip(self[1:], other[1:], strict=True)))
+
+    def most(self, other: Response) -> Response:
+        """Return the larger magnitudes of two responses; Z stays."""
+        return Response(self.Z, *(np.maximum(own, more) for own, more in zip(self[1:], other[1:], strict=True)))
 
 
 def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) -> Response:
@@ -283,10 +311,8 @@ def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) ->
     blocks: cells of the sums of the gains. A chain that is longer than them ends `slips` cells beside the one in which
     it is, where the samples do not divide the period.
     """
-    models, cells, S = linear.models, linear.centre.cells, linear.coordinates
-    errors = KnownErrors(S.torques @ errors.torque, errors.aging @ S.torques.T, S.effort @ errors.effort)
-    force = models.effort @ errors.effort
-    force[:, : 4 * linear.n] += linear.forced(errors.torque, errors.aging)
+    models, cells = linear.models, linear.centre.cells
+    errors, force = _forced(linear, errors)
     step, pushed = np.zeros_like(models.loop) + np.eye(models.loop.shape[1]), np.zeros_like(force)
     for _ in range(cells.samples - 1):
         step, pushed = models.loop @ step, models.loop @ pushed + force
@@ -302,38 +328,65 @@ def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) ->
         earlier[i] = before_last[i] @ Z + pushed_before_last[i]
         ends[i] = Z = step[i] @ Z + pushed[i]
     slips = np.ceil(blocks * cells.drift / cells.length) + 1 if cells.drift else 0.0
-    return _magnitudes(linear, ends, earlier, errors, slips * _largest(ends - np.roll(ends, 1, axis=0)))
+    remaining = slips * _largest(ends - np.roll(ends, 1, axis=0))
+    following = (linear.shifted(-1), errors.shifted(-1)) if cells.aligned else (linear, errors)
+    return _magnitudes((linear, errors), following, ends, earlier, remaining)
 
 
-def transient(linear: LinearLoop, Z: Array, blocks: int) -> Response:
-    """Return the decay of Z (S, k) at time 0 over a number of cells."""
-    cells, n, columns = linear.centre.cells, linear.n, Z.shape[1]
-    at = np.repeat(np.arange(blocks) % cells.count, cells.samples)
-    ended = np.roll(at, 1) if cells.aligned else at
-    course = np.empty((len(at), *Z.shape))
-    for k, i in enumerate(at):
-        course[k] = Z
-        Z = linear.models.loop[i] @ Z
-    zero = np.zeros((len(at), 2 * n, columns)), np.zeros((len(at), 2 * n)), np.zeros((len(at), n, columns))
-    earlier = np.roll(course, 1, axis=0)
-    return _magnitudes(linear.at(ended), course, earlier, KnownErrors(*zero), _largest(course))
+def course(linear: LinearLoop, Z: Array, at: Indices, errors: KnownErrors | None = None) -> Response:
+    """Return the response to known errors of the cells `at`, one after the other, from Z (S, k) at time 0.
+
+    Z (samples, S, k) of the result is the response at the end of each sample of them: a sample ends its cell, so that
+    the first cell is as long as it has to be. Without errors Z decays.
+    """
+    n, samples, own = linear.n, linear.centre.cells.samples, linear.at(at)
+    if errors is None:
+        errors = KnownErrors(*map(np.zeros, ((len(at), 3 * n, Z.shape[1]), (len(at), 3 * n), (len(at), n, Z.shape[1]))))
+    errors, force = _forced(own, errors)
+    loop = own.models.loop
+    course, earlier = np.empty((2, len(at), samples, *Z.shape))
+    for sample in range(samples):
+        earlier[0, sample], Z = Z, loop[0] @ Z + force[0]
+        course[0, sample] = Z
+    for i in range(1, len(at)):
+        course[i] = course[i - 1]
+        for _ in range(samples):
+            earlier[i], course[i] = course[i], loop[i] @ course[i] + force[i]
+    of_samples = np.repeat(np.arange(len(at)), samples)
+    after = np.minimum(of_samples + linear.centre.cells.aligned, len(at) - 1)
+    cells = ((own.at(each), errors.at(each)) for each in (of_samples, after))
+    shape = len(of_samples), *Z.shape
+    return _magnitudes(*cells, course.reshape(shape), earlier.reshape(shape), np.zeros(len(Z)))
 
 
-def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownErrors, remaining: Array) -> Response:
+def _forced(linear: LinearLoop, errors: KnownErrors) -> tuple[KnownErrors, Array]:
+    """Return errors in the coordinates of the linear model, and by what (c, S, k) they move Z in a sample."""
+    S = linear.coordinates
+    errors = KnownErrors(S.torques @ errors.torque, errors.aging @ S.torques.T, S.effort @ errors.effort)
+    force = linear.models.effort @ errors.effort
+    force[:, : 4 * linear.n] += linear.forced(errors.torque, errors.aging)
+    return errors, force
+
+
+def _magnitudes(
+    ended: tuple[LinearLoop, KnownErrors],
+    following: tuple[LinearLoop, KnownErrors],
+    Z: Array,
+    earlier: Array,
+    remaining: Array,
+) -> Response:
     """Return the response at the end of cells with its largest magnitudes.
 
     earlier: Z one sample before; the last of its efforts acts until the sample, the torque is that of either end of it.
-    If aligned, the next cell follows: its law answers, and both have their rates.
+    following: the cells whose law answers, the next ones if aligned; both have their rates.
     """
-    n, T, z = linear.n, linear.sample_period, Z[:, : 4 * linear.n]
-    aligned = linear.centre.cells.aligned
-    following, errors_after = (linear.shifted(-1), errors.shifted(-1)) if aligned else (linear, errors)
-    efforts = [*_efforts(following, Z, errors_after), _efforts(linear, earlier, errors)[-1]]
+    linear, n, z = ended[0], ended[0].n, Z[:, : 4 * ended[0].n]
+    efforts = [*_efforts(*following, Z), _efforts(*ended, earlier)[-1]]
     rates, accelerations = [], []
-    for loop, acting in ((linear, errors), (following, errors_after)):
+    for loop, acting in (ended, following):
         by_effort, by_torque = loop.inputs
-        for age in (linear.delay, linear.delay + T):
-            without_effort = loop.A @ z + by_torque[:, :, : 2 * n] @ acting.torque_at(age)
+        for age in (linear.delay, linear.delay + linear.sample_period):
+            without_effort = loop.A @ z + by_torque @ acting.torque_at(age)
             rates += [_largest(without_effort + by_effort @ effort) for effort in efforts]
             accelerations.append(_largest(without_effort[:, 2 * n : 3 * n]))
     rate, acceleration = linear.growth @ np.max(rates, axis=0), np.max(accelerations, axis=0)
@@ -342,7 +395,7 @@ def _magnitudes(linear: LinearLoop, Z: Array, earlier: Array, errors: KnownError
     return Response(Z, _largest(z), rate, acceleration, effort, change, remaining)
 
 
-def _efforts(linear: LinearLoop, Z: Array, errors: KnownErrors) -> list[Array]:
+def _efforts(linear: LinearLoop, errors: KnownErrors, Z: Array) -> list[Array]:
     """Return the efforts (c, n, k) of the law at Z and of those in transit, the oldest last."""
     n = linear.n
     answer = linear.law @ Z[:, : 4 * n] + errors.effort

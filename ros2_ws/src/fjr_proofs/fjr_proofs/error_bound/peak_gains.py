@@ -125,7 +125,7 @@ def columnwise(function: ca.Function, *arguments: Array) -> list[Array]:
     given = []
     for i, columns in enumerate(arguments):  # as matrices (rows, k columns) side by side
         rows, width = function.size_in(i)
-        given.append(columns.T.reshape(k, width, rows).transpose(2, 0, 1).reshape(rows, -1))
+        given.append(columns.T.reshape(k, width, rows).transpose(2, 0, 1).reshape(rows, k * width))
     results, found = function.map(k)(*given), []
     for i, matrices in enumerate(results if isinstance(results, tuple) else (results,)):
         rows, width = function.size_out(i)

@@ -11,36 +11,35 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError, StateError
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import Reference
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import Array, floats
 from fjr_core.numerics.one_line import one_line
 from fjr_core.stability.linearization import checked_times
 
 from ..verification.taylor_models import taylor_function
 from .cells import Cells, cells_of
-from .deviation_model import FACTORS, CentreMotion, DeviationModel
+from .deviation_model import CentreMotion, DeviationModel
 from .enclosures import Ranges
 from .linear_loop import LinearLoop, linear_loop
 from .peak_gains import peak_gains
 from .tube import TubeProblem, steady_motion
+from .uncertain_robot import PARAMETERS, UncertainRobot
 
 TORQUES = ("link_torque", "motor_torque")
-"""Names of errors in N m; the others, FACTORS, are relative."""
+"""Names of errors in N m of any joint, with any time course; the others are PARAMETERS."""
 SECONDS_TO_PROVE = 2  # joints
-LARGEST = 0.9  # relative error of a factor
-NARROWEST = 0.002  # width of a factor that is not divided
+NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = 128
 HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
-TIGHT = 1.1  # ratio of a bound to that of the known response, below which a part is not divided
-WORTH = 0.95  # ratio of the bounds of halves to that of a part, up to which it is divided
+TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
+WORTH = 0.99  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 1e-3  # of a deviation after the sums of the gains
 LONGEST_SUM = 20_000  # samples
 SAMPLED_FINALS = 16  # cells at whose end the gains of a sampled bound are computed
@@ -56,8 +55,8 @@ class ErrorBound:
 
     position, velocity (n,) [rad, rad/s]: ultimate bounds of |q_l - q_ld| and |dq_l - dq_ld| in steady motion; infinite
     if no invariant tube was found. from_start (n,) [rad]: bound of the positions at all times for a robot that starts
-    on the reference, and then ends within `position`; infinite unless proven. errors: relative errors of FACTORS, and
-    TORQUES in N m. storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
+    on the reference, and then ends within `position`; infinite unless proven. errors: of PARAMETERS and
+    TORQUES. storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
     of the box of factors. proven: every constant is verified; otherwise the bound rests on sampled constants.
     """
 
@@ -65,7 +64,7 @@ class ErrorBound:
     velocity: Array
     from_start: Array
     storage: float
-    errors: Mapping[str, float]
+    errors: Mapping[str, ArrayLike]
     sample_period: float
     delay: float
     parts: int
@@ -84,64 +83,65 @@ def bound_errors(
     reference: Reference,
     sample_period: float,
     delay: float = 0.0,
-    errors: Mapping[str, float] = {},
+    errors: Mapping[str, ArrayLike] = {},
     progress: Progress = lambda share: None,
     prove: bool | None = None,
+    payload_position: ArrayLike = (0.0, 0.0, 0.0),
 ) -> ErrorBound:
     """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
 
-    delay [s]: constant, from a state to the effort that answers it. errors: largest relative errors of the robot's
-    factors (FACTORS: one factor for all joints, "payload" for inertia and weight of the links together), and largest
-    TORQUES [N m] that act at any joint with any time course. progress: see `Progress`. prove: whether a proof is
-    tried; None: where it takes seconds, with up to SECONDS_TO_PROVE joints or without an error of a factor.
+    delay [s]: constant, from a state to the effort that answers it. errors: largest errors of the robot's PARAMETERS,
+    one number or one for each joint or axis (`UncertainRobot`, also for payload_position), and largest TORQUES [N m]
+    that act at any joint with any time course. progress: see `Progress`. prove: whether a proof is tried; None: where
+    it takes seconds, with up to SECONDS_TO_PROVE joints or without an error of a parameter.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
     a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
     CompilerError without a C compiler.
     """
     checked_times(sample_period, delay)
-    for name, value in errors.items():
-        if name not in (*FACTORS, *TORQUES):
-            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join((*FACTORS, *TORQUES))}")
-        limit = LARGEST if name in FACTORS else np.inf
-        if not 0 <= value <= limit or not np.isfinite(value):
-            raise ParameterError(f"error '{name}' is {value}; expected 0 to {limit}")
-    n, half = law.robot.n, np.array([errors.get(name, 0.0) for name in FACTORS])
-    disturbing = np.repeat([errors.get(name, 0.0) for name in TORQUES], n)
-    search = Search(law, reference, sample_period, delay, disturbing, verified=True)
+    for name in errors:
+        if name not in (*PARAMETERS, *TORQUES):
+            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join((*PARAMETERS, *TORQUES))}")
+    n, torques = law.robot.n, [floats(name, errors.get(name, 0.0), ParameterError) for name in TORQUES]
+    for name, torque in zip(TORQUES, torques, strict=True):
+        if torque.ndim or not 0 <= torque < np.inf:
+            raise ParameterError(f"error '{name}' is {torque}; expected 0 to inf")
+    model = DeviationModel(law, UncertainRobot(law.robot, errors, payload_position))
+    box = -np.ones(model.uncertain.count), np.ones(model.uncertain.count)
+    given = model, reference, sample_period, delay, np.repeat(torques, n)
+    search = Search(*given, verified=True)
     if prove is None:
-        prove = n <= SECONDS_TO_PROVE or not np.any(half)
-    boxes = search.boxes(1 - half, 1 + half, progress) if prove and search.applies else []
+        prove = n <= SECONDS_TO_PROVE or not model.uncertain.count
+    boxes = search.boxes(*box, progress) if prove and search.applies else []
     proven = bool(boxes) and all(box.has_tube for box in boxes)
     if not proven:
-        search = Search(law, reference, sample_period, delay, disturbing, verified=False)
-        boxes = search.boxes(1 - half, 1 + half, progress)
+        boxes = Search(*given, verified=False).boxes(*box, progress)
     ultimate = np.max([box.ultimate for box in boxes], axis=0)
     start = np.max([box.from_start for box in boxes], axis=0)
     storage = float(np.max([box.storage for box in boxes]))
-    given = dict(errors), sample_period, delay
-    return ErrorBound(ultimate[:n], ultimate[n:], start[:n], storage, *given, len(boxes), proven)
+    loop = dict(errors), sample_period, delay
+    return ErrorBound(ultimate[:n], ultimate[n:], start[:n], storage, *loop, len(boxes), proven)
 
 
 @dataclass(frozen=True, eq=False)
 class FactorBox:
-    """Part of the box of factors, low to high (7,), with its centre motion and the tube about it.
+    """Part of the box of factors, low to high (u,), with its centre motion and the tube about it.
 
-    centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effect:
-    deviation of a position [rad] by each uncertain factor. first_order, ultimate, from_start (2n,): bounds of |q_l -
+    centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effects (u,):
+    of second order in each factor on a position [rad]. first_order, ultimate, from_start (2n,): bounds of |q_l -
     q_ld| and |dq_l - dq_ld|: by the known response to the factors alone; in the steady state; at all times for a
     robot that starts on the reference. The latter two are infinite without a tube. storage: largest V [J] in the
-    steady state; nan if the law has none. share: width of parts of this one that have a tube, relative to it.
+    steady state; nan if the law has none.
     """
 
     low: Array
     high: Array
     centre: CentreMotion
-    effect: Array
+    effects: Array
     first_order: Array
     ultimate: Array
     from_start: Array
     storage: float = np.inf
-    share: float = 0.5
 
     @property
     def has_tube(self) -> bool:
@@ -169,27 +169,13 @@ class FactorBox:
         width = high - low
         return float(np.prod(np.divide(self.high - self.low, width, out=np.ones_like(width), where=width > 0)))
 
-    def counts(self) -> NDArray[np.intp]:
-        """Return into how many (7,) the factors are divided, so that their effect is at most `share` of that here.
-
-        The factor with the largest effect in a box is divided first; without any effect the widest factor is halved.
-        """
+    def halves(self) -> list[tuple[Array, Array]]:
+        """Return two boxes, halves of this one in the wide factor with the largest effect; without any, the widest."""
         width = self.high - self.low
-        effect, count = np.zeros_like(width), np.ones(len(width), dtype=np.intp)
-        effect[width > 0] = self.effect
-        while np.sum(effect / count) > self.share * np.sum(effect) and np.any(width / count > NARROWEST):
-            count[np.argmax(np.where(width / count > NARROWEST, effect / count, -1.0))] += 1
-        if np.all(count == 1):
-            count[np.argmax(width)] = 2
-        return count
-
-    def divided(self, counts: NDArray[np.intp]) -> list[tuple[Array, Array]]:
-        """Return boxes of equal size, of which `counts` (7,) are beside each other for each factor."""
-        width = (self.high - self.low) / counts
-        places = map(np.array, product(*(range(count) for count in counts)))
-        return [
-            (self.low + width * i, np.where(i + 1 == counts, self.high, self.low + width * (i + 1))) for i in places
-        ]
+        effect = np.where(width > NARROWEST, self.effects, -1.0) if np.any(self.effects) else width
+        first = np.arange(len(width)) == np.argmax(effect)
+        middle = self.low + width / 2
+        return [(self.low, np.where(first, middle, self.high)), (np.where(first, middle, self.low), self.high)]
 
 
 class Search:
@@ -197,7 +183,7 @@ class Search:
 
     def __init__(
         self,
-        law: StaticLaw,
+        model: DeviationModel,
         reference: Reference,
         T: float,
         delay: float,
@@ -206,7 +192,7 @@ class Search:
         late: float = 0.0,
     ) -> None:
         """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop."""
-        self.model, self.cells = DeviationModel(law), cells_of(reference, T, verified)
+        self.model, self.cells = model, cells_of(reference, T, verified)
         self.T, self.delay, self.disturbing, self._late = T, delay, disturbing, late
 
     @property
@@ -218,7 +204,7 @@ class Search:
         if not self.cells.verifiable:
             return False
         try:
-            for function in (self.model.law_slope, self.model.defect):
+            for function in (self.model.law_slope, self.model.defect, self.model.slopes):
                 taylor_function(function)
         except StateError:
             return False
@@ -237,26 +223,23 @@ class Search:
                 boxes.append(box)
                 progress(len(boxes) / (len(boxes) + len(waiting)))
                 continue
-            counts = box.counts()
-            parts = np.prod(counts, dtype=float)
-            many = len(waiting) + len(boxes) + parts > MOST_PARTS or parts > HOPELESS * box.volume(low, high)
-            if box.narrow or many:
+            if box.narrow or len(waiting) + len(boxes) + 2 > MOST_PARTS or HOPELESS * box.volume(low, high) < 2:
                 return [box]
-            waiting += [(*ends, box.centre) for ends in box.divided(counts)]
+            waiting += [(*ends, box.centre) for ends in box.halves()]
         while len(boxes) < MOST_PARTS:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
-            halves = [self._solved(*ends, worst.centre) for ends in worst.divided(worst.counts())]
+            halves = [self._solved(*ends, worst.centre) for ends in worst.halves()]
             if max(half.size for half in halves) > WORTH * worst.size:
                 break
             boxes = [box for box in boxes if box is not worst] + halves
         return boxes
 
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
-        """Return the part of the box between the factors low and high (7,), with its invariant tube if there is one."""
+        """Return the part of the box between the factors low and high (u,), with its invariant tube if there is one."""
         linear, none = self.linear((low + high) / 2, start), np.full(2 * self.model.n, np.inf)
-        box = FactorBox(low, high, linear.centre, np.ones(np.count_nonzero(high > low)), none, none, none)
+        box = FactorBox(low, high, linear.centre, np.zeros(len(low)), none, none, none)
         try:
             problem = self.problem(linear, low, high)
             return box if problem is None else _with_bounds(box, problem)
@@ -264,12 +247,12 @@ class Search:
             return box
 
     def linear(self, factors: Array, start: CentreMotion | None = None) -> LinearLoop:
-        """Return the linear model about the steady motion of a robot with the factors (7,), found from `start`."""
+        """Return the linear model about the steady motion of a robot with the factors (u,), found from `start`."""
         coarse = steady_motion(self.model, self._coarse, factors, self.delay, start)
         return linear_loop(self.model, replace(coarse, cells=self.cells), self.delay, self._late)
 
     def problem(self, linear: LinearLoop, low: Array, high: Array) -> TubeProblem | None:
-        """Return the problem of a tube for factors from low to high (7,); None for an unstable loop."""
+        """Return the problem of a tube for factors from low to high (u,); None for an unstable loop."""
         found = self.gains(linear)
         return None if found is None else TubeProblem(Ranges(linear, low, high, found[1]), found[0], self.disturbing)
 
@@ -311,11 +294,12 @@ def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
         q, _, dq, _ = np.split(z, 4)
         return np.asarray(box.centre.largest + np.concatenate([q, dq]))
 
-    box = replace(box, effect=problem.effect, first_order=bound(problem.in_joints()))
+    box = replace(box, effects=problem.effects, first_order=bound(problem.first_order))
     if problem.tube is None:
-        return replace(box, share=problem.share)
+        return box
     storage = problem.ranges.storage(problem.as_tube(problem.tube))
-    box = replace(box, ultimate=bound(problem.in_joints(problem.tube)), storage=storage)
+    box = replace(box, ultimate=bound(problem.steady.positions_and_velocities(problem.tube)), storage=storage)
     if problem.from_start is None:
         return box
-    return replace(box, from_start=bound(problem.as_tube(problem.from_start).box))
+    start = [bound(known.positions_and_velocities(problem.from_start)) for known in problem.started]
+    return replace(box, from_start=np.max(start, axis=0))

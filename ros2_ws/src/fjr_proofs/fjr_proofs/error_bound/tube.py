@@ -10,8 +10,9 @@ bounds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -21,7 +22,7 @@ from fjr_core.numerics.checks import Array
 from .cells import Cells
 from .deviation_model import CentreMotion, DeviationModel
 from .enclosures import Mismatch, Ranges, Tube
-from .linear_loop import KnownErrors, LinearLoop, Response, linear_loop, steady_response, transient
+from .linear_loop import KnownErrors, LinearLoop, Response, course, linear_loop, steady_response
 from .peak_gains import ROUNDING
 
 STEPS = 5  # of Newton's method
@@ -32,13 +33,12 @@ CREDIBLE = 0.3  # rad; largest position of a tube whose constants are sampled
 GROWTH, ROUNDS = 1.4, 8  # of the tube that is tried
 CLOSE = 1.05  # ratio of a bound to that of the known response at which a tube is not shrunk
 SHRINKS = 0.9  # ratio of an ultimate bound to the last one at which it is final
-NARROWER, BETWEEN = 6, 1.4  # halvings of a box at which a tube is sought, and a width between two of them
 
 
 def steady_motion(
     model: DeviationModel, cells: Cells, factors: Array, delay: float, start: CentreMotion | None = None
 ) -> CentreMotion:
-    """Return the centre motion of a robot with the factors (7,), along which its sampled loop is steady; delay [s].
+    """Return the centre motion of a robot with shares (u,), along which its sampled loop is steady; delay [s].
 
     Newton's method with one linear model: its steady response to the defect of the law and the age of the effort is
     added to the motion of the links until both balance on average over a sample. With cells of several samples the
@@ -62,8 +62,8 @@ def steady_motion(
 class DeviationBounds:
     """Bounds in the coordinates of the linear model at all times.
 
-    z (4n,): of what the lines leave of the deviation; effort (n,), its change in a sample (n,) if the delay varies, and
-    link acceleration (n,) of the whole deviation.
+    z (4n,), acceleration (n,) of the links: of what the lines leave of the deviation; effort (n,), and its change in a
+    sample (n,) if the delay varies: of the whole deviation.
     """
 
     z: Array
@@ -88,17 +88,17 @@ def fixed_point(
         bounds = _bounds_under(linear, gains, assumed, known)
         if not np.all(np.isfinite(bounds.z)) or bounds.z.max() > most:
             return None
-        links, motors = mismatch.H @ bounds.z, mismatch.G @ bounds.z + mismatch.B @ bounds.effort
-        accelerations, efforts = mismatch.M @ bounds.acceleration, mismatch.F @ bounds.z
+        torques = mismatch.X @ bounds.z
+        torques[: 2 * n] += np.concatenate([mismatch.M @ bounds.acceleration, mismatch.B @ bounds.effort])
         change = bounds.change + 2 * assumed[-n:] if linear.late else np.zeros(0)
-        disturbance = mismatch.unknown + aged * np.concatenate([links, motors, accelerations, change, efforts])
+        disturbance = mismatch.unknown + aged * np.concatenate([torques, change, mismatch.F @ bounds.z])
         if np.all(disturbance <= assumed):
             return bounds
     return None
 
 
 def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: Response) -> DeviationBounds:
-    """Return the bounds of deviations under disturbances: torques, accelerations, changes and errors of the effort.
+    """Return the bounds of deviations under disturbances: torques, changes and errors of the effort.
 
     Between samples a bound grows by its rate. Efforts and accelerations at the end of a cell are those of its own model
     or, if aligned, of the next.
@@ -126,6 +126,29 @@ def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: R
 
 
 @dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of the deviation in the cells of some ranges, to second order in the factors.
+
+    lines (c, 4n, 1 + u), accelerations (c, n, 1 + u) of the links: of the robot in the middle, and by each factor, to
+    first order. whole: response to all that is known. rest: magnitudes of it less the lines, with their changes in the
+    window of a cell; second (4n,): those of its second order at the samples.
+    """
+
+    ranges: Ranges
+    lines: Array
+    accelerations: Array
+    whole: Response
+    rest: Response
+    second: Array
+
+    def positions_and_velocities(self, bounds: DeviationBounds) -> Array:
+        """Return bounds (4n,) of z in the joints: of what is known, and of what else `bounds` contain."""
+        inverse = self.ranges.linear.coordinates.S_inverse
+        known = ROUNDING * np.abs(inverse @ self.whole.Z[:, : len(inverse)]).sum(axis=2).max(axis=0)
+        return np.asarray(known + np.abs(inverse) @ (bounds.z - self.second))
+
+
+@dataclass(frozen=True, eq=False)
 class TubeProblem:
     """Ranges about a centre motion in a box of factors, and gains of the sums of the linear model.
 
@@ -145,99 +168,98 @@ class TubeProblem:
     def tube(self) -> DeviationBounds | None:
         """Ultimate bounds of a robot in steady motion, and of one that starts on the reference if `from_start` exists.
 
-        With verified constants a tube that is not CLOSE to the known response, or contains that to the start, is
-        shrunk: each bound is the tube of the next one, until it decreases by less than 10 %.
+        With verified constants a tube that is not CLOSE to the first order, or contains that from the start, is shrunk:
+        each bound is the tube of the next one, until it decreases by less than 10 %.
         """
-        first = self._steady_tube
-        if first is None or not self.linear.centre.cells.verified:
+        first = self.grown(self.steady)
+        if first is None:
+            return None
+        n, largest = self.linear.n, self.linear.centre.largest[: self.linear.n]
+        positions = self.steady.positions_and_velocities(first)[:n]
+        if not self.linear.centre.cells.verified:
+            return first if np.max(positions) <= CREDIBLE else None
+        if self.from_start is None and np.max((largest + positions) / (largest + self.first_order[:n])) <= CLOSE:
             return first
-        if self.from_start is None:
-            n, largest = self.linear.n, self.linear.centre.largest[: self.linear.n]
-            excess = (largest + self.in_joints(first)[:n]) / (largest + self.in_joints()[:n])
-            if np.max(excess) <= CLOSE:
-                return first
         return self.shrunk(self.from_start or first)
 
     @cached_property
     def from_start(self) -> DeviationBounds | None:
         """Bounds at all times of a robot that starts on the reference with the motors of its model; if verified."""
+        return self.grown(*self.started) if self.linear.centre.cells.verified else None
+
+    @cached_property
+    def steady(self) -> Known:
+        """What is known of a robot in steady motion."""
+        cells, states = self.linear.centre.cells, slice(4 * self.linear.n)
+
+        def respond(errors: KnownErrors) -> Response:
+            return steady_response(self.linear, errors, self.ranges.blocks)
+
+        first = respond(self._known_errors)
+        lines = np.roll(first.Z[:, states], cells.aligned, axis=0) * cells.verified
+        beside = (np.roll(lines, -k, axis=0) for k in cells.beside(self.ranges.blocks))
+        return self._known(self.ranges, self._known_errors, first, (lines, *beside), respond)
+
+    @cached_property
+    def started(self) -> tuple[Known, Known]:
+        """What is known of a robot that starts on the reference with its model's motors: until it is settled, and then.
+
+        Until then the lines are those of the start. Then they are those of the steady motion, and what is left of the
+        start is bounded; also in the last cells before, which windows of the cells after them contain.
+        """
+        linear, cells, blocks = self.linear, self.linear.centre.cells, self.ranges.blocks
+        samples, (middle, beside) = cells.samples, cells.sampled_beside(blocks)
+        margin = beside.stop // samples + 1
+        at, start = np.arange(blocks + margin) % cells.count, np.zeros((len(self._start), 1 + self.ranges.factors))
+        start[:, 0] = self._start
+        first = course(linear, start, at, self._known_errors.at(at))
+        Z = np.concatenate([start[None], first.Z])[:, : 4 * linear.n]
+        ends = middle + samples * np.arange(blocks)
+        lines = (Z[ends], *(Z[np.maximum(ends + k, 0)] for k in beside))
+        later = _of_second_order(self.ranges, self.steady.lines, self.steady.accelerations).at(at[blocks:])
+
+        def respond(errors: KnownErrors) -> Response:
+            return course(linear, np.zeros((len(start), errors.torque.shape[2])), at, errors.followed_by(later))
+
+        ranges = Ranges(linear, self.ranges.low, self.ranges.high, blocks, at[:blocks])
+        known = self._known(ranges, self._known_errors.at(ranges.at), first, lines, respond)
+        last = np.repeat(at, samples)[-2 * margin * samples :]
+        left = np.abs(known.whole.Z[-len(last) :] - self.steady.whole.Z[last]).sum(axis=2).max(axis=0)
+        decay = course(linear, np.diag(left), (at[-1] + 1 + np.arange(blocks)) % cells.count)
+        left = ROUNDING * np.maximum(left, np.abs(decay.Z).sum(axis=2).max(axis=0))
+        return known, replace(self.steady, rest=self.steady.rest.plus(Response.within(linear, left)))
+
+    @property
+    def first_order(self) -> Array:
+        """Largest deviations (4n,) in steady motion to first order in the factors."""
+        verified, known = self.linear.centre.cells.verified, self.steady
+        Z = known.lines if verified else known.whole.Z[:, : 4 * self.linear.n]
+        return np.asarray(np.abs(self.linear.coordinates.S_inverse @ Z).sum(axis=2).max(axis=0))
+
+    @property
+    def effects(self) -> Array:
+        """Largest deviations of a position (u,) of second order in each factor; of first order if sampled."""
+        u, n = self.ranges.factors, self.linear.n
+        positions = self.linear.coordinates.S_inverse[:n] @ self.steady.whole.Z[:, : 4 * n]
+        largest = np.abs(positions).max(axis=(0, 1))
         if not self.linear.centre.cells.verified:
-            return None
-        return self.grown(self.started)
-
-    @cached_property
-    def started(self) -> Response:
-        """Response to what is known of a robot that starts on the reference with the motors of its model."""
-        decaying = -self.known.Z[-1]
-        decaying[:, 0] += self._start
-        return self.known.plus(transient(self.linear, decaying, self.ranges.blocks))
-
-    @cached_property
-    def known(self) -> Response:
-        """Steady response to what is known: to first order in the factors, and along the lines to second order."""
-        errors = self._known_errors
-        if self.lines.shape[2]:
-            errors = errors.extended(self.ranges.second_order(self.lines))
-        return steady_response(self.linear, errors, self.ranges.blocks)
-
-    @cached_property
-    def lines(self) -> Array:
-        """Response (c, 4n, u) at the start of each cell to each factor, to first order, if it is known there."""
-        cells, n = self.linear.centre.cells, self.linear.n
-        if not cells.aligned:
-            return np.zeros((cells.count, 4 * n, 0))
-        Z = steady_response(self.linear, self._known_errors, self.ranges.blocks).Z
-        return np.roll(Z[:, : 4 * n, 1 : 1 + self._uncertain], 1, axis=0)
-
-    @property
-    def effect(self) -> Array:
-        """Largest deviation of a position by each uncertain factor, to first order."""
-        n = self.linear.n
-        positions = self.linear.coordinates.S_inverse[:n] @ self.known.Z[:, : 4 * n, 1 : 1 + self._uncertain]
-        return np.asarray(np.abs(positions).max(axis=(0, 1)))
-
-    @property
-    def share(self) -> float:
-        """Width of a box about the same factors that has a tube, relative to this one."""
-        shares = 0.5 ** np.arange(1, NARROWER + 1)
-        share = next((share for share in shares if self._has_tube(share)), float(shares[-1]))
-        if share == shares[0]:  # two halves have a tube
-            return float(share)
-        return float(BETWEEN * share if self._has_tube(BETWEEN * share) else share)
-
-    def in_joints(self, bounds: DeviationBounds | None = None) -> Array:
-        """Return bounds (4n,) of the deviations z: of the known response, and of what else `bounds` contain."""
-        inverse, n = self.linear.coordinates.S_inverse, self.linear.n
-        first_order = ROUNDING * np.abs(inverse @ self.known.Z[:, : 4 * n]).sum(axis=2).max(axis=0)
-        if bounds is None:
-            return np.asarray(first_order)
-        return np.asarray(first_order + np.abs(inverse) @ (bounds.z - self._known_without_lines))
+            return np.asarray(largest[1:])
+        i, j = np.triu_indices(u, 1)
+        effects, mixed = largest[1 + u : 1 + 2 * u].copy(), largest[1 + 2 * u :]
+        for factor in (i, j):
+            np.add.at(effects, factor, mixed)
+        return np.asarray(effects)
 
     def as_tube(self, bounds: DeviationBounds) -> Tube:
-        """Return the tube about the lines with the bounds of what they leave."""
-        inverse = self.linear.coordinates.S_inverse
-        return Tube(inverse * bounds.z, inverse @ self.lines)
+        """Return the tube of steady motion about the lines with the bounds of what they leave."""
+        return self.ranges.tube(self.linear.coordinates.S_inverse * bounds.z, self.steady.lines)
 
-    @cached_property
-    def _steady_tube(self) -> DeviationBounds | None:
-        """Bounds of a robot in steady motion in the first tube that contains them; None without any."""
-        bounds = self.grown(self.known)
-        if bounds is None or self.linear.centre.cells.verified:
-            return bounds
-        return bounds if np.max(self.in_joints(bounds)[: self.linear.n]) <= CREDIBLE else None
-
-    def _has_tube(self, share: float) -> bool:
-        """Return whether a box about the factors of the centre motion, of a share of this width, has a tube."""
-        ranges, c = self.ranges, self.linear.centre.factors
-        low, high = (c + share * (end - c) for end in (ranges.low, ranges.high))
-        return replace(self, ranges=Ranges(self.linear, low, high, ranges.blocks))._steady_tube is not None
-
-    def grown(self, known: Response) -> DeviationBounds | None:
-        """Return bounds that lie within their tube, which grows from the known response; None if none are found."""
-        n, rest = self.linear.n, self._without_lines(known)
-        tube = GROWTH * np.asarray(self.gains[: 4 * n, : len(self._unknown)] @ self._unknown + rest.z)
+    def grown(self, *known: Known) -> DeviationBounds | None:
+        """Return bounds that lie within their tube, which grows from what is known; None if none are found."""
+        n, z = self.linear.n, np.max([each.rest.z for each in known], axis=0)
+        tube = GROWTH * np.asarray(self.gains[: 4 * n, : len(self._unknown)] @ self._unknown + z)
         for _ in range(ROUNDS):
-            bounds = self._bounds_within(tube, rest)
+            bounds = self._bounds_within(tube, *known)
             if bounds is None or np.all(bounds.z <= tube):
                 return bounds
             tube = GROWTH * np.maximum(bounds.z, tube / GROWTH)
@@ -245,9 +267,8 @@ class TubeProblem:
 
     def shrunk(self, tube: DeviationBounds) -> DeviationBounds:
         """Return ultimate bounds of deviations that stay within a tube: each bound is the tube of the next one."""
-        rest = self._without_lines(self.known)
         for _ in range(ROUNDS):
-            bounds = self._bounds_within(tube.z, rest)
+            bounds = self._bounds_within(tube.z, self.steady)
             if bounds is None:
                 return tube
             bounded = replace(bounds, z=np.minimum(bounds.z, tube.z))
@@ -256,24 +277,40 @@ class TubeProblem:
             tube = bounded
         return tube
 
-    def _bounds_within(self, tube: Array, rest: Response) -> DeviationBounds | None:
+    def _bounds_within(self, tube: Array, *known: Known) -> DeviationBounds | None:
         """Return bounds of the deviations that hold while these stay within a tube (4n,); None without any."""
-        mismatch = self.ranges.mismatch(tube, self._unknown, self.lines)
-        return None if mismatch is None else fixed_point(self.linear, self.gains, mismatch, rest)
+        mismatches = []
+        for each in known:
+            found = each.ranges.mismatch(tube, self._unknown, each.lines, each.accelerations)
+            if found is None:
+                return None
+            mismatches.append(found)
+        rest = reduce(Response.most, (each.rest for each in known))
+        return fixed_point(self.linear, self.gains, reduce(Mismatch.most, mismatches), rest)
 
-    def _without_lines(self, known: Response) -> Response:
-        """Return a response without the lines, but with their changes in a cell."""
-        if not self.lines.shape[2]:
-            return known
-        changes = np.abs(np.roll(self.lines, -1, axis=0) - self.lines).sum(axis=2).max(axis=0)
-        inexact = (ROUNDING - 1) * np.abs(self.lines).sum(axis=2).max(axis=0)
-        return replace(known, z=ROUNDING * (known.z - self.known.z + self._known_without_lines + changes) + inexact)
+    def _known(
+        self,
+        ranges: Ranges,
+        errors: KnownErrors,
+        first: Response,
+        lines: tuple[Array, ...],
+        respond: Callable[[KnownErrors], Response],
+    ) -> Known:
+        """Return what is known with the response of first order: its lines, and other values that windows contain.
 
-    @cached_property
-    def _known_without_lines(self) -> Array:
-        """Bounds (4n,) of the known response at samples less that along the lines."""
-        known, u = self.known.Z[:, : 4 * self.linear.n], self.lines.shape[2]
-        return np.asarray(np.abs(np.delete(known, slice(1, 1 + u), axis=2)).sum(axis=2).max(axis=0))
+        respond: gives the response to the errors of second order.
+        """
+        if not self.linear.centre.cells.verified:
+            return Known(ranges, lines[0], np.zeros_like(lines[0][:, : self.linear.n]), first, first, first.z)
+        linear, links = self.linear.at(ranges.at), slice(2 * self.linear.n, 3 * self.linear.n)
+        torque = linear.inputs[1][:, links] @ linear.coordinates.torques @ errors.torque
+        accelerations = tuple(linear.A[:, links] @ z + torque for z in lines)
+        second = respond(_of_second_order(ranges, lines[0], accelerations[0]))
+        Z = second.Z.copy()
+        Z[:, :, : first.Z.shape[2]] += first.Z
+        whole = first.plus(second)._replace(Z=Z)
+        rest = whole._replace(z=second.z + _changes(lines), acceleration=second.acceleration + _changes(accelerations))
+        return Known(ranges, lines[0], accelerations[0], whole, rest, second.z)
 
     @cached_property
     def _known_errors(self) -> KnownErrors:
@@ -284,18 +321,13 @@ class TubeProblem:
         S, unknown = self.linear.coordinates, self.ranges.unknown_errors(self._known_errors)
         unknown[: len(self.disturbing)] += self.disturbing
         changes = [S.torque] if self.linear.late else []
-        return np.asarray(np.abs(block_diag(S.torques, S.R, *changes, S.effort)) @ unknown)
-
-    @property
-    def _uncertain(self) -> int:
-        """Number of uncertain factors."""
-        return int(np.count_nonzero(self.ranges.high > self.ranges.low))
+        return np.asarray(np.abs(block_diag(S.torques, *changes, S.effort)) @ unknown)
 
     @property
     def _start(self) -> Array:
         """Z (S,) of a robot on the reference at time 0; its efforts in transit are those of its model."""
         n, centre, S = self.linear.n, self.linear.centre, self.linear.coordinates
-        ideal = CentreMotion.ideal(centre.cells, np.ones_like(centre.factors))
+        ideal = CentreMotion.ideal(centre.cells, self.linear.model.uncertain.nominal)
 
         def state(motion: CentreMotion, t: float) -> tuple[Array, Array]:
             path = motion.path.columns(np.array([t])).reshape(-1, n).T
@@ -309,3 +341,14 @@ class TubeProblem:
         efforts = (self.linear.models.loop.shape[1] - 4 * n) // n
         times = -self.linear.sample_period * np.arange(1 + efforts)
         return np.concatenate([S.S @ apart(times[0])[0], *(S.effort @ apart(t)[1] for t in times[1:])])
+
+
+def _of_second_order(ranges: Ranges, lines: Array, accelerations: Array) -> KnownErrors:
+    torque, effort = ranges.second_order(lines, accelerations)
+    return KnownErrors(torque, np.zeros(torque.shape[:2]), effort)
+
+
+def _changes(lines: tuple[Array, ...]) -> Array:
+    """Return the largest differences (rows,) of lines (c, rows, k) from the first, and their rounding."""
+    apart = np.max([np.abs(each - lines[0]).sum(axis=2).max(axis=0) for each in lines], axis=0)
+    return np.asarray(ROUNDING * apart + (ROUNDING - 1) * np.abs(lines[0]).sum(axis=2).max(axis=0))

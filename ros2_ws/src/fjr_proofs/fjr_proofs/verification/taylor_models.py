@@ -110,6 +110,12 @@ class TaylorModels:
             values[:, i, :, -1] += (1 + SINES) * scale[order] * largest[i + order]
         return cls(values.reshape(len(middle), -1, shape.width), shape)
 
+    def among(self, shape: Shape) -> TaylorModels:
+        """Return the models, which contain no deviations, in a shape of the same order with deviations."""
+        values = np.zeros((*self.values.shape[:2], shape.width))
+        values[..., : shape.order], values[..., -1] = self.values[..., : shape.order], self.values[..., -1]
+        return TaylorModels(values, shape)
+
     def minus(self, numbers: Array) -> TaylorModels:
         """Return the models less numbers (size, k)."""
         values = self.values.copy()

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated runs of robots with uncertain parameters, and a search for the worst: nothing here is of the error bound.
+
+The links are a sum of chains in which one body has its mass or its inertia only; equations are integrated as second
+order differential equations in positions and velocities by the classical Runge-Kutta method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import cma
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fjr_core.law.interfaces import StaticLaw
+from fjr_core.model.newton_euler import serial_chain
+from fjr_core.model.rigid_arm import ArmDynamics
+from fjr_core.model.robot import Robot
+from fjr_core.motions.inverse_dynamics import motor_motion
+from fjr_core.motions.reference import Reference
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import compiled
+from fjr_core.stability.linearization import split
+
+STEPS = 2  # of the integrator in each part of a sample
+WIDTHS = {"payload": 1, "payload_mass": 1, "payload_position": 3, "gravity": 1, "gravity_direction": 2}
+JOINTS = ("link_mass", "link_inertia", "stiffness", "motor_inertia", "link_damping", "motor_damping")
+LEVELS = ("payload_mass", "payload_position", "gravity_direction")
+STEP_SIZE = 0.5  # of the search, as a share of the half widths
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainLoop:
+    """A law, sampled every T [s] and late by a delay [s], on robots that differ from its own along a reference.
+
+    errors: largest error of each parameter, as for `bound_errors`. payload_position (3,) [m]. settled, duration [s]:
+    time until errors count, and of a run.
+    """
+
+    law: StaticLaw
+    reference: Reference
+    T: float
+    delay: float
+    errors: Mapping[str, ArrayLike]
+    settled: float
+    duration: float
+    payload_position: ArrayLike = (0.0, 0.0, 0.0)
+
+    @property
+    def numbers(self) -> int:
+        """Number of uncertain parameters."""
+        return sum(self._sizes[name].size for name in self.errors)
+
+    def worst(self, seed: int, rounds: int, weights: Array) -> Array:
+        """Return the largest errors (n,) [rad], or [m], that CMA-ES finds, relative to which `weights` (n,) count."""
+        start = np.random.default_rng(seed).uniform(-1, 1, self.numbers)
+        options = {"bounds": [-1, 1], "seed": seed + 1, "verbose": -9}
+        search = cma.CMAEvolutionStrategy(start.repeat(max(1, 3 - len(start))), STEP_SIZE, options)
+        largest = np.zeros(len(weights))
+        for _ in range(rounds):
+            asked = search.ask()
+            peaks, _ = self.peaks(np.array(asked)[:, : self.numbers])
+            search.tell(asked, list(-np.max(peaks / weights, axis=1)))
+            largest = np.maximum(largest, peaks.max(axis=0))
+        return largest
+
+    def peaks(self, shares: Array) -> tuple[Array, Array]:
+        """Return the largest |q_l - q_ld| (k, n) once settled, and at all times, of robots with shares (k, .), -1 to 1.
+
+        The robots start on the reference with the motors of the model, whose efforts are in transit.
+        """
+        parameters, n = self._parameters(shares).T, self.law.robot.n
+        whole, fraction = split(self.delay, self.T)
+        start, _ = self._on_reference(0.0)
+        x = np.tile(start[:, None], len(shares))
+        efforts = [np.tile(self._on_reference(-i * self.T)[1][:, None], len(shares)) for i in range(1, whole + 2)]
+        largest = np.zeros((2, n, len(shares)))
+        for k in range(round(self.duration / self.T)):
+            jets = self.reference.jets(k * self.T)
+            error = np.abs(x[:n] - jets[0][:, None])
+            largest[1] = np.maximum(largest[1], error)
+            if k * self.T >= self.settled:
+                largest[0] = np.maximum(largest[0], error)
+            efforts = [self._answer.map(len(shares))(x, np.tile(jets.T, len(shares))).full(), *efforts[: whole + 1]]
+            for effort, share in ((efforts[whole + 1], fraction), (efforts[whole], 1 - fraction)):
+                if share:
+                    x = self._step.map(len(shares))(x, effort, parameters, share * self.T).full()
+        return largest[0].T, largest[1].T
+
+    @property
+    def _sizes(self) -> dict[str, Array]:
+        n = self.law.robot.n
+        widths = WIDTHS | dict.fromkeys(JOINTS, n)
+        return {name: np.broadcast_to(self.errors.get(name, 0.0), size) for name, size in widths.items()}
+
+    def _parameters(self, shares: Array) -> Array:
+        """Return all parameters (k, .) at shares of the uncertain ones."""
+        ends = np.cumsum([self._sizes[name].size for name in self.errors])[:-1]
+        of_errors = dict(zip(self.errors, np.split(shares, ends, axis=1), strict=True))
+        columns = []
+        for name, size in self._sizes.items():
+            share = of_errors.get(name, np.zeros((len(shares), size.size)))
+            nominal = np.asarray(self.payload_position) if name == "payload_position" else float(name not in LEVELS)
+            columns.append(size * (1 + share) / 2 if name == "payload_mass" else nominal + size * share)
+        return np.concatenate(columns, axis=1)
+
+    def _on_reference(self, t: float) -> tuple[Array, Array]:
+        """Return the state (4n,) of the model on the reference at a time [s], in velocities, and its effort (n,)."""
+        q, dq, *more = self.reference.jets(t)
+        motors = motor_motion(self.law.robot, q, dq, *more)
+        theta, dtheta, torque = (each.full().ravel() for each in (motors.theta, motors.dtheta, motors.torque))
+        return np.concatenate([q, theta, dq, dtheta]), np.linalg.solve(self.law.robot.B_m, torque)
+
+    @cached_property
+    def _answer(self) -> ca.Function:
+        n, law = self.law.robot.n, self.law
+        x, jets = ca.SX.sym("x", 4 * n), ca.SX.sym("jets", n, 5)
+        u, _ = law.measured_expression(x[: 2 * n], x[2 * n :], jets, ca.DM(law.gain_values))
+        return compiled(ca.Function("uncertain_answer", [x, jets], [ca.densify(u)], {"cse": True}))
+
+    @cached_property
+    def _step(self) -> ca.Function:
+        """(x, u, parameters, dt) -> x after dt."""
+        robot, n = self.law.robot, self.law.robot.n
+        x, u, dt = ca.SX.sym("x", 4 * n), ca.SX.sym("u", n), ca.SX.sym("dt")
+        sizes = {name: size.size for name, size in self._sizes.items()}
+        parts = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        parameters = ca.vertcat(*parts.values())
+        f = ca.Function("f", [x, u, parameters], [_rates(robot, x, u, parts)])
+        h, state = dt / STEPS, x
+        for _ in range(STEPS):
+            k1 = f(state, u, parameters)
+            k2 = f(state + h / 2 * k1, u, parameters)
+            k3 = f(state + h / 2 * k2, u, parameters)
+            state += h / 6 * (k1 + 2 * k2 + 2 * k3 + f(state + h * k3, u, parameters))
+        return compiled(ca.Function("uncertain_step", [x, u, parameters, dt], [state], {"cse": True}))
+
+
+def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return dx/dt (4n,) of x = (q_l, q_m, dq_l, dq_m)."""
+    q_l, q_m, dq_l, dq_m = ca.vertsplit(x, robot.n)
+    M, torque, zero = ca.SX(robot.n, robot.n), ca.SX(robot.n, 1), ca.DM.zeros(robot.n)
+    a, b = ca.vertsplit(p["gravity_direction"])
+    end_effector = robot.links.end_effector
+    assert end_effector is not None
+    gravity = end_effector.gravity
+    across = np.linalg.svd(gravity[None, :])[2][1:]
+    size, down = np.linalg.norm(gravity), gravity / np.linalg.norm(gravity)
+    turned = size * (ca.sin(b) * across[0] - ca.sin(a) * ca.cos(b) * across[1] + ca.cos(a) * ca.cos(b) * down)
+    for joint, of_inertia, alone in _single_bodies(robot):
+        factor = p["link_mass"][joint] * (p["link_inertia"][joint] if of_inertia else 1)
+        M += factor * alone(gravity).M_l(q_l)
+        torque += factor * alone(gravity).inertial_torque(q_l, dq_l, dq_l, zero)
+        for axis in range(3):
+            torque += factor * p["gravity"] * turned[axis] * alone(np.eye(3)[axis]).grad_P_l(q_l)
+    place = end_effector.position(q_l, p["payload_position"])
+    J = ca.jacobian(place, q_l)
+    bent = ca.jtimes(J @ dq_l, q_l, dq_l)
+    M += p["payload_mass"] * J.T @ J
+    torque += p["payload_mass"] * J.T @ (bent - p["gravity"] * turned)
+    tau = p["stiffness"] * (robot.K @ (q_m - q_l))
+    links = tau - p["link_damping"] * (robot.D_l @ dq_l) - p["payload"] * torque
+    motors = robot.B_m @ u - tau - p["motor_damping"] * (robot.D_m @ dq_m)
+    ddq_m = np.linalg.inv(robot.M_m) @ (motors / p["motor_inertia"])
+    return ca.vertcat(dq_l, dq_m, ca.solve(p["payload"] * M, links), ddq_m)
+
+
+def _single_bodies(robot: Robot) -> Iterator[tuple[int, bool, SingleBody]]:
+    """Yield the joint, whether it is the inertia, and the arm of the mass, and of the inertia, of one body alone."""
+    for i in range(robot.n):
+        for of_inertia in (False, True):
+            yield robot.links.order.index(i), of_inertia, SingleBody(robot.links, i, of_inertia)
+
+
+@dataclass(frozen=True, eq=False)
+class SingleBody:
+    """An arm of which one body has its mass, or its inertia about the centre of mass, and the others nothing."""
+
+    links: ArmDynamics
+    body: int
+    of_inertia: bool
+
+    def __call__(self, gravity: Array) -> ArmDynamics:
+        """Return the arm under gravity (3,) [m/s^2]."""
+        bodies = []
+        for i, body in enumerate(self.links.bodies):
+            own = i == self.body
+            mass = body.mass if own and not self.of_inertia else 0.0
+            inertia = np.asarray(body.inertia) * (own and self.of_inertia)
+            bodies.append(replace(body, mass=mass, inertia=inertia))
+        return serial_chain(bodies, gravity, self.links.order)
