@@ -36,7 +36,8 @@ Maker = Callable[[Draw, np.random.Generator], dict[str, Any]]
 
 def _encoder(d: Draw, error: Callable[[Array, float], Array], rate: Callable[[Array], Array]) -> dict[str, Any]:
     """Return a fault that adds error(q, t) to one position, and rate(q) dq to its velocity."""
-    one, last = np.eye(2 * d.n)[d.channel], {"t": -1e-3, "q": np.zeros(2 * d.n)}
+    one = np.eye(2 * d.n)[d.channel]
+    last: dict[str, Any] = {"t": -1e-3, "q": np.zeros(2 * d.n)}
 
     def position(q: Array) -> Array:
         last.update(t=last["t"] + 1e-3, q=q)
@@ -125,7 +126,7 @@ def case(number: int) -> Case:
     d = Draw(scenario, int(rng.integers(n)), str(rng.choice(sides)), 0.2)
     made = maker(d, rng)
     bits, noise = [float(rng.integers(16, 21))] * n, [float(10 ** rng.uniform(-4, -3))] * n
-    changes = {f"imperfections.{side}_encoder_bits": bits for side in ("link", "motor")}
+    changes: dict[str, Any] = {f"imperfections.{side}_encoder_bits": bits for side in ("link", "motor")}
     changes |= {f"imperfections.{side}_velocity_noise": noise for side in ("link", "motor")}
     changes |= {"imperfections.seed": number, **made.pop("changes", {})}
     return Case(
@@ -156,7 +157,7 @@ def result(number: int) -> dict[str, Any]:
 
 def rows(results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
     """Return a row for each kind of fault, and one for all."""
-    found = []
+    found: list[tuple[str, ...]] = []
     for kind in (*KINDS, "all"):
         own = [each for each in results if kind in ("all", each["kind"])]
         named = [each for each in own if each["at"] and each["found"] != UNKNOWN and " or " not in each["found"]]
