@@ -83,7 +83,7 @@ LAYERS = {
 BUDGETS = {
     "fjr_core": 13_330,
     "fjr_msgs_py": 3_800,
-    "fjr_monitor": 7_650,
+    "fjr_monitor": 7_790,
     "fjr_plant": 1_500,
     "fjr_controller": 1_930,
     "fjr_design": 9_860,

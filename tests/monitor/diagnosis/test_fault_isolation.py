@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from functools import cache
 
@@ -13,19 +14,15 @@ import pytest
 import fjr_core as fjr
 from fjr_core.model.rigid_arm import PayloadArm
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_monitor.diagnosis.diagnosis import diagnose, innovations
 from fjr_monitor.diagnosis.fault_isolation import velocity_faults
+from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Hypothesis, body_torques
 from fjr_monitor.diagnosis.record import Record
+from fjr_monitor.diagnosis.residuals import residuals
 from fjr_monitor.diagnosis.thresholds import JointTolerances
-from fjr_monitor.diagnosis.torque_faults import (
-    SECOND_MOMENTS,
-    UNKNOWN,
-    Hypothesis,
-    body_torques,
-    unexplained,
-)
+from fjr_monitor.diagnosis.torque_faults import UNKNOWN, FittedFault, torque_fault, unexplained
 from fjr_monitor.diagnosis.verdict import Diagnosis, Finding
-from monitor.diagnosis.loops import PERIOD, recorded
+from monitor.diagnosis.loops import PERIOD, Sensed, recorded
 
 DURATION = 1.5
 MODEL = fjr.planar_two_link()
@@ -107,6 +104,73 @@ def test_position_sensor_offset_is_estimated_in_rad(channel: int, joint: str, si
     assert finding.size == pytest.approx(1e-3, rel=0.02)
 
 
+def encoder(kind: str, channel: int, size: float, begin: float) -> Sensed:
+    """Return what an encoder with a fault measures, whose velocity is the rate of its position."""
+    taken, one = itertools.count(), np.eye(4)[channel]
+
+    def sensed(q: Array, dq: Array) -> tuple[Array, Array]:
+        since = PERIOD * next(taken) - begin
+        error, rate = {
+            "encoder gain": (size / 100 * q, size / 100 * dq),
+            "eccentricity": (size * np.sin(q + 0.3), size * np.cos(q + 0.3) * dq),
+            "encoder drift": (size * since, size * np.ones(4)),
+            "encoder slip": (size * (since >= 0), np.zeros(4)),
+        }[kind]
+        return q + one * error, dq + one * rate
+
+    return sensed
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "begin"),
+    [
+        ("encoder gain", -2.0, 0.0),
+        ("eccentricity", 5e-3, 0.0),
+        ("encoder drift", 2e-3, 0.0),
+        ("encoder slip", 2e-3, 0.7),
+    ],
+)
+@pytest.mark.parametrize(("channel", "joint", "side"), [(0, "shoulder", "link"), (3, "elbow", "motor")])
+def test_faulty_encoder_is_named_with_its_size_and_begin(
+    channel: int, joint: str, side: str, kind: str, size: float, begin: float
+) -> None:
+    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+    sensed = encoder(kind, channel, size, begin)
+    seen = recorded(law(), reference, np.zeros(8), round(DURATION / PERIOD), sensed=sensed)
+    (finding,) = diagnose(seen, law(), axes=AXES).findings
+    assert (finding.kind, finding.joint, finding.side) == (kind, joint, side)
+    assert finding.size == pytest.approx(size, rel=0.05)
+    assert finding.since == pytest.approx(begin, abs=0.04)
+
+
+def test_begin_of_a_fault_of_the_robot_is_the_likeliest() -> None:
+    """The motor of the elbow loses a tenth of its torque after 0.8 s."""
+    taken = itertools.count()
+    weak = lambda u: u * (1 - [0.0, 0.1] * np.array(next(taken) * PERIOD >= 0.8))  # noqa: E731
+    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+    seen = recorded(law(), reference, np.zeros(8), round(DURATION / PERIOD), acting=weak)
+    (finding,) = diagnose(seen, law(), axes=AXES).findings
+    assert (finding.kind, finding.joint, finding.side) == ("torque constant", "elbow", "motor")
+    assert finding.since == pytest.approx(0.8, abs=0.04)
+
+
+@pytest.mark.parametrize(("joints", "named"), [((0,), True), ((0, 1), False)])
+def test_kinds_that_fit_equally_well_are_named_together(joints: tuple[int, ...], named: bool) -> None:
+    """At rest a wrong stiffness leaves the torque of an offset; torques on two joints have no single cause."""
+    q = np.array([0.4, -0.3])
+    start = MODEL.state(q, q + np.linalg.solve(MODEL.K, MODEL.grad_P_l(q)), *np.zeros((2, 2)))
+    still = recorded(law(), fjr.Sine([0.0, 0.0], [1.0, 1.0], q), start, round(DURATION / PERIOD))
+    found = innovations(still, law())
+    seen = residuals(found, np.zeros((len(found), 2)), law())
+    assert seen is not None
+    noise = np.full(4, 1e-3)
+    torque = sum(0.1 * (np.eye(4)[j] - np.eye(4)[2 + j]) for j in joints)
+    r = torque + noise * np.random.default_rng(1).standard_normal(seen.r.shape)
+    (finding,) = torque_fault(replace(seen, r=r, sigma=noise, noise=noise), NAMES)
+    assert (finding.joint == "shoulder") is named
+    assert ({"stiffness", "position offset"} <= {*finding.kind.split(" or ")}) is named or finding.kind == UNKNOWN
+
+
 @pytest.mark.parametrize(("kind", "size"), [("velocity scale", 5.0), ("velocity delay", 2e-3), ("velocity sign", -1.0)])
 def test_velocity_that_contradicts_the_position_is_isolated_without_a_model(kind: str, size: float) -> None:
     healthy = record()
@@ -144,4 +208,4 @@ def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
 @pytest.mark.parametrize(("share", "named"), [(0.05, False), (0.3, True)])
 def test_nearest_kind_is_named_only_if_it_explains_a_tenth(share: float, named: bool) -> None:
     nearest = Hypothesis("inertia", 0, "motor", "kg m^2", np.zeros((1, 2, 1)))
-    assert ("inertia (motor of a)" in unexplained(nearest, share, ["a"]).sentence) is named
+    assert ("inertia (motor of a)" in unexplained(FittedFault(1.0, 1.0, nearest), share, ["a"]).sentence) is named

@@ -21,20 +21,15 @@ from fjr_core.runtime.events import WiringFault
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
 from .record import Innovations, Record
+from .residuals import FEWEST_BLOCKS, block_means, deviation, residuals
 from .thresholds import BLOCK, LONGEST_GAP
-from .torque_faults import (
-    EXPLAINED,
-    FEWEST_BLOCKS,
-    UNKNOWN,
-    block_means,
-    deviation,
-    residuals,
-    torque_fault,
-)
+from .torque_faults import EXPLAINED, UNKNOWN, torque_fault
 from .verdict import Finding
 
 CONTRADICTION = 5.0
 """Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
+SLIPS, SLIP = 2, 0.1
+"""Blocks in which a position jumps, and the share of the power that others have, if an encoder slips."""
 DISCRETISED = 5e-4
 """Difference relative to the speed that is attributed to discretisation."""
 REVERSED = (-3.0, -1.4)
@@ -151,7 +146,8 @@ def velocity_faults(record: Record, names: Sequence[str]) -> tuple[Finding, ...]
         noise = deviation(e[:, None])[0]
         sigma = float(np.hypot(noise, DISCRETISED * np.sqrt(np.mean(D[:, channel] ** 2)) + 1e-9))
         power = float(np.mean(e**2)) / sigma**2
-        if power > CONTRADICTION**2:
+        slipped = np.sort(e**2)[:-SLIPS].sum() < SLIP * np.sum(e**2)
+        if power > CONTRADICTION**2 and not slipped:
             found.append((power, _contradicted(channel, e, noise, D, dD, names)))
     return tuple(finding for _, finding in sorted(found, key=lambda each: -each[0]))
 

@@ -32,7 +32,8 @@ class Finding:
 
     kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" if two are exchanged), empty if unknown.
     side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: magnitude. share: part of the
-    residual torque that the fault explains.
+    residual torque that the fault explains. kind "a or b": these fit equally well, size is that of a. since [s]: when
+    it began, 0: it acts all the time.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Finding:
     unit: str
     share: float
     sentence: str
+    since: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import innovations
-from fjr_monitor.diagnosis.torque_faults import QUIET, block_means, torques
+from fjr_monitor.diagnosis.residuals import block_means, torques
+from fjr_monitor.diagnosis.torque_faults import QUIET
 from fjr_monitor.recording.bag import JointTable
 from fjr_monitor.recording.run import Recording
 from fjr_msgs_py import names

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Possible faults of a robot and its sensors, each with the residual torque that it causes.
+
+Each hypothesis is a set of columns; the residual is their sum with unknown coefficients. A wrong stiffness, for
+example, leaves opposite torques proportional to the deflection in the two equations of its joint. A payload is a body
+fixed to a link: its joint torques are linear in its ten inertial parameters. A fault of an encoder adds an error to the
+measured position, and its rate to the measured velocity: that of a gain is the position, that of an eccentric disc the
+sine of the angle, once a turn, that of a drift the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from fjr_core.errors import RobotError
+from fjr_core.model import springs
+from fjr_core.model.rigid_arm import ArmDynamics
+from fjr_core.numerics.checks import Array
+
+from .residuals import Residuals, over_rows
+
+SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+PARAMETERS = 4 + len(SECOND_MOMENTS)
+LINK, MOTOR, JOINT = "link", "motor", "joint"
+SMOOTHING = 0.01
+"""Speed [rad/s] below which the sign of a velocity is uncertain."""
+FREEPLAYS = np.geomspace(0.02, 2.0, 40)
+"""Tested half-widths of backlash relative to the RMS deflection."""
+LONGEST_ARM = 1.5
+"""Largest considered distance [m] of a payload from its joint."""
+STEPS = 60
+"""Of the fit of a payload."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Possible fault: kind, joint (index), side, unit of its size, and the residual (b, 2n) that it causes.
+
+    columns (b, 2n, p): residual per unknown. size: returns the size from the p fitted unknowns, None if the fault is
+    impossible. nonlinear: fits dependent unknowns from (A, c) = (X'X, X'y); None: least squares.
+    """
+
+    kind: str
+    joint: int
+    side: str
+    unit: str
+    columns: Array
+    size: Callable[[Array], float | None] = lambda fitted: float(fitted[0])
+    nonlinear: Callable[[Array, Array], Array] | None = None
+
+    @property
+    def unknowns(self) -> int:
+        """How many numbers are fitted: four of a point mass."""
+        return min(self.columns.shape[2], 4)
+
+    def place(self, names: Sequence[str]) -> str:
+        """Return where the fault is, with the names of the joints."""
+        return names[self.joint] if self.side == JOINT else f"{self.side} of {names[self.joint]}"
+
+
+def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
+    """Return all possible faults of all joints."""
+    n = seen.robot.n
+    for j in range(n):
+        yield from _of_side(seen, j, LINK, j)
+        yield from _of_side(seen, j, MOTOR, n + j)
+        yield from _of_spring(seen, j)
+        yield from _of_motor(seen, j)
+        yield from _of_body(seen, j)
+
+
+def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
+    """Return constant torque, frictions and position offset of one side of a joint."""
+    dq, damping = seen.dq[:, channel], (seen.robot.D_l if side == LINK else seen.robot.D_m)[j, j]
+
+    def at_least(least: float) -> Callable[[Array], float | None]:
+        return lambda fitted: float(fitted[0]) if fitted[0] > least else None  # else friction would add energy
+
+    yield Hypothesis("constant torque", j, side, "N m", seen.placed({channel: np.ones_like(dq)}))
+    coulomb = seen.placed({channel: -np.tanh(dq / SMOOTHING)})
+    yield Hypothesis("Coulomb friction", j, side, "N m", coulomb, at_least(0.0))
+    yield Hypothesis("viscous friction", j, side, "N m s/rad", seen.placed({channel: -dq}), at_least(-damping))
+    yield from _of_encoder(seen, j, side, channel)
+
+
+def _of_encoder(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
+    """Return offset, gain, eccentricity and drift of the encoder on one side of a joint."""
+    q, dq = seen.found.states[:, :, channel], seen.found.states[:, :, 2 * seen.robot.n + channel]
+    one = np.ones_like(q)
+    t = np.cumsum(seen.found.dt)[:, None] * one
+    column = seen.of_encoder(channel)
+    yield Hypothesis("position offset", j, side, "rad", column(one, 0 * one))
+    yield Hypothesis("encoder gain", j, side, "%", column(q, dq), _gain)
+    turn = np.concatenate([column(np.sin(q), np.cos(q) * dq), column(np.cos(q), -np.sin(q) * dq)], axis=2)
+    yield Hypothesis("eccentricity", j, side, "rad", turn, lambda fitted: float(np.hypot(*fitted)))
+    yield Hypothesis("encoder drift", j, side, "rad/s", column(t, one))
+
+
+def _gain(fitted: Array) -> float:
+    """Return the error of a gain in percent of the right one; fitted is that share of what is measured."""
+    return 100 * float(fitted[0] / (1 - fitted[0]))
+
+
+def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
+    """Return stiffness and backlash: torques on the link with their reactions on the motor."""
+    n, k = seen.robot.n, seen.robot.K[j, j]
+    zeta = seen.q[:, n + j] - seen.q[:, j]
+    bent = springs.torques(seen.robot, seen.q[:, n:] - seen.q[:, :n])[:, j] / k if seen.robot.curve else zeta
+    linear = seen.placed({j: bent, n + j: -bent})
+    yield Hypothesis("stiffness", j, JOINT, "%", linear, lambda fitted: 100 * float(fitted[0]) / k)
+    for half in FREEPLAYS * np.sqrt(np.mean(zeta**2)):
+        torque = -np.clip(zeta, -half, half) * k
+        columns, play = seen.placed({j: torque, n + j: -torque}), 2 * float(half)
+        yield Hypothesis("backlash", j, JOINT, "rad", columns, lambda _, play=play: play, lambda A, c: np.ones(1))  # type: ignore[misc]
+
+
+def _of_motor(seen: Residuals, j: int) -> Iterator[Hypothesis]:
+    """Return torque constant and inertia of the motor."""
+    channel, given = seen.robot.n + j, seen.u[:, j] * seen.robot.B_m[j, j]
+    gain = seen.placed({channel: given})
+    yield Hypothesis("torque constant", j, MOTOR, "%", gain, lambda fitted: 100 * float(fitted[0]))
+    yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({channel: -seen.ddq[:, channel]}))
+
+
+def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
+    """Return a point mass on a link and the inertia of a link about its joint."""
+    n, links = seen.robot.n, seen.robot.links
+    if links.end_effector is None:
+        yield Hypothesis("inertia", j, LINK, "kg m^2", seen.placed({j: -seen.ddq[:, j]}))
+        return
+    torque = -seen.means(body_torques(links, j, seen.q[:, :n], seen.dq[:, :n], seen.ddq[:, :n]))
+    columns = np.zeros((len(torque), 2 * n, torque.shape[2]))
+    columns[:, :n] = torque
+    still = np.zeros((len(seen.q), n))
+    weights = body_torques(links, j, seen.q[:, :n], still, still)[:, j, :4]
+
+    def largest(fitted: Array) -> float:
+        return float(np.abs(weights @ fitted[:4]).max())  # weight torque at the joint
+
+    yield Hypothesis("gravity load", j, LINK, "N m", columns[:, :, :4], largest)
+    yield Hypothesis("gravity load", j, LINK, "N m", columns, largest, _point_mass)
+    yield Hypothesis("inertia", j, LINK, "kg m^2", columns[:, :, 4:7], lambda fitted: float(fitted.sum()))
+
+
+def _point_mass(A: Array, c: Array) -> Array:
+    """Fit a point mass of either sign, at most LONGEST_ARM away; return its ten inertial parameters."""
+    from scipy.optimize import least_squares  # 0.3 s of imports, which the running nodes do not need
+
+    scale = np.sqrt(np.diag(A).max()) or 1.0
+    values, vectors = np.linalg.eigh(A / scale**2)
+    kept = values > 1e-12 * values.max()
+    root = (vectors[:, kept] * np.sqrt(values[kept])).T
+    target = (vectors[:, kept].T @ (c / scale)) / np.sqrt(values[kept]) / scale
+    begins = ([m, *r] for m in (0.1, -0.1) for r in ((0.1, 0.0, 0.0), (0.0, 0.1, 0.1)))
+    bounds = [-np.inf, *[-LONGEST_ARM] * 3], [np.inf, *[LONGEST_ARM] * 3]
+    tried = [
+        least_squares(
+            lambda x: root @ _of_point_mass(x)[0] - target,
+            begin,
+            lambda x: root @ _of_point_mass(x)[1],
+            bounds,
+            x_scale="jac",
+            max_nfev=STEPS,
+        )
+        for begin in begins
+    ]
+    return _of_point_mass(min(tried, key=lambda each: float(each.cost)).x)[0]
+
+
+def _of_point_mass(x: Array) -> tuple[Array, Array]:
+    """Return the inertial parameters (10,) of x = (m, r) and their derivatives (10, 4)."""
+    m, r, unit = x[0], x[1:], np.eye(3)
+    unscaled = np.array([1.0, *r, *(r[i] * r[j] for i, j in SECOND_MOMENTS)])
+    moments = [r[j] * unit[i] + r[i] * unit[j] for i, j in SECOND_MOMENTS]
+    return m * unscaled, np.column_stack([unscaled, m * np.vstack([np.zeros(3), unit, *moments])])
+
+
+def body_torques(links: ArmDynamics, link: int, q_l: Array, dq_l: Array, ddq_l: Array) -> Array:
+    """Return the torques (k, n, 10) per inertial parameter of a body fixed to `link`, at k states (k, n).
+
+    Parameters: m [kg]; m r [kg m] (3); sum m r r' [kg m^2] (6, in the order of SECOND_MOMENTS), r in the frame of
+    the last link with the joints after `link` held at 0. d/dt dL/d(dq_l) - dL/dq_l with the Lagrangian
+    L = sum m (|dp|^2 / 2 + g'p), p = p_0 + R r. Raises RobotError for links without an end-effector frame.
+    """
+    function, n = _function(links, link), links.n
+    return over_rows(lambda rows: function(rows).full(), np.hstack([q_l, dq_l, ddq_l]), PARAMETERS).reshape(-1, n, 10)
+
+
+def _function(links: ArmDynamics, link: int) -> ca.Function:
+    """Build the function (q_l, dq_l, ddq_l) stacked -> (n, 10)."""
+    if links.end_effector is None:
+        raise RobotError("the links have no end-effector frame; expected links with one")
+    n = links.n
+    state, theta = ca.SX.sym("state", 3 * n), ca.SX.sym("theta", PARAMETERS)
+    q_l, dq_l, ddq_l = ca.vertsplit(state, n)
+    held = ca.vertcat(q_l[: link + 1], ca.SX.zeros(n - link - 1))
+    p_0 = links.end_effector.position(held, ca.SX.zeros(3))
+    R = ca.horzcat(*(links.end_effector.position(held, ca.SX.eye(3)[:, i]) - p_0 for i in range(3)))
+    dp_0, dR = ca.jtimes(p_0, q_l, dq_l), ca.reshape(ca.jtimes(ca.vec(R), q_l, dq_l), 3, 3)
+    m, mr, moments = theta[0], theta[1:4], theta[4:]
+    S = ca.SX(3, 3)
+    for value, (i, j) in zip(ca.vertsplit(moments), SECOND_MOMENTS, strict=True):
+        S[i, j] = S[j, i] = value
+    kinetic = m * ca.dot(dp_0, dp_0) / 2 + ca.dot(dp_0, dR @ mr) + ca.trace(dR @ S @ dR.T) / 2
+    L = kinetic + ca.dot(ca.DM(links.end_effector.gravity), m * p_0 + R @ mr)
+    momentum = ca.gradient(L, dq_l)
+    rate = ca.jtimes(momentum, ca.vertcat(q_l, dq_l), ca.vertcat(dq_l, ddq_l))
+    torque = rate - ca.gradient(L, q_l)
+    return ca.Function("body_torques", [state], [ca.densify(ca.jacobian(torque, theta))], {"cse": True})

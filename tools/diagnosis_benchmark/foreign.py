@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnose runs with faults and physics that the labelled sets lack; write the table of docs/tables/diagnosis.md.
+
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.foreign --folder FOLDER [--count 200]
+
+A run is drawn by its number alone. Its result is a file of the folder: a later call takes up where an earlier one
+ended, and several processes, each in an order of its own, share the work. Once all are there the table is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.figures import markdown, put
+from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.torque_faults import UNKNOWN
+
+from .cases import JOINTS, SETTLED, Case, start_of
+from .faults import Draw, nominal
+from .lock_step import Fault
+
+SEED, COUNT, DURATION = 27, 200, 4.0
+ROBOTS = ("paper_k31", "two_link", "arm7")
+MARGINS = {"paper_k31": 5.45e-3, "two_link": 10.1e-3, "arm7": 2.38e-3}  # s
+Maker = Callable[[Draw, np.random.Generator], dict[str, Any]]
+
+
+def _encoder(d: Draw, error: Callable[[Array, float], Array], rate: Callable[[Array], Array]) -> dict[str, Any]:
+    """Return a fault that adds error(q, t) to one position, and rate(q) dq to its velocity."""
+    one = np.eye(2 * d.n)[d.channel]
+    last: dict[str, Any] = {"t": -1e-3, "q": np.zeros(2 * d.n)}
+
+    def position(q: Array) -> Array:
+        last.update(t=last["t"] + 1e-3, q=q)
+        return np.asarray(q + one * error(q, last["t"]))
+
+    return {"fault": Fault(position=position, velocity=lambda dq: dq + one * rate(last["q"]) * dq)}
+
+
+def _gain(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    g = rng.choice([-1, 1]) * rng.uniform(0.005, 0.03)
+    return _encoder(d, lambda q, t: g * q, lambda q: g + 0 * q)
+
+
+def _eccentric(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    a, at = rng.uniform(2e-3, 8e-3), rng.uniform(0, 2 * np.pi)
+    return _encoder(d, lambda q, t: a * np.sin(q + at), lambda q: a * np.cos(q + at))
+
+
+def _slip(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    jump, begin = 0.5 * d.torque / d.K, rng.uniform(0.3, 0.7) * DURATION
+    return _encoder(d, lambda q, t: jump * (t >= begin) + 0 * q, lambda q: 0 * q)
+
+
+def _drift(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    speed = 0.3 * d.torque / d.K
+    return _encoder(d, lambda q, t: speed * t + 0 * q, lambda q: 0 * q)
+
+
+def _cubic(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    growth, at = rng.uniform(0.1, 0.4), d.torque / d.K
+    return {"fault": Fault(spring=lambda zeta: d.K * growth * zeta * (zeta / at) ** 2 * np.eye(d.n)[d.j])}
+
+
+def _kinematic(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    size = 0.2 * d.torque
+    return {"fault": Fault(spring=lambda zeta: size * np.sin(40 * zeta * d.K / d.torque) * np.eye(d.n)[d.j])}
+
+
+def _stribeck(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    level = 0.1 * d.torque * np.eye(d.n)[d.j]
+    names = {"coulomb": level, "static": 1.5 * level}
+    changes = {f"imperfections.{d.side}_{name}_friction": size.tolist() for name, size in names.items()}
+    return {"changes": {**changes, "imperfections.friction_smoothing_velocity": [0.05] * d.n}}
+
+
+def _late(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    return {"changes": {"imperfections.command_delay": float(rng.uniform(0.3, 0.9) * MARGINS[d.scenario])}}
+
+
+def _varying(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    return {"changes": {"imperfections.command_jitter": float(rng.uniform(0.3, 0.6) * MARGINS[d.scenario])}}
+
+
+def _soft_later(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+    share = rng.uniform(0.1, 0.25) * np.eye(d.n)[d.j]
+    calls = [0.0, rng.uniform(0.3, 0.7) * DURATION]
+
+    def effort(u: Array) -> Array:
+        calls[0] += 1e-3
+        return np.asarray(u * (1 - share * (calls[0] >= calls[1])))
+
+    return {"fault": Fault(effort=effort)}
+
+
+KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], Maker]] = {
+    "encoder gain": (("link", "motor"), ("encoder gain",), _gain),
+    "eccentricity of an encoder": (("link", "motor"), ("eccentricity",), _eccentric),
+    "encoder that slips": (("link", "motor"), ("encoder slip",), _slip),
+    "encoder that drifts": (("link", "motor"), ("encoder drift",), _drift),
+    "motor that weakens": (("motor",), ("torque constant",), _soft_later),
+    "Stribeck friction": (("link", "motor"), ("Coulomb friction",), _stribeck),
+    "cubic spring": (("joint",), ("stiffness",), _cubic),
+    "rippled spring": (("joint",), (), _kinematic),
+    "delay": (("",), (), _late),
+    "delay that varies": (("",), (), _varying),
+}
+"""Sides, findings that are right (none: that of no single kind), and how the fault is made."""
+
+
+def case(number: int) -> Case:
+    """Return a run with a fault on random joints, with encoders of 16 to 20 bits and noisy velocities."""
+    rng = np.random.default_rng((SEED, number))
+    kind, scenario = list(KINDS)[number % len(KINDS)], str(rng.choice(ROBOTS))
+    n = JOINTS[scenario]
+    sides, _, maker = KINDS[kind]
+    d = Draw(scenario, int(rng.integers(n)), str(rng.choice(sides)), 0.2)
+    made = maker(d, rng)
+    bits, noise = [float(rng.integers(16, 21))] * n, [float(10 ** rng.uniform(-4, -3))] * n
+    changes: dict[str, Any] = {f"imperfections.{side}_encoder_bits": bits for side in ("link", "motor")}
+    changes |= {f"imperfections.{side}_velocity_noise": noise for side in ("link", "motor")}
+    changes |= {"imperfections.seed": number, **made.pop("changes", {})}
+    return Case(
+        f"{number} {scenario} {kind}", scenario, kind, changes, start=start_of(scenario, rng), joint=d.j, **made
+    )
+
+
+def result(number: int) -> dict[str, Any]:
+    """Return what the diagnosis says of a run, and its largest settled error relative to the tolerance."""
+    drawn = case(number)
+    loop = drawn.run(DURATION)
+    record, robot = loop.record(), loop.scenario.robot
+    axes = JointTolerances.of(loop.scenario.controller_values, robot)
+    said = diagnose(record, loop.scenario.tracking_law, axes=axes)
+    error = np.abs(record.position[:, : robot.n] - record.jets[:, 0])[record.t > 2 * SETTLED]
+    first = said.findings[0] if said.findings else None
+    return {
+        "name": drawn.name,
+        "kind": drawn.kind,
+        "joint": nominal(drawn.scenario).joints[drawn.joint],
+        "verdict": said.kind,
+        "causes": list(said.causes),
+        "found": first.kind if first else "",
+        "at": first.joint if first else "",
+        "error": float((error / axes.tolerance).max(initial=0.0)),
+    }
+
+
+def rows(results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Return a row for each kind of fault, and one for all."""
+    found: list[tuple[str, ...]] = []
+    for kind in (*KINDS, "all"):
+        own = [each for each in results if kind in ("all", each["kind"])]
+        named = [each for each in own if each["at"] and each["found"] != UNKNOWN and " or " not in each["found"]]
+        right = [each["found"] in KINDS[each["kind"]][1] and each["at"] == each["joint"] for each in named]
+        located = [each for each in own if KINDS[each["kind"]][0] != ("",)]
+        joints = sum(each["at"] == each["joint"] for each in located)
+        wrongly = sum(each["verdict"] == "holding" and each["error"] > 1 for each in own)
+        held = sum(each["verdict"] == "holding" for each in own)
+        counts = f"{sum(right)} of {len(named)}", f"{joints} of {len(located)}"
+        found.append((kind, str(len(own)), *counts, str(held), str(wrongly)))
+    return found
+
+
+def main() -> None:
+    """Diagnose the runs that have no result yet; write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--folder", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=COUNT)
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    files = [options.folder / f"{number:04d}.json" for number in range(options.count)]
+    for number in np.random.default_rng(os.getpid()).permutation(options.count).tolist():
+        file = files[number]
+        if not file.exists():
+            part = file.with_suffix(f".{os.getpid()}")
+            part.write_text(json.dumps(result(number)), encoding="utf-8")
+            part.replace(file)
+    head = (
+        "fault",
+        "runs",
+        "one kind and joint named: right",
+        "joint right",
+        "holding",
+        "of these beyond the tolerance",
+    )
+    table = markdown(head, rows([json.loads(file.read_text(encoding="utf-8")) for file in files]))
+    begin = "<!-- foreign: written by tools/diagnosis_benchmark/foreign.py -->"
+    put(["", *table, ""], "diagnosis.md", begin, "<!-- end of foreign -->")
+
+
+if __name__ == "__main__":
+    main()
