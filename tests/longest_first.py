@@ -48,7 +48,7 @@ LONGEST_FIRST = (
     "system/test_paper_claim.py",
     "system/test_fjr_report.py",
     "system/test_wheels.py",
-    "system/test_joint_units.py",
+    "system/test_other_joints.py",
     "design/exports/ros2_control/test_package.py",
     "design/stability/test_sampled_loop.py",
     "nodes/test_other_laws.py",
@@ -59,8 +59,7 @@ LONGEST_FIRST = (
     "system/test_fjr_sweep.py",
     "system/test_lock_step.py",
     "core/numerics/test_fused_code.py",
-    "nodes/test_malformed.py",
-    "nodes/test_hostile_requests.py",
+    "nodes/test_native_loop.py",
     "system/test_running_nodes.py",
 )
 

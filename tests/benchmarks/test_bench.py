@@ -60,15 +60,12 @@ def test_rigid_arm_agrees_with_pinocchio(arm: Arm, seed: int) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.max(np.abs(expected)))
 
 
-def test_blocks_of_calls_alternate() -> None:
+def test_blocks_of_calls_alternate_and_neighbouring_ones_are_compared() -> None:
     order: list[str] = []
     times = in_turns({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, repeats=3)
     changes = [name for name, before in zip(order[1:], order[:-1], strict=True) if name != before]
     assert changes[-5:] == ["b", "a", "b", "a", "b"]
     assert all(seconds.shape == (3,) for seconds in times.values())
-
-
-def test_ratio_compares_neighbouring_blocks() -> None:
     assert ratio(np.array([1.0, 10.0, 3.0]), np.array([2.0, 20.0, 1.0])) == 0.5
 
 
@@ -126,31 +123,23 @@ def test_bare_nodes_exchange_states_and_commands() -> None:
         assert tap.next(names.JOINT_STATES, HANG).stamp > first.stamp
 
 
-def test_a_state_is_answered_in_time_by_a_command_before_the_next_state() -> None:
+def test_states_answered_in_time_and_samples_are_counted_by_their_stamps() -> None:
+    """In time: by a command before the next state."""
     states = np.array([[1, 100], [2, 200], [3, 300], [4, 400]])
     commands = np.array([[1, 150], [2, 301], [4, 450]])
     assert real_time.in_time(states, commands).tolist() == [True, False, False]
-
-
-def test_samples_are_counted_by_their_stamps() -> None:
     assert real_time.samples_per_second(Seen(5_000_000, 100), Seen(2_005_000_000, 500_000_100)) == pytest.approx(4000)
 
 
-def test_memory_growth_is_the_slope_after_the_first_minute() -> None:
+def test_memory_growth_is_the_slope_after_the_first_minute_of_a_process_that_runs() -> None:
     seconds = np.arange(0.0, 300.0)
     kilobytes = np.where(seconds < 60, 50_000 + 100 * seconds, 56_000 + 0.2 * seconds)
     found = memory.figure("plant", seconds, kilobytes)
     assert found.value == pytest.approx(12.0)
     assert found.holds
-
-
-def test_resident_memory_of_a_process_is_read() -> None:
     before = memory.resident(os.getpid())
     held = np.ones(8 << 20)
     assert memory.resident(os.getpid()) - before == pytest.approx(held.nbytes / 1024, rel=0.2)
-
-
-def test_ended_node_is_reported() -> None:
     with subprocess.Popen([sys.executable, "-S", "-c", ""]) as process:
         process.wait()
     with pytest.raises(RuntimeError, match="has ended"):

@@ -33,32 +33,24 @@ class Graph:
 
     @classmethod
     def of(cls, nodes: list[Node]) -> Graph:
-        named = {f"/{node.get_name()}": node for node in nodes}
-        first = nodes[0]
-        pairs = [(node, node.get_name(), node.get_namespace()) for node in nodes]
-        topics = {topic: kinds[0] for topic, kinds in first.get_topic_names_and_types()}
-        services = {}
-        for node, name, space in pairs:
-            services |= {service: kinds[0] for service, kinds in node.get_service_names_and_types_by_node(name, space)}
-        return cls(named, topics, services)
+        topics = {topic: kinds[0] for topic, kinds in nodes[0].get_topic_names_and_types()}
+        services: dict[str, str] = {}
+        for node in nodes:
+            offered = node.get_service_names_and_types_by_node(node.get_name(), node.get_namespace())
+            services |= {service: kinds[0] for service, kinds in offered}
+        return cls({f"/{node.get_name()}": node for node in nodes}, topics, services)
 
     def check(self, words: list[str]) -> None:
         """Check a line of `ros2`, or of `fjr` for running nodes; fail for a missing name or a wrong value."""
         if words[0] == "fjr":
             words = self._as_ros2(*[word for word in words[1:] if word not in OPTIONS])
         _, verb, *rest = words
-        checks: dict[str, Callable[..., None]] = {
-            "run": self._run,
-            "launch": self._launch,
-            "param": self._param,
-            "topic": self._topic,
-            "service": self._service,
-        }
-        plain = [word for word in rest if word not in OPTIONS]
+        checks: dict[str, Callable[..., None]] = {"run": self._run, "launch": self._launch, "param": self._param}
+        checks |= {"topic": self._topic, "service": self._service}
         if verb in checks:
-            checks[verb](*plain)
+            checks[verb](*[word for word in rest if word not in OPTIONS])
         elif rest[0] not in ALONE.get(verb, ()):
-            assert (verb, rest[0], rest[2]) == ("lifecycle", "set", rest[2]), words
+            assert (verb, rest[0]) == ("lifecycle", "set"), words
             assert rest[1] in self.nodes
             assert rest[2] in TRANSITIONS
 

@@ -15,15 +15,15 @@ from pathlib import Path
 
 import pytest
 
-from docs.arm import my_arm_urdf
 from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import exit_codes, only_fjr, script, syntax_error
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_design.studies import suite, sweep_file
 from fjr_identification.record_map import read_map
-from system.executables import fjr_here, python_here
+from system.executables import fjr_here, is_alive, python_here
 from time_limits import HANG
+from two_link_urdf import link
 
 LINKED = ("ros2_ws", "examples")  # folders that commands name relative to the checkout
 ENVIRONMENT = {
@@ -40,14 +40,10 @@ WITH_BLOCKS = sorted(  # pages with many commands take long and begin
 )
 
 
-def test_every_block_names_its_language() -> None:
+def test_every_block_names_its_language_and_every_shell_block_is_valid_bash() -> None:
     for block in ALL:
         assert block.language in LANGUAGES, f"{block}: '{block.language}'; indented blocks have no language"
         assert set(block.marks) <= set(MARKS), str(block)
-
-
-def test_every_shell_block_is_valid_bash() -> None:
-    for block in ALL:
         assert block.language != "sh" or syntax_error(block.text) == "", str(block)
 
 
@@ -126,14 +122,6 @@ def background_processes_ended() -> Iterator[None]:
             end_group(BACKGROUND.pop())
 
 
-def is_alive(group: int) -> bool:
-    """Return whether a process group has processes, so that its id cannot belong to another group yet."""
-    with suppress(ProcessLookupError):
-        os.killpg(group, 0)
-        return True
-    return False
-
-
 def end_group(leader: subprocess.Popen[bytes]) -> None:
     """Terminate the processes of a group; raise ProcessLookupError when none is left."""
     os.killpg(leader.pid, signal.SIGTERM)
@@ -191,3 +179,20 @@ RUNNERS = {
     "text": do_text,
     "yaml": do_yaml,
 }
+
+
+JOINTS = {"shoulder": (0.0, "1 0 0"), "elbow": (-0.3, "0 1 0"), "wrist": (-0.25, "0 1 0"), "gripper": (-0.1, "0 0 1")}
+LINKS = (("upper", 3.0, 0.15, 0.05), ("lower", 2.0, 0.12, 0.03), ("hand", 1.0, 0.05, 0.01), ("finger", 0.2, 0.02, 1e-3))
+
+
+def my_arm_urdf() -> str:
+    """Return the XML text."""
+    parents = ["world", *(name for name, *_ in LINKS)]
+    joints = [
+        f"""<joint name="{name}" type="revolute"><parent link="{parents[k]}"/><child link="{parents[k + 1]}"/>
+        <origin xyz="0 0 {height}"/><axis xyz="{axis}"/>
+        <limit lower="-2.5" upper="2.5" velocity="5" effort="150"/></joint>"""
+        for k, (name, (height, axis)) in enumerate(JOINTS.items())
+    ]
+    parts = [link(*each) for each in LINKS] + joints
+    return '<?xml version="1.0"?>\n<robot name="my_arm"><link name="world"/>\n' + "\n".join(parts) + "\n</robot>\n"

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import fjr_core
-from docs.pages import PAGES, ROOT, inline, tokens
+from docs.pages import PAGES, ROOT, anchors, inline, links, tokens
 
 SOURCES = ROOT / "ros2_ws" / "src"
 CORE = SOURCES / "fjr_core" / "fjr_core"
@@ -111,3 +111,25 @@ def first_column(page: Path) -> Iterator[list[str]]:
     for row, cell, token in zip(found, found[1:], found[2:], strict=False):
         if (row.type, cell.type) == ("tr_open", "td_open"):
             yield [child.content for child in token.children or () if child.type == "code_inline"]
+
+
+by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+
+
+@by_page
+def test_link_targets_are_existing_files_and_headings(page: Path) -> None:
+    for target in links(page):
+        if "://" in target or target.startswith("mailto:"):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.is_file(), target
+        assert file.is_relative_to(ROOT), target
+        if anchor:
+            assert anchor in anchors(file), f"{target}: {sorted(anchors(file))}"
+
+
+def test_index_links_to_every_page() -> None:
+    index = ROOT / "docs" / "README.md"
+    found = {(index.parent / target.partition("#")[0]).resolve() for target in links(index)}
+    assert {page for page in PAGES if page != index} <= found

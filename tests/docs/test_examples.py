@@ -39,22 +39,14 @@ def shown(path: Path) -> str:
     return "".join("".join(each["text"]) for each in outputs if each["output_type"] == "stream")
 
 
-def test_there_are_four_notebooks() -> None:
-    assert [path.stem for path in NOTEBOOKS] == ["compare_two_laws", "contraction", "paper", "your_arm"]
-
-
 @each_notebook
-def test_notebook_runs_and_prints_what_it_shows(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_runs_prints_what_it_shows_and_links_to_files(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(path.parent)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     said = python_here("\n".join("".join(cell["source"]) for cell in cells(path, "code")), path)
     assert NUMBER.split(said) == NUMBER.split(shown(path))
     printed, stored = ([float(number) for number in NUMBER.findall(text)] for text in (said, shown(path)))
     assert printed == pytest.approx(stored, rel=AGREE)
-
-
-@each_notebook
-def test_links_of_a_notebook_lead_to_files(path: Path) -> None:
     text = "\n".join("".join(cell["source"]) for cell in cells(path, "markdown"))
     links = re.findall(r"\]\(([^)#]+)", text)
     assert all((path.parent / link).is_file() for link in links), links

@@ -74,19 +74,19 @@ LAYERS = {
         "cli",
     ),
     "fjr_proofs": ("verification", "rate error_bound", "kept_rate check_rows"),
-    "fjr_engines": ("mjcf native", "contact", "mujoco drake drawing", "film viewer", "cli"),
+    "fjr_engines": ("mjcf", "contact", "mujoco drake drawing", "film viewer"),
     "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""
 
 
 BUDGETS = {
-    "fjr_core": 13_040,
+    "fjr_core": 13_330,
     "fjr_msgs_py": 3_800,
-    "fjr_monitor": 7_570,
+    "fjr_monitor": 7_630,
     "fjr_plant": 1_500,
     "fjr_controller": 1_930,
-    "fjr_design": 9_440,
+    "fjr_design": 9_850,
     "fjr_identification": 6_540,
     "fjr_proofs": 3_570,
     "fjr_engines": 1_450,

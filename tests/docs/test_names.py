@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
 
 from bench.__main__ import parser as bench_parser
@@ -14,6 +16,7 @@ from docs.pages import PAGES, ROOT, blocks, inline
 from docs.ros2_lines import Graph
 from docs.shell import NOT_RUN, commands, is_run, program, words
 from fjr_bringup.cli.app import fjr
+from fjr_msgs_py.console.ending import MEANINGS, Exit
 from longest_first import LONGEST_FIRST
 from nodes.harness import Ros
 
@@ -36,10 +39,6 @@ def graph(ros: Ros) -> Iterator[Graph]:
     return Graph.of([plant, controller])
 
 
-def test_commands_not_run_are_those_listed() -> None:
-    assert {program(command) for command in HELD} <= set(NOT_RUN)
-
-
 def test_names_in_lines_for_running_nodes_exist(graph: Graph) -> None:
     ros2 = [line for line in starting("ros2") if len(line) > 3]
     own = [line for line in starting("fjr") if len(line) > 2 and " ".join(line[:2]) in NOT_RUN]
@@ -49,7 +48,8 @@ def test_names_in_lines_for_running_nodes_exist(graph: Graph) -> None:
         graph.check(line)
 
 
-def test_the_files_of_tests_that_start_first_are_there() -> None:
+def test_lists_of_commands_and_files_name_what_is_there() -> None:
+    assert {program(command) for command in HELD} <= set(NOT_RUN)
     assert [name for name in LONGEST_FIRST if not (ROOT / "tests" / name).is_file()] == []
 
 
@@ -64,6 +64,14 @@ def test_fjr_commands_in_the_text_exist() -> None:
             assert {word for word in rest if word.startswith("--")} <= known, text
 
 
+def test_every_exit_code_is_documented() -> None:
+    page = (ROOT / "docs" / "reports.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| (.*) \|$", page, flags=re.MULTILINE)
+    assert {int(code): meaning for code, meaning in rows} == {code.value: MEANINGS[code] for code in Exit}
+    said = fjr.get_help(click.Context(fjr, info_name="fjr"))
+    assert all(f"  {code:<4} {meaning.replace('`', '')}" in said for code, meaning in MEANINGS.items())
+
+
 def test_make_targets_and_their_arguments_exist() -> None:
     for _, *rest in starting("make"):
         targets = [word for word in rest if "=" not in word]
@@ -75,16 +83,11 @@ def test_make_targets_and_their_arguments_exist() -> None:
                 bench_parser().parse_args(value.split())
 
 
-def test_files_and_folders_of_the_checkout_exist() -> None:
-    for command in HELD:
-        first, *rest = words(command)
+def test_files_folders_and_modules_of_the_checkout_exist() -> None:
+    for first, *rest in map(words, HELD):
         for word in rest if first in PATHS else ():
             if word.startswith(("ros2_ws", "tools/", "docs/")):
-                assert (ROOT / word).exists(), command
-
-
-def test_started_modules_exist() -> None:
-    for first, *rest in (words(command) for command in HELD):
+                assert (ROOT / word).exists(), word
         if first == "python":
             assert rest[0] == "-m"
             module = Path(ROOT, *rest[1].split("."))

@@ -16,6 +16,7 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tools"), str(ROOT)]
 
 import numpy as np  # noqa: E402
 
+from bench.figures import markdown  # noqa: E402
 from engines.walls import Met, met, random_walls  # noqa: E402
 
 HEAD = ("first touch [s]", "stopped", "verdict external torque", "joints", "right", "force [N]", "simulator's [N]")
@@ -26,13 +27,12 @@ def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.engines", description="Walls in the way of arm7.")
     parser.add_argument("--walls", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args(words)
-    print(line(HEAD), "| ---: | --- | --- | --- | --- | ---: | ---: |", sep="\n")
-    seen = []
+    given, seen = parser.parse_args(words), []
     for wall in random_walls(given.walls, given.seed):
         with tempfile.TemporaryDirectory() as folder:
             seen.append(met(wall, Path(folder)))
-        print(row(seen[-1]), flush=True)
+        print(".", end="", file=sys.stderr, flush=True)
+    print(*markdown(HEAD, map(row, seen)), sep="\n")
     right = sum(each.external and each.right for each in seen)
     apart = float(np.median([abs(each.force / each.own_force - 1) if each.own_force else 1.0 for each in seen]))
     print(f"\nverdict and joints right: {right} of {len(seen)}; efforts beyond a limit: {sum(e.beyond for e in seen)}")
@@ -40,15 +40,11 @@ def main(words: list[str]) -> int:
     return 0
 
 
-def row(seen: Met) -> str:
-    """Return the row of a run."""
-    yes = ["yes" if each else "no" for each in (seen.stopped, seen.external, seen.right)]
-    return line([f"{seen.begins_s:.2f}", *yes[:2], seen.joints, yes[2], f"{seen.force:.0f}", f"{seen.own_force:.0f}"])
-
-
-def line(cells: tuple[str, ...] | list[str]) -> str:
-    """Return a row of a Markdown table."""
-    return "| " + " | ".join(cells) + " |"
+def row(seen: Met) -> list[str]:
+    """Return the cells of a run."""
+    stopped, external, right = ("yes" if each else "no" for each in (seen.stopped, seen.external, seen.right))
+    forces = [f"{seen.force:.0f}", f"{seen.own_force:.0f}"]
+    return [f"{seen.begins_s:.2f}", stopped, external, seen.joints, right, *forces]
 
 
 if __name__ == "__main__":

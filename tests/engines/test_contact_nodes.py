@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from rclpy.parameter import Parameter
 from engines.test_contact import FRONT
 from fjr_controller.controller_node import ControllerNode
 from fjr_core.runtime.events import State
+from fjr_core.runtime.safety_settings import REACTIONS, REPORT, STOP, YIELD
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.names import WRENCH
 from fjr_msgs_py.scenarios import library
@@ -24,23 +26,30 @@ from system.executables import fjr_here
 from system.recorded import messages
 
 
-def test_limits_stop_the_arm_at_a_wall_and_it_goes_on_once_the_wall_is_gone(ros: Ros, tmp_path: Path) -> None:
-    given = {"lockstep": True, "start_paused": True, "advance_samples": 1500, "realtime_priority": 0, **FRONT}
-    text, scenario = library.as_run(library.find("arm7_contact"), given)
-    (tmp_path / "run.yaml").write_text(text)
-    file = ["--ros-args", "--params-file", str(tmp_path / "run.yaml")]
-    manager = Manager(ros)
-    controller = ros.start(ControllerNode, [*file, "-p", "use_sim_time:=true"])
-    plant = ros.start(PlantNode, file)
-    ros.until(lambda: manager.heard("joint_states") and manager.heard("joint_commands"), "the nodes")
+class AtWall(Manager):
+    """The nodes of arm7_contact with changed parameters, in lock-step."""
 
-    def present(value: bool) -> tuple[bool, str]:
+    def __init__(self, ros: Ros, folder: Path, **changes: Any) -> None:
+        given = {"lockstep": True, "start_paused": True, "realtime_priority": 0, **changes}
+        text, self.scenario = library.as_run(library.find("arm7_contact"), given)
+        (folder / "run.yaml").write_text(text)
+        file = ["--ros-args", "--params-file", str(folder / "run.yaml")]
+        super().__init__(ros)
+        self.control = ros.start(ControllerNode, [*file, "-p", "use_sim_time:=true"])._control
+        self.plant = ros.start(PlantNode, file)
+        ros.until(lambda: self.heard("joint_states") and self.heard("joint_commands"), "the nodes")
+
+    def present(self, value: bool) -> tuple[bool, str]:
+        """Put the wall there or take it away."""
         asked = [Parameter("obstacle.present", value=value).to_parameter_msg()]
-        (result,) = manager.call(SetParameters, "fjr_plant/set_parameters", parameters=asked).results
+        (result,) = self.call(SetParameters, "fjr_plant/set_parameters", parameters=asked).results
         return result.successful, result.reason
 
+
+def test_limits_stop_the_arm_at_a_wall_and_it_goes_on_once_the_wall_is_gone(ros: Ros, tmp_path: Path) -> None:
+    manager = AtWall(ros, tmp_path, advance_samples=1500, **FRONT)
+    scenario, plant, step, present = manager.scenario, manager.plant, manager.control.step, manager.present
     assert manager.advance().success
-    step = controller._control.step
     assert step.state is State.STOPPED
     assert step.counters["stops"] == 1
     assert present(False) == (True, "")
@@ -56,33 +65,52 @@ def test_limits_stop_the_arm_at_a_wall_and_it_goes_on_once_the_wall_is_gone(ros:
     assert not plant._robot.contact.any()
 
 
+@pytest.mark.parametrize("reaction", REACTIONS)
+def test_contact_is_reported_and_the_arm_reacts_as_on_contact_says(ros: Ros, tmp_path: Path, reaction: str) -> None:
+    manager = AtWall(ros, tmp_path, advance_samples=100, on_contact=reaction)
+    step, advanced = manager.control.step, 0
+    while step.state is State.WAITING or (not step.counters["contacts"] and advanced < 20):
+        assert manager.advance().success
+        advanced += 1
+    status = manager.control._certificate.status()
+    assert "model mismatch" not in status.message
+    assert "external torque on joint1" in status.message
+    assert step.counters["contacts"] == 1
+    if reaction == STOP:
+        assert step.state is State.STOPPED
+        assert "stopped: contact: external torque of" in step.reason
+        return
+    assert (step.state, step.counters["stops"]) == (State.TRACKING if reaction == REPORT else State.JOINING, 0)
+    if reaction == YIELD:
+        robot, law, command = manager.scenario.robot, manager.control.step.law, manager.commands[-1]
+        state = next(each for each in manager.states if each.header.stamp == command.header.stamp)
+        q_l, dq_m = np.array(state.position[:7]), np.array(state.velocity[7:])
+        wanted = np.linalg.solve(robot.B_m, robot.grad_P_l(q_l) - law.hold_damping @ dq_m)
+        np.testing.assert_allclose(command.effort, wanted, atol=1e-9)
+        assert manager.present(False) == (True, "")
+        for _ in range(20):
+            assert manager.advance().success
+        assert step.state is State.TRACKING
+        np.testing.assert_allclose(manager.states[-1].position[:7], manager.references[-1].position, atol=5e-3)
+
+
 @pytest.mark.system
-def test_report_of_a_run_says_contact_beside_that_of_the_simulator(tmp_path: Path) -> None:
-    run = ("run", "arm7_contact", "--lockstep", "--duration", "2", "--output", str(tmp_path))
-    said = fjr_here(*run, codes=(Exit.VIOLATED,))
+def test_report_of_a_stop_at_a_wall_says_contact_beside_that_of_the_simulator(tmp_path: Path) -> None:
+    changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
+    run = ("run", "arm7_contact", "--lockstep", "--duration", "1.5", "--output", str(tmp_path), *changes)
+    said = fjr_here(*run, codes=(Exit.FAILED,))
     report = json.loads((tmp_path / "arm7_contact" / "report.json").read_text())
+    assert report["status"] == "stopped"
+    assert "; contact from 0.8" in report["stop"]["reason"]
     assert report["verdict"]["causes"] == ["external torque"], said
     contact = report["contact"]
-    assert [each["joint"] for each in contact["joints"]][:2] == ["joint1", "joint2"]
     assert f"arm7_contact: contact from {contact['begins_s']:.3g} to {contact['ends_s']:.3g} s" in said
     touched = [message for _, message in messages(tmp_path / "arm7_contact", "/fjr_plant/contact")]
     assert touched[0].name[-6:] == list(WRENCH)
     efforts = np.array([message.effort for message in touched])
-    assert not efforts[-1].any()
     largest = float(np.linalg.norm(efforts[:, 7:10], axis=1).max())
     assert contact["simulated_force_n"] == pytest.approx(largest)
     assert contact["force_n"] == pytest.approx(largest, rel=0.1)
     for each in contact["joints"]:
         assert each["largest_torque_nm"] == pytest.approx(each["simulated_torque_nm"], rel=0.1, abs=1.0)
     assert "in the simulator" in (tmp_path / "arm7_contact" / "report.html").read_text()
-
-
-@pytest.mark.system
-def test_stop_at_a_wall_says_contact(tmp_path: Path) -> None:
-    changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
-    run = ("run", "arm7_contact", "--lockstep", "--no-report", "--duration", "1.5", "--output", str(tmp_path), *changes)
-    fjr_here(*run, codes=(Exit.FAILED,))
-    report = json.loads((tmp_path / "arm7_contact" / "report.json").read_text())
-    assert report["status"] == "stopped"
-    assert "; contact from 0.8" in report["stop"]["reason"]
-    assert "external torque" in report["verdict"]["causes"]

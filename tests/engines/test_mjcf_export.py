@@ -61,7 +61,7 @@ cases = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 
 def written(case: Scenario, folder: Path) -> Path:
     """Write the files of an export; return the MJCF."""
-    files, _ = mjcf(case, "arm")
+    files, _ = mjcf(case, "arm.xml")
     for path, content in files.items():
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_bytes(content)
@@ -179,16 +179,16 @@ COUPLED = [40.0, 5.0, 5.0, 25.0]
 )
 def test_a_robot_that_mujoco_cannot_express_is_refused(name: str, value: list[float], says: str) -> None:
     with pytest.raises(RobotError, match=says):
-        mjcf(library.load("two_link", [f"{name}:={value}"]), "arm")
+        mjcf(library.load("two_link", [f"{name}:={value}"]), "arm.xml")
 
 
 def test_what_the_file_leaves_out_is_said() -> None:
     damping, cubic = "robot.link_damping:=[0.2, 0.01, 0.01, 0.1]", "robot.cubic_stiffness:=[100.0, 0.0]"
-    assert mjcf(library.load("two_link", [damping, cubic]), "arm")[1] == [
+    assert mjcf(library.load("two_link", [damping, cubic]), "arm.xml")[1] == [
         "robot.cubic_stiffness is left out: springs have their stiffness at zero",
         "of D_l the diagonal only is in the file: dampers of MuJoCo couple no joints",
     ]
     thin = two_link_urdf().replace('izz="0.005"', 'izz="0.02"')
-    assert mjcf(scenario(thin, ["shoulder", "elbow"]), "arm")[1] == [
+    assert mjcf(scenario(thin, ["shoulder", "elbow"]), "arm.xml")[1] == [
         "the inertia beyond joint 'elbow' is none of a rigid body: the least moment is raised"
     ]

@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_engines import viewer
-from fjr_engines.drawing import ORANGE, DrawnArm, write
-from fjr_engines.viewer import ViewerError, check
+from fjr_engines.drawing import ORANGE, DrawnArm
 from fjr_msgs_py.console.ending import Exit
 from system.executables import PROGRAMS, Executable, fjr_here, scenario, wait_for
 
@@ -44,17 +42,9 @@ def test_without_a_display_the_viewer_is_refused_before_the_run(monkeypatch: pyt
     ]
 
 
-def test_without_its_wheel_the_viewer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(viewer, "find_spec", lambda name: None if name == "glfw" else name)
-    with pytest.raises(ViewerError, match="needs MuJoCo's viewer; expected it from: pip install mujoco"):
-        check()
-
-
-def test_a_link_turns_orange_as_its_spring_deflects(tmp_path: Path) -> None:
+def test_a_link_turns_orange_as_its_spring_deflects() -> None:
     given = load_scenario(scenario("two_link"))
-    write(given, tmp_path)
-    arm = DrawnArm(tmp_path, given.joints)
+    arm = DrawnArm(given)
     shapes = [arm.model.geom_bodyid == arm.model.joint(joint).bodyid[0] for joint in given.joints]
     own = arm.model.geom_rgba.copy()
     q_l = np.array([0.3, -0.2])
@@ -67,11 +57,9 @@ def test_a_link_turns_orange_as_its_spring_deflects(tmp_path: Path) -> None:
     assert [arm.data.joint(joint).qpos[0] for joint in given.joints] == q_l.tolist()
 
 
-def test_the_obstacle_stands_beside_the_arm(tmp_path: Path) -> None:
+def test_the_obstacle_stands_beside_the_arm() -> None:
     given = load_scenario(scenario("arm7_contact"))
-    write(given, tmp_path)
-    arm = DrawnArm(tmp_path, given.joints)
-    wall = arm.model.geom("obstacle_wall")
+    wall = DrawnArm(given).model.geom("obstacle_wall")
     face = wall.pos + wall.size[2] * np.array([0.0, 1.0, 0.0])  # its normal
     np.testing.assert_allclose(face, given.plant_values["obstacle.position"], atol=1e-12)
 

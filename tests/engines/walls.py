@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from diagnosis_benchmark.bags import write_bag
 from diagnosis_benchmark.lock_step import LockStepLoop
-from fjr_core.config.obstacle import obstacle
 from fjr_core.config.scenario import Scenario
-from fjr_engines.contact import InsideError, add_contact
-from fjr_engines.mjcf.writing import specification
+from fjr_engines.contact import InsideError
+from fjr_engines.drawing import DrawnArm
 from fjr_monitor.diagnosis.verdict import EXTERNAL
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.report.write import report_bag
@@ -59,16 +58,19 @@ def random_walls(count: int, seed: int) -> Iterator[dict[str, Any]]:
 
 def _wall(rng: np.random.Generator, free: Array) -> dict[str, Any] | None:
     """Return a wall across the way of a link at a time of the free motion (k, n); None where it would not be met."""
-    model, k = arm(), int(rng.uniform(BEGIN, END) * 1e3)
-    geom = int(rng.choice(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER)))
-    (before, _), (place, axes) = (posed(model, q, geom) for q in free[k - 1 : k + 1])
+    arm, k = drawn_arm(), int(rng.uniform(BEGIN, END) * 1e3)
+    geom = int(rng.choice(np.flatnonzero(arm.model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER)))
+    arm.pose(free[k - 1], free[k - 1])
+    before = arm.data.geom_xpos[geom].copy()
+    arm.pose(free[k], free[k])
+    place, axes = arm.data.geom_xpos[geom], arm.data.geom_xmat[geom].reshape(3, 3)
     velocity = (place - before) * 1e3
     if np.linalg.norm(velocity) < SLOW:
         return None
     d = velocity / np.linalg.norm(velocity) + TILT * rng.uniform(-1, 1, 3)
     d /= np.linalg.norm(d)
     wall = {
-        "obstacle.position": (place + axes @ support(model.geom_size[geom], d @ axes)).tolist(),
+        "obstacle.position": (place + axes @ support(arm.model.geom_size[geom], d @ axes)).tolist(),
         "obstacle.normal": (-d).tolist(),
         "obstacle.size": [SIDE, SIDE, 0.1],
     }
@@ -79,27 +81,15 @@ def _wall(rng: np.random.Generator, free: Array) -> dict[str, Any] | None:
     return wall
 
 
+@cache
+def drawn_arm() -> DrawnArm:
+    """Return the arm of the scenario, whose links are cylinders."""
+    return DrawnArm(unchanged())
+
+
 def support(size: Array, d: Array) -> Array:
     """Return the farthest point (3,) of a cylinder of size (radius, half its length) in a direction, in its frame."""
     return np.append(size[0] * d[:2] / np.linalg.norm(d[:2]), size[1] * np.sign(d[2]))
-
-
-@cache
-def arm() -> mujoco.MjModel:
-    """Return the arm of the scenario with the shapes of its links, which are cylinders."""
-    scenario = unchanged()
-    spec = specification(scenario.robot, scenario.joints)
-    add_contact(spec, scenario.robot, scenario.joints, obstacle(scenario.plant_values))
-    return spec.compile()
-
-
-def posed(model: mujoco.MjModel, q: Array, geom: int) -> tuple[Array, Array]:
-    """Return centre (3,) and axes (3, 3) of a geom at link positions (n,)."""
-    data = mujoco.MjData(model)
-    for joint, angle in zip(unchanged().joints, q, strict=True):
-        data.joint(joint).qpos = angle
-    mujoco.mj_kinematics(model, data)
-    return data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy()
 
 
 @dataclass(frozen=True)

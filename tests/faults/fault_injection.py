@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -50,18 +49,16 @@ def controller_killed(rig: Rig) -> tuple[int, int]:
     """Kill and restart the controller; the fault ends with the first command of the new one."""
     begin = rig.until_full_motion()
     rig.kill("controller")
-    restarted = time.time_ns()
     rig.start("controller")
-    return begin, rig.anchor_in_reference(restarted)
+    return begin, rig.anchor_in_reference(rig.started["controller"])
 
 
 def plant_killed(rig: Rig) -> tuple[int, int]:
     """Kill and restart the plant; the fault ends with the first state of the new one, stamped by its own start time."""
     begin = rig.until_full_motion()
     rig.kill("plant")
-    restarted = time.time_ns()
     rig.start("plant")
-    return begin, rig.first_stamp_from(restarted)
+    return begin, rig.first_stamp_from(rig.started["plant"])
 
 
 def plant_set(seconds: float, **imperfections: Any) -> Act:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from faults import fault_injection, message_faults
 from faults.fault_injection import Act, tampered
@@ -58,6 +59,11 @@ def late(seconds: float) -> Act:
     return fault_injection.plant_set(2.0, state_delay=seconds)
 
 
+def tracking(name: str, act: Act, peak: float, **more: Any) -> Row:
+    """Return a row in lock-step in which the arm tracks throughout."""
+    return Row(name, "tracks", act, peak, recovery=0.0, mode=STEPPED, **more)
+
+
 FALLS = "swings down without effort; a 0.5 s transition leads back to the reference"
 LATER = ("silences", "recoveries")
 ROWS = [
@@ -73,11 +79,9 @@ ROWS = [
     ),
     Row("no states for 200 ms", FALLS, tampered(0.2, message_faults.dropped), 1.0, counted=LATER),
     Row("no states for 2 s", FALLS, tampered(2.0, message_faults.dropped), 2.0, counted=LATER, another=True),
-    Row("1 % of states and of commands lost, 2 s", "tracks", lossy(0.01), 1e-3, 0.0, mode=STEPPED, another=True),
-    Row("10 % of states and of commands lost, 2 s", "tracks", lossy(0.1), 1e-3, 0.0, mode=STEPPED),
-    Row("states 1 ms late, 2 s", "tracks", late(0.001), 1e-3, 0.0, mode=STEPPED, another=True),
-    Row("states 3 ms late, 2 s", "tracks", late(0.003), 1e-3, 0.0, mode=STEPPED, another=True),
-    Row("states 5 ms late, 2 s", "tracks", late(0.005), 1e-3, 0.0, mode=STEPPED, another=True),
+    tracking("1 % of states and of commands lost, 2 s", lossy(0.01), 1e-3, another=True),
+    tracking("10 % of states and of commands lost, 2 s", lossy(0.1), 1e-3),
+    *(tracking(f"states {ms} ms late, 2 s", late(ms * 1e-3), 1e-3, another=True) for ms in (1, 3, 5)),
     Row(
         "states 8 ms late, 2 s (margin: 5.45 ms)",
         "oscillates about the reference between the effort limits",
@@ -159,10 +163,11 @@ ROWS = [
     Row(
         "arm7: no states for 2 s",
         "falls (it has no brakes); outside its range the controller stops and holds the weight",
-        tampered(2.0, message_faults.dropped),
+        fault_injection.plant_set(2.0, state_loss=1.0),
         10.0,
         None,
         counted=("silences", "stops"),
+        mode=STEPPED,
         setting=ARM,
     ),
     Row(
@@ -175,24 +180,6 @@ ROWS = [
         setting=ARM,
         another=True,
     ),
-    Row(
-        "arm7: 10 % of states and of commands lost, 2 s",
-        "tracks",
-        lossy(0.1),
-        2e-3,
-        0.0,
-        mode=STEPPED,
-        setting=ARM,
-        another=True,
-    ),
-    Row(
-        "arm7: states 1 ms late, 2 s",
-        "tracks",
-        late(0.001),
-        2e-3,
-        0.0,
-        mode=STEPPED,
-        setting=ARM,
-        another=True,
-    ),
+    tracking("arm7: 10 % of states and of commands lost, 2 s", lossy(0.1), 2e-3, setting=ARM, another=True),
+    tracking("arm7: states 1 ms late, 2 s", late(0.001), 2e-3, setting=ARM, another=True),
 ]

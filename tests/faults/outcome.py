@@ -22,7 +22,7 @@ TRIES = 3
 
 @dataclass(frozen=True)
 class Outcome:
-    """Peak |q_tilde_l| [rad], recovery time [s], number of efforts and of bad ones, largest effort [N m], counters.
+    """Peak |q_tilde_l| [rad], recovery time [s], number of efforts and of bad ones, counters.
 
     counters: of a row that names some, else empty.
     """
@@ -31,7 +31,6 @@ class Outcome:
     recovery: float
     efforts: int
     bad: int
-    largest: float
     counters: Mapping[str, int]
 
 
@@ -96,10 +95,9 @@ class Pair:
         rig.until_calm(1.0 + (row.recovery or 0.0))
         new = self._counted(rig, row)
         motion, efforts, stalled = rig.motion(), rig.efforts(), _stalled(rig, begin, end)
-        largest = max(abs(u) for effort in efforts for u in effort)
         bad = sum(not fits(effort, row.setting.limit) for effort in efforts)
         rig.forget()
-        return Outcome(motion.peak(begin), motion.recovery(end), len(efforts), bad, largest, new), stalled
+        return Outcome(motion.peak(begin), motion.recovery(end), len(efforts), bad, new), stalled
 
     def _counted(self, rig: Rig, row: Row) -> Counter[str]:
         """Return what the controller counted in this row, if the row asks for it: a report takes up to a second."""

@@ -3,26 +3,20 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 import time
 from collections.abc import Callable, Iterable
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
+from faults.watcher import stamp_of
 from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.participant import leave
-
-try:
-    from rclpy.experimental.events_executor import EventsExecutor
-except ImportError:  # an older rclpy
-    EventsExecutor = SingleThreadedExecutor
+from nodes.harness import EventsExecutor
 
 APART = 3e-4  # s between replacement messages: the queue of a slow reader keeps only the newest
 Tamper = Callable[[JointState], Iterable[JointState]]
@@ -34,12 +28,12 @@ class Relay:
 
     def __init__(self, source: str, target: str) -> None:
         self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(context=self._context)
         self._node = rclpy.create_node("relay", context=self._context, enable_rosout=False)
         self._publisher = self._node.create_publisher(JointState, target, LATEST)
         self._tampering: tuple[int, int, Tamper] | None = None
         self._node.create_subscription(JointState, source, self._pass_on, LATEST, raw=True)
-        self._executor: Executor = EventsExecutor(context=self._context)
+        self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._stop: Future = Future()
         self._thread = threading.Thread(target=self._spin, name="relay", daemon=True)
@@ -66,9 +60,8 @@ class Relay:
             self._executor.spin_until_future_complete(self._stop, 0.25)
 
     def _pass_on(self, raw: bytes) -> None:
-        sec, nanosec = struct.unpack_from("<iI", raw, 4)
         begin, end, how = self._tampering or (0, 0, iter)
-        if begin <= sec * 10**9 + nanosec < end:
+        if begin <= stamp_of(raw) < end:
             for count, message in enumerate(how(deserialize_message(raw, JointState))):
                 if count:
                     time.sleep(APART)

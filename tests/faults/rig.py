@@ -25,6 +25,7 @@ from faults.measures import THRESHOLD, Anchor, Motion, Sine
 from faults.relay import Relay, Tamper
 from faults.remote import Remote
 from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
+from fjr_core.config import ros_yaml
 from fjr_msgs_py.node.scheduling import prioritised
 from fjr_plant.lock_step import START as LOCKSTEP_START
 from system.executables import NODES, Executable, scenario
@@ -68,30 +69,18 @@ class Setting:
         """Return the parameter file of the scenario with these parameters and `more` for each node."""
         document: dict[str, Any] = yaml.safe_load(Path(scenario(self.scenario)).read_text())
         for node in NODES:
-            parameters: dict[str, Any] = {}
-            document[f"/**/fjr_{node}"] = {"ros__parameters": parameters}
-            for name, value in {**getattr(self, node), **more.get(node, {})}.items():
-                _set(parameters, name, value)
+            own = {**getattr(self, node), **more.get(node, {})}
+            document[f"/**/fjr_{node}"] = {"ros__parameters": ros_yaml.tree_of(own)}
         return document
 
     def parameters(self, node: str) -> dict[str, Any]:
-        """Return the parameters of a node and of all nodes, nested by group."""
-        parameters: dict[str, Any] = yaml.safe_load(Path(scenario(self.scenario)).read_text())["/**"]["ros__parameters"]
-        for name, value in getattr(self, node).items():
-            _set(parameters, name, value)
-        return parameters
+        """Return the parameters of a node and of all nodes, by dotted names."""
+        return ros_yaml.values_for(f"fjr_{node}", self.document())
 
     @property
     def reference(self) -> Sine:
-        values = self.parameters("controller")["reference"]
-        return Sine(*(np.array(values[name]) for name in ("amplitude", "frequency", "offset", "phase")))
-
-
-class Process(Executable):
-    """An executable whose output can be read while it runs."""
-
-    def said(self) -> str:
-        return os.pread(self._said.fileno(), 1_000_000, 0).decode()  # does not move the write position of the child
+        values = self.parameters("controller")
+        return Sine(*(np.array(values[f"reference.{k}"]) for k in ("amplitude", "frequency", "offset", "phase")))
 
 
 class Rig:
@@ -116,15 +105,18 @@ class Rig:
         self._cleanup.callback(gc.enable)
         gc.disable()  # a collection in a large test process would stop the relay beyond state_timeout
         self._period = round(SECOND / setting.parameters("plant")["publish_rate"])
-        self._running: dict[str, Process] = {}
-        self._ended: list[Process] = []
+        self.started: dict[str, int] = {}  # times [ns] of the last start and kill
+        self.killed: dict[str, int] = {}
+        self._running: dict[str, Executable] = {}
+        self._ended: list[Executable] = []
 
     def start(self, node: str, *arguments: str, key: str = "") -> str:
         """Start "plant" or "controller" and return its key; `key` names another process of the same kind."""
         remaps = ["-r", f"joint_states:={TRUE_STATES}"] if self.relay and node == "plant" else []
         words = ("--ros-args", "--params-file", str(self._file), *remaps, *self._executor, *arguments)
+        self.started[key or node] = time.time_ns()
         with mock.patch.dict(os.environ, WITHOUT_SHARED_MEMORY):
-            self._running[key or node] = Process(*NODES[node], *words)
+            self._running[key or node] = Executable(*NODES[node], *words)
         return key or node
 
     def start_both(self) -> None:
@@ -136,7 +128,7 @@ class Rig:
         self._cleanup.enter_context(prioritised(PRIORITY))
         if self.mode == STEPPED:
             self._step(1)
-            self._step(round(self.setting.parameters("controller")["start"]["join_time"] * SECOND / self._period))
+            self._step(round(self.setting.parameters("controller")["start.join_time"] * SECOND / self._period))
         self.anchor_in_reference(0)
         if self.mode != STEPPED:  # robot time is unknown until the plant is connected to the watcher
             self.until(lambda: self.now >= self.anchors[-1].begin, "a state of the robot")
@@ -157,6 +149,7 @@ class Rig:
     def kill(self, node: str) -> None:
         """Kill a node by SIGKILL."""
         executable = self._running.pop(node)
+        self.killed[node] = time.time_ns()
         executable.signal(signal.SIGKILL)
         executable.process.wait()
         self._ended.append(executable)
@@ -279,7 +272,7 @@ class Rig:
 
     def words(self) -> str:
         """Return the output of the nodes."""
-        return "\n".join(f"{name} says:\n{executable.said()}" for name, executable in self._running.items())
+        return "\n".join(f"{name} says:\n{executable.said_so_far()}" for name, executable in self._running.items())
 
     def motion(self) -> Motion:
         """Return the motion of the arm so far."""
@@ -319,10 +312,3 @@ class Rig:
 def _of_first_joint(heard: Heard) -> tuple[float, float]:
     message = heard.message()
     return message.position[0], message.velocity[0]
-
-
-def _set(parameters: dict[str, Any], name: str, value: Any) -> None:
-    *groups, last = name.split(".")
-    for group in groups:
-        parameters = parameters.setdefault(group, {})
-    parameters[last] = value

@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -37,6 +36,12 @@ KINDS: dict[str, Any] = {
 DEPTH = 5000  # messages of a topic between two polls: 5 s at 1 kHz
 
 
+def stamp_of(raw: bytes) -> int:
+    """Return the stamp of a serialised message that begins with a header [ns]."""
+    sec, nanosec = struct.unpack_from("<iI", raw, 4)
+    return int(sec) * 10**9 + int(nanosec)
+
+
 @dataclass(frozen=True)
 class Heard:
     """A serialised message and its send time [ns, system clock]."""
@@ -48,8 +53,7 @@ class Heard:
     @property
     def stamp(self) -> int:
         """Return the stamp of the leading header of the message [ns]."""
-        sec, nanosec = struct.unpack_from("<iI", self.raw, 4)
-        return int(sec) * 10**9 + int(nanosec)
+        return stamp_of(self.raw)
 
     def message(self) -> Any:
         return deserialize_message(self.raw, KINDS[self.topic])
@@ -60,7 +64,7 @@ class Watcher:
 
     def __init__(self) -> None:
         self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(context=self._context)
         self.node = rclpy.create_node("watcher", context=self._context, enable_rosout=False)
         deep = QoSProfile(depth=DEPTH)
         self._subscriptions = {

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
+from faults.watcher import stamp_of
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader, deserialised
 
@@ -132,12 +133,6 @@ def dtype(n: int) -> np.dtype[Any]:
         [("kind", "i8"), ("time", "i8"), ("stamp", "i8"), ("link", "f8", (n,)), ("motor", "f8", (n,)),
          ("velocity", "f8", (2 * n,))]
     )  # fmt: skip
-
-
-def stamp_of(raw: bytes) -> int:
-    """Return the stamp of a serialised JointState [ns]."""
-    sec, nanosec = HEADER.unpack_from(raw, 4)
-    return int(sec) * SECOND + int(nanosec)
 
 
 def shifted(raw: bytes, nanoseconds: int) -> bytes:

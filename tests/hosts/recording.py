@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from faults.watcher import COMMANDS, STATES
 from fjr_core.config.scenario import parse_scenario
 from fjr_design.batch import Draws
 from fjr_design.studies.sweep import scenario_loop
-from fjr_msgs_py.names import state_names
+from fjr_msgs_py.names import CONTROLLER, state_names
 from hosts.inputs import Input, Kind, Sequence, with_ticks
 from hosts.step_hosts import Efforts
 from system.executables import scenario as file_of
@@ -87,15 +86,14 @@ def _reversed(raw: bytes) -> bytes:
 
 def of_row(row: Row) -> Sequence:
     """Inject the fault of a row into running nodes; return what the controller received."""
-    rig, log = Rig(row.setting, row.mode), _Log()
+    rig = Rig(row.setting, row.mode)
     try:
         rig.start_both()
-        log.attach(rig)
         _, end = row.act(rig)
         rig.until_stamp(end + SECOND // 10)
         rig.until_calm(1.0 + (row.recovery or 0.0))
         rig.watcher.look()
-        inputs = log.inputs(rig)
+        inputs = _received(rig)
     finally:
         rig.close()
     simulated = row.mode == STEPPED
@@ -103,42 +101,15 @@ def of_row(row: Row) -> Sequence:
     return Sequence(row.name, document, simulated, tuple(inputs) if simulated else with_ticks(inputs, TICK))
 
 
-@dataclass
-class _Log:
-    """What a row does to the controller besides its states; times of the system clock [ns]."""
-
-    killed: int = 0
-    restarted: int = 0
-    requests: list[Input] = field(default_factory=list)
-
-    def attach(self, rig: Rig) -> None:
-        """Note what the row asks the rig to do from now on."""
-        kill, start, set_ = rig.kill, rig.start, rig.remote.set
-
-        def noted_kill(node: str) -> None:
-            if node == "controller":
-                self.killed = time.time_ns()
-            kill(node)
-
-        def noted_start(node: str, *arguments: str, key: str = "") -> str:
-            if node == "controller" and not key:
-                self.restarted = time.time_ns()
-            return start(node, *arguments, key=key)
-
-        def noted_set(node: str, values: Mapping[str, Any]) -> str:
-            if node.endswith("controller"):
-                self.requests.append(Input(Kind.PARAMETERS, time.time_ns(), parameters=dict(values)))
-            return set_(node, values)
-
-        rig.kill, rig.start, rig.remote.set = noted_kill, noted_start, noted_set  # type: ignore[method-assign]
-
-    def inputs(self, rig: Rig) -> list[Input]:
-        """Return states and requests in the order of their times, without the states that no controller received."""
-        states, found = rig.watcher.heard[STATES], list(self.requests)
-        if self.killed:
-            answered = next(heard.stamp for heard in rig.watcher.heard[COMMANDS] if heard.sent > self.restarted)
-            first = next(heard.sent for heard in states if heard.stamp >= answered)
-            states = [heard for heard in states if not self.killed < heard.sent < first]
-            found.append(Input(Kind.RESTART, first))
-        found += [Input(Kind.STATE, heard.sent, heard.raw) for heard in states]
-        return sorted(found, key=lambda each: each.time)
+def _received(rig: Rig) -> list[Input]:
+    """Return states and requests in the order of their times, without the states that no controller received."""
+    states, requests = rig.watcher.heard[STATES], rig.remote.requests
+    found = [Input(Kind.PARAMETERS, sent, parameters=values) for node, sent, values in requests if node == CONTROLLER]
+    if killed := rig.killed.get("controller"):
+        restarted = rig.started["controller"]
+        answered = next(heard.stamp for heard in rig.watcher.heard[COMMANDS] if heard.sent > restarted)
+        first = next(heard.sent for heard in states if heard.stamp >= answered)
+        states = [heard for heard in states if not killed < heard.sent < first]
+        found.append(Input(Kind.RESTART, first))
+    found += [Input(Kind.STATE, heard.sent, heard.raw) for heard in states]
+    return sorted(found, key=lambda each: each.time)

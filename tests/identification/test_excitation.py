@@ -49,16 +49,12 @@ def found(short_search):
     return robot, bounds, design(robot, bounds, NOISE, SINE, 5.0, 1e-3)
 
 
-def test_the_motion_keeps_every_limit(found):
+def test_the_motion_keeps_every_limit_and_starts_and_ends_at_rest(found):
     robot, bounds, result = found
     motion = elastic_motion(robot, result.reference.jets(np.linspace(0, 5, 20001)))
     largest = np.abs(bounds.ratios(motion.stacked)).max(axis=(1, 2))
     assert largest.max() <= 1.0 + 5e-3
     assert largest.max() > 0.9
-
-
-def test_the_motion_starts_and_ends_at_rest(found):
-    *_, result = found
     jets = result.reference.jets(np.array([0.0, result.period, result.duration]))
     assert np.allclose(jets[:, 1], 0.0, atol=1e-9)
     assert np.allclose(jets[:, 2], 0.0, atol=1e-8)
@@ -129,12 +125,9 @@ def test_the_noise_of_an_encoder_is_that_of_its_steps():
     assert noise == pytest.approx([1e-6, 2 * np.pi / 4096 / np.sqrt(12), 1e-4])
 
 
-def test_a_record_that_is_too_short_is_refused():
+def test_a_short_record_and_a_joint_without_limits_whose_reference_rests_are_refused():
     robot = fjr.planar_two_link()
     with pytest.raises(TrajectoryError, match="lasts 0.01 s; expected at least"):
         design(robot, limits(robot), NOISE, SINE, 0.01, 1e-3)
-
-
-def test_a_joint_without_limits_whose_reference_rests_is_refused():
     with pytest.raises(TrajectoryError, match="'joint2' has no position limit and rests"):
         limits(fjr.planar_two_link(), fjr.Sine([0.5, 0.0], 2.0))

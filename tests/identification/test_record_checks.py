@@ -17,7 +17,8 @@ import fjr_core as fjr
 from bench.identification import draw
 from core.oracles.elastic_joint import ElasticJoint
 from fjr_core.errors import RecordError
-from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_core.numerics.checks import Array
+from fjr_identification.estimation.motion_record import MotionRecord, on_uniform_grid
 from fjr_identification.record_checks import findings, jumps
 from fjr_identification.scale_checks import LONGEST, _most_moving, least_seen
 from system.motion_tables import MotionTable, one_joint, two_joints
@@ -158,17 +159,14 @@ def test_accepting_one_of_two_contradictions_shows_the_other(label: str) -> None
     assert len(seen) == len(kinds)
 
 
-@pytest.mark.parametrize("measured", [BOTH, MOTOR, SENSOR, LINK])
-def test_a_good_record_has_no_contradiction(measured: tuple[str, ...]) -> None:
-    assert findings(two_joints().of(*measured).record, two_joints().guess) == ()
-
-
-@pytest.mark.parametrize("factor", [0.3, 3.0])
-def test_a_robot_file_that_is_wrong_by_a_factor_causes_no_finding(factor: float) -> None:
+def test_a_good_record_has_no_contradiction_even_if_the_robot_file_is_wrong_by_a_factor() -> None:
+    for measured in (BOTH, MOTOR, SENSOR, LINK):
+        assert findings(two_joints().of(*measured).record, two_joints().guess) == ()
     joint = ElasticJoint()
-    links = {"link_inertia": joint.M / factor, "gravity_torque": joint.load / factor, "link_damping": joint.D_l}
-    guessed = fjr.single_link(factor * joint.K, motor_inertia=factor * joint.B, **links)
-    assert findings(one_joint().of(*BOTH).record, guessed) == ()
+    for factor in (0.3, 3.0):
+        links = {"link_inertia": joint.M / factor, "gravity_torque": joint.load / factor, "link_damping": joint.D_l}
+        guessed = fjr.single_link(factor * joint.K, motor_inertia=factor * joint.B, **links)
+        assert findings(one_joint().of(*BOTH).record, guessed) == ()
 
 
 def slipping(torque: float, slip: float, ratio: float) -> MotionRecord:
@@ -263,3 +261,77 @@ def test_a_healthy_record_of_the_coverage_study_has_no_finding(n: int, measured:
     guessed = {name: np.diag(case.prior.values[name]) for name in ("joint_stiffness", "motor_inertia")}
     robot = replace(case.robot, K=guessed["joint_stiffness"], M_m=guessed["motor_inertia"])
     assert findings(case.record, robot) == ()
+
+
+DT, K = 2e-3, 2000
+GRID = DT * np.arange(K)
+
+
+def motion(t: Array) -> Array:
+    return np.column_stack([np.sin(7 * t), np.full(len(t), np.nan)])
+
+
+def effort(t: Array) -> Array:
+    """Return an effort that changes at each nominal sample."""
+    return np.cos(5 * DT * np.floor(t / DT + 1e-9))[:, None]
+
+
+def put(t: Array) -> tuple[float, Array, Array, tuple[str, ...]]:
+    return on_uniform_grid("run.csv", t, effort(t), motion(t))
+
+
+def test_uniform_samples_are_left_as_they_are() -> None:
+    _, held, sampled, notes = put(GRID)
+    assert np.array_equal(sampled, motion(GRID), equal_nan=True)
+    assert np.array_equal(held, effort(GRID))
+    assert notes == put(np.round(GRID, 5))[3] == ()
+
+
+def test_jitter_is_interpolated_and_reported() -> None:
+    t = GRID + DT * 0.3 * np.random.default_rng(1).uniform(-1, 1, K)
+    t[0], t[-1] = 0.0, GRID[-1]
+    dt, held, sampled, (note,) = on_uniform_grid("run.csv", t, np.ones((K, 1)), motion(t))
+    assert dt == pytest.approx(DT)
+    assert np.max(np.abs(sampled[:, 0] - motion(dt * np.arange(K))[:, 0])) < 1e-6
+    assert np.all(np.isnan(sampled[:, 1]))
+    assert held == pytest.approx(1.0)
+    assert "interpolated to 2 ms: samples are up to 0.6" in note
+
+
+def test_lost_samples_are_interpolated_and_counted() -> None:
+    kept = np.delete(np.arange(K), [500, 501, 900])
+    _, held, sampled, (note,) = put(GRID[kept])
+    assert len(sampled) == K
+    assert note.endswith("3 are missing")
+    assert np.max(np.abs(sampled[:, 0] - motion(GRID)[:, 0])) < 1e-6
+    still = np.delete(np.arange(K - 1), [500, 501, 899, 900])
+    assert held[still] == pytest.approx(effort(GRID)[still], abs=1e-9)
+
+
+def test_mean_of_a_held_effort_is_its_integral() -> None:
+    t = GRID + 0.25 * DT * (np.arange(K) % 2)
+    u = np.random.default_rng(2).standard_normal((K, 1))
+    dt, held, _, _ = on_uniform_grid("run.csv", t, u, motion(t))
+    widths = np.append(np.diff(t), dt * len(held) - (t[-1] - t[0]))
+    assert dt * held.sum() == pytest.approx(float(widths @ u[:, 0]), abs=1e-2 * DT * K)
+
+
+REFUSED = {
+    "time jumps by 0.502 s at sample 501": np.where(GRID > 1.0, GRID + 0.5, GRID),
+    "time runs back by 0.498 s at sample 501": np.where(GRID > 1.0, GRID - 0.5, GRID),
+    "time stands still at sample 1": np.maximum(GRID, 0.1),
+    "is the unit of the time right?": GRID * 1e-6,
+    "expected 1e-05 to 0.1 s (is the unit of the time right?)": GRID * 1e3,
+    "expected one sample period": np.where(GRID > 1.0, 2 * GRID - 1.0, GRID),
+    "the time of sample 7 is not finite": np.where(GRID[7] == GRID, np.nan, GRID),
+    "of the steps are longer than the usual 2 ms; expected at most 1%": GRID[np.arange(K) % 10 > 0],
+    "has 1 samples; expected at least 2": GRID[:1],
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_other_times_are_refused_in_one_sentence(sentence: str) -> None:
+    t = REFUSED[sentence]
+    with pytest.raises(RecordError, match="^run.csv") as caught:
+        on_uniform_grid("run.csv", t, np.zeros((len(t), 1)), np.zeros((len(t), 1)))
+    assert sentence in str(caught.value)

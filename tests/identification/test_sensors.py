@@ -27,15 +27,14 @@ def test_missing_sensors_are_named_with_what_stays_unknown(measured: tuple[str, 
     assert sensors == f"joint1: no {' and no '.join(absent)}: {LACKING[absent]}"
     assert scales.startswith("joint1: one side only is measured: a wrong gear ratio (up to ")
     assert scales.endswith(NOT_SEEN)
+    assert f"| no {' and no '.join(absent)} | {LACKING[absent]} |" in PAGE
+    assert NOT_SEEN in PAGE
 
 
-def test_nothing_is_missing_where_both_sides_are_measured_in_some_record() -> None:
-    both, robot = one_joint().record, one_joint().guess
-    assert lacking([both], robot) == []
-    assert not [each for each in lacking([both, one_joint().of("motor").record], robot) if "no link" in each]
-
-
-def test_joints_that_lack_the_same_share_a_sentence() -> None:
+def test_joints_that_lack_the_same_share_a_sentence_and_nothing_is_missing_that_some_record_has() -> None:
+    both, alone = one_joint().record, one_joint().guess
+    assert lacking([both], alone) == []
+    assert not [each for each in lacking([both, one_joint().of("motor").record], alone) if "no link" in each]
     record, robot = two_joints().of("motor").record, two_joints().guess
     first, scales = lacking([record], robot)
     assert first.startswith("shoulder, elbow: no link encoder and no torque sensor: ")
@@ -45,23 +44,17 @@ def test_joints_that_lack_the_same_share_a_sentence() -> None:
     assert lacking([replace(record, q_l=link)], robot)[0].startswith("elbow: no link encoder")
 
 
-def test_the_page_says_it_in_the_same_words() -> None:
-    for absent, what in LACKING.items():
-        assert f"| no {' and no '.join(absent)} | {what} |" in PAGE
-    assert NOT_SEEN in PAGE
-
-
 LITTLE = "it deflects too little"
 ESTIMATES = (
     Estimate("joint_stiffness", "a1", "N m/rad", 41.0, 40.0, 42.0, 60.0, IDENTIFIED),
     Estimate("joint_stiffness", "a2", "N m/rad", 40.0, 4.0, 400.0, 40.0, UNKNOWN, LITTLE),
     Estimate("joint_stiffness", "a3", "N m/rad", 40.0, 4.0, 400.0, 40.0, UNKNOWN, LITTLE),
     Estimate("motor_inertia", "a3", "kg m^2", 0.02, 0.01, 0.06, 0.02, UNKNOWN, LITTLE),
-    Estimate(
-        "link_damping", "a1", "N m s/rad", 0.3, 0.1, 0.6, 0.2, WEAK, "nearly the effect of link skew of a1; faster"
-    ),
-    Estimate(
-        "link_damping", "a2", "N m s/rad", 0.3, 0.1, 0.6, 0.2, WEAK, "nearly the effect of link skew of a2; faster"
+    *(
+        Estimate(
+            "link_damping", of, "N m s/rad", 0.3, 0.1, 0.6, 0.2, WEAK, f"nearly the effect of link skew of {of}; faster"
+        )
+        for of in ("a1", "a2")
     ),
     Estimate("offset", "a3", "rad", 1e-3, 9e-4, 1.1e-3, 0.0, UNKNOWN, LITTLE),
 )

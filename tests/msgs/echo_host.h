@@ -5,8 +5,7 @@ struct echo {
   struct fjr_message* answer;
   struct fjr_ring* ring;
   void* publisher;
-  int64_t period;
-  int64_t messages, rejected, ticks, requests, ends;
+  int64_t messages, requests, ends;
   int32_t by_thread; /* the last request was answered by the thread of the loop */
   int32_t fault; /* message number at which the host fails */
 };

@@ -50,13 +50,18 @@ from pathlib import Path
 import rclpy
 from rclpy.context import Context
 from std_msgs.msg import Empty
+from fjr_core.config.process import process_parameters
+from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.participant import own_node
-from fjr_plant.plant_node import PlantNode
+
+class Here(ParameterNode):
+    def build(self):
+        pass
 
 @contextmanager
 def as_parameter_node():
     rclpy.init()
-    yield PlantNode()
+    yield Here("here", lambda n: process_parameters())
 
 def woken():
     threads = [path for path in Path("/proc/self/task").iterdir() if (path / "comm").read_text().startswith("dds.shm")]

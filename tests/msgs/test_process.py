@@ -14,28 +14,12 @@ from rclpy.node import Node
 
 from fjr_msgs_py.node.loading import ament_index_of_wheels
 from fjr_msgs_py.node.reports import Health
-from msgs.child import run
+from msgs.child import run, run_node
 from nodes.harness import Ros
 from time_limits import HANG
 
-# Run a node by process.run with the executor of argument 1; its fifth callback does what argument 2 selects.
 FALLING = """
-import sys
-from fjr_core import FjrError
-from fjr_core.config.process import process_parameters
-from fjr_msgs_py.node import process
-from fjr_msgs_py.node.parameters import ParameterNode
-from rclpy.parameter import Parameter
-from std_msgs.msg import Empty
-from std_srvs.srv import Trigger
-executor, act = sys.argv[1:]
-class Falling(ParameterNode):
-    def __init__(self):
-        super().__init__("falling", lambda n: process_parameters(),
-                         parameter_overrides=[Parameter("executor", value=executor)])
-    def build(self):
         self.calls = []
-        self.create_timer(0.001, self.tick)
         self.create_subscription(Empty, "fall", self.fall, 1)
         self.create_service(Trigger, "fall", self.fall)
         self.publisher = self.create_publisher(Empty, "fall", 1)
@@ -43,7 +27,7 @@ class Falling(ParameterNode):
     def tick(self):
         self.calls.append("tick")
         if len(self.calls) == 5:
-            getattr(self, act)()
+            getattr(self, sys.argv[2])()
     def subscription(self):
         self.publisher.publish(Empty())
     def service(self):
@@ -57,22 +41,11 @@ class Falling(ParameterNode):
         raise RuntimeError("nobody thought of it")
     def stop(self):
         print("last words", "fell" in self.calls, self.calls[-1], flush=True)
-sys.exit(process.run(Falling))
 """
+"""Of a node whose fifth tick does what its argument says."""
 
-# A node that changes its process settings after a rebuild, then ends; it starts without garbage collection.
 REBUILT = """
-import gc, os, sys
-from fjr_core import FjrError
-from fjr_core.config.process import process_parameters
-from fjr_msgs_py.node import process
-from fjr_msgs_py.node.parameters import ParameterNode
-class Rebuilt(ParameterNode):
-    def __init__(self):
-        super().__init__("rebuilt", lambda n: process_parameters())
-    def build(self):
         self.built()  # not in a process yet: nobody cares
-        self.create_timer(0.001, self.tick)
     def tick(self):
         before = gc.get_freeze_count()
         self.large = [[k] for k in range(100_000)]
@@ -85,24 +58,12 @@ class Rebuilt(ParameterNode):
     def stop(self):
         pass
 gc.disable()
-sys.exit(process.run(Rebuilt))
 """
+"""Of a node that starts without garbage collection, changes its process settings after a rebuild, and ends."""
 
-# A node that makes a reference cycle, which no automatic collection frees, and ends when it is gone.
 CYCLE = """
-import gc, os, signal, sys, weakref
-from fjr_core.config.process import process_parameters
-from fjr_msgs_py.node import process
-from fjr_msgs_py.node.parameters import ParameterNode
-from rclpy.parameter import Parameter
-class Cyclic(ParameterNode):
-    def __init__(self):
-        super().__init__("cyclic", lambda n: process_parameters(),
-                         parameter_overrides=[Parameter("executor", value=sys.argv[1])])
-    def build(self):
         gc.set_threshold(0)
         self.cycle = None
-        self.create_timer(0.001, self.tick)
     def tick(self):
         if self.cycle is None:
             made = Cycle()
@@ -126,22 +87,22 @@ def counting(kind):
     return make
 process.COLLECTION = 0.01
 process.EventsExecutor = counting(process.EventsExecutor)
-sys.exit(process.run(Cyclic))
 """
+"""Of a node that makes a reference cycle, which no automatic collection frees, and ends when it is gone."""
 
 
 @pytest.mark.parametrize(
     ("executor", "where"), [("events", "subscription"), ("events", "service"), ("single", "timer")]
 )
 def test_an_fjr_error_ends_the_process_with_one_sentence(executor: str, where: str) -> None:
-    done = run(FALLING, executor, where)
+    done = run_node(FALLING, where, executor=executor)
     assert done.stderr == "ended: it fell\n"
     assert done.stdout == "last words True fell\n", "no callback may run after it"
     assert done.returncode == 1
 
 
 def test_an_unexpected_exception_is_a_traceback_after_the_last_command() -> None:
-    done = run(FALLING, "events", "surprise")
+    done = run_node(FALLING, "surprise", executor="events")
     assert done.stdout == "last words False tick\n"
     assert done.stderr.rstrip().endswith("RuntimeError: nobody thought of it")
     assert "Traceback" in done.stderr
@@ -150,7 +111,7 @@ def test_an_unexpected_exception_is_a_traceback_after_the_last_command() -> None
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for the cores")
 def test_process_settings_are_applied_again_after_a_rebuild_and_garbage_is_collected() -> None:
-    done = run(REBUILT)
+    done = run_node(REBUILT)
     assert (done.returncode, done.stdout) == (1, "True True\nTrue\n")
     said, end = done.stderr.splitlines()  # what was granted is said once
     assert " scheduling" in said
@@ -161,7 +122,7 @@ def test_process_settings_are_applied_again_after_a_rebuild_and_garbage_is_colle
 def test_garbage_is_collected_regularly_while_the_node_runs_and_the_events_executor_is_entered_once(
     executor: str,
 ) -> None:
-    done = run(CYCLE, executor)
+    done = run_node(CYCLE, executor=executor)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"spins {int(executor == 'events')}\n", "")
 
 

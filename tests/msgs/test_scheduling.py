@@ -20,7 +20,7 @@ from fjr_core import ParameterError
 from fjr_core.config.process import ProcessSettings, cores, process_parameters, process_settings
 from fjr_msgs_py.node import scheduling
 from fjr_msgs_py.node.scheduling import NICE, SLICE, ahead_of_new_threads, prioritised, step_back, take_priority
-from msgs.child import run
+from msgs.child import run, run_node
 
 NOBODY = 65534
 
@@ -65,28 +65,16 @@ print(json.dumps({
 }))
 """
 
-# Run a node by process.run that interrupts itself at the fifth call of its timer.
 INTERRUPTED = """
-import os, signal, sys
-from rclpy.parameter import Parameter
-from fjr_core.config.process import process_parameters
-from fjr_msgs_py.node import process
-from fjr_msgs_py.node.parameters import ParameterNode
-class Counting(ParameterNode):
-    def __init__(self):
-        given = [Parameter(name, value=value) for name, value in eval(sys.argv[1]).items()]
-        super().__init__("counting", lambda n: process_parameters(), parameter_overrides=given)
-    def build(self):
-        self.count = 0
-        self.create_timer(0.001, self.tick)
+    ticks = 0
     def tick(self):
-        self.count += 1
-        if self.count == 5:
+        self.ticks += 1
+        if self.ticks == 5:
             os.kill(os.getpid(), signal.SIGINT)
     def stop(self):
-        print("last words", self.count >= 5, flush=True)
-sys.exit(process.run(Counting))
+        print("last words", self.ticks >= 5, flush=True)
 """
+"""Of a node that interrupts itself at the fifth call of its timer."""
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's /proc")
 root = pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only root may become somebody else")
@@ -219,14 +207,14 @@ def test_a_recorder_has_priority_or_steps_back_during_the_run(monkeypatch: pytes
 
 @pytest.mark.parametrize("executor", ["events", "single"])
 def test_a_signal_ends_either_executor_after_the_last_command_and_a_refusal_is_logged(executor: str) -> None:
-    done = run(INTERRUPTED, repr({"executor": executor, "cpu_affinity": "4000"}))
+    done = run_node(INTERRUPTED, executor=executor, cpu_affinity="4000")
     assert (done.returncode, done.stdout) == (0, "last words True\n")
     (said,) = done.stderr.splitlines()
     assert "cpu_affinity '4000' is refused" in said
 
 
 def test_an_invalid_core_list_ends_the_node_with_one_sentence() -> None:
-    done = run(INTERRUPTED, repr({"cpu_affinity": "both"}))
+    done = run_node(INTERRUPTED, cpu_affinity="both")
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("cannot start: parameter 'cpu_affinity' is 'both'; expected core numbers")
     assert done.stderr.count("\n") == 1

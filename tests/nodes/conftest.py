@@ -7,24 +7,14 @@ from rclpy.executors import SingleThreadedExecutor
 from nodes.harness import Peer, Ros
 from nodes.managed import Manager
 
-BOTH_HOSTS = ("test_controller_node",)
-"""Files whose tests run with the loops of the nodes in rclpy and with the native ones."""
-RCLPY = ("test_malformed", "test_own_code", "test_parameters", "test_wiring")
+RCLPY = ("test_own_code", "test_parameters", "test_wiring")
 """Files whose tests run in rclpy: they call its callbacks, run Python code, or start many robots without a compiler."""
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run the tests of BOTH_HOSTS twice."""
-    if metafunc.definition.path.stem in BOTH_HOSTS and "ros" in metafunc.fixturenames:
-        metafunc.parametrize("host", ["events", "native"], indirect=True)
-
-
 @pytest.fixture(autouse=True)
-def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Set the host of the nodes of a test: native ones by default."""
-    kind = str(getattr(request, "param", "events" if request.path.stem in RCLPY else "native"))
-    monkeypatch.setattr(Ros, "host", kind)
-    return kind
+def host(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set the host of the nodes of a test: native ones by default; that both are equal, tests/hosts shows."""
+    monkeypatch.setattr(Ros, "host", "events" if request.path.stem in RCLPY else "native")
 
 
 @pytest.fixture(params=["events", "single"])

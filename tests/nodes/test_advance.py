@@ -21,16 +21,19 @@ def assert_close(x: np.ndarray, expected: np.ndarray) -> None:
 
 @pytest.mark.usefixtures("either_executor")
 def test_lockstep_advances_by_the_exact_number_of_samples(ros: Ros, peer: Peer) -> None:
-    ros.plant(lockstep=True, start_paused=True, advance_samples=7)
+    node = ros.plant(lockstep=True, start_paused=True)
     CommandLoop(peer).listen()
-    response = peer.advance()
-    assert response.success
-    assert response.message == "advanced by 7 samples: the time is 1.007000000 s"
-    ros.settle()
-    assert nanoseconds(peer.states[-1]) == START + 7 * PERIOD
-    assert peer.advance().message == "advanced by 7 samples: the time is 1.014000000 s"
-    ros.settle()
-    assert sorted({nanoseconds(state) for state in peer.states}) == [START + k * PERIOD for k in range(15)]
+    for samples, time in ((1, "1.001"), (7, "1.008"), (7, "1.015")):
+        assert node.set_parameters([Parameter("advance_samples", value=samples)])[0].successful
+        response = peer.advance()
+        assert (response.success, response.message) == (
+            True,
+            f"advanced by {samples} samples: the time is {time}000000 s",
+        )
+        ros.settle()
+        assert nanoseconds(peer.states[-1]) == START + node._robot.time
+    assert not node.set_parameters([Parameter("advance_samples", value=0)])[0].successful
+    assert sorted({nanoseconds(state) for state in peer.states}) == [START + k * PERIOD for k in range(16)]
 
 
 def test_lockstep_in_steps_is_bit_identical_to_a_run(ros: Ros, peer: Peer) -> None:
@@ -50,7 +53,7 @@ def test_lockstep_in_steps_is_bit_identical_to_a_run(ros: Ros, peer: Peer) -> No
 
 
 def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -> None:
-    node = peer.plant(command_timeout=100.0, advance_samples=25)
+    node = peer.plant(command_timeout=100.0, advance_samples=25, restart_silence=0.1)
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: peer.states[-1].effort[1] == 0.3)
     peer.pause(True)
@@ -127,17 +130,6 @@ def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, pe
     peer.call(SetBool, "fjr_plant/pause", data=False)
     ros.settle()
     assert node._robot.time == time, "it must do nothing more"
-
-
-def test_advance_samples_is_dynamic(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(start_paused=True)
-    assert peer.advance().success
-    assert node._robot.time == PERIOD
-    assert node.set_parameters([Parameter("advance_samples", value=9)])[0].successful
-    assert peer.advance().success
-    assert node._robot.time == 10 * PERIOD
-    assert not node.set_parameters([Parameter("advance_samples", value=0)])[0].successful
-    assert node.values["advance_samples"] == 9
 
 
 def test_vanished_client_does_not_disturb_others(ros: Ros, peer: Peer) -> None:

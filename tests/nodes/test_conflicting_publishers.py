@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
+from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -18,7 +18,7 @@ from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_plant import lock_step as clock_owner
 from fjr_plant.lock_step import ClockError
 from fjr_plant.plant_node import PlantNode
-from nodes.harness import Peer, Ros, Stranger, stamped
+from nodes.harness import Ros, Stranger, stamped
 from nodes.managed import Manager
 from nodes.plants import CommandLoop
 
@@ -27,6 +27,7 @@ MESSAGES = {
     "/joint_commands": JointState(name=["joint1"], effort=[1.0]),
 }
 EFFORTS = "/effort_controller/commands"
+CLOCK = "/clock"
 MANAGER_AND_CONTROLLER = 2  # subscriptions to a command topic, before the first command
 
 
@@ -35,16 +36,16 @@ Appear = Callable[..., Stranger]
 
 @pytest.fixture
 def appear(ros: Ros, manager: Manager) -> Iterator[Appear]:
-    """Create another controller on a topic and wait until it is discovered and connected with `met` subscriptions."""
+    """Create another publisher of a topic and wait until it is discovered and connected with `met` subscriptions."""
     made = []
 
     def there(topic: str) -> int:
         return sum(info.node_name == "other" for info in manager.get_publishers_info_by_topic(topic))
 
-    def make(topic: str, met: int = 0) -> Stranger:
-        count = there(topic)
-        made.append(Stranger(topic, MESSAGES[topic]))
-        ros.until(lambda: there(topic) == count + 1, "the other controller")
+    def make(topic: str, met: int = 0, time: int = 0) -> Stranger:
+        count, message = there(topic), Clock(clock=Time(sec=time)) if topic == CLOCK else MESSAGES[topic]
+        made.append(Stranger(topic, message))
+        ros.until(lambda: there(topic) == count + 1, "the other publisher")
         ros.until(lambda: made[-1].publisher.get_subscription_count() >= met, "its connection with the controller")
         return made[-1]
 
@@ -70,44 +71,35 @@ def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appe
     assert manager.change("activate")
 
 
-def test_a_conflict_found_with_the_first_state_ends_the_node(ros: Ros, manager: Manager, appear) -> None:
-    node = manager.controller()
-    other = appear(EFFORTS, MANAGER_AND_CONTROLLER)
-    with other.talking():
-        manager.state_publisher.publish(stamped(0.0))
-        ros.until(lambda: node.ended, "the end")
-    assert isinstance(node.ended, CommandConflictError)
-    assert node.trouble is node.ended
-    assert manager.state() == "inactive"
-    manager.state_publisher.publish(stamped(0.1))
-    ros.settle()
-    assert not manager.references, "nothing must be sent"
-
-
-def test_a_conflict_found_with_the_first_state_leaves_a_managed_node_inactive(
-    ros: Ros, manager: Manager, appear: Appear
+@pytest.mark.parametrize("managed", [False, True])
+def test_a_conflict_found_with_the_first_state_ends_the_node_or_leaves_a_managed_one_inactive(
+    ros: Ros, manager: Manager, appear: Appear, managed: bool
 ) -> None:
-    node = ros.controller(autostart=False)
-    assert manager.change("configure")
-    assert manager.change("activate")
+    node = ros.controller(autostart=not managed)
+    if managed:
+        assert manager.change("configure")
+        assert manager.change("activate")
     manager.meet_controller()
     other = appear(EFFORTS, MANAGER_AND_CONTROLLER)
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
         ros.until(lambda: node.trouble, "the refusal")
+    assert isinstance(node.trouble, CommandConflictError)
+    assert node.ended is (None if managed else node.trouble)
     assert manager.state() == "inactive"
-    assert node.ended is None
-    assert manager.change("activate")
-    manager.meet_controller()
-    manager.ask(stamped(0.0))
+    manager.state_publisher.publish(stamped(0.1))
+    ros.settle()
+    assert not manager.references, "nothing must be sent"
+    if managed:
+        assert manager.change("activate")
+        manager.meet_controller()
+        manager.ask(stamped(0.2))
 
 
-def test_a_silent_publisher_is_no_conflict(ros: Ros, manager: Manager, appear: Appear) -> None:
+def test_a_silent_publisher_is_no_conflict_and_one_that_appears_later_is_reported(
+    ros: Ros, manager: Manager, appear: Appear
+) -> None:
     appear(EFFORTS)
-    manager.started()
-
-
-def test_a_conflict_that_appears_later_is_reported(ros: Ros, manager: Manager, appear: Appear) -> None:
     node = manager.started()
     appear(EFFORTS)
     ros.until(lambda: "other controllers" in manager.kinds(), "the report")
@@ -159,61 +151,47 @@ def test_publisher_created_together_with_ours_is_detected(
 SENTENCE = "node /other publishes on /clock; expected one owner of the time: .* -r /clock:=/NAMESPACE/clock"
 
 
-@contextmanager
-def other_clock(ros: Ros, peer: Peer, seconds: int = 0) -> Iterator[None]:
-    """Publish the time `seconds` like another process; yield once the publisher is discovered."""
-    message = Clock()
-    message.clock.sec = seconds
-    other = Stranger("/clock", message)
-    try:
-        with other.talking():
-            ros.until(
-                lambda: "other" in (i.node_name for i in peer.get_publishers_info_by_topic("/clock")), "the clock"
-            )
-            yield
-    finally:
-        other.close()
-
-
-def test_plant_refuses_to_start_with_another_clock(ros: Ros, peer: Peer) -> None:
-    with other_clock(ros, peer):
+def test_plant_refuses_to_start_with_another_clock(ros: Ros, manager: Manager, appear: Appear) -> None:
+    with appear(CLOCK).talking():
         with pytest.raises(ClockError, match=SENTENCE):
             ros.plant(lockstep=True)
         arguments = ["--ros-args", "-r", "/clock:=/left/clock", "-p", "compile:=false", "-p", "lockstep:=true"]
         ros.start(PlantNode, arguments)
-    assert peer.count_publishers("/left/clock") == 1
+    assert manager.count_publishers("/left/clock") == 1
 
 
-def test_plant_ends_if_another_clock_appears_with_the_first_command(ros: Ros, peer: Peer, monkeypatch) -> None:
+def test_plant_ends_if_another_clock_appears_with_the_first_command(
+    ros: Ros, manager: Manager, appear: Appear, monkeypatch
+) -> None:
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 1000.0)
-    node = peer.plant(lockstep=True)
-    with other_clock(ros, peer):
-        CommandLoop(peer).listen()
+    node = manager.plant(lockstep=True)
+    with appear(CLOCK).talking():
+        CommandLoop(manager).listen()
         ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, ClockError)
     assert node._time_base._robot.time == 0, "nothing must have moved"
 
 
-def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, peer: Peer, monkeypatch) -> None:
+def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, manager: Manager, appear: Appear, monkeypatch) -> None:
     monkeypatch.setattr(clock_owner, "SETTLING", -1.0)
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
-    node = peer.plant(lockstep=True)
-    CommandLoop(peer).listen()
+    node = manager.plant(lockstep=True)
+    CommandLoop(manager).listen()
     ros.until(lambda: node._time_base._robot.time > 0, "motion")
-    with other_clock(ros, peer):
+    with appear(CLOCK).talking():
         ros.until(lambda: node._health.count["other clocks"] == 1, "the report")
-    peer.reported(node, "other clocks")
+    manager.reported(node, "other clocks")
     assert node.ended is None
 
 
 @pytest.mark.parametrize(("seconds", "ends"), [(0, False), (1000, True)], ids=["behind", "ahead"])
 def test_new_owner_with_commands_ends_only_if_the_other_time_is_ahead(
-    ros: Ros, peer: Peer, monkeypatch: pytest.MonkeyPatch, seconds: int, ends: bool
+    ros: Ros, manager: Manager, appear: Appear, monkeypatch: pytest.MonkeyPatch, seconds: int, ends: bool
 ) -> None:
     monkeypatch.setattr(clock_owner, "SETTLING", 1e6)
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
-    node = peer.plant(lockstep=True)
-    CommandLoop(peer).listen()
+    node = manager.plant(lockstep=True)
+    CommandLoop(manager).listen()
     ros.until(lambda: node._time_base._robot.time > 0, "motion")
     heard, read = ConflictingPublishers.heard, []
 
@@ -222,6 +200,6 @@ def test_new_owner_with_commands_ends_only_if_the_other_time_is_ahead(
         return found
 
     monkeypatch.setattr(ConflictingPublishers, "heard", noted)
-    with other_clock(ros, peer, seconds):
+    with appear(CLOCK, time=seconds).talking():
         ros.until(lambda: node.ended or len(read) > 1, "the other time")
         assert isinstance(node.ended, ClockError) is ends

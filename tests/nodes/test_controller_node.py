@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from unittest.mock import Mock
 
 import numpy as np
@@ -14,8 +13,6 @@ from fjr_controller.controller_node import ControllerNode
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from nodes.managed import Manager
 
-NAN, INF = float("nan"), float("inf")
-
 
 def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: float = 0.0, stiffness: float = 31.0):
     robot = fjr.single_link(stiffness=stiffness)
@@ -23,41 +20,27 @@ def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: floa
     return fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))
 
 
-def test_publishes_the_effort_of_the_law_for_every_state_on_both_topics(ros: Ros, peer: Peer) -> None:
+def test_every_state_is_answered_with_effort_reference_and_tracking_error(ros: Ros, peer: Peer) -> None:
     node = peer.controller()
     for k in range(20):
         t, q_l, q_m, dq_l, dq_m = 0.001 * k, 0.5 - 0.01 * k, 0.5 + 0.02 * k, 0.1 * k, -0.1 * k
         state = stamped(t, [q_l, q_m], [dq_l, dq_m])
-        command = peer.ask(state)
-        expected = paper_effort(t, q_l, q_m, dq_l, dq_m)
+        command, reference, error = peer.answer(state), peer.references[-1], peer.errors[-1]
         assert command.header.stamp == state.header.stamp
         assert list(command.name) == ["joint1"]
-        np.testing.assert_allclose(command.effort, expected, rtol=1e-9)
+        np.testing.assert_allclose(command.effort, paper_effort(t, q_l, q_m, dq_l, dq_m), rtol=1e-9)
+        desired = np.array([np.sin(t), np.cos(t)])
+        np.testing.assert_allclose([reference.position[0], reference.velocity[0]], desired)
+        np.testing.assert_allclose([error.position[0], error.velocity[0]], [q_l, dq_l] - desired, atol=1e-15)
         ros.until(lambda k=k: len(peer.efforts) == k + 1)
         assert list(peer.efforts[-1].data) == list(command.effort)
-    assert len(peer.commands) == len(peer.references) == len(peer.errors) == 20
+    names, wrong = ["gripper", "joint1_motor", "other", "joint1"], float("nan")
+    shuffled = stamped(0.019, [wrong, q_m, wrong, q_l], [9.0, dq_m, wrong, dq_l], names)  # the last state
+    assert list(peer.ask(shuffled).effort) == list(command.effort)
+    assert len(peer.commands) == len(peer.references) == len(peer.errors) == 21
     node.stop()
-    ros.until(lambda: len(peer.efforts) == len(peer.commands) == 21, "the last command")
+    ros.until(lambda: len(peer.efforts) == len(peer.commands) == 22, "the last command")
     assert list(peer.efforts[-1].data) == list(peer.commands[-1].effort) == [0.0]
-
-
-def test_publishes_reference_and_tracking_error_with_the_stamp_of_the_state(ros: Ros, peer: Peer) -> None:
-    peer.started()
-    peer.ask(stamped(0.25, [0.4, 0.5], [0.3, 0.2]))
-    reference, error = peer.references[-1], peer.errors[-1]
-    assert nanoseconds(reference) == nanoseconds(error) == 100_250_000_000
-    np.testing.assert_allclose([reference.position[0], reference.velocity[0]], [np.sin(0.25), np.cos(0.25)])
-    np.testing.assert_allclose([error.position[0], error.velocity[0]], [0.4 - np.sin(0.25), 0.3 - np.cos(0.25)])
-
-
-def test_shuffled_and_additional_joints_are_mapped_by_name(ros: Ros, peer: Peer) -> None:
-    peer.controller()
-    plain = peer.ask(stamped(0.0, [0.4, 0.6], [0.1, 0.2]))
-    names = ["gripper", "joint1_motor", "other", "joint1"]
-    shuffled = peer.ask(stamped(0.0, [NAN, 0.6, INF, 0.4], [9.0, 0.2, NAN, 0.1], names))
-    assert list(shuffled.effort) == list(plain.effort)
-    again = peer.ask(stamped(0.0, [0.6, 0.4], [0.2, 0.1], ["joint1_motor", "joint1"]))
-    assert list(again.effort) == list(plain.effort)
 
 
 def with_fields(**fields: list[float]):
@@ -69,17 +52,12 @@ def with_fields(**fields: list[float]):
 
 BAD_STATES = [
     (stamped(0.1, names=["joint1"]), "missing joints"),
-    (stamped(0.1, names=["a", "b"]), "missing joints"),
     (stamped(0.1, names=["joint1", "joint1_motor", "joint1"]), "duplicate joints"),
-    (stamped(0.1, [0.5, NAN]), "not finite"),
-    (stamped(0.1, [-INF, 0.5]), "not finite"),
-    (stamped(0.1, 0.5, [NAN, 0.0]), "not finite"),
-    (with_fields(position=[]), "wrong lengths"),
-    (with_fields(position=[0.5] * 3), "wrong lengths"),
+    (stamped(0.1, [0.5, float("nan")]), "not finite"),
     (with_fields(velocity=[]), "wrong lengths"),
-    (with_fields(velocity=[0.0]), "wrong lengths"),
     (stamped(-100.0), "no stamp"),
 ]
+"""One of each kind; the others: tests/msgs."""
 
 
 def test_malformed_states_are_refused_counted_and_logged_once_and_the_node_continues(
@@ -88,19 +66,17 @@ def test_malformed_states_are_refused_counted_and_logged_once_and_the_node_conti
     node, times = peer.started(), 2
     refused = node._control.reports.count
     for message, kind in BAD_STATES:
-        before = refused[f"state refused: {kind}"]
         for k in range(1, times + 1):  # one by one, as the queue keeps the newest only
             peer.state_publisher.publish(message)
-            ros.until(lambda k=k, kind=kind, before=before: refused[f"state refused: {kind}"] == before + k, kind)
+            ros.until(lambda k=k, kind=kind: refused[f"state refused: {kind}"] == k, kind)
     np.testing.assert_allclose(peer.ask(stamped(0.2)).effort, paper_effort(0.2, 0.5, 0.5), rtol=1e-9)
     assert len(peer.commands) == 2
     node.stop()
-    wanted = Counter(kind for _, kind in BAD_STATES)
-    for kind, number in wanted.items():
-        key, count = f"state refused: {kind}", times * number
-        ros.until(lambda key=key, count=count: peer.count(key, "fjr_controller") == count, "the counter")
+    for _, kind in BAD_STATES:
+        key = f"state refused: {kind}"
+        ros.until(lambda key=key: peer.count(key, "fjr_controller") == times, "the counter")
     said = capfd.readouterr().err
-    assert said.count("state refused") == len(wanted)
+    assert said.count("state refused") == len(BAD_STATES)
     assert "state refused: names are ['joint1']; expected ['joint1_motor'] among them (logged once" in said
 
 

@@ -73,8 +73,9 @@ def started(ros: Ros, manager: Manager, **parameters: Any) -> Client:
     return Client(ros, manager)
 
 
-def test_a_goal_is_tracked_and_reached(ros: Ros, manager: Manager) -> None:
+def test_a_goal_is_tracked_and_reached_and_one_that_cannot_be_is_rejected(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager, constraints__goal=[1e-3])
+    assert not client.send(0).accepted
     handle = client.send(1000)
     assert handle.accepted
     for t in (0.3, 0.9, 1.0, 1.1):
@@ -85,27 +86,17 @@ def test_a_goal_is_tracked_and_reached(ros: Ros, manager: Manager) -> None:
     assert client.feedback[-1] == round(1e6 * GOAL)
 
 
-def test_a_goal_that_cannot_be_tracked_is_rejected(ros: Ros, manager: Manager) -> None:
-    client = started(ros, manager)
-    assert not client.send(0).accepted
-    assert manager.change("deactivate")
-    assert not client.send(1000).accepted
-
-
-def test_path_tolerance_violation_aborts_the_goal_and_holds(ros: Ros, manager: Manager) -> None:
-    client = started(ros, manager, constraints__trajectory=[0.5])
-    handle = client.send(1000)
-    manager.ask(stamped(0.3, 2.0))
-    assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.PATH_TOLERANCE_VIOLATED)
-    assert "holds" in manager.kinds()
-
-
-def test_a_goal_that_is_not_reached_in_time_is_aborted(ros: Ros, manager: Manager) -> None:
-    client = started(ros, manager, constraints__goal=[1e-3], constraints__goal_time=0.2)
+def test_a_goal_is_aborted_off_its_path_or_late(ros: Ros, manager: Manager) -> None:
+    limits = {"constraints__trajectory": [0.5], "constraints__goal": [1e-3], "constraints__goal_time": 0.2}
+    client = started(ros, manager, **limits)
     handle = client.send(500)
     for t in (0.5, 0.6, 0.71):
         manager.ask(stamped(t, 0.0))
     assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.GOAL_TOLERANCE_VIOLATED)
+    handle = client.send(1000)
+    manager.ask(stamped(1.0, 2.0))
+    assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.PATH_TOLERANCE_VIOLATED)
+    assert "holds" in manager.kinds()
 
 
 def test_cancelled_goal_comes_to_a_standstill(ros: Ros, manager: Manager) -> None:
@@ -121,7 +112,7 @@ def test_cancelled_goal_comes_to_a_standstill(ros: Ros, manager: Manager) -> Non
     np.testing.assert_allclose(manager.references[-1].velocity, [0.0], atol=1e-9)
 
 
-def test_goal_is_replaced_by_another_goal_a_trajectory_or_a_service(ros: Ros, manager: Manager) -> None:
+def test_goal_is_replaced_by_another_goal_a_trajectory_a_service_or_a_transition(ros: Ros, manager: Manager) -> None:
     client = started(ros, manager)
     first = client.send(1000)
     second = client.send(900)
@@ -135,6 +126,11 @@ def test_goal_is_replaced_by_another_goal_a_trajectory_or_a_service(ros: Ros, ma
     fourth = client.send(700)
     assert manager.change("deactivate")
     assert client.result(fourth) == given_up
+    assert not client.send(1000).accepted, "inactive"
+    assert manager.change("cleanup")
+    ros.until(lambda: not client._client.server_is_ready(), "the server's end")
+    assert manager.change("configure")
+    ros.until(client._client.server_is_ready, "the server")
 
 
 def test_a_stop_ends_a_goal_whose_trajectory_does_not_continue_after_it(ros: Ros, manager: Manager) -> None:
@@ -147,16 +143,6 @@ def test_a_stop_ends_a_goal_whose_trajectory_does_not_continue_after_it(ros: Ros
     for t in (0.3, 0.5, 2.0):
         manager.ask(stamped(t, 0.7))
     np.testing.assert_allclose(manager.references[-1].position, [0.7], atol=1e-9)
-
-
-def test_the_action_server_exists_only_while_configured(ros: Ros, manager: Manager) -> None:
-    client = started(ros, manager)
-    assert manager.change("deactivate")
-    assert manager.change("cleanup")
-    ros.until(lambda: not client._client.server_is_ready(), "the server's end")
-    assert manager.change("configure")
-    assert manager.change("activate")
-    ros.until(client._client.server_is_ready, "the server")
 
 
 SECOND = 10**9
@@ -194,11 +180,8 @@ def test_a_goal_ends_by_its_tolerances(t, q, dq, code) -> None:
     assert code_of(t, q, dq) == code
 
 
-def test_goal_without_a_goal_time_stays_active() -> None:
+def test_goal_without_a_goal_time_stays_active_and_an_outcome_names_joint_error_and_tolerance() -> None:
     assert code_of(100.0, (0.03, 0.0), **{"constraints.goal_time": 0.0}) is None
-
-
-def test_message_names_joint_error_and_tolerance() -> None:
     outcome = TrackedGoal(JOINTS, SECOND, tolerances(VALUES, UNITS)).check(0, np.array([0.25, 0.0]), np.zeros(2))
     assert outcome is not None
     assert outcome.sentence == "on the path, a is off by 0.25 rad; expected at most 0.1"

@@ -45,6 +45,9 @@ SET = (
 
 
 pytestmark = pytest.mark.usefixtures("either_executor")
+each_node = pytest.mark.parametrize(
+    ("name", "either_executor"), [("fjr_controller", "events"), ("fjr_plant", "single")], indirect=["either_executor"]
+)
 
 
 @pytest.fixture
@@ -53,11 +56,8 @@ def tracking(ros: Ros, manager: Manager) -> Any:
     return manager.started()
 
 
-@pytest.mark.parametrize("label", ["", "activate", "no_such_transition"])
-def test_a_transition_that_is_not_possible_now_is_refused(
-    ros: Ros, manager: Manager, tracking: Any, label: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    for number in (1, 3, 99, 0, 255):
+def test_a_transition_that_is_not_possible_now_is_refused(ros: Ros, manager: Manager, tracking: Any, capfd) -> None:
+    for number, label in ((1, ""), (3, ""), (99, ""), (0, ""), (255, ""), (3, "activate"), (4, "no_such_transition")):
         asked = Transition(id=number, label=label)
         answer = manager.call(ChangeState, "fjr_controller/change_state", transition=asked)
         assert not answer.success
@@ -70,7 +70,7 @@ def test_a_transition_that_is_not_possible_now_is_refused(
     assert manager.change("deactivate"), "what is possible still works"
 
 
-@pytest.mark.parametrize("name", ["fjr_controller", "fjr_plant"])
+@each_node
 def test_malformed_requests_for_parameters_are_answered(ros: Ros, manager: Manager, name: str) -> None:
     node = ros.controller() if name == "fjr_controller" else ros.plant()
     before = {key: node.get_parameter(key).value for key in node.get_parameters_by_prefix("")}
@@ -112,7 +112,7 @@ def test_an_unknown_type_refuses_its_parameter_and_those_after_it(ros: Ros, mana
     manager.ask(stamped(0.001))
 
 
-@pytest.mark.parametrize("name", ["fjr_controller", "fjr_plant"])
+@each_node
 def test_a_clock_before_1970_is_refused(ros: Ros, manager: Manager, name: str) -> None:
     node = ros.controller(use_sim_time=True) if name == "fjr_controller" else ros.plant(use_sim_time=True)
     publisher, message = manager.create_publisher(Clock, "/clock", 10), Clock()

@@ -29,19 +29,43 @@ def effort(t: float, gains: fjr.Gains = fjr.PAPER_GAINS, reference: fjr.Sine = S
     return float(fjr.TrackingLaw(robot, gains).effort(x, x, reference.jets(t))[0])
 
 
-def test_lifecycle_transitions_are_those_of_a_managed_node(ros: Ros, manager: Manager) -> None:
-    ros.controller(autostart=False)
+def infos(text: str, node: str) -> list[str]:
+    return [line.partition(f"[{node}]: ")[2] for line in text.splitlines() if "[INFO]" in line and f"[{node}]" in line]
+
+
+LIFE = {
+    "configure": ("inactive", "configured", "configured: law v_dpbc for joint1"),
+    "activate": ("active", "activated", "activated: waiting for states on /joint_states"),
+    "ask": ("active", "tracking", "tracking: the effort is the law's own"),
+    "deactivate": ("inactive", "deactivated", "deactivated: no efforts are sent"),
+    "cleanup": ("unconfigured", "cleaned up", "cleaned up: all parameters may change"),
+}
+"""State after a transition, and kind and sentence of its event."""
+
+
+def test_transitions_are_those_of_a_managed_node_and_each_is_logged_once(ros: Ros, manager: Manager, capfd) -> None:
+    node = ros.controller(autostart=False)
+    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
     assert manager.state() == "unconfigured"
-    becomes = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
-    for transition in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure"):
+    for transition, (state, *_) in LIFE.items():
+        if transition == "ask":
+            manager.meet_controller()
+            for k in range(3):
+                manager.ask(stamped(0.001 * k))
+        else:
+            assert manager.change(transition)
+        assert manager.state() == state
+    ros.until(lambda: len(manager.events) >= len(LIFE), "the events")
+    assert [[event.name, event.message] for event in manager.events] == [event for _, *event in LIFE.values()]
+    assert infos(capfd.readouterr().err, "fjr_controller") == [event.message for event in manager.events]
+    for transition in ("configure", "activate", "deactivate", "activate", "deactivate"):
         assert manager.change(transition)
-        assert manager.state() == becomes[transition]
     assert {"unconfigured", "inactive", "active", "finalized"} <= set(manager.labels())
     assert manager.transitions() == {"activate", "cleanup", "shutdown"}
 
 
 def test_states_are_answered_only_once_other_controllers_are_discovered(ros: Ros, manager: Manager) -> None:
-    since = time.monotonic() + 1.0
+    since = time.monotonic() + 0.5
     node = ros.start(partial(ControllerNode, since), executor=ros.host, compile=ros.host == "native")
     manager.meet_controller()
     assert node.state == "active"
@@ -60,8 +84,10 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager) -
         manager.ask(stamped(0.0), answered=False)
     assert node._control.step.last_stamp is None
     assert not manager.efforts
-    assert manager.change("activate")
+    for transition in ("activate", "deactivate", "activate"):  # without a command there is no last one either
+        assert manager.change(transition)
     manager.meet_controller()
+    assert not manager.efforts
     manager.ask(stamped(0.1))
     assert manager.change("deactivate")
     ros.until(lambda: len(manager.commands) == 2, "the last command")
@@ -88,26 +114,6 @@ def test_last_command_is_the_stop_effort(ros: Ros, manager: Manager, transition:
     assert len(manager.efforts) == 2
 
 
-def test_no_last_command_without_an_earlier_command(ros: Ros, manager: Manager) -> None:
-    node = manager.controller()
-    node.stop()
-    ros.settle()
-    assert not manager.efforts
-
-
-def test_activation_restarts_the_reference(ros: Ros, manager: Manager) -> None:
-    manager.controller()
-    first = manager.ask(stamped(0.0))
-    manager.ask(stamped(0.3))
-    assert manager.change("deactivate")
-    assert manager.change("activate")
-    manager.meet_controller()
-    ros.until(lambda: len(manager.commands) == 3, "the last command")
-    manager.state_publisher.publish(stamped(5.0))
-    ros.until(lambda: len(manager.commands) == 4, "the answer")
-    assert list(manager.commands[-1].effort) == list(first.effort)
-
-
 def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, manager: Manager) -> None:
     manager.started(limits__link_velocity=[2.0])
     assert manager.change("deactivate")
@@ -124,14 +130,18 @@ def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, ma
     assert manager.state() == "inactive"
 
 
-def test_refused_configure_leaves_no_objects_on_the_node(ros: Ros, manager: Manager) -> None:
-    node = ros.controller(autostart=False)
+def test_invalid_parameters_are_refused_by_configure_and_can_be_corrected(ros: Ros, manager: Manager, capfd) -> None:
+    node = ros.controller(autostart=False, gains__K_ld="much", robot__joint_stiffness=[3.1])
+    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
 
     def parts() -> list[int]:
         return [len(list(each)) for each in (node.publishers, node.subscriptions, node.services, node.timers)]
 
     before = parts()
+    assert not manager.change("configure")
+    assert manager.set_one("gains.K_ld", [0.6])[0]
     for name, bad, good in (
+        ("gains.Pi_l", [-20.0], [20.0]),
         ("constraints.goal", [0.1, 0.1], [0.1]),  # exists without control_msgs, too
         ("constraints.trajectory", [0.1, 0.1], [0.1]),
         ("limits.acceleration", [1.0, 1.0], [9.0]),
@@ -141,25 +151,14 @@ def test_refused_configure_leaves_no_objects_on_the_node(ros: Ros, manager: Mana
         assert manager.set_one(name, bad)[0]
         assert not manager.change("configure")
         assert name.split(".")[0] in str(node.trouble) or "reference.*" in str(node.trouble)
-        assert parts() == before
+        assert parts() == before, "a refused transition must leave no objects"
         assert manager.set_one(name, good)[0]
-    assert manager.change("configure")
-
-
-def test_invalid_parameters_can_be_corrected_while_unconfigured(ros: Ros, manager: Manager, capfd) -> None:
-    node = ros.controller(autostart=False, gains__Pi_l=[-20.0], gains__K_ld="much", robot__joint_stiffness=[3.1])
-    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
-    assert not manager.change("configure")
-    assert "gains.K_ld" in str(node.trouble)
+    assert manager.state() == "unconfigured"
     ros.until(lambda: manager.events, "the event of the failed transition")
     assert (manager.events[0].name, manager.events[0].level) == ("transition failed", b"\x02")
     assert "gains.K_ld" in manager.events[0].message
-    assert manager.set(gains__K_ld=[0.6])[0]
-    assert not manager.change("configure")
-    assert manager.state() == "unconfigured"
-    assert "gains.Pi_l" in str(node.trouble)
     assert "gains.Pi_l" in capfd.readouterr().err
-    assert manager.set(gains__Pi_l=[20.0], robot__joint_stiffness=[31.0])[0]
+    assert manager.set_one("robot.joint_stiffness", [31.0])[0]
     assert manager.change("configure")
     assert node.trouble is None
     assert manager.change("activate")
@@ -167,24 +166,13 @@ def test_invalid_parameters_can_be_corrected_while_unconfigured(ros: Ros, manage
     np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
 
 
-def test_gains_change_between_two_states(ros: Ros, manager: Manager) -> None:
-    manager.controller()
-    np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
+def test_gains_change_between_two_states_and_invalid_ones_change_nothing(ros: Ros, manager: Manager) -> None:
+    node = manager.started()
     assert manager.set(gains__K_ld=[0.9], gains__Pi_l=[30.0]) == (True, "")
     other = fjr.Gains(10.0, 30.0, 0.9, 15.0, 60.0, 0.3)
     np.testing.assert_allclose(manager.ask(stamped(0.001)).effort, [effort(0.001, other)], rtol=1e-9)
     assert manager.set_one("gains.K_ld", [0.6])[0]
     assert manager.set_one("gains.Pi_l", [20.0])[0]
-    np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
-    ros.until(lambda: manager.kinds().count("gains changed") == 3, "the events")
-    event = next(event for event in manager.events if event.name == "gains changed")
-    assert event.level == event.OK
-    assert event.message
-    assert event.hardware_id == ""
-
-
-def test_invalid_gains_change_nothing(ros: Ros, manager: Manager) -> None:
-    node = manager.started()
     for values in (
         {"gains__Pi_l": [-20.0]},
         {"gains__Pi_l": [float("nan")]},
@@ -201,9 +189,11 @@ def test_invalid_gains_change_nothing(ros: Ros, manager: Manager) -> None:
         assert not done, values
         assert reason
         assert "\n" not in reason
-    np.testing.assert_allclose(manager.ask(stamped(0.001)).effort, [effort(0.001)], rtol=1e-9)
+    np.testing.assert_allclose(manager.ask(stamped(0.002)).effort, [effort(0.002)], rtol=1e-9)
     assert list(node.get_parameter("gains.Pi_l").value) == [20.0]
-    assert "gains changed" not in manager.kinds()
+    ros.settle()
+    events = [event for event in manager.events if event.name == "gains changed"]
+    assert [(event.level, event.hardware_id, bool(event.message)) for event in events] == [(b"\x00", "", True)] * 3
 
 
 def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
@@ -258,20 +248,21 @@ def test_a_violated_limit_of_the_state_stops_until_a_resume(ros: Ros, manager: M
 
 
 def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> None:
-    peer.controller(limits__effort_rate=[100.0])
+    node = peer.controller(limits__effort_rate=[100.0])
     efforts = [float(peer.ask(at(0.001 * k)).effort[0]) for k in range(4)]
     np.testing.assert_allclose(efforts, [0.0, -0.1, -0.2, -0.3])
-    ros.until(lambda: peer.count("efforts rate limited", "fjr_controller"), "the counter")
+    peer.reported(node, "efforts rate limited", 4)
     (status,) = [each for each in peer.diagnostics[-1].status if each.name == "fjr_controller"]
     assert status.level == DiagnosticStatus.OK, "a limited rate is what its setting asks for"
 
 
-@pytest.mark.parametrize("motor", ["position", "torque"])
-def test_positions_of_links_and_motors_or_joint_torques_suffice_with_an_observer(peer: Peer, motor: str) -> None:
+def test_positions_of_links_and_joint_torques_suffice_with_an_observer(peer: Peer) -> None:
     """The effort is zero while the observer settles, then the law's with the observer's velocities."""
-    peer.controller(measurement__motor=motor, measurement__velocity="observer", measurement__observer_bandwidth=200.0)
-    state = at() if motor == "position" else stamped(0.0, 0.5, names=["joint1"])
-    state.velocity, state.effort = [], [] if motor == "position" else [31.0 * 0.02]
+    peer.controller(
+        measurement__motor="torque", measurement__velocity="observer", measurement__observer_bandwidth=200.0
+    )
+    state = stamped(0.0, 0.5, names=["joint1"])
+    state.velocity, state.effort = [], [31.0 * 0.02]
     law, observer = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS), fjr.VelocityObserver(ROBOT, 200.0)
     for k in range(OBSERVED + 1):
         observer.update(k * 1_000_000, [0.5], [0.52], [0.0])
@@ -280,38 +271,6 @@ def test_positions_of_links_and_motors_or_joint_torques_suffice_with_an_observer
         assert bool(command.effort[0]) == (k == OBSERVED)
     u, _ = law.measured_command(observer.state[:2], observer.state[2:], fjr.Sine(1.0, 1.0).jets(0.001 * OBSERVED))
     np.testing.assert_allclose(command.effort, u, rtol=1e-9)
-
-
-# Log lines and events.
-
-
-LIFE = ["configured", "activated", "tracking", "deactivated", "cleaned up"]
-
-
-def infos(text: str, node: str) -> list[str]:
-    return [line.partition(f"[{node}]: ")[2] for line in text.splitlines() if "[INFO]" in line and f"[{node}]" in line]
-
-
-def test_a_controller_logs_each_transition(ros: Ros, manager: Manager, capfd: pytest.CaptureFixture[str]) -> None:
-    node = ros.controller(autostart=False)
-    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
-    for transition in ("configure", "activate"):
-        assert manager.change(transition)
-    manager.meet_controller()
-    for k in range(3):
-        manager.ask(stamped(0.001 * k))
-    for transition in ("deactivate", "cleanup"):
-        assert manager.change(transition)
-    ros.until(lambda: len(manager.events) >= len(LIFE), "the events")
-    assert manager.kinds() == LIFE
-    assert infos(capfd.readouterr().err, "fjr_controller") == [event.message for event in manager.events]
-    assert [event.message for event in manager.events] == [
-        "configured: law v_dpbc for joint1",
-        "activated: waiting for states on /joint_states",
-        "tracking: the effort is the law's own",
-        "deactivated: no efforts are sent",
-        "cleaned up: all parameters may change",
-    ]
 
 
 @pytest.mark.parametrize("lockstep", [True, False])

@@ -1,35 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Malformed messages of each kind cause no exception and no output that is not finite or exceeds a limit.
 
-Messages are serialised and passed to the subscription callback of the node, as an executor would do: all are handled
-in order, whereas a queue of depth one would lose most of them. Replies of the node use the middleware, and each
-example ends with a valid message that is answered. Messages take longer to generate than to handle: every message goes
-to all nodes, each in a namespace of its own. tests/msgs has the readers alone.
+Each is published alone, because a queue of depth one keeps the newest only. tests/msgs has the readers of states and
+commands, and tests/tracking the control step for any state; here both are in their nodes, for `make test-all`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration, Time
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from fjr_msgs_py.names import state_names
-from fjr_msgs_py.node.failure import EndingNode
-from fjr_plant.lock_step import START as LOCKSTEP_START
+from fjr_controller.controller_node import ControllerNode
+from fjr_plant.plant_node import PlantNode
 from fuzzing import fuzzed
-from nodes.harness import Listener, Ros, stamped
+from msgs.test_cdr import JOINT_STATES, JOINTS, NAMES
+from nodes.harness import Ros, stamped
+from nodes.managed import Manager
+from nodes.plants import answer, command
 
-JOINTS = ("shoulder", "elbow")
-NAMES = state_names(JOINTS)
+HANDLED = ("commands received", "command refused", "answers to other states")  # beginnings of counters
 LIMIT = (20.0, 10.0)  # N m
 EACH, EXAMPLES = 10, 40  # messages of an example; FJR_FUZZ_EXAMPLES=1000 tries more
 
@@ -51,17 +48,6 @@ def column(size: int, entry: st.SearchStrategy[float] = number) -> st.SearchStra
     """Generate a list, usually of this size."""
     right = st.lists(entry, min_size=size, max_size=size)
     return st.one_of(right, right, st.just([]), st.lists(entry, max_size=2 * size + 1))
-
-
-@st.composite
-def states(draw: st.DrawFn) -> JointState:
-    names = draw(st.one_of(st.just(NAMES), st.permutations(NAMES), st.lists(name, max_size=6)))
-    entry = draw(st.sampled_from([number, plain]))
-    message = JointState(name=list(names))
-    message.header.stamp = draw(stamp)
-    for field in ("position", "velocity", "effort"):
-        setattr(message, field, draw(column(len(names), entry)))
-    return message
 
 
 @st.composite
@@ -95,45 +81,11 @@ def any_trajectories(draw: st.DrawFn) -> JointTrajectory:
 
 
 trajectories = st.one_of(good_trajectories(), any_trajectories(), any_trajectories())
-efforts = st.builds(lambda data: Float64MultiArray(data=data), column(2))
-
-
-@st.composite
-def answers(draw: st.DrawFn) -> JointState:
-    """Generate named commands, some with the first stamps of a run."""
-    names = draw(st.one_of(st.just(JOINTS), st.permutations(JOINTS), st.lists(name, max_size=4)))
-    message = JointState(name=list(names), effort=draw(column(len(names))))
-    first = st.integers(0, 100).map(lambda k: Time(sec=LOCKSTEP_START // 10**9, nanosec=k * 10**6))
-    message.header.stamp = draw(st.one_of(first, stamp))
-    return message
-
-
-def finite(*arrays: Any) -> bool:
-    return all(np.isfinite(array).all() for array in arrays)
-
-
-# Nodes.
-
-
-def deliver(node: EndingNode, topic: str, message: Any) -> None:
-    """Pass the serialised message to the subscription callback of the node."""
-    subscription = next(s for s in node.subscriptions if s.topic_name == f"{node.get_namespace()}/{topic}")
-    wire = serialize_message(message)
-    subscription.callback(wire if subscription.raw else deserialize_message(wire, type(message)))
-    assert node.unexpected is None
-
-
-def namespace(name: str) -> list[str]:
-    return ["--ros-args", "-r", f"__ns:=/{name}"]
-
-
 TWO_LINK = {
     "joints": list(JOINTS),
     "robot__model": "planar_two_link",
     "reference__amplitude": [0.5, 0.5],
     "limits__effort": list(LIMIT),
-}
-GUARDED = {
     "limits__effort_rate": [1000.0, 1000.0],
     "limits__link_position_lower": [-4.0, -4.0],
     "limits__link_position_upper": [4.0, 4.0],
@@ -144,130 +96,88 @@ GUARDED = {
     "start__ramp_time": 0.2,
     "start__join_time": 0.5,
 }
-CONTROLLERS: dict[str, dict[str, Any]] = {
-    "effort_limit": {},
-    "all_limits": GUARDED,
-    "observer": {"measurement__velocity": "observer"},
-}
-
-
-class Answered:
-    """A controller in this process, its output, and valid states for it."""
-
-    def __init__(self, ros: Ros, name: str) -> None:
-        self.ros, self.name = ros, name
-        self.heard = Listener(ros, f"/{name}/")
-        self.node = ros.controller(arguments=namespace(name), **TWO_LINK, **CONTROLLERS[name])
-        topics = ("effort_controller/commands", "joint_commands")
-        ros.until(lambda: all(map(self.heard.heard, topics)), "the controller")
-        self._seconds = 200.0
-
-    def state(self, message: JointState) -> None:
-        deliver(self.node, "joint_states", message)
-
-    def plan(self, message: JointTrajectory) -> None:
-        """Request a trajectory; return when its outcome is known."""
-        known = self._planned
-        deliver(self.node, "fjr_controller/joint_trajectory", message)
-        self.ros.until(lambda: self._planned > known, "the trajectory's fate")
-
-    @property
-    def _planned(self) -> int:
-        counted = self.node._control.reports.count
-        return sum(number for kind, number in counted.items() if kind.startswith("traject"))
-
-    def answer(self, later: float) -> None:
-        """Send a valid state `later` seconds after the last, wait for its command and check all commands until then."""
-        self._seconds += later
-        good = stamped(self._seconds, 0.1, 0.0, NAMES)
-        for _ in range(2):  # a jump of the stamps is confirmed by the second state
-            self.state(good)
-        commands, wanted = self.heard.commands, good.header.stamp
-        self.ros.until(lambda: commands and commands[-1].header.stamp == wanted, "the answer to a good state")
-        self.ros.until(lambda: len(self.heard.efforts) == len(commands), "the effort of that answer")
-        for effort in (*(m.data for m in self.heard.efforts), *(m.effort for m in commands)):
-            assert len(effort) == 2
-            assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), (self.name, effort)
-        self.heard.efforts.clear()
-        commands.clear()
 
 
 @pytest.fixture
-def controllers(ros: Ros) -> list[Answered]:
-    return [Answered(ros, name) for name in CONTROLLERS]
-
-
-@pytest.mark.full
-@fuzzed(EXAMPLES)
-@given(messages=st.lists(states(), min_size=EACH, max_size=EACH))
-def test_malformed_states_are_refused_and_cause_no_invalid_effort(
-    controllers: list[Answered], messages: list[JointState]
-) -> None:
-    for controller in controllers:
-        for message in messages:
-            controller.state(message)
-        controller.answer(1.0)  # beyond state_timeout, so that no earlier stamp makes it old
+def node(ros: Ros, manager: Manager) -> ControllerNode:
+    made = manager.controller(**TWO_LINK)
+    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
+    return made
 
 
 @fuzzed(EXAMPLES)
 @given(messages=st.lists(trajectories, min_size=EACH, max_size=EACH))
 def test_malformed_trajectories_are_refused_and_cause_no_invalid_effort(
-    controllers: list[Answered], messages: list[JointTrajectory]
+    ros: Ros, manager: Manager, node: ControllerNode, messages: list[JointTrajectory]
 ) -> None:
-    for controller in controllers:
-        controller.answer(0.01)
-        for message in messages:
-            controller.plan(message)
-            controller.answer(0.01)
+    counted = node._control.reports.count
+
+    def known() -> int:
+        return sum(number for kind, number in counted.items() if kind.startswith("traject"))
+
+    for message in messages:
+        last = node._control.step.last_stamp or 200 * 10**9
+        manager.answer(stamped(last * 1e-9 - 100 + 0.01, 0.1, 0.0, NAMES))
+        before = known()
+        manager.trajectories.publish(message)
+        ros.until(lambda before=before: known() > before, "the trajectory's fate")
+    assert_limited(manager)
 
 
-PLAIN, NAMED = "effort_controller/commands", "joint_commands"
-
-
-class Commanded:
-    """A plant in this process with an effort limit, its output, and valid commands for it.
-
-    Without the limit a finite effort of 1e308 N m could make the simulation diverge.
-    """
-
-    def __init__(self, ros: Ros, name: str, topic: str) -> None:
-        self.ros = ros
-        self.heard = Listener(ros, f"/{name}/")
-        robot = {"joints": list(JOINTS), "robot__model": "planar_two_link", "lockstep": name == "lockstep"}
-        limit = {"imperfections__effort_limit": list(LIMIT)}
-        self.node = ros.plant(arguments=namespace(name), **robot, **limit, lockstep_timeout=0.0)
-        self.topic = topic
-        ros.until(lambda: self.heard.states, "a state")
-
-    def answer(self) -> None:
-        """Send a valid command for the newest state and check the states until the next one."""
-        last = self.heard.states[-1]
-        if self.topic == NAMED:
-            good: Any = JointState(header=last.header, name=list(JOINTS), effort=[0.0, 0.0])
-        else:
-            good = Float64MultiArray(data=[0.0, 0.0])
-        self.heard.states.clear()
-        deliver(self.node, self.topic, good)
-        self.ros.until(lambda: self.heard.states, "a state")
-        assert all(finite(state.position, state.velocity, state.effort) for state in self.heard.states)
-
-
-@pytest.fixture
-def plants(ros: Ros) -> tuple[Commanded, Commanded]:
-    """Return a plant in real time, which obeys plain commands, and one in lock-step, which obeys named ones."""
-    return Commanded(ros, "real_time", PLAIN), Commanded(ros, "lockstep", NAMED)
+def assert_limited(manager: Manager) -> None:
+    for effort in (*(m.data for m in manager.efforts), *(m.effort for m in manager.commands)):
+        assert len(effort) == 2
+        assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), effort
+    manager.efforts.clear()
+    manager.commands.clear()
 
 
 @pytest.mark.full
 @fuzzed(EXAMPLES)
-@given(
-    plain=st.lists(efforts, min_size=EACH, max_size=EACH),
-    named=st.lists(answers(), min_size=EACH, max_size=EACH),
-)
-def test_malformed_commands_are_refused_and_leave_the_plant_finite(
-    plants: tuple[Commanded, Commanded], plain: list[Float64MultiArray], named: list[JointState]
+@given(messages=st.lists(JOINT_STATES, min_size=EACH, max_size=EACH))
+def test_malformed_states_are_refused_and_cause_no_invalid_effort(
+    ros: Ros, manager: Manager, node: ControllerNode, messages: list[JointState]
 ) -> None:
-    for plant, messages in zip(plants, (plain, named), strict=True):
-        for message in messages:
-            deliver(plant.node, plant.topic, message)
-        plant.answer()
+    loop = node._control._command_loop._struct
+    for message in messages:
+        before = loop.received
+        manager.state_publisher.publish(message)
+        ros.until(lambda before=before: loop.received > before, "its arrival")
+    last = node._control.step.last_stamp or 200 * 10**9
+    good = stamped((last + 10**9) % (2 * 10**18) * 1e-9 - 100, 0.1, 0.0, NAMES)
+
+    def answered() -> bool:
+        manager.state_publisher.publish(good)  # again, as another state confirms a jump of the stamps
+        return bool(manager.commands) and manager.commands[-1].header == good.header
+
+    ros.until(answered, "the answer to a good state")
+    assert_limited(manager)
+
+
+@pytest.fixture(params=[False, True], ids=["real time", "lock-step"])
+def plant(request: pytest.FixtureRequest, manager: Manager) -> PlantNode:
+    """Return a plant with an effort limit, without which a finite effort of 1e308 N m could make it diverge."""
+    robot = {"joints": list(JOINTS), "robot__model": "planar_two_link", "imperfections__effort_limit": list(LIMIT)}
+    return manager.plant(lockstep=request.param, lockstep_timeout=0.0, **robot)
+
+
+@pytest.mark.full
+@fuzzed(EXAMPLES)
+@given(numbers=st.lists(column(2), min_size=EACH, max_size=EACH), named=st.lists(JOINT_STATES, min_size=EACH))
+def test_malformed_commands_are_refused_and_leave_the_plant_finite(
+    ros: Ros, manager: Manager, plant: PlantNode, numbers: list[list[float]], named: list[JointState]
+) -> None:
+    def handled() -> int:
+        return sum(n for kind, n in plant._health.count.items() if kind.startswith(HANDLED))
+
+    messages = named if plant.values["lockstep"] else [Float64MultiArray(data=row) for row in numbers]
+    publisher = manager.command_publisher if plant.values["lockstep"] else manager.effort_publisher
+    good = answer(manager.states[-1], 0.0, JOINTS) if plant.values["lockstep"] else command(0.0, 0.0)
+    for message in (*messages, good):
+        before = handled()
+        publisher.publish(message)
+        ros.until(lambda before=before: handled() > before, "its arrival")
+    last = manager.states[-1].header
+    ros.until(lambda: manager.states[-1].header != last, "a state")
+    assert all(np.isfinite([*each.position, *each.velocity, *each.effort]).all() for each in manager.states)
+    del manager.states[:-1]

@@ -28,30 +28,29 @@ def test_publishes_the_effort_of_the_law_with_its_options(ros: Ros, peer: Peer) 
 
 
 def test_an_exception_in_the_law_stops_the_arm_and_the_node_continues(ros: Ros, peer: Peer) -> None:
-    peer.controller(law__type="own_code:FailsAtSpeed")
+    node = peer.controller(law__type="own_code:FailsAtSpeed")
     assert peer.ask(stamped(0.0, 0.2)).effort[0] != 0.0
     for k in range(1, 4):
         assert peer.ask(stamped(0.001 * k, 0.2, [0.0, -0.1])).effort[0] == 0.0
-    ros.until(lambda: peer.count("stops: law", "fjr_controller"), "the counter")
-
-
-def test_options_are_ignored_by_the_other_node_and_fixed_while_the_node_is_active(ros: Ros) -> None:
-    ros.plant(law__type="own_code:Pd", law__options__K_p=30.0)
-    node = ros.controller(law__type="own_code:Pd", law__options__K_p=30.0, plant__options__damping=1.0)
-    (result,) = node.set_parameters([Parameter("law.options.K_p", value=40.0)])
-    assert not result.successful
-    assert "'law.options.K_p' can be set only while the node is unconfigured" in result.reason
+    peer.reported(node, "stops: law")
 
 
 def test_law_and_options_change_while_the_node_is_unconfigured(ros: Ros) -> None:
-    node = ros.controller(autostart=False)
-    for name, value in {"law.type": "own_code:Pd", "law.options.K_p": 30.0}.items():
+    ros.plant(law__type="own_code:Pd", law__options__K_p=30.0)  # ignores the options of the controller
+    node = ros.controller(autostart=False, plant__options__damping=1.0)
+
+    def set_one(name: str, value: object) -> tuple[bool, str]:
         (result,) = node.set_parameters([Parameter(name, value=value)])
-        assert result.successful, result.reason
-    (result,) = node.set_parameters([Parameter("law.option.K_p", value=30.0)])
-    assert "unknown parameter 'law.option.K_p'" in result.reason
+        return result.successful, result.reason
+
+    for name, value in {"law.type": "own_code:Pd", "law.options.K_p": 30.0}.items():
+        assert set_one(name, value) == (True, "")
+    assert "unknown parameter 'law.option.K_p'" in set_one("law.option.K_p", 30.0)[1]
     assert node.trigger_configure() == SUCCESS
     assert (node.values["law.options.K_p"], node.values["law.options.K_d"]) == (30.0, 2.0)
+    done, reason = set_one("law.options.K_p", 40.0)
+    assert not done
+    assert "'law.options.K_p' can be set only while the node is unconfigured" in reason
 
 
 # A motion from a file, which the controller reads when it is configured.

@@ -158,16 +158,10 @@ def test_plant_that_loses_all_messages_can_be_stopped(run: Run) -> None:
 # Real time.
 
 
-def start_moving(ros: Ros, peer: Peer, **parameters: Any) -> Any:
-    node = peer.plant(command_timeout=1000.0, **parameters)
+def test_real_time_states_are_late_lost_and_repeated(ros: Ros, peer: Peer) -> None:
+    node, ages = peer.plant(command_timeout=1000.0), []
     peer.effort_publisher.publish(command(0.3))
     ros.until(lambda: peer.states[-1].effort[1] == 0.3)
-    return node
-
-
-def test_real_time_states_are_delayed_and_complete(ros: Ros, peer: Peer) -> None:
-    node = start_moving(ros, peer)
-    ages = []
 
     def heard(state: JointState) -> None:
         node._time_base.change(lambda: None)  # robot time equals clock time only then
@@ -182,13 +176,15 @@ def test_real_time_states_are_delayed_and_complete(ros: Ros, peer: Peer) -> None
     ros.until(lambda: node._time_base.stamp - nanoseconds(peer.states[-1]) < 50 * PERIOD)
     stamps = [nanoseconds(state) for state in peer.states]
     assert stamps == sorted(stamps)
-
-
-def test_real_time_losses_and_duplicates(ros: Ros, peer: Peer) -> None:
-    node = start_moving(ros, peer)
     assert put(node, state_loss=1.0, command_loss=1.0).successful
-    ros.settle()
-    count = len(peer.states)
+    count = 0
+
+    def silent() -> bool:
+        nonlocal count
+        before, count = count, ros.settle() or len(peer.states)
+        return count == before
+
+    ros.until(silent, "the end of the states")
     peer.effort_publisher.publish(command(0.1))
     ros.until(lambda: node._health.count["commands received"] == 2)
     ros.settle()
@@ -215,6 +211,9 @@ def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: 
     node = ros.plant(start_paused=True, advance_samples=100)
     publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
     ros.until(lambda: ros.matched(publisher))
+    publisher.publish(JointState(name=["elbow"], effort=[0.8]))
+    ros.until(lambda: node._health.count["external torque refused: unknown joints"] == 1)
+    assert not node._robot.external.any()
     x = np.array([0.5, 0.5, 0.0, 0.0])
     for count, (names, effort) in enumerate(((["joint1"], [0.8]), (["joint1"], [-0.3]), ([], [])), 1):
         publisher.publish(JointState(name=names, effort=effort))
@@ -226,13 +225,4 @@ def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: 
     publisher.publish(JointState(name=["joint1"], effort=[0.8]))
     ros.until(lambda: node._health.count["external torques received"] == 4)
     peer.reset()
-    assert not node._robot.external.any()
-
-
-def test_a_torque_on_an_unknown_joint_is_refused(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(start_paused=True)
-    publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
-    ros.until(lambda: ros.matched(publisher))
-    publisher.publish(JointState(name=["elbow"], effort=[0.8]))
-    ros.until(lambda: node._health.count["external torque refused: unknown joints"] == 1)
     assert not node._robot.external.any()

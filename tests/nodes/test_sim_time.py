@@ -55,22 +55,12 @@ def assert_one_motion(states: list, effort: float = 0.0) -> None:
         np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
 
 
-def test_nothing_is_sent_before_the_first_clock_message(ros: Ros, peer: Peer) -> None:
+def test_stamps_follow_the_clock_from_its_first_message_on_and_stop_with_it(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer)
     ros.settle(100)
     player.play(0)
     assert not peer.states
     assert player.node._health.count["states published"] == 0
-    player.run(50 * SECOND, 3)
-    assert [nanoseconds(state) for state in peer.states[-3:]] == [50 * SECOND + k * PERIOD for k in (1, 2, 3)]
-    assert {tuple(state.position) for state in peer.states} == {(0.5, 0.5)}, (
-        "the robot must be at rest until the first command"
-    )
-
-
-def test_stamps_follow_the_clock_and_stop_with_it(ros: Ros, peer: Peer) -> None:
-    player = Player(ros, peer, wait_for_command=False)
-    player.play(50 * SECOND)
     stamps = player.run(50 * SECOND, 30)
     assert stamps[-30:] == [50 * SECOND + (k + 1) * PERIOD for k in range(30)]
     count = len(peer.states)
@@ -80,7 +70,7 @@ def test_stamps_follow_the_clock_and_stop_with_it(ros: Ros, peer: Peer) -> None:
     player.play(50 * SECOND + 31 * PERIOD)
     player.play(50 * SECOND + 41 * PERIOD)
     assert [nanoseconds(state) for state in peer.states[count:]] == [50 * SECOND + k * PERIOD for k in (31, 41)]
-    assert_one_motion(peer.states)
+    assert {tuple(state.position) for state in peer.states} == {(0.5, 0.5)}, "at rest until the first command"
 
 
 def test_commands_act_and_end_by_the_clock(ros: Ros, peer: Peer) -> None:
@@ -110,21 +100,14 @@ def test_forward_jump_is_integrated_partly_and_counted(ros: Ros, peer: Peer) -> 
     assert_one_motion(peer.states)
 
 
-def test_stamps_catch_up_with_a_clock_that_is_far_ahead(ros: Ros, peer: Peer) -> None:
+def test_stamps_continue_from_the_new_time_after_a_far_jump_of_the_clock(ros: Ros, peer: Peer, capfd) -> None:
     player = Player(ros, peer, wait_for_command=False)
     player.play(50 * SECOND)
     player.run(50 * SECOND, 5)
+    assert_one_motion(peer.states)
     count = len(peer.states)
-    stamps = player.run(60 * SECOND, 4)
-    assert stamps == [60 * SECOND + k * PERIOD for k in range(5)]
-    assert_one_motion(peer.states[:count])
+    assert player.run(60 * SECOND, 4) == [60 * SECOND + k * PERIOD for k in range(5)]
     assert_one_motion(peer.states[count:])
-
-
-def test_stamps_continue_from_the_new_time_after_a_backward_jump(ros: Ros, peer: Peer, capfd) -> None:
-    player = Player(ros, peer, wait_for_command=False)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 5)
     for start in (20 * SECOND, 10 * SECOND):
         count, x = len(peer.states), state_of(peer.states[-1])
         stamps = player.run(start, 10)
@@ -134,17 +117,10 @@ def test_stamps_continue_from_the_new_time_after_a_backward_jump(ros: Ros, peer:
         assert_one_motion(peer.states[count:])
     assert player.node._health.count["clock jumps back"] == 2
     assert capfd.readouterr().err.count("jumped back") == 1
-
-
-def test_clock_reset_to_zero_stops_the_time(ros: Ros, peer: Peer) -> None:
-    player = Player(ros, peer, wait_for_command=False)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 5)
     last = nanoseconds(peer.states[-1])
-    player.play(0)
+    player.play(0)  # time stands still until the clock has a time again
     assert nanoseconds(peer.states[-1]) == last
-    stamps = player.run(SECOND, 5)
-    assert stamps[-1] == SECOND + 5 * PERIOD
+    assert player.run(SECOND, 5)[-1] == SECOND + 5 * PERIOD
     assert all(nanoseconds(state) > 0 for state in peer.states)
 
 
@@ -185,14 +161,14 @@ def test_advance_is_refused_before_the_first_clock_message(ros: Ros, peer: Peer)
 
 
 def test_samples_are_delayed_by_the_period_jitter_while_enabled(ros: Ros, peer: Peer) -> None:
-    """Ticks are 20 ms apart and the clock has steps of 1 ms, to which the delay of a sample is rounded up."""
-    player = Player(ros, peer, wait_for_command=False, publish_rate=50.0, inner_steps=80)
+    """Ticks are 4 ms apart and the clock has steps of 1 ms, to which the delay of a sample is rounded up."""
+    player = Player(ros, peer, wait_for_command=False, publish_rate=250.0, inner_steps=16)
     player.play(50 * SECOND)
-    assert set(np.diff(player.run(50 * SECOND, 60))) == {20 * PERIOD}
-    assert player.node.set_parameters([Parameter("imperfections.period_jitter", value=0.015)])[0].successful
-    late = np.array(player.run(50 * SECOND + 61 * PERIOD, 140)) % (20 * PERIOD)
+    assert set(np.diff(player.run(50 * SECOND, 20))) == {4 * PERIOD}
+    assert player.node.set_parameters([Parameter("imperfections.period_jitter", value=0.0025)])[0].successful
+    late = np.array(player.run(50 * SECOND + 21 * PERIOD, 60)) % (4 * PERIOD)
     assert len(set(late)) > 2
-    assert late.max() <= 16 * PERIOD
+    assert late.max() <= 3 * PERIOD
     assert_one_motion(peer.states)
 
 
@@ -228,24 +204,3 @@ def test_stamps_equal_the_clock_when_time_starts_or_resumes(ros: Ros, peer: Peer
     assert node._time_base.plant.origin == NO_TIME, "after a reset the plant must wait for a command"
     stamps = [nanoseconds(state) for state in peer.states]
     assert stamps == sorted(stamps)
-
-
-def test_a_controller_recovers_from_a_reset(ros: Ros, peer: Peer) -> None:
-    """The controller detects a silence and joins the reference without a jump or a large effort."""
-    player = Player(ros, peer)
-    controller = peer.controller(use_sim_time=True, state_timeout=0.5)
-    player.run(50 * SECOND, 50)
-    ros.until(lambda: peer.states[-1].position[0] != 0.5, "motion")
-    peer.reset()
-    ros.settle()
-    count = len(peer.efforts)  # commands for states before the reset have arrived
-    for k in range(105):
-        player.play(50 * SECOND + 50 * PERIOD + k * 10 * PERIOD)
-    player.run(51 * SECOND + 100 * PERIOD, 100)
-    counters = controller._control.step.counters
-    assert (counters["silences"], counters["recoveries"]) == (1, 1)
-    assert counters["reference restarts"] == counters["stops"] == 0
-    assert max(abs(message.data[0]) for message in peer.efforts[count:]) < 2.0
-    stamps = [nanoseconds(state) for state in peer.states]
-    assert np.all(np.diff(stamps) >= 0)
-    assert stamps[-1] > 51 * SECOND + 100 * PERIOD

@@ -19,13 +19,12 @@ from fjr_core.config.plant import (
     random_seed,
     sensor_errors,
 )
-from fjr_core.config.plant import (
-    imperfections as build_imperfections,
-)
+from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.model.rigid_arm import closed_form
 from fjr_core.simulation.imperfections import Imperfections, SensorErrors
 from fjr_plant.channel import COMMANDS, STATES, Channel, SampleTimes
 from fjr_plant.simulated_robot import SimulatedRobot
+from nodes.test_sensors_and_channel import arrivals
 
 INNER = 250_000  # ns
 START = {"q_l": [0.4], "q_m": [0.5], "dq_l": [0.3], "dq_m": [-0.2]}
@@ -86,6 +85,9 @@ BAD = Imperfections(
     effort_limit=1.5,
     lag=2e-3,
 )
+
+
+FRICTIONS = ("coulomb_l", "coulomb_m", "load_l", "load_m")  # the last two under the weight of the link
 
 
 def test_run_after_a_reset_is_bit_identical() -> None:
@@ -173,26 +175,22 @@ def test_acting_torque_is_measured() -> None:
         assert robot.measure()[2][1] == applied
 
 
-@pytest.mark.parametrize("side", ["l", "m"])
-def test_friction_too_stiff_for_the_step_is_refused_without_any_change(side: str) -> None:
-    robot = simulated(BAD)
-    steep = Imperfections(1, **{f"coulomb_{side}": 1.0, "smoothing": 1e-4})
-    with pytest.raises(fjr.ParameterError, match="friction_smoothing_velocity"):
-        robot.change(steep)
+@pytest.mark.parametrize(
+    ("stiff", "sentence"),
+    [
+        *(({name: 1.0, "smoothing": 1e-4}, "friction damps with .*friction_smoothing_velocity") for name in FRICTIONS),
+        ({"hysteresis": 1.0, "slip": 1e-6}, "^springs with hysteresis oscillate at .*; expected at most 1.08e"),
+    ],
+)
+def test_imperfections_too_stiff_for_the_step_are_refused_without_any_change(
+    stiff: dict[str, float], sentence: str
+) -> None:
+    robot, changed = simulated(BAD), Imperfections(1, **stiff)
+    for refused in (robot.change, simulated):
+        with pytest.raises(fjr.ParameterError, match=sentence):
+            refused(changed)
     assert np.array_equal(run(robot), run(simulated(BAD)))
-    with pytest.raises(fjr.ParameterError, match="friction damps with"):
-        simulated(steep)
-    simulated(steep, integrator="implicit_midpoint")
-    with pytest.raises(fjr.ParameterError, match="friction damps with"):  # under the weight of the link
-        simulated(Imperfections(1, **{f"load_{side}": 1.0, "smoothing": 1e-4}))
-
-
-def test_hysteresis_too_stiff_for_the_step_is_refused_without_any_change() -> None:
-    robot, stiff = simulated(BAD), Imperfections(1, hysteresis=1.0, slip=1e-6)
-    with pytest.raises(fjr.ParameterError, match="^springs with hysteresis oscillate at .*; expected at most 1.08e"):
-        robot.change(stiff)
-    assert np.array_equal(run(robot), run(simulated(BAD)))
-    simulated(stiff, integrator="implicit_midpoint")
+    simulated(changed, integrator="implicit_midpoint")
 
 
 def test_stiffest_friction_brakes_without_changing_the_sign_of_the_velocity() -> None:
@@ -293,16 +291,6 @@ CASES = {
 MEASURED, STATE, COMMAND, PERIOD = "what is measured", "states", "commands", "sample times"
 
 
-def stream(errors: Any, seed: int, which: int) -> list[tuple[int, int]]:
-    link = Channel(errors, seed, which)
-    for k in range(50):
-        link.push(k * 1_000_000, np.array([float(k)]))
-    found = []
-    while (due := link.next_due) is not None:
-        found += [(due, int(item)) for (item,) in link.due(due)]
-    return found
-
-
 def behaviour(**given: Any) -> dict[str, bytes]:
     """Return all observable results of a run, by kind."""
     found = values(**{f"imperfections.{name}": value for name, value in {**BASE, **given}.items()})
@@ -312,8 +300,8 @@ def behaviour(**given: Any) -> dict[str, bytes]:
     times = SampleTimes(1_000_000, INNER, period_jitter(found), seed)
     return {
         MEASURED: run(made).tobytes(),
-        STATE: repr(stream(states, seed, STATES)).encode(),
-        COMMAND: repr(stream(commands, seed, COMMANDS)).encode(),
+        STATE: repr(arrivals(Channel(states, seed, STATES), 50)).encode(),
+        COMMAND: repr(arrivals(Channel(commands, seed, COMMANDS), 50)).encode(),
         PERIOD: repr([times.next() for _ in range(50)]).encode(),
     }
 
@@ -332,9 +320,7 @@ def test_each_parameter_changes_only_the_behaviour_it_names(name: str, usual: di
     assert seen == wanted.get(name, side)
 
 
-def test_no_parameter_is_left_out() -> None:
-    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in imperfection_parameters(1)}
-
-
-def test_all_parameters_but_the_seed_are_dynamic() -> None:
-    assert [p.name for p in imperfection_parameters(2) if not p.dynamic] == ["imperfections.seed"]
+def test_no_parameter_is_left_out_and_all_but_the_seed_are_dynamic() -> None:
+    found = imperfection_parameters(1)
+    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in found}
+    assert [p.name for p in found if not p.dynamic] == ["imperfections.seed"]

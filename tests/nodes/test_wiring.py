@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -93,27 +92,6 @@ def law_effort(robot: fjr.Robot, gains: fjr.Gains, reference: fjr.Sine) -> np.nd
     ones = np.ones(robot.n)
     x = robot.state(Q_L * ones, Q_M * ones, DQ_L * ones, DQ_M * ones)
     return fjr.TrackingLaw(robot, gains).effort(x, x, reference.jets(T))
-
-
-ROBOT_FILE = f"""/**:
-  ros__parameters:
-    joints: {JOINTS}
-    robot: {{model: urdf, urdf: arm.urdf, joint_stiffness: [50.0, 30.0], motor_inertia: {MOTOR_INERTIA}}}
-"""
-
-
-def test_controller_robot_file_and_its_overrides(ros: Ros, tmp_path: Path) -> None:
-    (tmp_path / "arm.yaml").write_text(ROBOT_FILE)
-    (tmp_path / "arm.urdf").write_text(URDF)
-    peer = Peer(ros)
-    own = {"robot__joint_stiffness": STIFFNESS, "start__join_time": 0.0}
-    node = peer.controller(robot__file=str(tmp_path / "arm.yaml"), **own)
-    names = [*JOINTS, *(f"{joint}_motor" for joint in JOINTS)]
-    peer.ask(stamped(0.0, names=names))
-    effort = peer.ask(stamped(T, [Q_L] * 2 + [Q_M] * 2, [DQ_L] * 2 + [DQ_M] * 2, names)).effort
-    np.testing.assert_allclose(effort, law_effort(from_urdf(), fjr.PAPER_GAINS, unit_sine(2)), rtol=1e-9)
-    assert node.get_parameter("joints").value == JOINTS
-    assert node.get_parameter("robot.urdf").value == str(tmp_path / "arm.urdf")
 
 
 def unit_sine(n: int, **changes: float) -> fjr.Sine:
@@ -219,21 +197,16 @@ def test_plant_publish_rate(ros: Ros) -> None:
     assert nanoseconds(lockstep_state(ros, samples=3, publish_rate=250.0)) == LOCKSTEP_START + 3 * 4_000_000
 
 
-def test_plant_wait_for_command_can_be_disabled(ros: Ros, peer: Peer) -> None:
-    ros.plant(wait_for_command=False)
-    ros.until(lambda: peer.states and peer.states[-1].position[0] < 0.499, "the fall of the link")
-
-
-HERE = "joints publish_rate inner_steps integrator wait_for_command robot.model robot.urdf robot.file lockstep"
+HERE = "joints publish_rate inner_steps integrator robot.model robot.urdf lockstep"
 ELSEWHERE = {
     "test_lifecycle, test_controller_node, test_native_loop": "autostart state_timeout auxiliary_rate executor compile",
     "test_certificate": "certificate certificate_tolerance",
     "test_external_torque": "external_torque_bandwidth",
     "tests/engines/test_engines.py": "engine",
     "test_plant_node": "publish_description command_timeout start_paused",
-    "test_lock_step, test_sim_time, test_advance": "lockstep_timeout restart_silence advance_samples",
+    "test_lock_step, test_sim_time, test_advance": "lockstep_timeout restart_silence advance_samples wait_for_command",
     "tests/msgs/test_scheduling.py, tests/system/test_executables.py": "lock_memory cpu_affinity realtime_priority",
-    "tests/core/config/test_robot_file.py": "robot.locked_joints robot.locked_positions",
+    "tests/core/config/test_robot_file.py": "robot.file robot.locked_joints robot.locked_positions",
     "tests/core/model/test_springs.py": "robot.torsion_deflection robot.torsion_torque",
 }
 """Parameters by the files that test their effect."""
@@ -244,6 +217,7 @@ WIRED_BY_GROUP = (
     "limits.",  # tests/tracking, test_lifecycle
     "obstacle.",  # tests/engines/test_contact.py
     "on_stop",
+    "on_contact",  # tests/engines/test_contact_nodes.py
     "start.",
     "recovery.",
     "hold.",
@@ -253,6 +227,7 @@ WIRED_BY_GROUP = (
     "plant.",  # docs/own_law.md
     "robust.",  # test_other_laws
     "robot.guesses.",  # tests/core/config/test_robot_file.py
+    "robot.deviations.",  # tests/core/monitoring/test_contact.py
 )
 
 

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from .laws import Friction, Spring, coulomb, linear
 
@@ -160,24 +161,11 @@ class Motion:
 
     def position(self, side: int, t: Array) -> Array:
         """Return q_l (side 0) or q_m (1), (m, d, n) at times t (m, d), by cubic Hermite interpolation."""
-        out = np.empty((*t.shape, self.x.shape[-1]))
-        for i in range(t.shape[1]):
-            k = np.clip(np.searchsorted(self.t[:, i], t[:, i], side="right") - 1, 0, len(self.t) - 2)
-            step = (self.t[k + 1, i] - self.t[k, i])[:, None]
-            s = (t[:, i] - self.t[k, i])[:, None] / step
-            y0, y1, v0, v1 = (self.x[at, i, row] for row in (side, side + 2) for at in (k, k + 1))
-            held, moving = y0 * (1 + 2 * s) * (1 - s) ** 2 + y1 * s**2 * (3 - 2 * s), v0 * (1 - s) - v1 * s
-            out[:, i] = held + step * s * (1 - s) * moving
-        return out
+        draws = ((of, self.x[:, i, side], self.x[:, i, side + 2]) for i, of in enumerate(self.t.T))
+        return np.stack([CubicHermiteSpline(*of)(at) for of, at in zip(draws, t.T, strict=True)], axis=1)
 
 
-def simulated(
-    arm: Arm,
-    x: Array,
-    t: Array,
-    control: Callable[[Indices, Indices, Array], Array],
-    done: Callable[[float], None] = lambda share: None,
-) -> Motion:
+def simulated(arm: Arm, x: Array, t: Array, control: Callable[[Indices, Indices, Array], Array]) -> Motion:
     """Return the motion from x (d, rows, n) over the times t (k + 1, d), at which the efforts change.
 
     control(k, i, x): efforts (m, n) of draws i (m,) in states x (m, rows, n) from t[k] on, k (m,). Draws advance
@@ -205,5 +193,5 @@ def simulated(
         finished = k >= last
         going = ends[~finished[ends]]
         U[k[going], going] = control(k[going], going, x[going])
-        done(float(np.mean(k)) / last)
+
     return Motion(t, X, U)

@@ -117,13 +117,13 @@ class Draws:
         return "".join([*parts, "</robot>"])
 
 
-def drawn(case: Case, joints: int, count: int, seed: int, done: Callable[[float], None] = lambda share: None) -> Draws:
+def drawn(case: Case, joints: int, count: int, seed: int) -> Draws:
     """Return `count` draws of arms with this number of joints."""
     random, shape = np.random.default_rng((seed, joints)), (count, joints)
     arm = case.varied(_arm(random, shape, case))
     delay = random.uniform(5e-4, 4e-3, count)
     skew = random.uniform(-case.largest_skew, case.largest_skew, shape)
-    motion = _motion(random, arm, delay, case, done)
+    motion = _motion(random, arm, delay, case)
     worse = (np.exp(width * random.standard_normal(shape)) for width in (STIFFNESS_ERROR, INERTIA_ERROR))
     stiffness, inertia = (np.clip(factor, 0.4, 2.5) for factor in worse)
     records = sampled(motion, case.dt, skew, case.sensors, seed)
@@ -159,7 +159,7 @@ def _arm(random: np.random.Generator, shape: tuple[int, int], case: Case) -> Arm
     )
 
 
-def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case, done: Callable[[float], None]) -> Motion:
+def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case) -> Motion:
     """Return the motion under a position loop with the weight fed forward, along random sums of sines."""
     count, n = arm.mass.shape
     number = int(round(case.duration / case.dt)) + 16
@@ -184,4 +184,4 @@ def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case, don
     x = np.zeros((count, arm.rows, n))
     x[:, 0], x[:, 1], x[:, 2], x[:, 3] = q[0], q[0], v[0], v[0]
     x[:, 1] += weight[0] / arm.stiffness + arm.offset
-    return simulated(arm, x, t, control, done)
+    return simulated(arm, x, t, control)

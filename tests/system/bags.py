@@ -18,6 +18,20 @@ from rosbags.typesys import Stores, get_typestore
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 Change = Callable[[str, Any], Any]
+TALKER = """
+import sys, time
+from pathlib import Path
+import rclpy
+from std_msgs.msg import String
+from fjr_monitor.recording.recorder import Recorder
+recorder = Recorder(Path(sys.argv[1])).start()
+rclpy.init()
+node = rclpy.create_node("talker")
+publisher = node.create_publisher(String, "/words", 10)
+while not (publisher.get_subscription_count() and recorder.matched("/words")):
+    time.sleep(0.005)
+"""
+"""Beginning of scripts in which a process records its own messages: defines sys, time, recorder and publisher."""
 
 
 def joint_state(stamp: int, names: Sequence[str] = (), frame: str = "", **fields: Sequence[float]) -> bytes:
@@ -43,14 +57,20 @@ def rewritten(
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
     """Copy a bag. topics: to keep, empty for all; change: (topic, message) -> new message, None to drop it."""
-    with AnyReader([bag], default_typestore=STORE) as reader, _writer(target, storage, compression) as writer:
+    writer = Writer(target, version=9, storage_plugin=storage)
+    if compression is not CompressionMode.NONE:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with AnyReader([bag], default_typestore=STORE) as reader, writer:
         kept = [each for each in reader.connections if not topics or each.topic in topics]
         made = {
             each.id: writer.add_connection(prefix + each.topic, each.msgtype, typestore=STORE, msgdef=each.msgdef.data)
             for each in kept
         }
         for each, time, raw in reader.messages(kept):
-            data = raw if change is None else _changed(each, raw, change)
+            data = raw
+            if change is not None:
+                message = change(each.topic, STORE.deserialize_cdr(raw, each.msgtype))
+                data = None if message is None else STORE.serialize_cdr(message, each.msgtype)
             if data is not None:
                 writer.write(made[each.id], time, data)
     return target
@@ -72,15 +92,3 @@ def in_chunks(file: Path, target: Path, size: int = 64_000) -> Path:
             writer.add_message(known, message.log_time, message.data, message.publish_time, message.sequence)
         writer.finish()
     return target
-
-
-def _changed(connection: Any, raw: bytes, change: Change) -> bytes | None:
-    message = change(connection.topic, STORE.deserialize_cdr(raw, connection.msgtype))
-    return None if message is None else bytes(STORE.serialize_cdr(message, connection.msgtype))
-
-
-def _writer(target: Path, storage: StoragePlugin, compression: CompressionMode) -> Writer:
-    writer = Writer(target, version=9, storage_plugin=storage)
-    if compression is not CompressionMode.NONE:
-        writer.set_compression(compression, CompressionFormat.ZSTD)
-    return writer

@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 from typing import IO
@@ -70,6 +70,14 @@ def children(pid: int) -> dict[str, int]:
     return found
 
 
+def is_alive(group: int) -> bool:
+    """Return whether a process group has processes, so that its id cannot belong to another group yet."""
+    with suppress(ProcessLookupError):
+        os.killpg(group, 0)
+        return True
+    return False
+
+
 def wait_for(condition: Callable[[], bool], what: str) -> None:
     limit = Limit(TIME_LIMIT)
     while not condition():
@@ -77,17 +85,17 @@ def wait_for(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.002)
 
 
-def fjr(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
-    """Run the `fjr` command to its end, with exit code `code` or one of `codes`; return its output."""
+def fjr(*arguments: str, code: int = 0) -> str:
+    """Run the `fjr` command to its end with an exit code; return its output."""
     command = [executable("fjr_bringup", "fjr"), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=HANG)
-    assert done.returncode in (codes or (code,)), done.stdout + done.stderr
+    assert done.returncode == code, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout + done.stderr
 
 
 def fjr_here(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str:
-    """Run `fjr` as above, but in this process, which saves a second of imports; nodes are processes all the same."""
+    """Run `fjr` with `code` or one of `codes` in this process, which saves a second of imports; nodes are processes."""
     output, errors = StringIO(), StringIO()
     with mock.patch.dict(os.environ), redirect_stdout(output), redirect_stderr(errors):
         ended = main(arguments)

@@ -132,17 +132,15 @@ def two_joints() -> MotionTable:
 
 @cache
 def shoulder_at_rest() -> MotionTable:
-    """Return a record, 0.5 s after its start, of a planar arm that moves its elbow a little and holds its shoulder.
+    """Return a record, 0.3 s after its start, of a planar arm that moves its elbow a little and holds its shoulder.
 
     The noise of the sensors hides what the coupling of the joints tells about the shoulder.
     """
-    table, random = (
-        _planar(recorded(3.0, (0.0, 0.04)), ElasticTwoLink()).rows(slice(125, None)),
-        np.random.default_rng(8),
-    )
+    table, random = _planar(recorded(1.2, (0.0, 0.03)), ElasticTwoLink()), np.random.default_rng(8)
     noise = {"effort": 0.0, "link": 2e-5, "motor": 2e-5, "torque": 4e-3}  # rad, N m
-    noisy = {name: each + noise[name] * random.standard_normal(each.shape) for name, each in table.signals.items()}
-    return replace(table, signals=noisy)
+    late = table.rows(slice(75, None))
+    noisy = {name: each + noise[name] * random.standard_normal(each.shape) for name, each in late.signals.items()}
+    return replace(late, signals=noisy)
 
 
 @cache

@@ -37,14 +37,20 @@ class Recorded:
 
 
 def record(name: str, duration: float, output: Path, *overrides: str) -> Recorded:
-    """Run a scenario in lock-step and read its bag; again, at most TRIES times, where the recorder missed messages."""
+    """Run a scenario in lock-step without a report and read its bag."""
     changes = [part for override in overrides for part in ("--set", override)]
+    said = complete_run(name, duration, output, "--no-report", *changes)
+    return recorded_run(output / name, said)
+
+
+def complete_run(name: str, duration: float, output: Path, *options: str) -> str:
+    """Run a scenario in lock-step, at most TRIES times until its recorder missed no message; return what `fjr` says."""
     for _ in range(TRIES):
         length = ("--duration", str(duration), "--output", str(output))
-        said = fjr_here("run", name, "--lockstep", "--no-report", *length, *changes)
+        said = fjr_here("run", name, "--lockstep", *length, *options)
         if is_complete(output / name):
             break
-    return recorded_run(output / name, said)
+    return said
 
 
 def is_complete(folder: Path) -> bool:

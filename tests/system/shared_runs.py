@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from system.executables import fjr_here
-from system.recorded import TRIES, is_complete
+from system.recorded import complete_run
 
 DURATION = {"paper_k31": 2.5, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s
 
@@ -26,16 +25,7 @@ def shared_run(factory: pytest.TempPathFactory, name: str) -> Path:
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "finished").exists():
-            (folder / "finished").symlink_to(_recorded(folder, name))
+            said = complete_run(name, DURATION[name], folder / "runs")
+            (folder / "runs" / "said").write_text(said)
+            (folder / "finished").symlink_to(folder / "runs")
     return folder / "finished" / name
-
-
-def _recorded(folder: Path, name: str) -> Path:
-    """Record until no message is missing; return the output folder."""
-    for number in range(TRIES):
-        output = folder / str(number)
-        said = fjr_here("run", name, "--lockstep", "--duration", str(DURATION[name]), "--output", str(output))
-        (output / "said").write_text(said)
-        if is_complete(output / name):
-            break
-    return output

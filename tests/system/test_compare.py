@@ -26,7 +26,7 @@ from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
 from system.documented import documented_keys
-from system.executables import Executable, fjr_here, wait_for
+from system.executables import Start, fjr_here, is_alive, wait_for
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
@@ -75,6 +75,8 @@ def test_every_cell_and_margin_is_present(found: dict[str, Any]) -> None:
         assert list(result["margins"]) == ["stiffness down to", "stiffness up to", "delay up to"]
         assert list(result["cells"]) == ["slow", "fast"]
         assert all(list(cells) == ["nominal", "soft", "noisy"] for cells in result["cells"].values())
+    plain, robust = (found["results"]["one joint"][label]["cells"]["slow"] for label in ("v_dpbc", "v-dPBC + residual"))
+    assert robust["soft"]["rms"] < 0.8 * plain["soft"]["rms"]  # its option takes effect
 
 
 def test_results_do_not_depend_on_the_order_of_laws_or_the_number_of_cores(
@@ -100,19 +102,16 @@ def test_kept_results_are_not_run_again(folder: Path) -> None:
     assert f"page and figures: {files}" in table
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
-def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.full)])
+def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, start: Start, number: int) -> None:
     file, kept = tmp_path / "mine.yaml", tmp_path / "runs" / "compare_mine" / "kept"
     file.write_text(yaml.safe_dump(QUICK, sort_keys=False), encoding="utf-8")
     arguments = ["compare", str(file), "--output", str(tmp_path / "runs"), "--cores", "1"]
-    ended = Executable("fjr_bringup", "fjr", *arguments)
-    try:
-        wait_for(lambda: any(kept.glob("*.json")), "a result")
-        ended.signal(number)
-        code, said = ended.end()
-        wait_for(lambda: not alive(ended.process.pid), "the end")  # the workers must end, too
-    finally:
-        ended.kill()
+    ended = start("fjr", *arguments)
+    wait_for(lambda: any(kept.glob("*.json")), "a result")
+    ended.signal(number)
+    code, said = ended.end()
+    wait_for(lambda: not is_alive(ended.process.pid), "the end")  # the workers must end, too
     ctrl_c = number == signal.SIGINT
     assert (code, "stopped; what was recorded is in" in said) == ((Exit.INTERRUPTED, True) if ctrl_c else (-9, False))
     assert "Traceback" not in said
@@ -147,36 +146,15 @@ def test_failure_is_reported_while_other_jobs_run(
     assert time.monotonic() - begun < HANG
 
 
-def test_constant_reference_is_refused_in_one_sentence() -> None:
-    still = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
-    job = compare_run.jobs(suite.read("mine", {**QUICK, "robots": {"paper_k31": {"references": still}}}))[0]
-    with pytest.raises(CompareError, match="'still' of paper_k31: the reference is at rest"):
-        compare_run.work(job)
-
-
 def test_key_of_kept_results_depends_on_code(monkeypatch: pytest.MonkeyPatch) -> None:
     job = compare_run.jobs(suite.read("mine", QUICK))[0]
-    keys = [job.key, job.key]
-    monkeypatch.setattr(jit_cache, "source_digest", lambda *_: "another")
+    before = job.key
+    with monkeypatch.context() as other:
+        other.setattr(jit_cache, "source_digest", lambda *_: "another")
+        compare_run._source.cache_clear()
+        assert job.key != before
     compare_run._source.cache_clear()
-    keys.append(job.key)
-    monkeypatch.undo()
-    compare_run._source.cache_clear()
-    assert job.key == keys[0] == keys[1]
-    assert len(set(keys)) == 2
-
-
-def alive(group: int) -> bool:
-    try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-def test_robust_options_take_effect(found: dict[str, Any]) -> None:
-    plain, robust = (found["results"]["one joint"][label]["cells"]["slow"] for label in ("v_dpbc", "v-dPBC + residual"))
-    assert robust["soft"]["rms"] < 0.8 * plain["soft"]["rms"]
+    assert job.key == before
 
 
 @pytest.mark.parametrize(
@@ -219,24 +197,11 @@ def test_the_page_draws_everything_and_states_the_findings(
 def test_table_replaces_the_one_between_the_markers(folder: Path, found: dict[str, Any]) -> None:
     page = folder / "page.md"
     page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
-    _, said = compared(folder, QUICK, "--document", str(page))
-    assert "deprecated" not in said
-    first = page.read_text()
-    block = f"{BEGIN}\n{markdown(found)}{END}"
-    assert first == f"before\n{block}\nafter\n"
-    lines = [line for line in first.splitlines() if line.startswith("|")]
+    assert "--readme is deprecated; use --document" in compared(folder, QUICK, "--readme", str(page))[1]
+    assert page.read_text() == f"before\n{BEGIN}\n{markdown(found)}{END}\nafter\n"
+    lines = [line for line in page.read_text().splitlines() if line.startswith("|")]
     assert {line.count(" | ") for line in lines} == {3}
     assert not [cell for line in lines[3:] for cell in line.split("|") if "**" in cell]  # no winner is named
-    _, said = compared(folder, QUICK, "--readme", str(page))
-    assert "--readme is deprecated; use --document" in said
-    assert page.read_text() == first
-
-
-def test_versions_of_a_law_are_counted_as_one_law() -> None:
-    chosen = suite.load(library.find("paper", "suite"))
-    laws = [{"law": law.law} for law in chosen.laws]
-    described = extent({"laws": laws, "robots": {"one": {}}, "runs": 12, "suite": {"duration": 10.0}})
-    assert described == f"{len(LAWS) - 2} control laws in {len(laws)} versions on 1 robot, 12 runs of 10 s."
 
 
 def test_a_law_of_the_user_has_options_and_is_named_as_not_tuned(tmp_path: Path) -> None:
@@ -250,30 +215,25 @@ def test_a_law_of_the_user_has_options_and_is_named_as_not_tuned(tmp_path: Path)
     assert compare_page.exception_to_tuning({"laws": laws[:1]}) == ""
 
 
-@pytest.mark.parametrize("name", ["paper", "quick", "paper_tuned", "arm7_tuned"])
-def test_installed_suites_are_valid(name: str) -> None:
-    chosen = suite.load(library.find(name, "suite"))
-    assert chosen.name == name
-    assert chosen.laws[0] == suite.LawChoice(V_DPBC, V_DPBC)
-    assert all(suite.scenario_texts(robot) for robot in chosen.robots)
-
-
-def test_the_paper_suite_holds_every_law_and_the_three_robots() -> None:
-    chosen = suite.load(library.find("paper", "suite"))
-    assert {law.law for law in chosen.laws} == set(LAWS)
-    assert [robot.scenario for robot in chosen.robots] == ["paper_k31", "two_link", "arm7"]
-    assert chosen.margins == ("stiffness", "inertia", "delay", "noise", "friction", "load")
-
-
-def test_the_tuned_suites_hold_every_law_and_differ_in_robots_draws_and_the_slow_integral_only() -> None:
-    few, seven = (suite.load(library.find(name, "suite")) for name in ("paper_tuned", "arm7_tuned"))
-    assert {law.law for law in few.laws} == set(LAWS)
-    assert [robot.scenario for robot in (*few.robots, *seven.robots)] == ["paper_k31", "two_link", "arm7"]
+def test_the_installed_suites_hold_every_law_and_the_tuned_ones_differ_in_robots_and_draws() -> None:
+    names = ("paper", "quick", "paper_tuned", "arm7_tuned")
+    paper, quick, few, seven = (suite.load(library.find(name, "suite")) for name in names)
+    for chosen, name in zip((paper, quick, few, seven), names, strict=True):
+        assert (chosen.name, chosen.laws[0]) == (name, suite.LawChoice(V_DPBC, V_DPBC))
+        assert all(suite.scenario_texts(robot) for robot in chosen.robots)
+    for chosen in (paper, few):
+        assert {law.law for law in chosen.laws} == set(LAWS)
+    for robots in (paper.robots, (*few.robots, *seven.robots)):
+        assert [robot.scenario for robot in robots] == ["paper_k31", "two_link", "arm7"]
+    assert paper.margins == ("stiffness", "inertia", "delay", "noise", "friction", "load")
     tune = {**(few.tune or {}), "draws": 8, "fresh": 200}
-    quick = tuple(law for law in few.laws if "integral_gain" not in law.robust)
-    assert replace(few, name=seven.name, laws=quick, robots=seven.robots, tune=tune) == seven
+    assert replace(few, name=seven.name, robots=seven.robots, tune=tune) == seven
+    laws = [{"law": law.law} for law in paper.laws]  # versions of a law count as one law
+    described = extent({"laws": laws, "robots": {"one": {}}, "runs": 12, "suite": {"duration": 10.0}})
+    assert described == f"{len(LAWS) - 2} control laws in {len(laws)} versions on 1 robot, 12 runs of 10 s."
 
 
+PAPER = {"scenario": "paper_k31"}
 WRONG: list[tuple[Any, str]] = [
     (["v_dpbc"], "a suite is .*; expected a mapping"),
     ({"laws": ["v_dpbc"]}, "has no 'robots'"),
@@ -285,18 +245,13 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "laws": [{"law": "lqr", "robust": {"magic": 1.0}}]}, "'robust' of lqr has 'magic'; expected some of "),
     ({**QUICK, "laws": [{"law": "lqr", "gain": 1.0}]}, "law 'lqr' has 'gain'; did you mean 'gains'"),
     ({**QUICK, "laws": [{"law": "lqr", "gains": "tuned"}]}, "'gains' of lqr is 'tuned'; expected scenario or tuned"),
-    (
-        {**QUICK, "laws": [{"law": "v_dpbc", "gains": "best"}]},
-        "'gains' of v_dpbc is 'best'; expected scenario or tuned",
-    ),
+    ({**QUICK, "laws": [{"law": "v_dpbc", "gains": "best"}]}, "'gains' of v_dpbc is 'best'; expected scenario or tun"),
     ({**QUICK, "laws": [{"law": "lqr", "options": {"K": 1.0}}]}, "law 'lqr' has options; expected them for a law of y"),
+    ({**QUICK, "laws": [{"law": "lqr", "join": -1.0}]}, "'join' of lqr is -1.0; expected a number in range"),
     ({**QUICK, "robots": []}, "has no 'robots'"),
+    ({**QUICK, "robots": {"r": {**PAPER, "gains": {}}}}, "robot 'r' has 'gains'; expected some of scenario, ref"),
     (
-        {**QUICK, "robots": {"r": {"scenario": "paper_k31", "gains": {}}}},
-        "robot 'r' has 'gains'; expected some of scenario, ref",
-    ),
-    (
-        {**QUICK, "robots": {"r": {"scenario": "paper_k31", "references": {"x": {"gains.K_ld": [0.8]}}}}},
+        {**QUICK, "robots": {"r": {**PAPER, "references": {"x": {"gains.K_ld": [0.8]}}}}},
         "reference 'x' of r changes 'gains.K_ld'; expected names that begin with reference. or initial_",
     ),
     ({**QUICK, "imperfections": {"nominal": {"delay": 0.001}}}, "an imperfection is called 'nominal'"),
@@ -304,10 +259,7 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "imperfections": {"x": {"delay": "long"}}}, "'delay' of 'x' is 'long'; expected a number"),
     ({**QUICK, "imperfections": {"x": {"stiffness": -1.0}}}, "'stiffness' is -1.0; expected a positive factor"),
     ({**QUICK, "imperfections": {"x": {"delay": -1e-3}}}, r"'delay' is -0.001; expected 0 or more \[s\]"),
-    (
-        {**QUICK, "margins": ["gust"]},
-        "unknown imperfection 'gust': expected one of stiffness, inertia, delay, noise, friction, load",
-    ),
+    ({**QUICK, "margins": ["gust"]}, "unknown imperfection 'gust': expected one of stiffness, inertia, delay, noise"),
     ({**QUICK, "margins": "delay"}, "'margins' is 'delay'; expected a list"),
     ({**QUICK, "duration": 0}, "duration is 0; expected a number in range"),
     ({**QUICK, "settle_after": 2.0}, "settle_after is 2.0; expected"),
@@ -319,27 +271,6 @@ WRONG: list[tuple[Any, str]] = [
 def test_invalid_suite_is_refused_in_one_sentence(document: Any, words: str) -> None:
     with pytest.raises(CompareError, match=words):
         suite.read("mine", document)
-
-
-@pytest.mark.parametrize(
-    ("robot", "words"),
-    [
-        ({"scenario": "paper_k99"}, "unknown scenario 'paper_k99'"),
-        (
-            {"scenario": "paper_k31", "references": {"x": {"reference.frequenzy": [1.0]}}},
-            "did you mean 'reference.freq",
-        ),
-        ({"scenario": "late.yaml"}, "robot 'r': the scenario sets imperfections.state_delay; .* use 'imperfections'"),
-    ],
-)
-def test_invalid_robot_is_refused_in_one_sentence(
-    robot: dict[str, Any], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "late.yaml").write_text("/**: {ros__parameters: {imperfections.state_delay: 0.001}}\n")
-    chosen = suite.read("mine", {**QUICK, "robots": {"r": robot}})
-    with pytest.raises(FjrError, match=words):
-        suite.scenario_texts(chosen.robots[0])
 
 
 TUNE: dict[str, Any] = {
@@ -374,23 +305,15 @@ def alike(page: Path) -> dict[str, Any]:
     return compared(page.parent, ALIKE, "--cores", "2", "--document", str(page))[0]
 
 
-def test_every_law_has_its_figures_on_fresh_draws_and_its_parameters(alike: dict[str, Any]) -> None:
+def test_every_law_has_its_figures_on_fresh_draws_beside_the_margins(alike: dict[str, Any]) -> None:
     for label, result in alike["results"]["one joint"].items():
         assert set(result["uncertain"]) == {"rms", "rms_outer", "success", "effort_noise", "effort_peak"}
         assert result["uncertain"]["rms"] <= result["uncertain"]["rms_outer"]
         assert "20 fresh draws" in result["tuning"]
         assert ("robust.residual_gain" in result["gains"]) == (label == "v-dPBC + residual")
     assert alike["results"]["one joint"]["lqr"]["gains"]["law.type"] == "lqr"
-
-
-def test_fresh_figures_are_rows_beside_the_margins(alike: dict[str, Any]) -> None:
-    drawn = [row for row in rows(alike) if row.kind == "drawn"]
-    assert [row.name for row in drawn] == [
-        "drawn: RMS error [mrad]",
-        "drawn: its 95 % [mrad]",
-        "drawn: share that tracks",
-        "drawn: noise of effort",
-    ]
+    drawn = ("RMS error [mrad]", "its 95 % [mrad]", "share that tracks", "noise of effort")
+    assert [row.name for row in rows(alike) if row.kind == "drawn"] == [f"drawn: {what}" for what in drawn]
     assert [row.name for row in rows(alike) if row.kind == "margins"] == ["delay up to"]
 
 
@@ -424,20 +347,33 @@ def test_rows_are_counted_in_which_a_column_is_best(alike: dict[str, Any], page:
     assert max(counts.values()) <= 7 <= sum(counts.values())
 
 
+STILL = {"still": {"reference.amplitude": [0.0], "reference.offset": [0.0], **AT_REST}, "slow": {}}
+MISSPELT = {"x": {"reference.frequenzy": [1.0]}}
+
+
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("robot", "tune", "words"),
     [
-        ({"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of stiffness"),
-        ({"imperfections": {"wind": 1.0}}, "unknown imperfection 'wind'"),
-        ({"success": 2.0}, "'success' is 2.0; expected 0 to 1"),
-        ({"draws": 0}, "'tune' has 0 as 'draws'; expected 1 to"),
-        ({"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),
+        ({"scenario": "paper_k99"}, {}, "unknown scenario 'paper_k99'"),
+        ({**PAPER, "references": MISSPELT}, {}, "did you mean 'reference.freq"),
+        ({"scenario": "late.yaml"}, {}, "robot 'r': the scenario sets imperfections.state_delay; "),
+        ({**PAPER, "references": STILL}, {}, "'still' of r: the reference is at rest"),
+        (PAPER, {"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of stiffness"),
+        (PAPER, {"imperfections": {"wind": 1.0}}, "unknown imperfection 'wind'"),
+        (PAPER, {"success": 2.0}, "'success' is 2.0; expected 0 to 1"),
+        (PAPER, {"draws": 0}, "'tune' has 0 as 'draws'; expected 1 to"),
+        (PAPER, {"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),
     ],
 )
-def test_invalid_sections_of_tuning_are_refused_in_one_sentence(change: dict[str, Any], words: str) -> None:
+def test_what_only_the_jobs_of_a_suite_know_is_refused_in_one_sentence(
+    robot: dict[str, Any], tune: dict[str, Any], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "late.yaml").write_text("/**: {ros__parameters: {imperfections.state_delay: 0.001}}\n")
+    kind = {**ALIKE, "tune": {**TUNE, **tune}} if tune else QUICK
+
     def run() -> None:
-        jobs = compare_run.jobs(suite.read("mine", {**ALIKE, "tune": {**TUNE, **change}}))
-        compare_run.work(jobs[0])  # what only the sweep of a law knows
+        compare_run.work(compare_run.jobs(suite.read("mine", {**kind, "robots": {"r": robot}}))[0])
 
     with pytest.raises(FjrError, match=re.escape(words)):
         run()

@@ -46,14 +46,9 @@ target_link_libraries(controller PRIVATE arm)
 CONTROLLER = """
 #include "arm.h"
 static_assert(ARM_N == 1, "one joint");
-extern "C" int effort(const arm_sample *sample, arm_command *command)
+extern "C" int effort(const arm_model *model, arm_controller *state, const arm_sample *sample, arm_command *command)
 {
-  arm_work work;
-  arm_model model;
-  arm_controller controller;
-  arm_scenario_model(&model, &work);
-  arm_init(&controller, &arm_scenario_settings, arm_scenario_gains, arm_scenario_reference);
-  return arm_step(&model, &controller, sample, 0, command);
+  return arm_step(model, state, sample, 0, command);
 }
 """
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
@@ -23,6 +22,7 @@ from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Columns, Shown
+from fjr_msgs_py.scenarios import library
 from system.bags import JOINT_STATE, STORE, in_chunks, rewritten, text_message
 from system.executables import fjr_here, scenario
 
@@ -52,6 +52,12 @@ def model(run: Path) -> Scenario:
 
 
 @pytest.fixture(scope="module")
+def another(run: Path) -> Scenario:
+    """Return the scenario of the run with other amplitudes."""
+    return library.as_run(run / "scenario.yaml", {"reference.amplitude": [0.123, 0.321]})[1]
+
+
+@pytest.fixture(scope="module")
 def whole(run: Path, model: Scenario) -> RunData:
     return read(run, model)[1]
 
@@ -63,12 +69,11 @@ def read(bag: Path, model: Scenario) -> tuple[Recording, RunData]:
     return recording, part
 
 
-def report(bag: Path, run: Path, tmp_path: Path, *arguments: str) -> dict[str, Any]:
+def report(bag: Path, run: Path, tmp_path: Path) -> dict[str, Any]:
     """Return the report that `fjr report` writes for a bag with the scenario of the run."""
-    fjr_here(
-        "report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"), *arguments
-    )
-    (file,) = (tmp_path / "out").glob("*/report.json")
+    out = tmp_path / f"{bag.stem}_out"
+    fjr_here("report", str(bag), "--scenario", str(run / "scenario.yaml"), "--output", str(out))
+    (file,) = out.glob("*/report.json")
     assert file.with_suffix(".html").stat().st_size > 60_000
     return json.loads(file.read_text())
 
@@ -87,7 +92,7 @@ def without(keep: Callable[[str], bool], *fields: str) -> Callable[[str, Any], A
     return change
 
 
-def test_report_is_reproduced_from_the_run_folder_alone(run: Path) -> None:
+def test_the_report_of_a_healthy_run_is_reproduced_from_its_folder_alone(run: Path) -> None:
     def page() -> str:
         """Return the page without the paragraph that names the command which wrote it."""
         return re.sub(r'<p class="origin">.*?</p>', "", (run / "report.html").read_text(), flags=re.DOTALL)
@@ -96,14 +101,9 @@ def test_report_is_reproduced_from_the_run_folder_alone(run: Path) -> None:
     fjr_here("report", str(run))
     assert json.loads((run / "report.json").read_text()) == made
     assert page() == before
-
-
-def test_healthy_run_is_holding_and_its_power_balance_closes(run: Path) -> None:
-    made = json.loads((run / "report.json").read_text())
-    assert made["verdict"]["kind"] == "holding"
-    assert made["missing"] == []
-    assert made["energy"]["rms_residual_of_supplied"] < 1e-3
+    assert (made["verdict"]["kind"], made["missing"]) == ("holding", [])
     energy = made["energy"]
+    assert energy["rms_residual_of_supplied"] < 1e-3  # the power balance closes
     assert energy["stored_j"] == pytest.approx(energy["supplied_j"] - energy["dissipated_j"] + energy["residual_j"])
 
 
@@ -148,55 +148,40 @@ def test_commands_without_stamps_are_paired_with_the_states_before_them(
     assert f"{ANSWERS} was not recorded" in recording.notes[0]
 
 
-def test_states_alone_give_errors_and_storage(run: Path, tmp_path: Path) -> None:
-    made = report(rewritten(run / "bag", tmp_path / "copy", topics=(STATES,)), run, tmp_path)
-    assert made["tracking"]["peak_effort_nm"] is None
-    assert made["counts"]["answered"] is None
+def test_parts_of_a_bag_give_parts_of_the_report(run: Path, tmp_path: Path) -> None:
+    made = report(rewritten(run / "bag", tmp_path / "states", topics=(STATES,)), run, tmp_path)
+    assert made["tracking"]["peak_effort_nm"] is made["counts"]["answered"] is None
     assert made["storage"]["initial"] > 0
     assert made["tracking"]["initial_error_rad"] > 0
     assert made["verdict"]["kind"] == "unknown"
     assert "neither" in made["missing"][0]
     assert REFERENCE in made["missing"][1]
-
-
-def test_link_states_alone_give_errors(run: Path, tmp_path: Path) -> None:
-    bag = rewritten(run / "bag", tmp_path / "copy", change=without(lambda name: not name.endswith("_motor")))
-    made, known = report(bag, run, tmp_path), json.loads((run / "report.json").read_text())
+    links = rewritten(run / "bag", tmp_path / "links", change=without(lambda name: not name.endswith("_motor")))
+    made, known = report(links, run, tmp_path), json.loads((run / "report.json").read_text())
     assert made["joints"][0]["initial_error_rad"] == known["joints"][0]["initial_error_rad"]
     assert made["tracking"]["peak_effort_nm"] == known["tracking"]["peak_effort_nm"]
     assert made["storage"] is made["energy"] is None
     assert "no motor side" in made["missing"][0]
 
 
-def test_velocities_are_estimated_if_not_measured(run: Path, tmp_path: Path, model: Scenario, whole: RunData) -> None:
-    bag = rewritten(run / "bag", tmp_path / "copy", change=without(lambda _: True, "velocity"))
-    recording, data = read(bag, model)
+def test_velocities_and_external_torques_are_estimated_if_not_recorded(
+    run: Path, tmp_path: Path, model: Scenario, whole: RunData
+) -> None:
+    recording, data = read(rewritten(run / "bag", tmp_path / "copy", change=without(lambda _: True, "velocity")), model)
     assert "observer" in recording.notes[0]
     late = data.t > 0.3
     assert np.abs(data.velocity - whole.velocity)[late].max() < 0.02 * np.abs(whole.velocity).max()
-
-
-def test_external_torque_is_that_of_the_topic_and_none_in_a_free_motion(
-    run: Path, tmp_path: Path, model: Scenario, whole: RunData
-) -> None:
     bag = read_bag(run)
     batch = next(bag.batches((TORQUE,), TORQUE, 10_000))
     published = bag.table(batch[TORQUE], model.joints)
     np.testing.assert_allclose(whole.external_torque, published.effort[: len(whole.t)], rtol=0, atol=1e-12)
-    free = rewritten(run / "bag", tmp_path / "copy", change=without(lambda _: True, "velocity"))
-    estimated = read(free, model)[1].external_torque
-    assert np.isnan(estimated[:5]).all()
-    for found, largest in ((whole.external_torque, 1e-3), (estimated[5:], 0.1)):
-        assert np.abs(found[-100:]).max() < largest
+    assert np.isnan(data.external_torque[:5]).all()
+    for found, largest in ((whole.external_torque, 1e-3), (data.external_torque[5:], 0.1)):
+        assert np.abs(found[-100:]).max() < largest  # none acts in a free motion
 
 
-def test_another_reference_than_the_scenarios_is_differentiated(run: Path, tmp_path: Path, whole: RunData) -> None:
-    document = yaml.safe_load((run / "scenario.yaml").read_text())
-    section = next(part for name, part in document.items() if "reference" in part["ros__parameters"])
-    section["ros__parameters"]["reference"]["amplitude"] = [0.123, 0.321]
-    other = tmp_path / "other.yaml"
-    other.write_text(yaml.safe_dump(document))
-    recording, data = read(run, load_scenario(other))
+def test_another_reference_than_the_scenarios_is_differentiated(run: Path, another: Scenario, whole: RunData) -> None:
+    recording, data = read(run, another)
     assert "numerical" in recording.notes[-1]
     np.testing.assert_allclose(data.q_ld, whole.q_ld, atol=1e-12)
     inside = (data.t > 0.01) & (data.t < 0.99)
@@ -214,35 +199,31 @@ def looped(topic: str, message: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("duration", "change", "topics", "amplitude"),
+    ("duration", "change", "topics", "other"),
     [
-        (np.inf, None, None, None),
-        (0.4, None, None, [0.123, 0.321]),
-        (0.4, None, (STATES, EFFORTS), None),
-        (0.4, without(lambda _: True, "velocity"), None, None),
-        (0.4, without(lambda name: not name.endswith("_motor")), None, None),
-        (np.inf, looped, None, None),
+        (np.inf, None, None, False),
+        (0.4, None, None, True),
+        (0.4, None, (STATES, EFFORTS), False),
+        (0.4, without(lambda _: True, "velocity"), None, False),
+        (0.4, without(lambda name: not name.endswith("_motor")), None, False),
+        (np.inf, looped, None, False),
     ],
     ids=["whole", "other reference", "efforts without stamps", "no velocities", "links only", "looped"],
 )
 def test_a_run_in_many_parts_has_the_report_of_one_part(
-    run: Path,
     in_order: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     duration: float,
     change: Any,
     topics: Any,
-    amplitude: Any,
+    other: bool,
+    model: Scenario,
+    another: Scenario,
 ) -> None:
     """Up to its end, or up to a planned duration."""
     bag = rewritten(in_order, tmp_path / "copy", topics=topics, change=change) if change or topics else in_order
-    document = yaml.safe_load((run / "scenario.yaml").read_text())
-    if amplitude:
-        section = next(part for part in document.values() if "reference" in part["ros__parameters"])
-        section["ros__parameters"]["reference"]["amplitude"] = amplitude
-    (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(document))
-    model = load_scenario(tmp_path / "scenario.yaml")
+    model = another if other else model
     found = []
     for size, around in ((10_000, 10_000), (97, 60)):
         monkeypatch.setattr(signals, "AROUND", around)
@@ -357,61 +338,45 @@ def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path) -> N
     assert 100 < made["counts"]["published"] <= 600
 
 
-def test_two_bags_of_equal_name_have_separate_pages(run: Path, tmp_path: Path) -> None:
-    said = fjr_here("report", str(run), str(run), "--output", str(tmp_path))
-    assert sorted(path.parent.name for path in tmp_path.glob("*/report.html")) == ["two_link", "two_link-2"]
-    assert f"{tmp_path / 'two_link-2'} (lock-step)" in said
-    assert (tmp_path / "comparison.html").read_text().count('href="two_link-2/report.html"') == 1
-
-
-def test_unreadable_bag_is_one_sentence_and_the_others_are_reported(run: Path, tmp_path: Path) -> None:
-    given = ("--scenario", str(run / "scenario.yaml"), "--output", str(tmp_path / "out"))
-    nothing = tmp_path / "nothing.mcap"
+def test_two_bags_of_equal_name_have_separate_pages_beside_one_that_cannot_be_read(run: Path, tmp_path: Path) -> None:
+    nothing, out = tmp_path / "nothing.mcap", tmp_path / "out"
     nothing.write_bytes(b"")
-    said = fjr_here("report", str(run), str(nothing), *given, code=1)
+    given = ("--scenario", str(run / "scenario.yaml"), "--output", str(out))
+    said = fjr_here("report", str(run), str(run), str(nothing), *given, code=1)
     assert f"{nothing} holds no message of {STATES}; it holds nothing, and was not closed" in said
-    assert (tmp_path / "out" / "two_link" / "report.html").is_file()
+    assert sorted(path.parent.name for path in out.glob("*/report.html")) == ["two_link", "two_link-2"]
+    assert f"{out / 'two_link-2'} (lock-step)" in said
+    assert (out / "comparison.html").read_text().count('href="two_link-2/report.html"') == 1
 
 
-def strange(tmp_path: Path, kind: str, run: Path) -> Path:
-    path = tmp_path / kind
-    if kind == "closed":
-        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP):
-            pass
-    elif kind == "other topics":
-        rewritten(run / "bag", path, topics=("/rosout", EFFORTS))
-    elif kind == "other types":
-        with Writer(path, version=9) as writer:
-            added = writer.add_connection(STATES, "std_msgs/msg/String", typestore=STORE)
-            writer.write(added, 1, text_message("x"))
-    elif kind.startswith("words"):
-        path.write_text("just words, a good deal of them")
-    elif kind == "tables.db3":
-        sqlite3.connect(path).execute("CREATE TABLE things (id)").connection.close()
-    elif kind == "folder":
-        path.mkdir()
-    return path
+UNSUITABLE = {
+    "closed": "holds no message of /joint_states; it holds nothing",
+    "other topics": "holds no message of /joint_states; it holds /effort_controller/commands",
+    "other types": "is a std_msgs/msg/String; expected sensor_msgs/msg/JointState",
+    "words.mcap": "is not an MCAP file",
+    "words.db3": "is not a readable SQLite bag: file is not a database",
+    "tables.db3": "is not a readable SQLite bag: no such table",
+    "folder": "is not a bag: expected a folder with .mcap or .db3 files",
+    "absent": "does not exist; expected the folder of a bag",
+}
 
 
-@pytest.mark.parametrize(
-    ("kind", "words"),
-    [
-        ("closed", "holds no message of /joint_states; it holds nothing"),
-        ("other topics", "holds no message of /joint_states; it holds /effort_controller/commands"),
-        ("other types", "is a std_msgs/msg/String; expected sensor_msgs/msg/JointState"),
-        ("words.mcap", "is not an MCAP file"),
-        ("words.db3", "is not a readable SQLite bag: file is not a database"),
-        ("tables.db3", "is not a readable SQLite bag: no such table"),
-        ("folder", "is not a bag: expected a folder with .mcap or .db3 files"),
-        ("absent", "does not exist; expected the folder of a bag"),
-    ],
-)
-def test_unsuitable_bag_is_refused_with_the_reason(run: Path, tmp_path: Path, kind: str, words: str) -> None:
-    path = strange(tmp_path, kind, run)
-    said = fjr_here("report", str(path), "--scenario", str(run / "scenario.yaml"), code=2).strip()
-    assert words in said
-    assert str(path) in said
-    assert said.count("\n") == 0
+def test_an_unsuitable_bag_is_refused_with_the_reason(run: Path, tmp_path: Path) -> None:
+    with Writer(tmp_path / "closed", version=9, storage_plugin=StoragePlugin.MCAP):
+        pass
+    rewritten(run / "bag", tmp_path / "other topics", topics=("/rosout", EFFORTS))
+    with Writer(tmp_path / "other types", version=9) as writer:
+        writer.write(writer.add_connection(STATES, "std_msgs/msg/String", typestore=STORE), 1, text_message("x"))
+    for name in ("words.mcap", "words.db3"):
+        (tmp_path / name).write_text("just words, a good deal of them")
+    sqlite3.connect(tmp_path / "tables.db3").execute("CREATE TABLE things (id)").connection.close()
+    (tmp_path / "folder").mkdir()
+    for name, words in UNSUITABLE.items():
+        given = str(tmp_path / name), "--scenario", str(run / "scenario.yaml")
+        said = fjr_here("report", *given, code=2).strip()
+        assert f"{tmp_path / name}" in said
+        assert words in said
+        assert said.count("\n") == 0
 
 
 def test_a_bag_without_a_scenario_asks_for_one(run: Path, tmp_path: Path) -> None:

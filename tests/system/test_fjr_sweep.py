@@ -9,7 +9,6 @@ import signal
 import socket
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +17,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from fjr_design.studies.study import ClusterError, cluster, open_store
-from fjr_design.studies.sweep import Sweep
 from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.sweep_run import complete, run_missing
 from system.browser import Browser
-from system.executables import Executable, fjr_here
-from time_limits import Limit
+from system.documented import documented_keys
+from system.executables import Start, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
 SWEEP = """
 scenario: paper_k31
-runs: {runs}
-duration: {duration}
+runs: {}
+duration: 3.0
 seed: 11
 vary:
   stiffness: {{uniform: [0.5, 1.5], each_joint: true}}
@@ -40,9 +38,9 @@ settle_after: 0.2
 """
 
 
-def sweep_file(folder: Path, runs: int = 120, duration: float = 0.5) -> str:
+def sweep_file(folder: Path, runs: int) -> str:
     path = folder / "joint.yaml"
-    path.write_text(SWEEP.format(runs=runs, duration=duration))
+    path.write_text(SWEEP.format(runs))
     return str(path)
 
 
@@ -50,17 +48,13 @@ def table(folder: Path) -> bytes:
     return (folder / "joint" / "table.parquet").read_bytes()
 
 
-def test_killed_study_is_resumed(tmp_path: Path) -> None:
-    name = sweep_file(tmp_path, runs=500, duration=3.0)
-    running = Executable("fjr_bringup", "fjr", "sweep", name, "--output", str(tmp_path / "killed"))
-    parts = tmp_path / "killed" / "joint" / "parts"
-    try:
-        wait_for(lambda: len(list(parts.glob("*.parquet"))) >= 3, running)
-        running.signal(signal.SIGKILL)
-        assert running.process.wait(timeout=10) == -signal.SIGKILL
-    finally:
-        running.kill()
-    kept = {path: path.stat().st_mtime_ns for path in parts.glob("*.parquet")}
+def test_killed_study_is_resumed(start: Start, tmp_path: Path) -> None:
+    name = sweep_file(tmp_path, 500)
+    running, parts = start("fjr", "sweep", name, "--output", str(tmp_path / "killed")), tmp_path / "killed/joint/parts"
+    wait_for(lambda: len(list(parts.glob("*.parquet"))) >= 3 or running.process.poll() is not None, "three parts")
+    running.signal(signal.SIGKILL)
+    assert running.process.wait(timeout=10) == -signal.SIGKILL
+    kept = list(parts.glob("*.parquet"))
     assert 3 <= len(kept) < 50
     said = fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "killed"))
     assert f"{10 * len(kept)} of 500 runs are finished already" in said
@@ -72,7 +66,7 @@ def test_killed_study_is_resumed(tmp_path: Path) -> None:
 def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, local_cluster: Any) -> None:
     from distributed import Client
 
-    name = sweep_file(tmp_path, runs=300, duration=3.0)
+    name = sweep_file(tmp_path, 300)
     fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path))
     address, killed, after = local_cluster.scheduler_address, [], [0]
 
@@ -83,7 +77,7 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
                 killed.extend(sorted(client.run(os.getpid).values())[:1])
             os.kill(killed[0], signal.SIGKILL)
 
-    plan = _planned(name)
+    plan = planned(name, Options(1, None, Path(), {}, {}))
     with open_store(tmp_path / "cluster", plan.text, "program") as store, cluster(address) as workers:
         assert workers.count == 2
         assert run_missing(plan, store, workers, lose_one, threading.Event())
@@ -92,33 +86,18 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
     assert not Path(f"/proc/{killed[0]}/stat").exists() or "Z" in Path(f"/proc/{killed[0]}/stat").read_text()
 
 
-def test_a_scheduler_that_does_not_answer_is_named() -> None:
+def test_a_scheduler_without_address_answer_or_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        wanted = pytest.raises(ClusterError, match=f"no Dask scheduler answers at {address}")
-        with wanted, cluster(address, timeout=0.5):
-            pass
-
-
-def test_missing_dask_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+        for given, words in ((address, f"no Dask scheduler answers at {address}"), ("nowhere", "expected e.g. tcp://")):
+            with pytest.raises(ClusterError, match=words), cluster(given, timeout=0.5):
+                pass
     monkeypatch.setitem(sys.modules, "distributed", None)
-    wanted = pytest.raises(ClusterError, match="dask.distributed is not installed here; .*pip install distributed")
-    with wanted, cluster("tcp://127.0.0.1:8786"):
+    words = "dask.distributed is not installed here; .*pip install distributed"
+    with pytest.raises(ClusterError, match=words), cluster("tcp://127.0.0.1:8786"):
         pass
-
-
-def _planned(name: str) -> Sweep:
-    return planned(name, Options(1, None, Path(), {}, {}))
-
-
-def wait_for(found: Any, running: Executable) -> None:
-    limit = Limit(60.0)
-    while not found():
-        assert running.process.poll() is None, running.end()
-        assert not limit.passed()
-        time.sleep(0.01)
 
 
 PAGE = """
@@ -140,7 +119,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Run the sweep of the page; return its folder and what the command said."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "joint.yaml").write_text(PAGE)
-    return folder / "joint", fjr_here("sweep", str(folder / "joint.yaml"), "--output", str(folder))
+    return folder / "joint", fjr_here("sweep", str(folder / "joint.yaml"), "--output", str(folder), "--json")
 
 
 @pytest.fixture(scope="module")
@@ -154,9 +133,9 @@ def test_sweep_writes_a_table_a_figure_and_a_page(said: tuple[Path, str]) -> Non
     assert columns.num_rows == 160
     assert columns.column("run").to_pylist() == list(range(160))
     assert {"delay", "link_damping", "success", "rms.joint1"} <= set(columns.column_names)
+    assert set(json.JSONDecoder().raw_decode(words)[0]) == documented_keys()["sweep"]
     figures = json.loads((folder / "summary.json").read_text())
     assert figures["succeeded"] == sum(columns.column("success").to_pylist())
-    assert f"{100 * figures['succeeded'] / 160:.2f} % of 160 succeed" in words
     assert figures["effects"][0]["name"] == "delay"
     assert matplotlib.image.imread(folder / "overview.png")[..., :3].std() > 0.05
     assert "runs succeed" in (folder / "report.html").read_text()
@@ -165,20 +144,25 @@ def test_sweep_writes_a_table_a_figure_and_a_page(said: tuple[Path, str]) -> Non
 def test_a_sweep_without_matplotlib_names_what_it_leaves_out(
     said: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, _ = said
+    folder, figures = said[0], json.loads((said[0] / "summary.json").read_text())
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     again = fjr_here("sweep", f"{folder}.yaml", "--output", str(folder.parent))
     assert f"{folder / 'overview.png'} is left out" in again
     assert f"open {folder / 'report.html'}" in again
+    assert f"{100 * figures['succeeded'] / 160:.2f} % of 160 succeed" in again
 
 
-@pytest.mark.parametrize(("width", "dark"), [(400, True), (1280, False)])
-def test_page_draws_all_plots_at_any_width(study: Path, browser: Browser, width: int, dark: bool) -> None:
+def test_page_draws_all_plots_and_the_influence_at_any_width(study: Path, browser: Browser) -> None:
     page = study / "report.html"
-    browser.open(page, width=width, dark=dark)
-    browser.is_sound()
-    assert browser.figures() == FIGURES
     assert page.stat().st_size < LARGEST
+    for width, dark in ((400, True), (1280, False)):
+        browser.open(page, width=width, dark=dark)
+        browser.is_sound()
+        assert browser.figures() == FIGURES
+    shares = "[...document.querySelectorAll('.bar i')].map((bar) => bar.offsetWidth / bar.parentNode.offsetWidth)"
+    effects = json.loads((study / "summary.json").read_text())["effects"]
+    expected = [share for effect in effects for share in (effect["success"], effect["error"])]
+    assert browser.value(shares) == pytest.approx(expected, abs=0.02)
 
 
 def pointed(browser: Browser, height: float) -> dict[str, str]:
@@ -204,11 +188,3 @@ def test_pointer_shows_the_run_of_the_dot_next_to_it(study: Path, browser: Brows
         assert float(seen["succeeds"]) == pytest.approx(errors[-1], rel=1e-3)
         assert table["success"][run]
     assert errors[0] < errors[1]
-
-
-def test_bars_have_the_width_of_the_influence(study: Path, browser: Browser) -> None:
-    effects = json.loads((study / "summary.json").read_text())["effects"]
-    browser.open(study / "report.html")
-    shares = "[...document.querySelectorAll('.bar i')].map((bar) => bar.offsetWidth / bar.parentNode.offsetWidth)"
-    expected = [share for effect in effects for share in (effect["success"], effect["error"])]
-    assert browser.value(shares) == pytest.approx(expected, abs=0.02)

@@ -17,7 +17,7 @@ from system.executables import fjr_here, scenario
 pytestmark = pytest.mark.system
 
 GAINS = {"Lambda_l": [9.0, 9.0], "K_ld": [1.0, 0.5, 0.5, 2.0]}
-
+NEW = "      Lambda_l: [9.0, 9.0]\n      K_ld: [1.0, 0.5,\n             0.5, 2.0]"
 HEAD = """# My arm.
 /**:
   ros__parameters:
@@ -29,31 +29,13 @@ BLOCK = """    gains:   # tuned on Monday
       Gamma_l: [0.1, 0.1]
     law: {type: v_dpbc}
 """
+REPLACED = BLOCK.replace("[1.0, 1.0]", "[9.0, 9.0]").replace("      Gamma_l: [0.1, 0.1]", NEW.partition("\n")[2])
+OWN = HEAD + "/**/fjr_controller:\n  ros__parameters:\n    gains:\n"
 CASES = {
-    "replaced": (
-        HEAD + BLOCK,
-        HEAD
-        + BLOCK.replace("[1.0, 1.0]", "[9.0, 9.0]").replace(
-            "      Gamma_l: [0.1, 0.1]\n", "      K_ld: [1.0, 0.5,\n             0.5, 2.0]\n"
-        ),
-    ),
-    "new block": (
-        HEAD,
-        HEAD.replace(
-            "    robot:",
-            "    gains:\n      Lambda_l: [9.0, 9.0]\n      K_ld: [1.0, 0.5,\n             0.5, 2.0]\n    robot:",
-        ),
-    ),
-    "flow": (
-        HEAD + "    gains: {Lambda_l: [1.0, 1.0]}   # short\n",
-        HEAD + "    gains: \n      Lambda_l: [9.0, 9.0]\n      K_ld: [1.0, 0.5,\n             0.5, 2.0]   # short\n",
-    ),
-    "own section": (
-        HEAD + "/**/fjr_controller:\n  ros__parameters:\n    gains:\n      Lambda_l: [1.0, 1.0]",
-        HEAD
-        + "/**/fjr_controller:\n  ros__parameters:\n    gains:\n      Lambda_l: [9.0, 9.0]\n"
-        + "      K_ld: [1.0, 0.5,\n             0.5, 2.0]\n",
-    ),
+    "replaced": (HEAD + BLOCK, HEAD + REPLACED),
+    "new block": (HEAD, HEAD.replace("    robot:", f"    gains:\n{NEW}\n    robot:")),
+    "flow": (HEAD + "    gains: {Lambda_l: [1.0, 1.0]}   # short\n", HEAD + f"    gains: \n{NEW}   # short\n"),
+    "own section": (OWN + "      Lambda_l: [1.0, 1.0]", OWN + NEW + "\n"),
 }
 
 

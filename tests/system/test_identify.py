@@ -62,13 +62,6 @@ def test_guesses_are_replaced_by_values_with_intervals(folder: Path) -> None:
     assert ", identified\n" in text
 
 
-def test_robot_yaml_is_a_scenario_that_tracks(folder: Path) -> None:
-    scenario = load_scenario(folder / "robot.yaml")
-    run = scenario.simulate(1.0)
-    error = np.asarray(run.x)[-1, 0] - np.asarray(run.jets)[-1, 0, 0]
-    assert abs(error) < 0.2 * np.max(np.abs(scenario.reference.amplitude))  # type: ignore[attr-defined]
-
-
 def test_robot_yaml_is_a_robot_file_that_brings_friction_and_no_gains(folder: Path) -> None:
     own = folder / "own.yaml"
     own.write_text(
@@ -133,28 +126,20 @@ def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.Ca
     assert sentences[0] in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("width", "dark"), [(400, True), (1280, False)])
-def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser, width: int, dark: bool) -> None:
-    browser.open(folder / "identification.html", width=width, dark=dark)
-    browser.is_sound()
+def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser) -> None:
     kinds = ("fit-0", "residual-q_l", "residual-q_m", "autocorrelation-q_l", "autocorrelation-q_m")
-    assert browser.figures() == [f"record-0-{kind}" for kind in kinds]
+    for width, dark in ((400, True), (1280, False)):
+        browser.open(folder / "identification.html", width=width, dark=dark)
+        browser.is_sound()
+        assert browser.figures() == [f"record-0-{kind}" for kind in kinds]
     assert browser.value("document.querySelectorAll('.interval i').length") == 10
 
 
-ARM = """\
-/**:
+ARM = """/**:
   ros__parameters:
     joints: [shoulder, elbow]
-    robot:
-      model: planar_two_link
-      link_mass: [1.2, 0.8]
-      link_length: [0.3, 0.25]
-      link_com: [0.15, 0.12]
-      link_inertia: [0.01, 0.005]
-      joint_stiffness: [60.0, 40.0]
-      motor_inertia: [0.02, 0.01]
-      guesses: {joint_stiffness: [60.0, 40.0]}
+    robot: {model: planar_two_link, joint_stiffness: [60.0, 40.0], motor_inertia: [0.02, 0.01],
+            guesses: {joint_stiffness: [60.0, 40.0]}}
 """
 ESTIMATES = (
     Estimate("joint_stiffness", "shoulder", "N m/rad", 41.0, 40.0, 42.0, 60.0, IDENTIFIED),
@@ -224,29 +209,6 @@ def test_autocorrelation_of_coloured_noise_with_gaps_is_its_closed_form() -> Non
     assert autocorrelation(series, 8) == pytest.approx(a ** np.arange(9), abs=0.05)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("a.csv", "--robot", "none.yaml"), "cannot read robot file none.yaml: No such file or directory"),
-        (("none.csv", "--robot", "arm.yaml", "--map", "map.yaml"), "none.csv is not a table of numbers"),
-        (("a.csv", "--robot", "arm.yaml", "--accept", "all"), "--accept is 'all'; expected one of too_short, at_rest"),
-        (("nowhere", "--robot", "arm.yaml"), "nowhere"),
-    ],
-)
-def test_bad_input_is_one_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], sentence: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "arm.yaml").write_text(ARM)
-    (tmp_path / "a.csv").write_text("x\n1\n")
-    (tmp_path / "map.yaml").write_text(
-        "time: {column: t}\nmotor_position: {column: '{joint}', unit: rad}\neffort: {column: 'u{joint}', unit: N m}\n"
-    )
-    said = fjr_here("identify", *arguments, codes=(1, 2))
-    assert sentence in said
-    assert "Traceback" not in said
-
-
 # Commands that use the posterior.
 
 
@@ -270,9 +232,6 @@ def test_gains_are_confirmed_on_fresh_draws_of_the_posterior(posterior: Path) ->
     assert values["largest_lost_share"] == pytest.approx(1e-3, rel=1e-3)
     assert values["not_drawn"] == ["link_damping of joint1"]
     assert "not identifiable, so not drawn: link_damping of joint1" in shown
-
-
-def test_an_identification_of_other_joints_is_refused(posterior: Path) -> None:
     shown = fjr_here("gains", "two_link", "--beta", "5", "--from", f"{posterior}", code=Exit.NOT_UNDERSTOOD)
     assert "is of joints joint1; expected those of the scenario" in shown
 

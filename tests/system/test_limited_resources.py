@@ -20,7 +20,7 @@ from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.report.write import write_with_fallback
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.node.loading import ensure_log_folder
-from system.talker import TALKER
+from system.bags import TALKER
 from time_limits import HANG
 
 LIMIT, SENT = 100_000, 1500  # bytes; limit on the file size, for messages of 100 bytes and more
@@ -37,15 +37,21 @@ print(recorder.failure, recorder.loss)
 """
 
 
-def test_full_disk_ends_only_the_recording(tmp_path: Path) -> None:
-    """A kernel limit on the file size makes writing fail like a full disk."""
-    result = subprocess.run(
-        [sys.executable, "-c", RECORDER, str(tmp_path / "bag")],
+def limited(kind: int, limit: int, *command: str) -> subprocess.CompletedProcess[str]:
+    """Run a command with a limit of the kernel."""
+    return subprocess.run(
+        command,
         capture_output=True,
         text=True,
-        check=False,
-        timeout=150,
+        timeout=HANG,
+        preexec_fn=lambda: resource.setrlimit(kind, (limit, limit)),
     )
+
+
+def test_full_disk_ends_only_the_recording(tmp_path: Path) -> None:
+    """A kernel limit on the file size makes writing fail like a full disk."""
+    command = [sys.executable, "-c", RECORDER, str(tmp_path / "bag")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=HANG)
     assert result.returncode == 0, result.stderr
     assert result.stdout.split()[0] == "None"
     assert "recording stopped: File too large" in result.stdout
@@ -60,14 +66,8 @@ def test_full_disk_ends_only_the_recording(tmp_path: Path) -> None:
 @pytest.mark.system
 def test_a_full_disk_ends_a_run_with_a_sentence_and_what_was_recorded_is_reported(tmp_path: Path) -> None:
     room = 4_000_000  # bytes of a file, some chunks of the bag; shared memory of the middleware is made of files, too
-    command = executable("fjr_bringup", "fjr"), "run", "paper_k31", "--lockstep", "--duration", "3600", "--no-report"
-    done = subprocess.run(
-        [*command, "--output", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=HANG,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (room, room)),
-    )
+    options = ("--lockstep", "--duration", "3600", "--no-report", "--output", str(tmp_path))
+    done = limited(resource.RLIMIT_FSIZE, room, str(executable("fjr_bringup", "fjr")), "run", "paper_k31", *options)
     assert done.returncode == Exit.FAILED, done.stderr
     assert "what was not recorded is not judged" in done.stderr
     assert "Traceback" not in done.stderr
@@ -78,34 +78,24 @@ def test_a_full_disk_ends_a_run_with_a_sentence_and_what_was_recorded_is_reporte
     assert not (tmp_path / "paper_k31" / "report.html").exists()
 
 
-FEW_FILES = resource.RLIMIT_NOFILE, 24, "the limit of open files is 24; expected at least 64"
-MEMORY = 600_000_000  # bytes
-LITTLE_MEMORY = (
-    resource.RLIMIT_AS,
-    MEMORY,
-    f"the limit of address space is {MEMORY} bytes; expected at least 1200000000",
-)
+TOO_LITTLE = [
+    ("fjr_bringup", "fjr", resource.RLIMIT_NOFILE, 24, "the limit of open files is 24; expected at least 64"),
+    (
+        "fjr_plant",
+        "plant_node",
+        resource.RLIMIT_AS,
+        600_000_000,
+        "the limit of address space is 600000000 bytes; expected at least 1200000000",
+    ),
+]
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(
-    ("package", "name", "kind", "limit", "sentence"),
-    [
-        ("fjr_bringup", "fjr", *FEW_FILES),
-        ("fjr_plant", "plant_node", *LITTLE_MEMORY),
-        ("fjr_controller", "controller_node", *FEW_FILES),
-    ],
-)
+@pytest.mark.parametrize(("package", "name", "kind", "limit", "sentence"), TOO_LITTLE)
 def test_too_few_descriptors_or_too_little_memory_is_one_sentence(
     package: str, name: str, kind: int, limit: int, sentence: str
 ) -> None:
-    done = subprocess.run(
-        [executable(package, name)],
-        capture_output=True,
-        text=True,
-        timeout=HANG,
-        preexec_fn=lambda: resource.setrlimit(kind, (limit, limit)),
-    )
+    done = limited(kind, limit, str(executable(package, name)))
     assert done.returncode == 1
     assert done.stderr.startswith(f"{name}: {sentence}")
     assert done.stderr.count("\n") == 1

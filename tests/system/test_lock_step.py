@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from fjr_plant.lock_step import START
 from nodes.harness import Ros, nanoseconds
 from nodes.plants import PERIOD
-from system.executables import Executable, Start, wait_for
+from system.executables import Start, wait_for
 from system.recorded import is_complete, messages, record
 from system.shared_runs import shared_run
 
@@ -80,15 +80,8 @@ def test_recorder_that_stands_still_for_a_while_loses_no_sample(start: Start, tm
     assert is_complete(output / "paper_k31")
 
 
-# Two arms in one ROS domain, each with a separate clock.
-
-
 ARMS = ("left", "right")
-
-
-def started(start: Start, node: str, arm: str, *arguments: str) -> Executable:
-    timed = "lockstep:=true" if node == "plant" else "use_sim_time:=true"
-    return start(node, "--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, *arguments)
+"""Two arms in one ROS domain, each with a separate clock."""
 
 
 class Observer(Node):
@@ -114,11 +107,10 @@ class Observer(Node):
 
 
 def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
-    clocks = [f"/{arm}/clock" for arm in ARMS]
-    observer = Observer(ros, *clocks)
-    for arm, clock in zip(ARMS, clocks, strict=True):
-        for node in ("plant", "controller"):
-            started(start, node, arm, "-r", f"/clock:={clock}")
+    observer = Observer(ros, *(f"/{arm}/clock" for arm in ARMS))
+    for arm in ARMS:
+        for node, timed in (("plant", "lockstep:=true"), ("controller", "use_sim_time:=true")):
+            start(node, "--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, "-r", f"/clock:=/{arm}/clock")
     ros.until(lambda: all(len(times) > 300 for times in observer.times.values()), "both clocks")
     for times in observer.times.values():
         assert times == sorted(times)

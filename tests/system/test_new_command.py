@@ -40,44 +40,32 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_files_are_accepted_as_they_are(made: Path) -> None:
+def test_the_files_are_accepted_and_the_report_of_a_run_repeats_the_guesses(made: Path) -> None:
     said = json.loads(fjr_here("check", str(made / "arm.yaml"), "--json").partition("fjr: ")[0])
     assert said["stable"]
     assert said["warnings"][0].startswith(GUESS.format("2 joints"))
     assert said["rows"]["reference"] == "within the position limits; within the velocity limits"
     assert said["rows"]["first effort"].endswith("within the effort limits")
     assert said["rows"]["initial position"] == "within the ranges of the joints"
+    output = made / "runs"
+    options = ("--lockstep", "--duration", "0.1", "--set", "compile:=false", "--output", str(output))
+    shown = fjr_here("run", str(made / "arm.yaml"), *options)
+    report = json.loads((output / "arm" / "report.json").read_text(encoding="utf-8"))
+    assert report["stop"] is None
+    for sentence in report["guesses"]:
+        assert f"fjr: {sentence}" in shown
+        assert sentence[1:] in (output / "arm" / "report.html").read_text(encoding="utf-8")
+    assert report["guesses"][0].startswith(GUESS.format("2 joints"))
 
 
-def test_the_arm_tracks_and_the_report_of_a_run_repeats_the_guesses(made: Path) -> None:
+def test_the_arm_tracks_and_its_files_are_replaced_only_on_request(made: Path) -> None:
+    again = ("new", str(UR5E), "--joints", "elbow_joint", "--name", "arm", "--output", str(made))
+    assert "arm_robot.yaml exists; expected a new file" in fjr_here(*again, code=2)
     loop = load_scenario(made / "arm.yaml")
     run = loop.simulate(2.2)
     late, n = run.t >= 2.0, loop.robot.n
     assert np.abs(run.x[late, :n] - run.jets[late, 0]).max() < 1e-4
     assert np.all(np.abs(run.u).max(axis=0) < 0.8 * loop.robot.limits.effort)
-    output = made / "runs"
-    options = ("--lockstep", "--duration", "0.1", "--set", "compile:=false", "--output", str(output))
-    said = fjr_here("run", str(made / "arm.yaml"), *options)
-    report = json.loads((output / "arm" / "report.json").read_text(encoding="utf-8"))
-    assert report["stop"] is None
-    for sentence in report["guesses"]:
-        assert f"fjr: {sentence}" in said
-        assert sentence[1:] in (output / "arm" / "report.html").read_text(encoding="utf-8")
-    assert report["guesses"][0].startswith(GUESS.format("2 joints"))
-
-
-def test_a_replaced_value_is_not_reported_any_more(made: Path) -> None:
-    stiffness, inertia = "robot.joint_stiffness:=[9000.0, {}]", "robot.motor_inertia:=[1.0, 0.9]"
-    (left,) = library.load(str(made / "arm.yaml"), [stiffness.format(8600.0), inertia]).robot_warnings
-    assert left.startswith(GUESS.format("joint elbow_joint"))
-    assert library.load(str(made / "arm.yaml"), [stiffness.format(8000.0), inertia]).robot_warnings == ()
-
-
-def test_files_are_replaced_only_on_request(made: Path) -> None:
-    again = ("new", str(UR5E), "--joints", "elbow_joint", "--name", "arm", "--output", str(made))
-    before = (made / "arm.yaml").read_text(encoding="utf-8")
-    assert "arm_robot.yaml exists; expected a new file" in fjr_here(*again, code=2)
-    assert (made / "arm.yaml").read_text(encoding="utf-8") == before
 
 
 def test_joints_that_a_urdf_locks_and_the_priority_are_written(tmp_path: Path) -> None:
@@ -93,13 +81,13 @@ def test_joints_that_a_urdf_locks_and_the_priority_are_written(tmp_path: Path) -
 # Choices, without the synthesis of gains.
 
 
-@pytest.mark.parametrize("name", ["KUKA KR 16-2", "KUKA KR 210", "Universal Robots UR3e"])
-def test_real_arms_have_one_chain_of_six_joints(name: str) -> None:
-    arm = arm_of(rtb(name))
-    assert len(arm.joints) == 6
-    assert len(arm.chains) == 1
-    assert len(arm.guesses["joint_stiffness"]) == 6
-    assert joints_without_inertia(arm.robot) == {}
+def test_real_arms_have_one_chain_of_six_joints_and_one_without_inertia_is_refused() -> None:
+    for name in ("KUKA KR 16-2", "KUKA KR 210", "Universal Robots UR3e"):
+        arm = arm_of(rtb(name))
+        assert (len(arm.joints), len(arm.chains), len(arm.guesses["joint_stiffness"])) == (6, 1, 6)
+        assert joints_without_inertia(arm.robot) == {}
+    with pytest.raises(RobotError, match="no link that joint 'joint_a1' moves has an inertia; expected some"):
+        arm_of(rtb("KUKA LBR iiwa 14"))
 
 
 def test_joints_that_carry_no_mass_are_locked_with_a_note(tmp_path: Path) -> None:
@@ -122,30 +110,23 @@ def with_thin_hand(folder: Path) -> Path:
     return file
 
 
-def test_a_joint_whose_links_lack_inertia_is_locked_with_a_note_and_no_guess(tmp_path: Path) -> None:
-    arm = arm_of(with_thin_hand(tmp_path))
+def test_a_joint_whose_links_lack_inertia_is_locked_with_a_note_and_named_where_a_robot_file_moves_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, thin = arm_of(with_thin_hand(tmp_path)), "roll turns 150 kg with an inertia of 1e-06 kg m^2"
     assert arm.joints == ("shoulder", "elbow")
-    assert arm.notes == (
-        "roll turns 150 kg with an inertia of 1e-06 kg m^2, which no real link has: roll locked, until the URDF has it",
-    )
+    assert arm.notes == (f"{thin}, which no real link has: roll locked, until the URDF has it",)
     assert len(arm.guesses["joint_stiffness"]) == 2
     with pytest.raises(RobotError, match="roll turns 150 kg .*; expected the inertia of its links in the URDF, or "):
         arm_of(arm.urdf, joints=("shoulder", "elbow", "roll"))
-
-
-def test_a_robot_file_that_moves_such_a_joint_is_named_before_the_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.chdir(tmp_path)
-    with_thin_hand(tmp_path)
     (tmp_path / "robot.yaml").write_text(
         "/**: {ros__parameters: {joints: [shoulder, elbow, roll], robot: {model: urdf, urdf: arm.urdf,"
         " joint_stiffness: [100.0, 50.0, 10.0], motor_inertia: [0.1, 0.1, 0.1]}}}"
     )
-    said = fjr_here("identify", "none.csv", "--robot", "robot.yaml", code=2)
-    assert "fjr: robot.yaml: roll turns 150 kg with an inertia of 1e-06 kg m^2" in said
+    assert f"fjr: robot.yaml: {thin}" in fjr_here("identify", "none.csv", "--robot", "robot.yaml", code=2)
     (warning,) = library.load("robot.yaml", robot_only=True).robot_warnings
-    assert warning.startswith("roll turns 150 kg")
+    assert warning.startswith(thin)
 
 
 def test_paths_in_a_robot_file_are_relative_and_hold_when_both_are_moved(tmp_path: Path) -> None:
@@ -155,11 +136,6 @@ def test_paths_in_a_robot_file_are_relative_and_hold_when_both_are_moved(tmp_pat
     assert "urdf: ../urdf/arm.urdf" in (tmp_path / "a" / "mine" / "arm_robot.yaml").read_text()
     (tmp_path / "a").rename(tmp_path / "b")
     assert library.load(str(tmp_path / "b" / "mine" / "arm.yaml")).joints == ("shoulder", "elbow")
-
-
-def test_a_urdf_without_inertia_is_refused() -> None:
-    with pytest.raises(RobotError, match="no link that joint 'joint_a1' moves has an inertia; expected some"):
-        arm_of(rtb("KUKA LBR iiwa 14"))
 
 
 def test_a_locked_joint_stays_within_its_range(tmp_path: Path) -> None:

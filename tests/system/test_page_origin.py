@@ -33,9 +33,10 @@ def origin(page: Path) -> list[str]:
     return [unescape(re.sub("<.*?>", "", line)) for line in re.findall(r"<span>(.*?)</span>", found)]
 
 
-@pytest.mark.parametrize("template", PAGES, ids=lambda path: path.stem)
-def test_every_page_has_the_common_head(template: Path) -> None:
-    assert template.read_text().count("macros.header(") == 1
+def test_every_page_has_the_common_head() -> None:
+    for template in PAGES:
+        assert template.read_text().count("macros.header(") == 1, template
+    assert len(PAGES) > 3
 
 
 def test_head_names_the_command_that_recorded_the_run_and_the_one_that_wrote_the_page(
@@ -66,16 +67,13 @@ def test_origin_has_no_name_of_user_or_host(monkeypatch: pytest.MonkeyPatch) -> 
     assert getpass.getuser() not in words
 
 
-@pytest.mark.parametrize("text", ["tomorrow", "99999999999999999999", "-1e3", ""])
-def test_an_epoch_that_is_no_date_is_ignored(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    monkeypatch.setenv(EPOCH, text)
-    begin_command(["fjr"])
-    assert provenance().date.startswith("20")
-
-
-def test_origin_of_a_damaged_report_is_unknown() -> None:
-    begin_command(["fjr"])
+def test_an_epoch_that_is_no_date_is_ignored_and_the_origin_of_a_damaged_report_unknown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for text in ("tomorrow", "99999999999999999999", "-1e3", ""):
+        monkeypatch.setenv(EPOCH, text)
+        begin_command(["fjr"])
+        assert provenance().date.startswith("20")
     known = provenance()
     assert Provenance.read(vars(known)) == known
-    assert Provenance.read({**vars(known), "machine": None}) is None
-    assert Provenance.read(None) is None
+    assert Provenance.read({**vars(known), "machine": None}) is Provenance.read(None) is None

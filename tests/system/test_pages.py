@@ -26,18 +26,13 @@ FIGURES = [
 ]
 COMPARED = ["error", "effort", "storage", "latency", "period"]
 LARGEST = 3e6  # bytes of a page
-# Number of all pixels of the picture, and of opaque ones: those of the arm, not of ground and ghosts.
-PIXELS = """(() => {
+PIXELS = """(() => {  // all pixels of the picture, and opaque ones: those of the arm, not of ground and ghosts
   const canvas = document.querySelector(".stage canvas");
   const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d");
   copy.drawImage(canvas, 0, 0);
   const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
-  const count = { all: 0, opaque: 0 };
-  for (let i = 3; i < data.length; i += 4) {
-    count.all++;
-    count.opaque += data[i] === 255;
-  }
-  return count;
+  const alpha = data.filter((_, i) => i % 4 === 3);
+  return { all: alpha.length, opaque: alpha.filter((each) => each === 255).length };
 })()"""
 PICTURE = "document.querySelector('.stage canvas').toDataURL()"
 TIME = "Number(document.getElementById('arm').dataset.time)"
@@ -121,18 +116,13 @@ def test_pointer_shows_values_and_zooms_all_time_plots(pages: Path, browser: Bro
 
 def test_button_switches_the_units(pages: Path, browser: Browser) -> None:
     browser.open(pages / "arm7" / "report.html", **SMALL)
-    label = "document.querySelector('#effort .views button').textContent"
-    button = "document.querySelector('#effort .views button').click()"
-    assert browser.value(label) == "N m"
-    before = pictures(browser)
-    browser.value(button)
-    browser.settle()
-    assert browser.value(label) == "% of limit"
-    assert pictures(browser)[FIGURES.index("effort")] != before[FIGURES.index("effort")]
-    browser.is_sound()
-    browser.value(button)
-    browser.settle()
-    assert pictures(browser) == before
+    button, before = "document.querySelector('#effort .views button')", pictures(browser)
+    for units in ("N m", "% of limit"):
+        assert browser.value(f"{button}.textContent") == units
+        browser.value(f"{button}.click()")
+        browser.settle()
+        browser.is_sound()
+        assert (pictures(browser) == before) == (units == "% of limit")
 
 
 @pytest.mark.parametrize("page", ["arm7/report.html", "comparison.html"])

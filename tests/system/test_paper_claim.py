@@ -51,17 +51,18 @@ def test_claim_states_the_numbers_of_both_runs(summaries: list[RunSummary], tmp_
     assert "<li>paper_k3p1: repeated in lock-step</li>" in page
 
 
-@pytest.mark.parametrize("width", [1280, 400])
 def test_the_page_of_the_claim_shows_link_position_and_effort_first(
-    summaries: list[RunSummary], tmp_path: Path, browser: Browser, width: int
+    summaries: list[RunSummary], tmp_path: Path, browser: Browser
 ) -> None:
-    browser.open(compare(summaries, tmp_path, claim(*(each.report for each in summaries))), width=width)
-    browser.is_sound()
-    assert browser.figures()[:2] == ["positions", "efforts"]
+    page = compare(summaries, tmp_path, claim(*(each.report for each in summaries)))
     cut = "[...document.querySelectorAll('.scroll')].filter((each) => each.scrollWidth > each.clientWidth).length"
-    assert browser.value(cut) == 0
     values = "[...document.querySelectorAll('.u-legend .u-value')].filter((each) => each.offsetParent).length"
-    assert browser.value(values) == 0, "values without a pointer"
+    for width in (1280, 400):
+        browser.open(page, width=width)
+        browser.is_sound()
+        assert browser.figures()[:2] == ["positions", "efforts"]
+        assert browser.value(cut) == 0
+        assert browser.value(values) == 0, "values without a pointer"
 
 
 def test_runs_that_do_not_show_the_claim_give_the_reason(summaries: list[RunSummary]) -> None:

@@ -22,7 +22,7 @@ from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
 from system.bags import JOINT_STATE, STORE, joint_state, text_message
 from system.documented import documented_keys
-from system.executables import Executable, fjr_here, wait_for
+from system.executables import Start, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
 STATES, EFFORTS, MODEL = "/left/joint_states", "/left/joint_commands", "/left/robot_description"
@@ -42,39 +42,32 @@ def written(folder: Path, storage: StoragePlugin, count: int) -> Path:
     return folder
 
 
-def test_bag_without_metadata_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(tmp_path: Path) -> None:
+def test_bag_without_metadata_is_played_in_order_until_ctrl_c_without_commands_to_the_robot(
+    start: Start, tmp_path: Path
+) -> None:
     bag = written(tmp_path / "bag", StoragePlugin.MCAP, LONG)
     (bag / "metadata.yaml").unlink()
+    numbers: list[int] = []
     with own_node("test_play") as node:
         subscription = node.create_subscription(JointState, STATES, lambda _: None, 1000)
-        command = Executable("fjr_bringup", "fjr", "play", str(bag))
-        try:
-            numbers = received(subscription, 5)
-            assert node.count_publishers(EFFORTS) == 0
-            late, texts = node.create_subscription(String, MODEL, lambda _: None, LATCHED), []
-            wait_for(lambda: bool(texts.append(late.handle.take_message(String, False)) or texts[-1]), "the text")
-            command.signal(signal.SIGINT)
-            code, said = command.end()
-        finally:
-            command.kill()
+        command = start("fjr", "play", str(bag))
+
+        def are_there() -> bool:
+            while (taken := subscription.handle.take_message(JointState, False)) is not None:
+                numbers.append(taken[0].header.stamp.sec)
+            return len(numbers) >= 5
+
+        wait_for(are_there, "messages")
+        assert node.count_publishers(EFFORTS) == 0
+        late, texts = node.create_subscription(String, MODEL, lambda _: None, LATCHED), []
+        wait_for(lambda: bool(texts.append(late.handle.take_message(String, False)) or texts[-1]), "the text")
+        command.signal(signal.SIGINT)
+        code, said = command.end()
     assert code == 0, said
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     assert texts[-1][0].data == "robot"  # latched: it was sent before the subscription
     assert f"{EFFORTS} not played: --efforts commands a robot" in said
     assert "stopped before the end of the bag" in said
-
-
-def received(subscription: object, count: int) -> list[int]:
-    """Return the seconds of the stamps of the first messages."""
-    found: list[int] = []
-
-    def are_there() -> bool:
-        while (taken := subscription.handle.take_message(JointState, False)) is not None:  # type: ignore[attr-defined]
-            found.append(taken[0].header.stamp.sec)
-        return len(found) >= count
-
-    wait_for(are_there, "messages")
-    return found
 
 
 def test_named_topics_and_efforts_are_played_to_the_end(tmp_path: Path) -> None:
@@ -83,19 +76,12 @@ def test_named_topics_and_efforts_are_played_to_the_end(tmp_path: Path) -> None:
     found, _ = json.JSONDecoder().raw_decode(said)
     assert found == {"messages": {STATES: 5, EFFORTS: 5}, "complete": True}
     assert set(found) == documented_keys()["play"]
-
-
-def test_times_are_the_recorded_ones_divided_by_the_rate() -> None:
     assert [due(each, 5_000_000_000, 2.0) for each in (5_000_000_000, 6_000_000_000, 8_000_000_000)] == [0.0, 0.5, 1.5]
-
-
-def test_a_bag_counts_the_messages_of_each_topic(tmp_path: Path) -> None:
-    found = read_bag(written(tmp_path / "bag", StoragePlugin.MCAP, 7)).topics
-    assert {name: (each.count, each.first, each.last) for name, each in found.items()} == {
-        STATES: (7, PERIOD, 7 * PERIOD),
-        EFFORTS: (7, PERIOD, 7 * PERIOD),
-        MODEL: (1, PERIOD, PERIOD),
-    }
+    kept = {name: (each.count, each.first, each.last) for name, each in read_bag(bag).topics.items()}
+    assert kept == {STATES: (5, PERIOD, 5 * PERIOD), EFFORTS: (5, PERIOD, 5 * PERIOD), MODEL: (1, PERIOD, PERIOD)}
+    sentence = f"holds no message of /left/other; it holds {EFFORTS}, {STATES}"
+    assert sentence in fjr_here("play", str(bag), "/left/other", code=2)
+    assert f"{EFFORTS} commands a robot; expected --efforts" in fjr_here("play", str(bag), EFFORTS, code=2)
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda each: each.name)
@@ -106,7 +92,9 @@ def test_messages_come_by_receive_time(tmp_path: Path, storage: StoragePlugin) -
 
 
 @pytest.mark.parametrize("limit", ["AHEAD_MESSAGES", "AHEAD_BYTES"])
-def test_a_bag_is_read_only_a_few_messages_ahead(tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bag_is_read_only_a_few_messages_ahead_and_closed_when_nobody_reads_on(
+    tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     texts(tmp_path / "bag", StoragePlugin.SQLITE3, range(1000), "x" * 10_000)
     monkeypatch.setattr(reader, limit, 100)
     tracemalloc.start()
@@ -118,11 +106,6 @@ def test_a_bag_is_read_only_a_few_messages_ahead(tmp_path: Path, limit: str, mon
         assert tracemalloc.get_traced_memory()[1] < 5e6  # of 10 MB
     finally:
         tracemalloc.stop()
-
-
-def test_the_bag_is_closed_when_nobody_reads_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    texts(tmp_path / "bag", StoragePlugin.MCAP, range(1000))
-    monkeypatch.setattr(reader, "AHEAD_MESSAGES", 10)
     messages = in_order(tmp_path / "bag", {MODEL})
     next(messages)
     assert open_files(tmp_path)
@@ -142,18 +125,6 @@ def texts(folder: Path, storage: StoragePlugin, times: Iterable[int], text: str 
         model = writer.add_connection(MODEL, "std_msgs/msg/String", typestore=STORE)
         for each in times:
             writer.write(model, each, text_message(text))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("/left/other",), "holds no message of /left/other; it holds /left/joint_commands, /left/joint_states"),
-        ((EFFORTS,), f"{EFFORTS} commands a robot; expected --efforts"),
-    ],
-)
-def test_topics_that_are_not_played_are_refused(tmp_path: Path, arguments: tuple[str, ...], sentence: str) -> None:
-    bag = written(tmp_path / "bag", StoragePlugin.MCAP, 1)
-    assert sentence in fjr_here("play", str(bag), *arguments, code=2)
 
 
 def test_hint_names_the_installed_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

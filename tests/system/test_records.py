@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of motion from tables and bags: the numbers are those of the file, and bad input is one sentence."""
+"""Records of motion from tables and bags have the numbers of the file; `--write-map` reads names of columns."""
 
 from __future__ import annotations
 
 import gzip
+import math
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +19,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
-from fjr_core.errors import FjrError
+from fjr_core.errors import FjrError, MissingPackageError, ParameterError, RecordError
 from fjr_core.model.robot import Robot
 from fjr_design.uncertainty.posterior import DEFLECTION, UNKNOWN, WEAK
 from fjr_identification.estimation.identify import identify
@@ -25,10 +28,11 @@ from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.page import fit_plots
 from fjr_identification.read_record import Reading, read_record
-from fjr_identification.record_map import TableMap, read_map
+from fjr_identification.record_map import EFFORT, LINK, MOTOR, TORQUE, TableMap, read_map
 from fjr_identification.sensors import lacking
-from fjr_identification.table_record import record_of_table
+from fjr_identification.table_record import FILL_IN, record_of_table, written_map
 from system.bags import rewritten
+from system.executables import fjr_here
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
@@ -57,23 +61,20 @@ def both(kr300: Robot, reading: Reading) -> dict[str, Read]:
     return {name: read_record(EXAMPLE / f"{name}.csv.gz", AXES, kr300, reading) for name in names}
 
 
-@pytest.mark.parametrize("name", ["record_a", "record_b"])
-def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(
-    kr300: Robot, both: dict[str, Read], name: str
-) -> None:
-    record, notes = both[name]
-    raw = np.genfromtxt(EXAMPLE / f"{name}.csv.gz", delimiter=",", names=True)
-    assert record.dt == pytest.approx(4e-3)
-    assert np.array_equal(record.q_m[:, 3], raw["a4_motor_rad"])
-    assert np.array_equal(record.q_l[:, 0], raw["a1_link_rad"])
-    assert record.u[:, 1] == pytest.approx(267.43 * raw["a2_motor_torque_nm"])
-    assert np.isnan(record.q_l[:, 3:]).all()
-    assert np.isnan(record.torque).all()
-    assert notes == ()
-    assert [said.split(":")[:2] for said in lacking([record], kr300)] == [
-        ["a4, a5, a6", " no link encoder and no torque sensor"],
-        ["a4, a5, a6", " one side only is measured"],
-    ]
+def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(kr300: Robot, both: dict[str, Read]) -> None:
+    for name, (record, notes) in both.items():
+        raw = np.genfromtxt(EXAMPLE / f"{name}.csv.gz", delimiter=",", names=True)
+        assert record.dt == pytest.approx(4e-3)
+        assert np.array_equal(record.q_m[:, 3], raw["a4_motor_rad"])
+        assert np.array_equal(record.q_l[:, 0], raw["a1_link_rad"])
+        assert record.u[:, 1] == pytest.approx(267.43 * raw["a2_motor_torque_nm"])
+        assert np.isnan(record.q_l[:, 3:]).all()
+        assert np.isnan(record.torque).all()
+        assert notes == ()
+        assert [said.split(":")[:2] for said in lacking([record], kr300)] == [
+            ["a4, a5, a6", " no link encoder and no torque sensor"],
+            ["a4, a5, a6", " one side only is measured"],
+        ]
 
 
 def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_other_one(
@@ -128,18 +129,13 @@ def test_part_of_a_table_is_the_same_rows(reading: Reading, both: dict[str, Read
     assert np.array_equal(part.q_m, whole.q_m[500:1250])
 
 
-def changed(tmp_path: Path, change: object) -> Path:
-    """Return the lines of record A, changed, as a file."""
-    lines = gzip.decompress((EXAMPLE / "record_a.csv.gz").read_bytes()).decode().splitlines()
-    file = tmp_path / "changed.csv"
-    file.write_text("\n".join(change(lines)) + "\n")  # type: ignore[operator]
-    return file
+Lines = list[str]
 
 
-def cell(row: int, column: int, value: str) -> object:
+def cell(row: int, column: int, value: str) -> Callable[[Lines], Lines]:
     """Return a change of one cell."""
 
-    def change(lines: list[str]) -> list[str]:
+    def change(lines: Lines) -> Lines:
         cells = lines[row].split(",")
         cells[column] = value
         return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
@@ -147,60 +143,56 @@ def cell(row: int, column: int, value: str) -> object:
     return change
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (cell(0, 2, "other"), "column a2_motor_rad is missing; expected it once (the header is time_s, "),
-        (cell(0, 2, "a1_motor_rad"), "column a1_motor_rad is more than once"),
-        (cell(12, 3, "nan"), "row 12, column a3_motor_rad: nan; expected a finite number (1 such rows"),
-        (cell(12, 3, ""), "row 12, column a3_motor_rad: nan; expected a finite number"),
-        (cell(12, 3, "abc"), "is not a table of numbers (In CSV column #3"),
-        (lambda lines: [*lines[:300], *lines[900:]], "time jumps by 2.404 s"),
-        (lambda lines: lines[:100], "the record has 99 samples; expected at least 200"),
-        (lambda lines: lines[:1], "holds no samples"),
-        (lambda lines: [], "has no header"),
-    ],
-    ids=["missing", "twice", "nan", "empty", "text", "gap", "short", "no rows", "nothing"],
-)
+BAD_TABLES: dict[str, tuple[Callable[[Lines], Lines], str]] = {
+    "missing": (cell(0, 2, "other"), "column a2_motor_rad is missing; expected it once (the header is time_s, "),
+    "twice": (cell(0, 2, "a1_motor_rad"), "column a1_motor_rad is more than once"),
+    "nan": (cell(12, 3, "nan"), "row 12, column a3_motor_rad: nan; expected a finite number (1 such rows"),
+    "empty": (cell(12, 3, ""), "row 12, column a3_motor_rad: nan; expected a finite number"),
+    "text": (cell(12, 3, "abc"), "is not a table of numbers (In CSV column #3"),
+    "gap": (lambda lines: [*lines[:300], *lines[900:]], "time jumps by 2.404 s"),
+    "short": (lambda lines: lines[:100], "the record has 99 samples; expected at least 200"),
+    "no rows": (lambda lines: lines[:1], "holds no samples"),
+    "nothing": (lambda lines: [], "has no header"),
+}
+
+
+@pytest.mark.parametrize(("change", "sentence"), BAD_TABLES.values(), ids=BAD_TABLES)
 def test_bad_table_is_refused_in_one_sentence(
-    kr300: Robot, reading: Reading, tmp_path: Path, change: object, sentence: str
+    kr300: Robot, reading: Reading, tmp_path: Path, change: Callable[[Lines], Lines], sentence: str
 ) -> None:
-    with pytest.raises(FjrError) as caught:
-        read_record(changed(tmp_path, change), AXES, kr300, reading)
+    lines = gzip.decompress((EXAMPLE / "record_a.csv.gz").read_bytes()).decode().splitlines()
+    (tmp_path / "changed.csv").write_text("\n".join(change(lines)) + "\n")
+    with pytest.raises(FjrError, match="changed.csv") as caught:
+        read_record(tmp_path / "changed.csv", AXES, kr300, reading)
     assert sentence in str(caught.value)
-    assert "changed.csv" in str(caught.value)
+
+
+SWAPPED = {"motor_position": ("link_position", "a3"), "link_position": ("motor_position", "a3")}
 
 
 @pytest.mark.parametrize(
-    ("given", "sentence"),
+    ("factors", "swapped", "sentence"),
     [
-        ({"motor_position": {"factor": 1.01}}, "expected 1: wrong gear ratio (and 2 more)"),
-        ({"effort": {"factor": 1.0}}, "expected about 1: links in the robot file, gear ratio, unit of the effort?"),
+        ({"motor_position": 1.01}, {}, "expected 1: wrong gear ratio (and 2 more)"),
+        ({"effort": 1.0}, {}, "expected about 1: links in the robot file, gear ratio, unit of the effort?"),
+        ({}, SWAPPED, "expected about 1: sides swapped"),
     ],
-    ids=["gear ratio", "effort at the motor"],
+    ids=["gear ratio", "effort at the motor", "swapped sides"],
 )
 def test_wrong_mapping_of_a_real_record_is_named(
-    kr300: Robot, reading: Reading, given: dict[str, dict[str, float]], sentence: str
+    kr300: Robot, reading: Reading, factors: dict[str, float], swapped: dict[str, tuple[str, str]], sentence: str
 ) -> None:
     mapping = reading.mapping
     assert isinstance(mapping, TableMap)
-    signals = dict(mapping.signals)
-    for name, change in given.items():
-        signals[name] = {joint: replace(column, **change) for joint, column in signals[name].items()}
+    signals = {name: dict(columns) for name, columns in mapping.signals.items()}
+    for name, factor in factors.items():
+        signals[name] = {joint: replace(column, factor=factor) for joint, column in signals[name].items()}
+    for name, (other, joint) in swapped.items():
+        signals[name][joint] = mapping.signals[other][joint]
     wrong = replace(reading, mapping=replace(mapping, signals=signals))
     with pytest.raises(FjrError, match="--accept") as caught:
         read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, wrong)
     assert sentence in str(caught.value)
-
-
-def test_swapped_sides_of_a_real_axis_are_named(kr300: Robot, reading: Reading) -> None:
-    mapping = reading.mapping
-    assert isinstance(mapping, TableMap)
-    motor, link = (dict(mapping.signals[name]) for name in ("motor_position", "link_position"))
-    motor["a3"], link["a3"] = link["a3"], motor["a3"]
-    signals = {**mapping.signals, "motor_position": motor, "link_position": link}
-    with pytest.raises(FjrError, match="q_m - q_l of a3 is -0.8.* expected about 1: sides swapped"):
-        read_record(EXAMPLE / "record_a.csv.gz", AXES, kr300, Reading(replace(mapping, signals=signals)))
 
 
 @pytest.mark.parametrize(
@@ -264,3 +256,111 @@ def test_bag_of_another_robot_is_refused(
     alone = rewritten(run / "bag", tmp_path / "alone")
     with pytest.raises(FjrError, match="no effort of all joints"):
         read_record(alone, AXES, kr300, Reading())
+
+
+ARM = ("shoulder", "elbow")
+DEG = math.pi / 180
+COMPLETE = {
+    "time_s,shoulder_motor_rad,elbow_motor_rad,shoulder_link_rad,shoulder_torque_nm,elbow_torque_nm": {
+        MOTOR: {"shoulder": ("shoulder_motor_rad", 1.0), "elbow": ("elbow_motor_rad", 1.0)},
+        LINK: {"shoulder": ("shoulder_link_rad", 1.0)},
+        EFFORT: {"shoulder": ("shoulder_torque_nm", 1.0), "elbow": ("elbow_torque_nm", 1.0)},
+    },
+    "t [ms];q_m1 [deg];q_m2 [deg];dq_m1 [deg];tau1 [Nm];tau2 [Nm]": {
+        MOTOR: {"shoulder": ("q_m1 [deg]", DEG), "elbow": ("q_m2 [deg]", DEG)},
+        EFFORT: {"shoulder": ("tau1 [Nm]", 1.0), "elbow": ("tau2 [Nm]", 1.0)},
+    },
+    "Timestamp (us),elbow/motor/position (turn),shoulder/motor/position (turn),elbow/effort (N m),"
+    "shoulder/effort (N m),elbow/sensor/torque (N m)": {
+        MOTOR: {
+            "shoulder": ("shoulder/motor/position (turn)", 2 * math.pi),
+            "elbow": ("elbow/motor/position (turn)", 2 * math.pi),
+        },
+        EFFORT: {"shoulder": ("shoulder/effort (N m)", 1.0), "elbow": ("elbow/effort (N m)", 1.0)},
+        TORQUE: {"elbow": ("elbow/sensor/torque (N m)", 1.0)},
+    },
+    "time_s,linkAngle1Deg,linkAngle2Deg,motorTorque1Nm,motorTorque2Nm": {
+        LINK: {"shoulder": ("linkAngle1Deg", DEG), "elbow": ("linkAngle2Deg", DEG)},
+        EFFORT: {"shoulder": ("motorTorque1Nm", 1.0), "elbow": ("motorTorque2Nm", 1.0)},
+    },
+}
+
+
+def made(folder: Path, header: str) -> tuple[str, list[str]]:
+    """Return the map of a table with a header, and what is left to do."""
+    (folder / "log.csv").write_text(header + "\n", encoding="utf-8")
+    return written_map(folder / "log.csv", ARM)
+
+
+def read(folder: Path, text: str) -> TableMap:
+    (folder / "map.yaml").write_text(text, encoding="utf-8")
+    found = read_map(folder / "map.yaml", ARM)
+    assert isinstance(found, TableMap)
+    return found
+
+
+@pytest.mark.parametrize("header", COMPLETE)
+def test_names_that_say_everything_give_a_complete_map(tmp_path: Path, header: str) -> None:
+    text, todo = made(tmp_path, header)
+    assert FILL_IN not in text
+    assert not [line for line in todo if line.startswith("fill in")]
+    found = read(tmp_path, text)
+    signals = {
+        signal: {joint: (column.name, pytest.approx(column.factor)) for joint, column in columns.items()}
+        for signal, columns in found.signals.items()
+    }
+    assert signals == COMPLETE[header]
+
+
+INCOMPLETE = {
+    "t,shoulder_pos,elbow_pos,shoulder_tau,elbow_tau": {"time.unit", "FILL_IN.unit", "effort.unit", "whether"},
+    "a,motor1_rad,motor2_rad,u1_nm,u2_nm": {"time.column", "time.unit"},
+    "time_s,motor1_rad,motor2_rad,motor3_rad,u1_nm,u2_nm": {"motor_position.joints"},
+    "time_s,shoulder_motor_rad,elbow_motor_deg": {"motor_position.unit", "effort: no column"},
+}
+
+
+@pytest.mark.parametrize("header", INCOMPLETE)
+def test_what_names_do_not_say_is_marked_and_refused_until_it_is_filled_in(tmp_path: Path, header: str) -> None:
+    text, todo = made(tmp_path, header)
+    assert {line.split()[2].rstrip(":") for line in todo if line.startswith("fill in")} == {
+        each.split(":")[0] for each in INCOMPLETE[header]
+    }
+    assert text.count(FILL_IN) > 0
+    with pytest.raises(ParameterError, match=FILL_IN):
+        read(tmp_path, text)
+
+
+def test_the_command_says_what_is_left_to_do_and_replaces_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    command = ("identify", str(EXAMPLE / "record_a.csv.gz"), "--robot", str(EXAMPLE / "kr300.yaml"))
+    assert "(--write-map makes one)" in fjr_here(*command, code=2)
+    said = fjr_here(*command, "--write-map")
+    assert "check    effort.gear_ratio is 1: a1_motor_torque_nm to a6_motor_torque_nm count at the joint's side" in said
+    assert "the robot file has the gear ratios [256.86, " in said
+    assert "fill in" not in said
+    found = read_map(tmp_path / "record_a_map.yaml", AXES)
+    assert isinstance(found, TableMap)
+    assert list(found.signals[LINK]) == ["a1", "a2", "a3"]
+    assert "effort of a1 is" in fjr_here(*command, "--map", "record_a_map.yaml", code=2)
+    assert "record_a_map.yaml exists" in fjr_here(*command, "--write-map", code=2)
+
+
+def test_parquet_has_a_header_too_and_other_files_are_refused(tmp_path: Path) -> None:
+    names = ["time_s", "shoulder_motor_rad", "elbow_motor_rad", "shoulder_torque_nm", "elbow_torque_nm"]
+    pq.write_table(pa.table({name: [0.0] for name in names}), tmp_path / "log.parquet")
+    assert read(tmp_path, written_map(tmp_path / "log.parquet", ARM)[0]).columns[0] == "time_s"
+    for content in (b"", b"\xff\xfe\x00", b"alpha,beta\n0,0\n"):
+        (tmp_path / "bad.csv").write_bytes(content)
+        with pytest.raises(RecordError) as found:
+            written_map(tmp_path / "bad.csv", ARM)
+        assert "; expected " in str(found.value)
+        assert "\n" not in str(found.value)
+
+
+def test_missing_pyarrow_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow.csv", None)
+    with pytest.raises(MissingPackageError, match=r"pyarrow is not installed; .*: pip install pyarrow$"):
+        written_map(tmp_path / "log.csv", ARM)

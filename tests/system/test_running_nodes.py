@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import json
+import shlex
 import signal
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from fjr_bringup.clients import PlantClient
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros
 from system.documented import documented_keys
-from system.executables import SLOW, TIME_LIMIT, Executable, Start, fjr_here, running, wait_for
+from system.executables import SLOW, TIME_LIMIT, Start, fjr_here, running, wait_for
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -42,9 +42,6 @@ def loop() -> Iterator[None]:
     """Plant and controller under /left, for all tests of this file."""
     with running(holding(SLOW), "-r", "__ns:=/left"):
         yield
-
-
-# Topics.
 
 
 def test_echo_prints_messages_as_yaml_latched_ones_too(loop: None) -> None:
@@ -82,115 +79,83 @@ def test_record_keeps_the_named_topics_and_overwrites_nothing(loop: None, tmp_pa
     assert "not overwritten" in fjr_here("record", *output, code=1)
 
 
-def test_record_of_all_topics_ends_with_ctrl_c(loop: None, tmp_path: Path) -> None:
+def test_record_of_all_topics_ends_with_ctrl_c(loop: None, start: Start, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
-    command = Executable("fjr_bringup", "fjr", "record", "--output", str(bag))
-    try:
-        limit = Limit(TIME_LIMIT)
-        while not (any(bag.glob("*.mcap")) and read_bag(bag).holds("/left/joint_states")):
-            assert not limit.passed()
-            time.sleep(0.05)
-        command.signal(signal.SIGINT)
-        code, said = command.end()
-    finally:
-        command.kill()
+    command = start("fjr", "record", "--output", str(bag))
+    wait_for(lambda: any(bag.glob("*.mcap")) and read_bag(bag).holds("/left/joint_states"), "a state in the bag")
+    command.signal(signal.SIGINT)
+    code, said = command.end()
     assert code == 0, said
     assert "/left/joint_states (sensor_msgs/msg/JointState)" in said
     assert (bag / "metadata.yaml").is_file()
 
 
-@pytest.mark.parametrize(
-    ("command", "name"), [("echo", "//bad//"), ("echo", "/joint states"), ("echo", "/1st"), ("record", "/")]
-)
-def test_invalid_topic_name_is_refused_in_one_sentence(command: str, name: str) -> None:
-    assert f"'{name}' is not a topic name; expected" in fjr_here(command, name, code=2)
+REPLACED = {
+    "echo /joint_states": "ros2 topic echo /joint_states",
+    "record": "ros2 bag record --storage mcap --all",
+    "record /a /b": "ros2 bag record --storage mcap /a /b",
+    "play bag /a": "ros2 bag play bag --topics /a",
+    "call /a '{data: true}'": "ros2 service call /a TYPE '{data: true}'",
+    "set /a b -0.5": "ros2 param set /a b -0.5",
+    "lifecycle /a": "ros2 lifecycle get /a",
+    "lifecycle /a activate": "ros2 lifecycle set /a activate",
+}
 
 
-@pytest.fixture
-def ros2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Put a program ros2 on the PATH."""
+def test_installed_ros2_is_recommended_instead_without_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "ros2").write_text("#!/bin/sh\nexit 1\n")
     (tmp_path / "ros2").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "better"),
-    [
-        (["echo", "/joint_states"], "ros2 topic echo /joint_states"),
-        (["record"], "ros2 bag record --storage mcap --all"),
-        (["record", "/a", "/b"], "ros2 bag record --storage mcap /a /b"),
-        (["play", "bag", "/a"], "ros2 bag play bag --topics /a"),
-        (["call", "/a", "{data: true}"], "ros2 service call /a TYPE '{data: true}'"),
-        (["set", "/a", "b", "-0.5"], "ros2 param set /a b -0.5"),
-        (["lifecycle", "/a"], "ros2 lifecycle get /a"),
-        (["lifecycle", "/a", "activate"], "ros2 lifecycle set /a activate"),
-    ],
-)
-def test_installed_ros2_is_recommended_instead(ros2: None, arguments: list[str], better: str) -> None:
-    said = fjr_here(*arguments, code=1)
-    assert f"use `{better}`" in said
-    assert "--force" in said
-
-
-def test_force_runs_the_command_despite_ros2(ros2: None) -> None:
+    for line, better in REPLACED.items():
+        said = fjr_here(*shlex.split(line), code=1)
+        assert f"use `{better}`" in said
+        assert "--force" in said
     assert "no message of /nothing" in fjr_here("echo", "/nothing", "--timeout", "0.5", "--force", code=1)
 
 
-# Services.
-
-
-def test_request_is_a_mapping_or_the_only_value(loop: None) -> None:
+def test_request_is_a_mapping_or_the_only_value_and_may_be_refused(loop: None) -> None:
     said = json.loads(fjr_here("call", "left/fjr_plant/pause", "{data: true}", "--json", *WAIT))
     assert said["success"] is True
     assert "paused" in said["message"]
     assert "running" in fjr_here("call", "left/fjr_plant/pause", "false", *WAIT)
-
-
-def test_refused_request_fails_with_the_message_of_the_server(loop: None) -> None:
     said = fjr_here("call", f"{PLANT}/advance", *WAIT, code=1)  # the robot is not paused
     assert f"fjr: {PLANT}/advance refused: " in said
 
 
-@pytest.mark.parametrize(
-    ("parameter", "text", "sent"),
-    [
+def test_parameter_takes_the_value_in_the_declared_type(loop: None, ros: Ros) -> None:
+    asked = Listener(ros, only=[])
+    for parameter, text, sent in (
         ("imperfections.state_loss", "0", 0.0),  # an integer where the node declares a double
         ("imperfections.motor_coulomb_friction", "[0.01]", [0.01]),
         ("advance_samples", "7", 7),
-    ],
-)
-def test_parameter_takes_the_value_in_the_declared_type(
-    loop: None, ros: Ros, parameter: str, text: str, sent: object
-) -> None:
-    said = json.loads(fjr_here("set", PLANT, parameter, text, "--json", *WAIT))
-    assert said == {"node": PLANT, "parameter": parameter, "value": sent}
-    assert set(said) == documented_keys()["set"]
-    (found,) = Listener(ros, only=[]).call(GetParameters, f"{PLANT}/get_parameters", names=[parameter]).values
-    assert sent in (found.double_value, list(found.double_array_value), found.integer_value)
+    ):
+        said = json.loads(fjr_here("set", PLANT, parameter, text, "--json", *WAIT))
+        assert said == {"node": PLANT, "parameter": parameter, "value": sent}
+        assert set(said) == documented_keys()["set"]
+        (found,) = asked.call(GetParameters, f"{PLANT}/get_parameters", names=[parameter]).values
+        assert sent in (found.double_value, list(found.double_array_value), found.integer_value)
 
 
-@pytest.mark.parametrize(
-    ("command", "code", "sentence"),
-    [
-        (("call", f"{PLANT}/pause", "3"), 2, "data is 3; expected boolean"),
-        (("call", f"{PLANT}/pause", "{dat: true}"), 2, "'dat' is not a field of SetBool_Request; expected data (bool"),
-        (
-            ("set", PLANT, "imperfections.state_loss", "1.5"),
-            1,
-            f"{PLANT} refused imperfections.state_loss: ",
-        ),
-        (("set", PLANT, "no_parameter", "1"), 1, f"{PLANT} refused no_parameter: unknown parameter 'no_parameter'"),
-        (("set", PLANT, "imperfections.state_loss", "lots"), 2, "imperfections.state_loss is lots; expected a number"),
-        (
-            ("set", PLANT, "imperfections.motor_coulomb_friction", "0.1"),
-            2,
-            "expected a list of numbers, e.g. [0.5]",
-        ),
-    ],
-)
-def test_a_wrong_value_ends_in_one_sentence(loop: None, command: tuple[str, ...], code: int, sentence: str) -> None:
-    said = fjr_here(*command, *WAIT, code=code)
+WRONG = {
+    f"call {PLANT}/pause 3": (2, "data is 3; expected boolean"),
+    f"call {PLANT}/pause '{{dat: true}}'": (2, "'dat' is not a field of SetBool_Request; expected data (bool"),
+    f"set {PLANT} imperfections.state_loss 1.5": (1, f"{PLANT} refused imperfections.state_loss: "),
+    f"set {PLANT} no_parameter 1": (1, f"{PLANT} refused no_parameter: unknown parameter 'no_parameter'"),
+    f"set {PLANT} imperfections.state_loss lots": (2, "imperfections.state_loss is lots; expected a number"),
+    f"set {PLANT} imperfections.motor_coulomb_friction 0.1": (2, "expected a list of numbers, e.g. [0.5]"),
+    "call /nobody/hold --timeout 0.3": (1, "no node offers the service /nobody/"),
+    "set /nobody a 1 --timeout 0.3": (1, "no node offers the service /nobody/"),
+    "lifecycle /nobody --timeout 0.3": (1, "no node offers the service /nobody/"),
+    "call '/a b/hold'": (2, "'/a b"),
+    "set '/a b' a 1": (2, "'/a b"),
+    "lifecycle '/a b'": (2, "'/a b"),
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_a_wrong_name_or_value_ends_in_one_sentence(loop: None, line: str) -> None:
+    code, sentence = WRONG[line]
+    said = fjr_here(*shlex.split(line), *(() if "--timeout" in line else WAIT), code=code)
     assert sentence in said
     assert len(said.strip().splitlines()) == 1
 
@@ -205,31 +170,21 @@ def test_lifecycle_reads_and_changes_the_state_and_refuses_what_is_not_offered(l
     assert f"{CONTROLLER} is active and has no transition 'configure'; expected deactivate, shutdown" in said
 
 
-def test_a_node_that_is_not_there_or_has_no_valid_name_is_named() -> None:
-    for arguments in (["call", "{}/hold"], ["set", "{}", "a", "1"], ["lifecycle", "{}"]):
-        absent, invalid = ([each.format(name) for each in arguments] for name in ("/nobody", "/a b"))
-        assert "no node offers the service /nobody/" in fjr_here(*absent, "--timeout", "0.3", code=1)
-        assert "'/a b" in fjr_here(*invalid, code=2)
-
-
-@pytest.fixture
-def plant_client(ros: Ros) -> Iterator[PlantClient]:
-    client = PlantClient(ros.context, "fjr_plant")
-    yield client
-    client.close()
-
-
 def test_node_that_stands_still_has_not_discovered_new_subscriptions(
-    plant_client: PlantClient, start: Start, monkeypatch: pytest.MonkeyPatch
+    ros: Ros, start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(clients, "RETRY_AFTER", 0.5)
-    assert not plant_client.discovered_by("nobody")
-    plant = start("plant", "--ros-args", "-p", "start_paused:=true", "-p", "compile:=false")
-    wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant")
-    plant.signal(signal.SIGSTOP)
-    assert not plant_client.discovered_by("fjr_plant")
-    plant.signal(signal.SIGCONT)
-    wait_for(lambda: plant_client.discovered_by("fjr_plant"), "the answer of the plant after its pause")
+    client = PlantClient(ros.context, "fjr_plant")
+    try:
+        assert not client.discovered_by("nobody")
+        plant = start("plant", "--ros-args", "-p", "start_paused:=true", "-p", "compile:=false")
+        wait_for(lambda: client.discovered_by("fjr_plant"), "the answer of the plant")
+        plant.signal(signal.SIGSTOP)
+        assert not client.discovered_by("fjr_plant")
+        plant.signal(signal.SIGCONT)
+        wait_for(lambda: client.discovered_by("fjr_plant"), "the answer of the plant after its pause")
+    finally:
+        client.close()
 
 
 # A motion that is sent; test_real_time.py shows that it is tracked.

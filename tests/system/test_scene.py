@@ -101,45 +101,38 @@ def kinds(found: dict[str, Any], link: str) -> list[str]:
         ('<cylinder radius="1" length="4"/>', [1, 4]),
     ],
 )
-def test_a_primitive_keeps_size_origin_and_colour_and_a_bone_leads_to_the_joint(
-    geometry: str, size: list[float]
-) -> None:
+def test_a_primitive_keeps_size_origin_and_colour_beside_the_skeleton(geometry: str, size: list[float]) -> None:
     found = scene(arm(visual(geometry), '<material name="red"><color rgba="1 0.5 0 1"/></material>'))
     bone, shape = found["links"]["base"]
-    assert (bone["kind"], bone["to"]) == ("capsule", [0, 0, 0.5])
+    assert (bone["kind"], bone["to"]) == ("capsule", [0, 0, 0.5])  # to the joint
     assert shape["size"] == size
     assert (shape["xyz"], shape["rpy"], shape["colour"]) == ([1, 2, 3], [0.1, 0.2, 0.3], "#ff8000")
-    assert kinds(found, "tip") == ["hub"]
-    assert found["notes"] == []
+    bare = scene(arm())
+    assert (kinds(found, "tip"), kinds(bare, "base"), kinds(bare, "tip")) == (["hub"], ["capsule"], ["capsule", "hub"])
+    bone, hub = bare["links"]["tip"]
+    assert bone["to"] == [0, 0, 0.4]  # through the centre of mass
+    assert np.cross(hub["to"], [0, 1, 0]).tolist() == [0, 0, 0]  # along the joint's axis
+    assert found["notes"] == bare["notes"] == []
 
 
-def test_a_urdf_without_visuals_is_a_skeleton() -> None:
-    found = scene(arm())
-    assert kinds(found, "base") == ["capsule"]
-    assert found["links"]["base"][0]["to"] == [0, 0, 0.5]  # to the joint
-    assert kinds(found, "tip") == ["capsule", "hub"]
-    assert found["links"]["tip"][0]["to"] == [0, 0, 0.4]  # through the centre of mass
-    assert np.cross(found["links"]["tip"][1]["to"], [0, 1, 0]).tolist() == [0, 0, 0]  # along the joint's axis
+NOT_DRAWN = {
+    '<mesh filename="package://nowhere/link.stl"/>': "nowhere",
+    '<mesh filename="/nowhere/link.stl"/>': "does not exist",
+    '<mesh filename="{empty}"/>': "has no triangle",
+    '<box size="1 2"/>': "not valid",
+    '<box size="1 2 nan"/>': "not valid",
+    "<torus/>": "not valid",
+    "": "not valid",
+}
 
 
-@pytest.mark.parametrize(
-    ("geometry", "reason"),
-    [
-        ('<mesh filename="package://nowhere/link.stl"/>', "nowhere"),
-        ('<mesh filename="/nowhere/link.stl"/>', "does not exist"),
-        ('<mesh filename="{empty}"/>', "has no triangle"),
-        ('<box size="1 2"/>', "not valid"),
-        ('<box size="1 2 nan"/>', "not valid"),
-        ("<torus/>", "not valid"),
-        ("", "not valid"),
-    ],
-)
-def test_a_link_that_cannot_be_drawn_is_a_skeleton_with_a_sentence(tmp_path: Path, geometry: str, reason: str) -> None:
+@pytest.mark.parametrize("geometry", NOT_DRAWN)
+def test_a_link_that_cannot_be_drawn_is_a_skeleton_with_a_sentence(tmp_path: Path, geometry: str) -> None:
     (tmp_path / "empty.stl").write_text("nothing")
     found = scene(arm(visual(geometry.replace("{empty}", str(tmp_path / "empty.stl")))))
     (note,) = found["notes"]
     assert note.startswith("a visual of link 'base' is not shown: ")
-    assert reason in note
+    assert NOT_DRAWN[geometry] in note
     assert "\n" not in note
     assert kinds(found, "base") == ["capsule"]
 
@@ -150,26 +143,39 @@ def test_what_is_no_urdf_is_refused(text: str) -> None:
         scene(text)
 
 
-def test_a_mesh_is_scaled_packed_and_shared(tmp_path: Path) -> None:
+def corners(mesh: dict[str, Any]) -> NDArray[np.uint16]:
+    """The numbers of the corners of all triangles of a packed mesh."""
+    return np.frombuffer(base64.b64decode(mesh["triangles"]), "<u2")
+
+
+def test_a_mesh_is_scaled_packed_and_shared_and_all_together_stay_small(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     name = ball(tmp_path / "ball.stl", 20)
-    same = visual(f'<mesh filename="file://{name}" scale="2 2 2"/>')
-    found = scene(arm(same + same))
+    found = scene(arm(2 * visual(f'<mesh filename="file://{name}" scale="2 2 2"/>')))
     assert [shape["mesh"] for shape in found["links"]["base"]] == [0, 0]
     (mesh,) = found["meshes"]
     steps = np.frombuffer(base64.b64decode(mesh["vertices"]), "<u2").reshape(-1, 3)
-    radii = np.linalg.norm(mesh["low"] + steps * mesh["step"], axis=1)
-    assert radii == pytest.approx(2.0, abs=1e-4)
-    corners = np.frombuffer(base64.b64decode(mesh["triangles"]), "<u2")
-    assert corners.max() < len(steps)
+    assert np.linalg.norm(mesh["low"] + steps * mesh["step"], axis=1) == pytest.approx(2.0, abs=1e-4)
+    assert corners(mesh).max() < len(steps)
+    monkeypatch.setattr(urdf_scene, "TRIANGLES", 1000)
+    paths = [ball(tmp_path / f"{i}.stl", 30) for i in range(3)]
+    found = scene(arm("".join(visual(f'<mesh filename="{path}"/>') for path in paths)))
+    assert sum(len(corners(each)) / 3 for each in found["meshes"]) <= 1000
 
 
-def test_a_large_mesh_is_reduced_and_keeps_its_size(tmp_path: Path) -> None:
+def test_a_large_mesh_is_reduced_and_keeps_its_size_and_equal_vertices_are_joined(tmp_path: Path) -> None:
     mesh = read_mesh(ball(tmp_path / "ball.stl", 60), (1.0, 1.0, 1.0))
     assert len(mesh.triangles) > 10_000
     reduced = decimated(mesh, 2000)
     assert 500 < len(reduced.triangles) <= 2000
     assert np.linalg.norm(reduced.vertices, axis=1) == pytest.approx(1.0, abs=0.05)
     assert np.ptp(reduced.vertices, axis=0) == pytest.approx(2.0, abs=0.05)
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    joined = decimated(Mesh(square, np.arange(6).reshape(2, 3)), 10)
+    assert len(joined.vertices) == 4
+    shape = joined.vertices[joined.triangles]
+    assert np.linalg.norm(np.cross(shape[:, 1] - shape[:, 0], shape[:, 2] - shape[:, 0]), axis=1) == pytest.approx(1.0)
 
 
 def test_an_obj_keeps_the_triangles_of_every_material_and_group(tmp_path: Path) -> None:
@@ -187,48 +193,32 @@ def test_a_collada_file_keeps_every_primitive_in_every_node(tmp_path: Path) -> N
     assert faces(read_mesh(tmp_path / "two.dae", (1.0, 1.0, 1.0))) == expected
 
 
-@pytest.mark.parametrize("text", ["", "<COLLADA>", "<COLLADA/>", COLLADA.replace("#scene", "#none"), "<a>\xff</a>"])
-def test_a_collada_file_without_a_scene_is_refused_in_a_sentence(tmp_path: Path, text: str) -> None:
+def with_nodes_that_multiply() -> str:
+    """Return a file whose nodes hold 2^40 instances."""
+    twice = "".join(f'<node id="n{i}">' + 2 * f'<instance_node url="#n{i + 1}"/>' + "</node>" for i in range(40))
+    text = COLLADA.replace("<library_visual_scenes>", f"<library_nodes>{twice}</library_nodes><library_visual_scenes>")
+    first = text.index("<node", text.index("<visual_scene"))
+    return text[:first] + '<node><instance_node url="#n0"/></node>' + text[first:]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "<COLLADA>", "<COLLADA/>", COLLADA.replace("#scene", "#none"), "<a>\xff</a>", with_nodes_that_multiply()],
+    ids=["empty", "not closed", "nothing", "no scene", "no UTF-8", "endless"],
+)
+def test_a_collada_file_without_a_scene_that_can_be_drawn_is_refused_in_a_sentence(tmp_path: Path, text: str) -> None:
     (tmp_path / "bad.dae").write_text(text, encoding="latin-1")
     with pytest.raises(MeshError, match=r"bad.dae cannot be read as a mesh$"):
         read_mesh(tmp_path / "bad.dae", (1.0, 1.0, 1.0))
 
 
-def test_a_collada_file_whose_nodes_multiply_is_refused(tmp_path: Path) -> None:
-    twice = "".join(f'<node id="n{i}">' + 2 * f'<instance_node url="#n{i + 1}"/>' + "</node>" for i in range(40))
-    text = COLLADA.replace("<library_visual_scenes>", f"<library_nodes>{twice}</library_nodes><library_visual_scenes>")
-    first = text.index("<node", text.index("<visual_scene"))
-    (tmp_path / "many.dae").write_text(text[:first] + '<node><instance_node url="#n0"/></node>' + text[first:])
-    with pytest.raises(MeshError, match=r"many.dae cannot be read as a mesh$"):
-        read_mesh(tmp_path / "many.dae", (1.0, 1.0, 1.0))
-
-
 @pytest.mark.parametrize("rgba", ["1 0 0", "red", ""])
-def test_an_invalid_colour_and_a_far_joint_do_not_keep_the_arm_from_being_drawn(rgba: str) -> None:
+def test_what_does_not_matter_does_not_keep_the_arm_from_being_drawn(rgba: str) -> None:
+    """An invalid colour, a far joint, an undeclared prefix and a bad inertia of a link at rest."""
     material = f'<material name="red"><color rgba="{rgba}"/></material>'
-    found = scene(arm(visual('<box size="1 1 1"/>'), material).replace("0 0 0.5", "0 0 5e8"))
+    bad = '<inertial><origin xyz="a b c"/><mass value="-1"/></inertial>'
+    text = arm(visual('<box size="1 1 1"/>') + bad, material).replace("0 0 0.5", "0 0 5e8")
+    found = scene(text.replace("</robot>", "<gazebo><sim:plugin/></gazebo></robot>"))
     (box,) = (each for each in found["links"]["base"] if each["kind"] == "box")
     assert box["colour"] is None
-    assert found["joints"][0]["xyz"] == (0, 0, 5e8)
-
-
-def test_all_meshes_together_stay_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(urdf_scene, "TRIANGLES", 1000)
-    paths = [ball(tmp_path / f"{i}.stl", 30) for i in range(3)]
-    found = scene(arm("".join(visual(f'<mesh filename="{path}"/>') for path in paths)))
-    assert sum(len(base64.b64decode(each["triangles"])) / 6 for each in found["meshes"]) <= 1000
-
-
-def test_joining_equal_vertices_changes_no_triangle() -> None:
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    joined = decimated(Mesh(corners, np.arange(6).reshape(2, 3)), 10)
-    assert len(joined.vertices) == 4
-    shape = joined.vertices[joined.triangles]
-    assert np.linalg.norm(np.cross(shape[:, 1] - shape[:, 0], shape[:, 2] - shape[:, 0]), axis=1) == pytest.approx(1.0)
-
-
-def test_an_undeclared_prefix_and_a_bad_inertia_of_a_link_at_rest_do_not_matter() -> None:
-    bad = '<inertial><origin xyz="a b c"/><mass value="-1"/></inertial>'
-    text = arm().replace('<link name="base"></link>', f'<link name="base">{bad}</link>')
-    text = text.replace("</robot>", "<gazebo><sim:plugin/></gazebo></robot>")
-    assert [each["name"] for each in scene(text)["joints"]] == ["turn"]
+    assert [(each["name"], each["xyz"]) for each in found["joints"]] == [("turn", (0, 0, 5e8))]

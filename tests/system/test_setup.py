@@ -21,33 +21,32 @@ from envsetup.workspace import Workspace
 from time_limits import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
-RUN_SETUP = "import runpy; sys.path.insert(0, {tools!r}); sys.argv[1:] = {arguments!r}; "
-RUN_SETUP += "runpy.run_path({script!r}, run_name='__main__')"
+TOOLS = ROOT / "tools"
 
 
 def run_setup(target: str, pretend: str, path: Path, **environ: str) -> subprocess.CompletedProcess[str]:
     """Run the tool as a separate process that first executes `pretend`, e.g. another platform.machine."""
-    tools = ROOT / "tools"
-    script = RUN_SETUP.format(tools=str(tools), arguments=[target], script=str(tools / "setup_env.py"))
-    code = f"import platform, sys; {pretend}; {script}"
+    code = f"import platform, runpy, sys; {pretend}; sys.path.insert(0, {str(TOOLS)!r}); sys.argv[1:] = [{target!r}]; "
+    code += f"runpy.run_path({str(TOOLS / 'setup_env.py')!r}, run_name='__main__')"
     # The guard keeps the start-up hook of the ROS wheels from starting Python twice.
     env = {"PATH": str(path), "HOME": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", **environ}
-    return subprocess.run(
-        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=HANG, check=False
-    )
+    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=HANG)
+
+
+def program(path: Path, text: str) -> None:
+    """Write a shell script that can be started."""
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
 
 
 INSTALL = ("install ROS 2 Jazzy", "source /opt/ros/jazzy/setup.sh")
+OLD = "sys.version_info = (3, 9, 18)"
 REFUSED = {
     "aarch64": ("platform.machine = lambda: 'aarch64'", "", ("Linux on aarch64", *INSTALL)),
     "old glibc": ("platform.libc_ver = lambda: ('glibc', '2.17')", "", ("glibc 2.17", *INSTALL)),
     "another ROS": ("pass", "humble", ("ROS_DISTRO=humble", "Jazzy is needed")),
     "no rclpy": ("pass", "jazzy", ("no Python here imports rclpy",)),
-    "old Python": (
-        "sys.version_info = (3, 9, 18)",
-        "",
-        ("Python 3.10 to 3.13 is needed", "this is Python 3.9", "make PYTHON="),
-    ),
+    "old Python": (OLD, "", ("Python 3.10 to 3.13 is needed", "this is Python 3.9", "make PYTHON=")),
 }
 
 
@@ -64,12 +63,9 @@ def test_a_machine_that_does_not_fit_is_refused_in_one_sentence(
 
 
 def test_too_old_python_hands_over_to_a_suitable_one(tmp_path: Path) -> None:
-    broken, suited = tmp_path / "python3.13", tmp_path / "python3.11"
-    broken.write_text("#!/bin/sh\nexit 127\n")
-    suited.write_text('#!/bin/sh\n[ "$1" = -c ] && echo 3.11 || echo "entered with $2"\n')
-    for each in (broken, suited):
-        each.chmod(0o755)
-    run = run_setup("lint", "sys.version_info = (3, 9, 18)", tmp_path)
+    program(tmp_path / "python3.13", "exit 127")
+    program(tmp_path / "python3.11", '[ "$1" = -c ] && echo 3.11 || echo "entered with $2"')
+    run = run_setup("lint", OLD, tmp_path)
     assert (run.returncode, run.stdout) == (0, "entered with lint\n")
 
 
@@ -87,25 +83,18 @@ def test_a_sourced_jazzy_is_used_on_any_machine_and_wheels_only_where_they_exist
     assert not has_wheels()
 
 
-def test_every_direct_requirement_is_pinned_once() -> None:
+def test_every_direct_requirement_is_pinned_once_and_only_tests_and_benchmarks_require_pinocchio() -> None:
     text = (ROOT / "constraints.txt").read_text()
     pinned = pins.pins(text)
     assert len(pins.entries(text)) == len(pinned)
     for file in (ROOT / "requirements").glob("*.txt"):
         for entry in pins.entries(file.read_text()):
             assert pins.requirement_name(entry) in pinned, f"{entry} of {file.name}"
-
-
-def test_every_runtime_dependency_is_required_by_name() -> None:
-    found = required("run")
-    assert {"numpy", "scipy", "casadi", "ros-jazzy-rclpy", "mcap", "rosbags"} <= found
-    assert "matplotlib" not in found
-
-
-@pytest.mark.parametrize("level", pins.LEVELS)
-def test_only_tests_and_benchmarks_require_pinocchio(level: str) -> None:
-    assert ("pin" in required(level)) == (level in ("test", "bench"))
-    assert "pin" not in required(level, wheels=False)  # its wheels need NumPy 2
+    assert {"numpy", "scipy", "casadi", "ros-jazzy-rclpy", "mcap", "rosbags"} <= required("run")
+    assert "matplotlib" not in required("run")
+    for level in pins.LEVELS:
+        assert ("pin" in required(level)) == (level in ("test", "bench"))
+        assert "pin" not in required(level, wheels=False)  # its wheels need NumPy 2
 
 
 def required(level: str, wheels: bool = True) -> set[str]:
@@ -134,7 +123,7 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_changed_pin_changes_the_fingerprint_of_the_environment(checkout: Path) -> None:
+def test_a_changed_pin_changes_the_environment_and_what_colcon_reads_the_build(checkout: Path) -> None:
     environment = Environment(checkout, sourced_ros=False)
     before = environment.wanted("run")
     assert environment.wanted("run") == before
@@ -142,19 +131,15 @@ def test_a_changed_pin_changes_the_fingerprint_of_the_environment(checkout: Path
     constraints = checkout / "constraints.txt"
     constraints.write_text(constraints.read_text().replace("casadi==", "casadi==0."))
     assert environment.wanted("run") != before
-
-
-def test_only_what_colcon_reads_changes_the_fingerprint_of_the_build(checkout: Path) -> None:
-    workspace = Workspace(Environment(checkout, sourced_ros=False))
-    package = checkout / "ros2_ws" / "src" / "pack"
-    before = workspace.content()
+    workspace, package = Workspace(environment), checkout / "ros2_ws" / "src" / "pack"
+    built = workspace.content()
     (package / "module.py").write_text("# two\n")
     (package / "__pycache__").mkdir()
     (package / "__pycache__" / "module.pyc").write_text("")
-    assert workspace.content() == before
+    assert workspace.content() == built
     (package / "setup.py").write_text("# two\n")
     changed = workspace.content()
-    assert changed != before
+    assert changed != built
     (package / "added.yaml").write_text("")
     assert workspace.content() != changed
 
@@ -184,38 +169,37 @@ def test_interrupted_installation_is_repeated_and_a_complete_one_kept(
     assert done == ["create", "run", "create", "run", "test"]
 
 
-class Apt:
-    """A machine of a given user, with or without apt-get, whose installation succeeds or fails."""
+TOOL = extras.Extra("a tool", ("one", "two"), "all is slow", [["test", "-e", "there"]])
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, folder: Path, user: int, apt: bool = True, fails: bool = False
-    ) -> None:
-        self.installed: list[str] = []
-        self.folder, self.fails = folder, fails
-        monkeypatch.setattr(extras, "has_apt", lambda: apt)
-        monkeypatch.setattr(extras, "apt_install", self.install)
-        monkeypatch.setattr(os, "geteuid", lambda: user)
 
-    def install(self, packages: tuple[str, ...], log: Path, env: dict[str, str]) -> None:
-        if self.fails:
+def machine(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, user: int, apt: bool = True, fails: bool = False
+) -> list[str]:
+    """Pretend to be a user, with or without apt-get, whose installation succeeds or fails; return what it installs."""
+    installed: list[str] = []
+
+    def install(packages: tuple[str, ...], log: Path, env: dict[str, str]) -> None:
+        if fails:
             raise SetupError("apt-get update failed")
-        self.installed += packages
-        (self.folder / "there").write_text("")
+        installed.extend(packages)
+        Path("there").write_text("")
 
-    def ensure(self) -> None:
-        extra = extras.Extra("a tool", ("one", "two"), "all is slow", [["cat", str(self.folder / "there")]])
-        extra.ensure(self.folder / "log", dict(os.environ))
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(extras, "has_apt", lambda: apt)
+    monkeypatch.setattr(extras, "apt_install", install)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    return installed
 
 
 def test_missing_system_packages_are_installed_by_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    machine = Apt(monkeypatch, tmp_path, user=0)
-    machine.ensure()
-    machine.ensure()
-    assert machine.installed == ["one", "two"]
+    installed = machine(monkeypatch, tmp_path, user=0)
+    for _ in range(2):
+        TOOL.ensure(tmp_path / "log", dict(os.environ))
+    assert installed == ["one", "two"]
 
 
 @pytest.mark.parametrize(
-    ("machine", "expected"),
+    ("given", "expected"),
     [
         ({"user": 1000}, "ask an administrator for `apt-get install one two`"),
         ({"user": 1000, "apt": False}, "install it if you can"),
@@ -223,13 +207,14 @@ def test_missing_system_packages_are_installed_by_root(monkeypatch: pytest.Monke
     ],
 )
 def test_unavailable_system_packages_are_reported_and_the_set_up_continues(
-    machine: dict[str, int],
+    given: dict[str, int],
     expected: str,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    Apt(monkeypatch, tmp_path, **machine).ensure()
+    machine(monkeypatch, tmp_path, **given)
+    TOOL.ensure(tmp_path / "log", dict(os.environ))
     last = capsys.readouterr().out.splitlines()[-1]
     assert "a tool is missing: all is slow; " in last
     assert expected in last
@@ -239,9 +224,7 @@ def test_unavailable_system_packages_are_reported_and_the_set_up_continues(
     ("name", "wanted", "code", "counts"), [("gcc", "", 0, True), ("mycc", "mycc -m64", 0, True), ("gcc", "", 1, False)]
 )
 def test_compiler_is_accepted_if_it_compiles(name: str, wanted: str, code: int, counts: bool, tmp_path: Path) -> None:
-    script = tmp_path / name
-    script.write_text(f"#!/bin/sh\nexit {code}\n")
-    script.chmod(0o755)
+    program(tmp_path / name, f"exit {code}")
     env = {"PATH": str(tmp_path), "CC": wanted}
     assert extras.compiler(env).is_there(env) == counts
 

@@ -73,33 +73,21 @@ def test_fjr_core_requires_what_it_imports(wheels: dict[str, Path]) -> None:
     }
 
 
-def test_fjr_holds_the_files_of_all_packages(wheels: dict[str, Path]) -> None:
+def test_fjr_holds_the_files_of_all_packages_and_requires_what_they_do(wheels: dict[str, Path]) -> None:
     assert set(wheels) == {"fjr", *PACKAGES}
-    single = set().union(*(contents(wheels[name]) for name in PACKAGES))
-    assert contents(wheels["fjr"]) == single - {"prefix/bin/fjr"}  # pip writes the command
-
-
-def test_fjr_requires_the_pinned_ros(wheels: dict[str, Path]) -> None:
-    always, _ = requirements(wheels["fjr"])
-    pinned = pins.pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
-    ros = [each for each in always if each.startswith("ros-")]
-    assert len(ros) == 2
-    assert all(each.endswith(f"=={pinned[pins.requirement_name(each)]}") for each in ros)
-
-
-def test_fjr_brings_uplot_without_the_requirements_of_its_wheel(wheels: dict[str, Path]) -> None:
-    assert {f"fjr_monitor/{TEMPLATES}/{name}" for name in (SCRIPT, STYLE)} <= contents(wheels["fjr"])
-    always, _ = requirements(wheels["fjr"])
-    required = set(map(pins.requirement_name, always))
-    assert required.isdisjoint({"uplot-python", "ipython"})
-    assert "jupyter-threejs-sage" in required
-
-
-@pytest.mark.parametrize(("name", "distribution"), [("compiler", "ziglang"), ("tables", "pyarrow")])
-def test_fjr_brings_what_is_large_only_with_its_extra(wheels: dict[str, Path], name: str, distribution: str) -> None:
+    held = contents(wheels["fjr"])
+    assert held == set().union(*(contents(wheels[name]) for name in PACKAGES)) - {"prefix/bin/fjr"}  # pip writes it
+    assert {f"fjr_monitor/{TEMPLATES}/{name}" for name in (SCRIPT, STYLE)} <= held  # of uPlot, without its wheel
     always, extra = requirements(wheels["fjr"])
-    assert distribution not in map(pins.requirement_name, always)
-    assert [pins.requirement_name(each) for each in extra if f'"{name}"' in each] == [distribution]
+    required = {pins.requirement_name(each): each for each in always}
+    pinned = pins.pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
+    ros = [name for name in required if name.startswith("ros-")]
+    assert len(ros) == 2
+    assert all(required[name].endswith(f"=={pinned[name]}") for name in ros)
+    assert required.keys().isdisjoint({"uplot-python", "ipython", "ziglang", "pyarrow"})
+    assert "jupyter-threejs-sage" in required
+    for name, distribution in (("compiler", "ziglang"), ("tables", "pyarrow")):  # large: only with an extra
+        assert [pins.requirement_name(each) for each in extra if f'"{name}"' in each] == [distribution]
 
 
 @pytest.fixture(scope="module")

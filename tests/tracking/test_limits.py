@@ -16,6 +16,7 @@ from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event, State
 from fjr_core.runtime.safety_settings import Settings
+from fuzzing import refused
 from tracking.tracked import LAW, LIMITED, MS, TWO, Passed, paper_law, sample, settings, two_link_law
 
 INF = float("inf")
@@ -84,16 +85,11 @@ def test_the_effort_rises_from_zero_at_its_rate_and_a_repeated_or_older_stamp_ch
     np.testing.assert_allclose(sent, [[u, 10.0] for u in (0.0, 1.0, 1.0, 3.0, 3.0, 4.0, 10.0)], rtol=1e-12)
 
 
-def test_a_constant_effort_is_not_limited_in_rate() -> None:
-    tracker = passing(effort_rate=1.0)
+def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most_and_a_constant_effort_has_none() -> None:
+    tracker = passing(effort_rate=10.0, state_timeout=0.1, recovery_join_time=0.0)
     for stamp in (0, 0, MS):
         send(tracker, [0.0], stamp)
     assert "efforts rate limited" not in tracker.counters
-
-
-def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most() -> None:
-    tracker = passing(effort_rate=10.0, state_timeout=0.1, recovery_join_time=0.0)
-    send(tracker, [0.0], 0)
     np.testing.assert_allclose(send(tracker, [1e3], 10**18), 1.0)
 
 
@@ -183,28 +179,19 @@ def test_the_tighter_of_own_and_robot_limits_applies() -> None:
     assert built(robot=limited_robot(), **own).effort == 30.0
 
 
-def test_limits_from_a_robot_without_limits_are_refused() -> None:
-    with pytest.raises(fjr.ParameterError, match=r"limits.from_robot' is true; expected false"):
-        built(**{"limits.from_robot": True})
+REFUSED: dict[str, dict[str, Any]] = {
+    "limits.from_robot' is true; expected false": {"limits.from_robot": True},
+    "'limits.effort' has 2 entries; expected 1": {"limits.effort": (1.0, 2.0)},
+    "expected at least 0.0 N m": {"limits.effort": (-1.0,)},
+    "expected a finite number": {"limits.deflection": (float("nan"),)},
+    "of joint1 is 0 rad; expected": {"limits.link_position_lower": (1.0,), "limits.link_position_upper": (0.0,)},
+    "expected one of zero, gravity_hold": {"on_stop": "brake"},
+    "expected 0.001 to": {"state_timeout": 0.0},
+    "expected 0 for none, or at least 0.001 s": {"recovery.join_time": 1e-5},
+}
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"limits.effort": (1.0, 2.0)}, "'limits.effort' has 2 entries; expected 1"),
-        ({"limits.effort": (-1.0,)}, "expected at least 0.0 N m"),
-        ({"limits.deflection": (float("nan"),)}, "expected a finite number"),
-        ({"limits.link_position_lower": (1.0,), "limits.link_position_upper": (0.0,)}, "of joint1 is 0 rad; expected"),
-        ({"on_stop": "brake"}, "expected one of zero, gravity_hold"),
-        ({"state_timeout": 0.0}, "expected 0.001 to"),
-        ({"recovery.join_time": 1e-5}, "expected 0 for none, or at least 0.001 s"),
-    ],
-)
-def test_invalid_values_are_refused_with_a_sentence(given: dict[str, object], sentence: str) -> None:
-    with pytest.raises(fjr.ParameterError, match=sentence):
-        built(**given)
-
-
-def test_settings_refuse_nan() -> None:
-    with pytest.raises(fjr.ParameterError, match="limits.deflection"):
-        settings(deflection=float("nan"))
+def test_invalid_values_are_refused_with_a_sentence() -> None:
+    for sentence, given in REFUSED.items():
+        refused(fjr.ParameterError, lambda given=given: built(**given), sentence)
+    refused(fjr.ParameterError, lambda: settings(deflection=float("nan")), "limits.deflection")

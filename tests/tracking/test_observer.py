@@ -53,6 +53,15 @@ class Recorder(PythonFunction):
         return [np.concatenate([y, self.velocity])]
 
 
+def settled(**given: Any) -> tuple[ControlStep, Recorder]:
+    """Return a tracker whose observer has settled at rest beside its reference, and the observer."""
+    recorder = Recorder()
+    tracker = ControlStep(LAW, Hold([0.5]), settings(**given), recorder)
+    for k in range(OBSERVED + 1):
+        tracker.command(bare_sample(k * MS), k * MS)
+    return tracker, recorder
+
+
 def is_reset(tracker: ControlStep) -> bool:
     """Return whether the last sample was the first of the observer."""
     return tracker.controller.measured.k == 0
@@ -121,9 +130,7 @@ def test_a_repeated_state_does_not_update_the_observer() -> None:
 
 @pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper", "deflection"])
 def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> None:
-    tracker = ControlStep(LAW, SINE, settings(**{name: 0.6}), Recorder())
-    for k in range(OBSERVED + 1):
-        tracker.command(bare_sample(k * MS), k * MS)
+    tracker, _ = settled(**{name: 0.6})
     for k, q in enumerate((0.5, 0.7)):  # after a silence
         bare = bare_sample(SECOND + k * MS, q)
         bare.q_m = bare.q_m * (-1 if name == "deflection" else 1)
@@ -133,10 +140,7 @@ def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> N
 
 def test_limits_of_velocities_and_tracking_error_are_not_checked_while_velocities_settle() -> None:
     """After a silence the reference starts at the present position of the arm."""
-    recorder = Recorder()
-    tracker = ControlStep(LAW, Hold([0.5]), settings(link_velocity=1.0, tracking_error=0.1), recorder)
-    for k in range(OBSERVED + 1):
-        tracker.command(bare_sample(k * MS), k * MS)
+    tracker, recorder = settled(link_velocity=1.0, tracking_error=0.1)
     recorder.velocity[0] = 2.0  # possible difference quotient of encoder steps
     for k in range(OBSERVED + 1):
         recorder.velocity[0] *= k < OBSERVED - 1

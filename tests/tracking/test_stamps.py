@@ -143,17 +143,12 @@ def test_a_robot_whose_clock_stood_still_is_answered_after_a_moment() -> None:
     assert "recoveries" not in tracker.counters
 
 
-def test_slow_samples_of_a_slow_clock_are_all_answered() -> None:
+@pytest.mark.parametrize(("simulated", "pause"), [(False, PAUSE - 1), (True, SECOND)])
+def test_slow_samples_of_a_slow_clock_and_all_in_simulated_time_are_answered(simulated: bool, pause: int) -> None:
     """Without a pause before them nothing waits, however much slower than the arrivals the stamps are."""
-    tracker = ControlStep(LAW, SINE, settings())
+    tracker = ControlStep(LAW, SINE, settings(), simulated=simulated)
     for k in range(200):
-        assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * (PAUSE - 1)) is not None
-
-
-def test_in_simulated_time_every_sample_is_answered() -> None:
-    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
-    for k in range(100):
-        assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * SECOND) is not None
+        assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * pause) is not None
 
 
 @pytest.mark.parametrize("period", [MS, 50 * MS])

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts and recoveries: nothing steps."""
+"""Starts, stops at limits and recoveries: nothing steps."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +13,11 @@ from fjr_core.motions.point_to_point import Hold, standing
 from fjr_core.motions.spline import Spline
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import State
+from fjr_core.runtime.safety_settings import Settings
 from tracking.tracked import (
     ARMS,
     LAW,
+    LIMITED,
     MS,
     PERIOD,
     SECOND,
@@ -94,19 +99,8 @@ def test_a_start_too_far_from_the_reference_is_refused() -> None:
             np.testing.assert_allclose(command.u, LAW.robot.grad_P_l([q]), rtol=1e-12)
             assert "joint1 is 0.5 rad; expected at most 0.5 rad" in tracker.reason
             assert kinds(tracker) == ["starts refused"]
-
-
-def test_a_refused_start_is_resumed_by_a_transition() -> None:
-    loop = Loop(LAW, SINE, settings(start_error=0.1, on_stop="gravity_hold"), LAW.robot.state(0.5, 0.51, 0.0, 0.0))
-    loop.run(0.5)
-    assert loop.tracker.state is State.STOPPED
-    loop.tracker.resume()
-    before = len(loop.efforts)
-    loop.step()
-    loop.run_through_transition()
-    assert loop.tracker.state is State.TRACKING
-    assert loop.error < 1e-3
-    assert largest_step(loop.efforts[before - 1 :]) < 0.2
+            tracker.resume()
+            assert tracker.command(sample(MS, q, 0.5), MS).state is State.JOINING
 
 
 def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
@@ -121,43 +115,51 @@ def test_a_refused_start_without_a_joining_time_is_checked_again() -> None:
     np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
 
 
-def test_a_start_begins_with_a_transition_from_the_first_state() -> None:
-    given = settings(start_error=0.1, start_join_time=0.5, tracking_error=0.1, deflection=0.5)
-    x0 = LAW.robot.state(1.0, 1.0 + 0.8 * np.sin(1.0) / 31, 0.0, 0.0)
-    loop = Loop(LAW, SINE, given, x0)
-    first = loop.step()
-    np.testing.assert_allclose(first.jets[:2, 0], [1.0, 0.0], atol=1e-9)
-    loop.run_through_transition()
-    assert loop.tracker.state is State.TRACKING
-    np.testing.assert_allclose(loop.commands[-1].jets, SINE.jets((loop.now - PERIOD - SECOND) * 1e-9), rtol=1e-9)
-    assert loop.error < 1e-4
+def stopped(loop: Loop, given: Settings) -> dict[str, int]:
+    """Stop at a limit that is lifted again, and ask to resume; return the counters."""
+    loop.tracker.apply(replace(given, link_velocity=1e-3))
+    loop.run(0.3)
+    loop.tracker.apply(given)
+    loop.run(0.1)
+    assert loop.tracker.state is State.STOPPED
+    loop.tracker.resume()
+    return {"stops": 1, "stops: link velocity": 1, "settings changed": 2, "resumes": 1, "recoveries": 1}
 
 
-@pytest.mark.parametrize(("policy", "quiet"), [("zero", 0.06), ("gravity_hold", 0.4)])
-@pytest.mark.parametrize("arm", ARMS)
-def test_tracking_recovers_from_a_silence_without_a_step(arm: str, policy: str, quiet: float) -> None:
-    law, reference, x0, step = ARMS[arm]
-    loop = Loop(law, reference, settings(law.robot.n, state_timeout=0.05, on_stop=policy), x0)
-    loop.run(1.0)
+def silenced(loop: Loop, given: Settings) -> dict[str, int]:
+    """Send no samples for longer than the timeout, under the effort of a stop; return the counters."""
+    robot, hold = loop.robot, given.on_stop == "gravity_hold"
+    weight = np.linalg.solve(robot.B_m, robot.grad_P_l(loop.states[-1][: robot.n]))
     assert loop.tracker.silence(loop.now + 48 * MS) is None
     loop.run(0.05, answered=False)
-    stop = loop.tracker.silence(loop.now)
-    weight = np.linalg.solve(law.robot.B_m, law.robot.grad_P_l(loop.states[999][: law.robot.n]))
-    np.testing.assert_allclose(stop, weight if policy == "gravity_hold" else 0.0, rtol=1e-12)
+    loop.u = loop.tracker.silence(loop.now).copy()
+    np.testing.assert_allclose(loop.u, weight if hold else 0.0, rtol=1e-12)
     assert loop.tracker.silence(loop.now + SECOND) is None
-    loop.u = stop.copy()
-    loop.run(quiet - 0.05, answered=False)
+    loop.run(0.35 if hold else 0.01, answered=False)
+    return {"silences": 1, "recoveries": 1}
+
+
+@pytest.mark.parametrize("interrupted", [stopped, silenced])
+@pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
+@pytest.mark.parametrize("arm", ARMS)
+def test_after_an_interruption_the_arm_returns_to_its_motion_without_a_step(
+    arm: str, policy: str, interrupted: Callable[[Loop, Settings], dict[str, int]]
+) -> None:
+    law, reference, x0, step = ARMS[arm]
+    given = settings(law.robot.n, state_timeout=0.05, on_stop=policy)
+    loop = Loop(law, reference, given, x0)
+    loop.run(1.0)
+    counters, before = interrupted(loop, given), len(loop.efforts)
     first = loop.step()
     assert first.state is State.JOINING
-    np.testing.assert_allclose(first.u, stop, atol=1e-12)
-    before = len(loop.efforts) - 1
+    np.testing.assert_allclose(first.u, loop.efforts[before - 1], atol=step / 10)
     loop.run_through_transition()
     assert largest_step(loop.efforts[before - 1 :]) < step
-    t = (loop.now - PERIOD - SECOND) * 1e-9
-    np.testing.assert_allclose(loop.commands[-1].jets, reference.jets(t), rtol=1e-12)
+    jets = reference.jets((loop.now - PERIOD - SECOND) * 1e-9)
+    np.testing.assert_allclose(loop.commands[-1].jets, jets, rtol=1e-12)
     assert loop.tracker.state is State.TRACKING
     assert loop.error < 2e-3
-    assert loop.tracker.counters == {"silences": 1, "recoveries": 1}
+    assert loop.tracker.counters == counters
 
 
 def test_a_second_silence_is_detected() -> None:
@@ -205,3 +207,128 @@ def test_tracking_continues_at_once_without_a_join_time() -> None:
     np.testing.assert_array_equal(command.jets, SINE.jets(1.0))
     assert command.state is State.TRACKING
     assert [*tracker.events][-1].sentence == "recovery: tracking continues at once"
+
+
+@pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
+def test_a_stop_stays_under_its_policy_and_resumes_with_the_last_effort(policy: str) -> None:
+    tracker = ControlStep(LAW, Hold([0.0]), settings(link_velocity=0.3, on_stop=policy))
+    tracker.command(sample(MS, 0.0, 0.0, 0.3), MS)
+    assert tracker.state is State.TRACKING
+    for _ in range(2):
+        tracker.command(sample(2 * MS, 0.0, 0.0, 0.4), 2 * MS)
+        assert tracker.state is State.STOPPED
+    assert tracker.counters == {"states repeated": 1, "stops": 1, "stops: link velocity": 1}
+    for k in range(3, 6):
+        command = tracker.command(sample(k * MS, 0.2, 0.2, 0.1, 0.1), k * MS)
+        expected = 0.8 * np.sin(0.2) - 0.3 * 0.1 if policy == "gravity_hold" else 0.0
+        np.testing.assert_allclose(command.u, expected, rtol=1e-12)
+        assert np.isnan(command.V)
+    assert tracker.bound_start is None
+    assert tracker.seconds["stopped"] == pytest.approx(4e-3, rel=1e-9)
+    tracker.resume()
+    resumed = tracker.command(sample(6 * MS, 0.2, 0.2, 0.1, 0.1), 6 * MS)
+    assert resumed.state is State.JOINING
+    np.testing.assert_allclose(resumed.u, command.u, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), 1e153])
+@pytest.mark.parametrize("requested", ["resume", "hold", "follow"])
+def test_a_request_waits_for_a_state_with_a_finite_effort(requested: str, bad: float) -> None:
+    trackers = [tracker_at(0, 100 * MS) for _ in range(2)]
+    tracker, twin = trackers
+    for t in trackers:
+        if requested == "resume":
+            t.apply(settings(link_velocity=0.1))
+            t.command(sample(101 * MS, 0.5, 0.5, 0.2), 101 * MS)
+            t.apply(settings())
+        if requested == "follow":
+            t.follow(Hold([0.2]))
+        else:
+            getattr(t, requested)()
+        t.events.clear()
+    before, counters = (tracker.state, tracker.reason), dict(tracker.counters)
+    wild = tracker.command(sample(102 * MS, bad, 0.5), 102 * MS)
+    assert not wild.u.any()
+    assert (tracker.state, tracker.reason) == before
+    assert tracker.counters == {**counters, "efforts not finite": 1}
+    assert kinds(tracker) == ["efforts not finite"]
+    for k in (103, 300):
+        commands = [t.command(sample(k * MS, 0.5, 0.5), k * MS) for t in trackers]
+        np.testing.assert_array_equal(commands[0].jets, commands[1].jets)
+        assert not tracker.reason
+
+
+def test_a_recovery_waits_for_a_state_with_a_finite_effort() -> None:
+    tracker = tracker_at(0)
+    tracker.command(sample(SECOND, 1e153, 0.5), SECOND)
+    assert tracker.state is State.TRACKING
+    command = tracker.command(sample(SECOND + MS, 0.5, 0.5), SECOND + MS)
+    np.testing.assert_allclose(command.jets[:2, 0], [0.5, 0.0], atol=1e-12)
+    assert tracker.counters == {"efforts not finite": 1, "recoveries": 1}
+
+
+@pytest.mark.parametrize("name", ["link_position_upper", "motor_position_lower", "motor_velocity", "deflection"])
+def test_a_stop_is_not_resumed_outside_the_limits(name: str) -> None:
+    kind, state = LIMITED[name]
+    limit = -0.3 if name.endswith("lower") else 0.3
+    tracker = ControlStep(LAW, Hold([0.0]), settings(**{name: limit}))
+    for k in range(2):
+        tracker.command(sample(k * MS, *state(0.4)), k * MS)
+        tracker.resume()
+    command = tracker.command(sample(2 * MS, *state(0.5)), 2 * MS)
+    assert f"{kind} of joint1" in tracker.reason
+    assert "0.5" in tracker.reason
+    np.testing.assert_array_equal(command.jets, standing([0.0]))
+    assert tracker.counters == {"stops": 3, f"stops: {kind}": 3}
+    tracker.command(sample(3 * MS, *state(0.2)), 3 * MS)
+    assert tracker.state is State.STOPPED
+    tracker.resume()
+    tracker.command(sample(4 * MS, *state(0.2)), 4 * MS)
+    assert tracker.state is State.JOINING
+
+
+def test_a_stop_is_counted_once_although_samples_pause_outside_the_limits_and_resume_without_one_does_nothing() -> None:
+    tracker = tracker_at(0, link_position_upper=1.0)
+    tracker.resume()
+    command = tracker.command(sample(MS, 0.5, 0.5), MS)
+    assert command.state is State.TRACKING
+    assert not tracker.counters
+    for stamp in (2 * MS, SECOND, SECOND + MS):
+        tracker.command(sample(stamp, 4.5, 4.5), stamp)
+    assert tracker.counters["stops"] == 1
+
+
+@pytest.mark.parametrize("arm", ["paper", "two"])
+def test_gravity_hold_keeps_an_arm_at_rest(arm: str) -> None:
+    law = ARMS[arm][0]
+    n = law.robot.n
+    q = np.linspace(1.2, -0.6, n)
+    zeta = np.linalg.solve(law.robot.K, law.robot.grad_P_l(q))
+    far = settings(n, start_error=0.01, on_stop="gravity_hold")
+    loop = Loop(law, Hold(np.full(n, 0.3)), far, law.robot.state(q, q + zeta, np.zeros(n), np.zeros(n)))
+    loop.run(3.0)
+    assert loop.tracker.state is State.STOPPED
+    assert np.max(np.abs(loop.x[:n] - q)) < 1e-6
+
+
+@pytest.mark.parametrize("arm", ["paper", "two"])
+def test_gravity_hold_brings_a_moving_arm_to_a_standstill(arm: str) -> None:
+    law, reference, x0, _ = ARMS[arm]
+    n = law.robot.n
+    loop = Loop(law, reference, settings(n, on_stop="gravity_hold"), x0)
+    loop.run(1.0)
+    loop.tracker.apply(settings(n, on_stop="gravity_hold", link_velocity=0.0))
+    loop.run(4.0)
+    near = np.max(np.abs(loop.x[:n] - loop.states[1000][:n]))
+    assert near < 1.0
+    resting = loop.x[:n]
+    assert np.max(np.abs(np.concatenate(law.robot.velocities(loop.x)))) < 0.02
+    loop.run(0.5)
+    assert np.max(np.abs(loop.x[:n] - resting)) < 0.01
+
+
+def test_the_last_effort_is_within_the_limits() -> None:
+    tracker = ControlStep(LAW, SINE, settings(effort=0.1, on_stop="gravity_hold"))
+    assert not tracker.stop_effort().any()
+    tracker.command(sample(0, 0.5, 0.5), 0)
+    np.testing.assert_array_equal(tracker.stop_effort(), [0.1])

@@ -180,7 +180,8 @@ def test_after_a_short_gap_the_arm_follows_its_reference_almost_unchanged() -> N
     ("q", "dq", "joins"), [(0.05, 0.0, False), (0.05, 0.4, False), (0.05, 0.6, True), (0.2, 0.0, True)]
 )
 def test_a_start_within_the_start_error_has_no_transition(q: float, dq: float, joins: bool) -> None:
-    tracker = ControlStep(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0))
+    """The tracking error is that from the transition."""
+    tracker = ControlStep(LAW, Hold([0.0]), settings(start_error=0.1, start_join_time=1.0, tracking_error=0.15))
     command = tracker.command(sample(0, q, q, dq, dq), 0)
     assert command.state is (State.JOINING if joins else State.TRACKING)
     assert command.jets[0, 0] == pytest.approx(q if joins else 0.0, abs=1e-12)
@@ -250,29 +251,20 @@ def test_a_matched_reference_takes_over_without_a_step(arm: str, ahead: int | No
     assert loop.tracker.bound_start == SECOND
 
 
-def test_a_reference_that_differs_by_a_milliradian_is_reached_by_a_transition() -> None:
-    tracker = tracker_at(0, MS, reference=Hold([0.5]))
-    tracker.follow(Hold([0.501]))
-    command = tracker.command(sample(2 * MS, 0.5, 0.5), 2 * MS)
-    np.testing.assert_allclose(command.jets[0], 0.5, rtol=0, atol=1e-9)
-    assert command.state is State.JOINING
-
-
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_reference_that_does_not_match_is_reached_by_a_transition(arm: str) -> None:
     law, reference, x0, step = ARMS[arm]
     n = law.robot.n
     loop = Loop(law, reference, settings(n), x0)
     loop.run(2.0)
-    loop.tracker.follow(fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2)))
-    start = loop.now
+    sine, start = fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2)), loop.now
+    loop.tracker.follow(sine)
     before = len(loop.efforts)
     command = loop.step()
     np.testing.assert_allclose(command.jets, reference.jets(2.0), rtol=1e-9, atol=1e-9)
     assert command.state is State.JOINING
     loop.run_through_transition()
     assert largest_step(loop.efforts[before - 1 :]) < step
-    sine = fjr.Sine(np.full(n, 0.3), np.full(n, 4.0), np.full(n, -0.2))
     np.testing.assert_allclose(loop.tracker.jets_at(loop.now), sine.jets((loop.now - start) * 1e-9))
     assert loop.error < 2e-3
 
@@ -294,12 +286,11 @@ def test_hold_comes_to_a_standstill_without_a_step(arm: str) -> None:
     assert loop.error < 2e-3
 
 
-def test_hold_before_the_first_sample_holds_the_present_position() -> None:
-    tracker = ControlStep(LAW, SINE, settings(start_error=0.1))
-    tracker.hold()
-    command = tracker.command(sample(0, 0.7, 0.7), 0)
-    np.testing.assert_array_equal(command.jets, standing([0.7]))
-    assert command.state is State.TRACKING
+def test_a_reference_that_differs_by_a_milliradian_is_reached_by_a_transition() -> None:
+    tracker = tracker_at(0, MS, reference=Hold([0.5]))
+    tracker.follow(Hold([0.501]))
+    command = tracker.command(sample(2 * MS, 0.5, 0.5), 2 * MS)
+    assert (command.state, command.jets[0]) == (State.JOINING, pytest.approx([0.5], abs=1e-9))
 
 
 def test_hold_while_stopped_holds_the_position_at_resume() -> None:
@@ -313,9 +304,12 @@ def test_hold_while_stopped_holds_the_position_at_resume() -> None:
         np.testing.assert_allclose(command.jets, standing([0.6]), atol=1e-12)
 
 
-def test_a_reference_given_before_the_first_sample_begins_there() -> None:
-    tracker = ControlStep(LAW, SINE, settings())
-    assert tracker.jets_at(0) is None
-    tracker.follow(Hold([0.3]))
-    command = tracker.command(sample(SECOND, 0.5, 0.5), 0)
-    np.testing.assert_array_equal(command.jets, standing([0.3]))
+def test_before_the_first_sample_a_reference_begins_there_and_a_hold_holds_the_present_position() -> None:
+    following, holding = (ControlStep(LAW, SINE, settings(start_error=given)) for given in (np.inf, 0.1))
+    assert following.jets_at(0) is None
+    following.follow(Hold([0.3]))
+    holding.hold()
+    for tracker, q in ((following, 0.3), (holding, 0.7)):
+        command = tracker.command(sample(SECOND, 0.7, 0.7), 0)
+        np.testing.assert_array_equal(command.jets, standing([q]))
+        assert command.state is State.TRACKING

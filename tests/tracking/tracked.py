@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import fjr_core as fjr
+from fjr_core.robust.law import Robust
 from fjr_core.runtime.control_step import Command, ControlStep
 from fjr_core.runtime.library import constant
 from fjr_core.runtime.safety_settings import Settings
@@ -124,8 +125,10 @@ def kinds(tracker: ControlStep) -> list[str]:
     return [event.kind for event in tracker.events]
 
 
-def tracker_at(*stamps: int, reference: fjr.Reference = SINE, **given: Any) -> ControlStep:
-    tracker = ControlStep(LAW, reference, settings(**given))
+def tracker_at(
+    *stamps: int, reference: fjr.Reference = SINE, robust: Robust | None = None, **given: Any
+) -> ControlStep:
+    tracker = ControlStep(LAW, reference, settings(**given), robust=robust)
     for stamp in stamps:
         assert tracker.command(sample(stamp, 0.5, 0.5), stamp) is not None
     return tracker

@@ -15,7 +15,7 @@ setup(
     python_requires=">=3.10",
     install_requires=["fjr_core", "fjr_plant", "casadi>=3.6.5", "numpy>=1.26"],
     extras_require={
-        "commands": ["fjr_msgs_py[commands]", "fjr_design[commands]", "click>=8.2"],
+        "commands": ["fjr_design[commands]"],
         "mujoco": ["mujoco>=3.17"],
         "drake": ["drake>=1.40"],
     },  # rclpy and messages: from ROS 2, or its wheels
@@ -25,7 +25,6 @@ setup(
     description="Simulators of others behind the topics of the plant, and robots in their formats",
     license="Apache-2.0",
     entry_points={
-        "fjr.commands": ["engines = fjr_engines.cli.commands"],
         "fjr.engines": [
             "mujoco = fjr_engines.mujoco:MujocoEngine",
             "drake = fjr_engines.drake:DrakeEngine",

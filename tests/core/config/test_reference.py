@@ -152,20 +152,15 @@ def test_a_self_contained_scenario_holds_the_motion(load: Load, tmp_path: Path) 
     np.testing.assert_array_equal(parse_scenario("own", text).reference.jets(AT), expected)
 
 
-def test_rounding_is_reported_with_both_efforts(load: Load) -> None:
-    (sentence, *_) = load(np.sin(AT)).motion_warnings
+def test_rounding_and_a_start_at_speed_are_reported_with_their_efforts(load: Load) -> None:
+    sentence, *others = load(np.sin(AT)).motion_warnings
     assert "through every sample the motion of the file would ask for" in sentence
     raw, _, deviation, smooth = numbers(sentence)[:4]
     assert raw > 100.0
     assert deviation < 1e-6
     assert smooth == pytest.approx(0.69, rel=0.05)
-
-
-def test_a_start_at_speed_is_reported_with_the_effort_from_rest(load: Load) -> None:
-    sentence = next(each for each in load(np.sin(AT)).motion_warnings if "starts at" in each)
-    velocity, effort = numbers(sentence)
-    assert velocity == pytest.approx(1.0, rel=0.01)
-    assert effort == pytest.approx(517_000, rel=0.05)
+    (start,) = (each for each in others if "starts at" in each)
+    assert numbers(start) == [pytest.approx(1.0, rel=0.01), pytest.approx(517_000, rel=0.05)]
 
 
 def test_a_jump_is_reported_with_its_place_and_effort(load: Load) -> None:

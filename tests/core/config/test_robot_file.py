@@ -136,15 +136,17 @@ def test_an_invalid_robot_file_is_one_sentence_with_the_parameter(workspace: Pat
     refused(fjr.ParameterError, lambda: load_scenario(scenario(workspace, robot)), *words)
 
 
-def urdf_robot(**changes: object) -> fjr.Robot:
+def urdf_robot(joints: object = JOINTS, **changes: object) -> fjr.Robot:
     """Return the arm with a wrist whose parameters robot.* differ by the changes; None: not given."""
     elastic = {"joint_stiffness": STIFFNESS, "motor_inertia": MOTOR_INERTIA}
     values = {"model": "urdf", "urdf": two_link_urdf(wrist_mass=0.5), **elastic, **changes}
-    given = {f"robot.{name}": value for name, value in values.items() if value is not None} | {"joints": JOINTS}
+    named = {"joints": joints, **{f"robot.{name}": value for name, value in values.items()}}
+    given = {name: value for name, value in named.items() if value is not None}
     return build_robot(parameter.complete(all_parameters(controller_parameters, given), given))
 
 
 BAD_VALUES = [
+    ({"joints": None}, "'joints' is not given", "urdf"),
     ({"urdf": None}, "robot.urdf", "not given"),
     ({"joint_stiffness": None}, "robot.joint_stiffness", "not given", "N m/rad"),
     ({"motor_inertia": None}, "robot.motor_inertia", "not given"),
@@ -166,17 +168,9 @@ def test_an_invalid_urdf_robot_is_one_sentence_with_the_parameter(changes: dict[
     refused(fjr.ParameterError, lambda: urdf_robot(**changes), *words)
 
 
-def test_urdf_robot_requires_joint_names() -> None:
-    without = {"robot.model": "urdf"}
-    refused(fjr.ParameterError, lambda: all_parameters(controller_parameters, without), "'joints' is not given", "urdf")
-
-
-def test_motor_inertia_is_reflected_unless_a_gear_ratio_is_given() -> None:
+def test_gear_ratio_and_locked_position_reach_the_robot() -> None:
     np.testing.assert_array_equal(np.diag(urdf_robot().M_m), MOTOR_INERTIA)
     np.testing.assert_allclose(np.diag(urdf_robot(gear_ratio=[10.0, 5.0]).M_m), [2.0, 0.25])
-
-
-def test_locked_joint_stays_at_its_locked_position() -> None:
     bent = urdf_robot(locked_joints=["wrist"], locked_positions=[0.9])
     expected = fjr.robot_from_urdf(two_link_urdf(0.5), JOINTS, STIFFNESS, MOTOR_INERTIA, locked={"wrist": 0.9})
     np.testing.assert_allclose(bent.M_l([0.1, 0.2]), expected.M_l([0.1, 0.2]), rtol=1e-12)
@@ -238,17 +232,16 @@ def test_generated_description_has_the_same_inertia_and_gravity(given: dict[str,
 
 @pytest.mark.parametrize("name", ["paper_k31", "two_link", "arm7"])
 def test_every_link_has_a_visual_and_every_joint_is_present(name: str) -> None:
+    """That of an arm from a URDF is this URDF."""
     scenario = load_scenario(SCENARIOS / f"{name}.yaml")
-    robot = ElementTree.fromstring(description(scenario.plant_values))
+    values = scenario.plant_values
+    if name == "arm7":
+        assert description(values) == Path(values["robot.urdf"]).read_text(encoding="utf-8")
+        assert description(inlined(values)) == description(values)
+    robot = ElementTree.fromstring(description(values))
     assert set(scenario.joints) <= {joint.get("name") for joint in robot.iter("joint")}
     turning = {joint.find("child").get("link") for joint in robot.iter("joint") if joint.get("name") in scenario.joints}
     assert turning <= {link.get("name") for link in robot.iter("link") if link.find("visual") is not None}
-
-
-def test_arm_from_a_urdf_keeps_that_urdf() -> None:
-    values = load_scenario(SCENARIOS / "arm7.yaml").plant_values
-    assert description(values) == Path(values["robot.urdf"]).read_text(encoding="utf-8")
-    assert description(inlined(values)) == description(values)
 
 
 SCENARIO = """
@@ -271,19 +264,13 @@ def loaded(stiffness: str = "40.0, 25.0", guesses: str = BOTH) -> Scenario:
     return parse_scenario("mine", SCENARIO.format(stiffness=stiffness, guesses=guesses))
 
 
-def test_values_that_equal_their_guess_are_counted() -> None:
+def test_values_that_equal_their_guess_are_counted_until_they_are_replaced() -> None:
     stiffness, inertia = loaded().robot_warnings
     assert stiffness.startswith("joint stiffness of 2 joints is a guess; replace it by a measured or data-sheet value")
     assert inertia.startswith("motor inertia of joint b is a guess")
-
-
-def test_a_replaced_value_is_no_guess_any_more() -> None:
     for stiffness in ("41.0, 25.0", "41.0, 1.0, 1.0, 25.0"):
         assert "joint stiffness of joint b is a guess" in loaded(stiffness).robot_warnings[0]
     assert loaded("41.0, 26.0", "guesses: {joint_stiffness: [40.0, 25.0]}").robot_warnings == ()
-
-
-def test_without_guesses_the_robot_is_the_same_and_there_is_no_warning() -> None:
     assert loaded(guesses="").robot_warnings == ()
     assert loaded().robot.fingerprint() == loaded(guesses="").robot.fingerprint()
 

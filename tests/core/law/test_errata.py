@@ -122,7 +122,7 @@ def test_hold_of_1_ms_lets_V_exceed_its_bound(k: float, t: float, share: float) 
 
 @pytest.mark.parametrize("error", ["gravity", "q_md", "spring"])
 def test_misprints_of_measured_for_virtual_do_not_change_the_effort_on_the_diagonal(error: str) -> None:
-    """At x_v = x these misprints do not change the effort u(x, x, t)."""
+
     arm, gains = planar("31", 31.0), linear(2)
     p = random_point(arm, 3, same=True)
     printed = LiteralLaw(arm, gains, printed=(error,)).effort(p.x, p.x, p.jets)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.cases import ARMS, HARD, Arm, random_point
+from core.oracles.cases import ARMS, HARD, TORSION, Arm, random_point
 from core.oracles.chains import arm7, two_joints
 from core.oracles.oracle import LiteralPlant, exact, jacobian, stencil
 from core.oracles.properties import TOLERANCE, residual
@@ -33,6 +33,14 @@ def test_gradient_is_the_gradient_of_the_hamiltonian(arm: Arm, seed: int) -> Non
 
 
 @arms
+@seeds
+def test_derivative_is_structure_times_gradient(arm: Arm, seed: int) -> None:
+    p, plant = random_point(arm, seed), fjr.Plant(arm.robot)
+    (J, R, G), gradient = plant.structure(p.x), plant.gradient(p.x)
+    assert residual(plant.derivative(p.x, p.u), J @ gradient, -R @ gradient, G @ p.u) <= TOLERANCE
+
+
+@arms
 def test_J_is_skew_and_R_is_symmetric_positive_semidefinite(arm: Arm) -> None:
     J, R, G = fjr.Plant(arm.robot).structure(random_point(arm, 0).x)
     n = arm.n
@@ -44,16 +52,7 @@ def test_J_is_skew_and_R_is_symmetric_positive_semidefinite(arm: Arm) -> None:
     assert np.array_equal(G, np.vstack([np.zeros((3 * n, n)), arm.B_m]))
 
 
-@arms
-@seeds
-def test_derivative_is_structure_times_gradient(arm: Arm, seed: int) -> None:
-    p, plant = random_point(arm, seed), fjr.Plant(arm.robot)
-    J, R, G = plant.structure(p.x)
-    gradient = plant.gradient(p.x)
-    assert residual(plant.derivative(p.x, p.u), J @ gradient, -R @ gradient, G @ p.u) <= TOLERANCE
-
-
-@arms
+@pytest.mark.parametrize("arm", ARMS + HARD + TORSION, ids=lambda arm: arm.name)
 @seeds
 def test_derivative_agrees_with_the_literal_plant(arm: Arm, seed: int) -> None:
     p = random_point(arm, seed)

@@ -6,6 +6,7 @@ Identities of plant and law on such robots are in test_port_hamiltonian.py, test
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import casadi as ca
@@ -19,12 +20,12 @@ import fjr_core as fjr
 from core.oracles.cases import HARD, TORSION, Arm, Array, hardened, linear, planar, random_point
 from core.oracles.oracle import STEP, LiteralLaw, exact, jacobian
 from core.oracles.properties import loop_of, residual, storage_terms
-from fjr_core.config.scenario import parse_scenario
+from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.law.linearized import equilibria_at, error_dynamics, error_matrices, feedback, plant_matrices
 from fjr_core.model import springs
-from fjr_core.monitoring.certificate import Certificate
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_design.batch.parametric_robot import ParametricPlant, layout
+from fuzzing import refused
 
 arms = pytest.mark.parametrize("arm", HARD, ids=[arm.name for arm in HARD])
 MIXED = replace(fjr.planar_two_link(), cubic=[0.0, 1e5])
@@ -111,20 +112,6 @@ def test_the_law_on_torsion_curves_and_its_storage_rate_are_exact_to_1e_12(arm: 
         assert e.dV == pytest.approx(dV, rel=1e-10, abs=1e-11 * e.dissipation)
 
 
-@tables
-def test_energy_is_balanced_and_inverse_dynamics_follow_on_torsion_curves(arm: Arm) -> None:
-    plant, p = fjr.Plant(arm.robot), random_point(arm, 4)
-    x, dx = p.x, plant.derivative(p.x, p.u)
-    dq_l, dq_m = arm.robot.velocities(x)
-    supplied, lost = dq_m @ arm.B_m @ p.u, (-dq_l @ arm.D_l @ dq_l, -dq_m @ arm.D_m @ dq_m)
-    assert residual(plant.gradient(x) @ dx, supplied, *lost) <= EXACT
-    n = arm.n
-    force = dx[3 * n :] + arm.D_m @ dq_m - arm.B_m @ p.u
-    assert residual(force, -arm.spring(x[n : 2 * n] - x[:n])) <= EXACT
-    tau, theta, *_ = (each.full().ravel() for each in inverse_dynamics(arm.robot)(*p.jets))
-    assert residual(tau, arm.spring(theta - p.jets[0])) <= EXACT
-
-
 @pytest.mark.parametrize("arm", [*HARD, *TORSION], ids=lambda arm: arm.name)
 def test_secant_joins_two_points_and_the_tangent_one(arm: Arm) -> None:
     rng = np.random.default_rng(3)
@@ -138,16 +125,15 @@ def test_secant_joins_two_points_and_the_tangent_one(arm: Arm) -> None:
         assert same == pytest.approx(tangent, rel=1e-14)
 
 
-@arms
+@pytest.mark.parametrize("arm", [*HARD, *TORSION], ids=lambda arm: arm.name)
 def test_inverse_dynamics_keep_the_links_on_their_motion(arm: Arm) -> None:
     """Motor motion and torque satisfy both equations, with motor derivatives by differences along the motion."""
     rng = np.random.default_rng(7)
     jets = rng.uniform(-1, 1, (5, arm.n))
     motion = inverse_dynamics(arm.robot)
 
-    def at(t: float, kind: type = float) -> list[Array]:
-        factor = [[t**k / float(mpmath.factorial(k)) for k in range(5)]]
-        moved = [sum(f * jets[i + k] for k, f in enumerate(factor[0][: 5 - i])) for i in range(5)]
+    def at(t: float) -> list[Array]:
+        moved = [sum(t**k / math.factorial(k) * jets[i + k] for k in range(5 - i)) for i in range(5)]
         return [each.full().ravel() for each in motion(*moved)]
 
     tau, theta, dtheta, ddtheta, torque = at(0.0)
@@ -192,78 +178,51 @@ def test_a_factor_on_the_stiffness_of_a_drawn_robot_scales_the_curve(arm: Arm) -
     assert scalar(drawn(np.append(q, zeta), parameters)) == pytest.approx(factors * arm.spring(zeta), rel=1e-14)
 
 
-def test_straight_springs_keep_their_expressions() -> None:
-    """Zeros are no curve: fingerprint, plant, law, certificate and inverse dynamics are those of the robot without."""
+def test_zeros_are_no_curve() -> None:
+    """Fingerprint, and so every function that is cached, are those of the robot without."""
     straight = planar("31", 31.0).robot
     zeros = replace(straight, cubic=np.zeros(2), torsion=np.zeros((2, 3, 2)))
-    assert zeros.cubic is None
-    assert zeros.torsion is None
-    assert zeros.fingerprint() == straight.fingerprint()
+    assert (zeros.cubic, zeros.torsion, zeros.fingerprint()) == (None, None, straight.fingerprint())
     assert hardened(planar("31", 31.0), 0.1).robot.fingerprint() != straight.fingerprint()
 
-    def functions(robot: fjr.Robot) -> list[ca.Function]:
-        law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS)
-        of_law = law.measured_expression, Certificate(law).function
-        return [*of_law, fjr.Plant(robot).dynamics, inverse_dynamics(robot)]
 
-    for one, other in zip(functions(straight), functions(zeros), strict=True):
-        assert one.serialize() == other.serialize()
-        assert one.n_instructions() == other.n_instructions()
-
-
-SCENARIO = """
-/**:
-  ros__parameters:
-    joints: [a, b]
-    robot: {{model: planar_two_link, {curve}}}
-    {more}
-"""
-
-
-TABLE = "torsion_deflection: [0.1, 0.1], torsion_torque: {}"
+def scenario(curve: str, more: str = "") -> Scenario:
+    parameters = f"joints: [a, b], robot: {{model: planar_two_link, {curve}}}, {more}"
+    return parse_scenario("hard", f"{{/**: {{ros__parameters: {{{parameters}}}}}}}")
 
 
 def test_a_scenario_gives_plant_and_law_the_curve() -> None:
-    scenario = parse_scenario("hard", SCENARIO.format(curve="cubic_stiffness: [1.0e5, 0.0]", more=""))
-    assert scenario.robot.cubic == pytest.approx([1e5, 0.0])
-    assert scenario.plant.robot.cubic == pytest.approx([1e5, 0.0])
-    assert scenario.plant_is_the_model
-    assert "cubic" in repr(scenario.robot)
-    assert parse_scenario("straight", SCENARIO.format(curve="cubic_stiffness: [0.0, 0.0]", more="")).robot.cubic is None
-    table = "torsion_deflection: [0.1, 0.0, 0.3, 0.0], torsion_torque: [5.0, 0.0, 20.0, 0.0]"
-    on_table = parse_scenario("table", SCENARIO.format(curve=table, more=""))
+    hard = scenario("cubic_stiffness: [1.0e5, 0.0]")
+    for robot in (hard.robot, hard.plant.robot):
+        assert robot.cubic == pytest.approx([1e5, 0.0])
+    assert hard.plant_is_the_model
+    assert "cubic" in repr(hard.robot)
+    assert scenario("cubic_stiffness: [0.0, 0.0]").robot.cubic is None
+    on_table = scenario("torsion_deflection: [0.1, 0.0, 0.3, 0.0], torsion_torque: [5.0, 0.0, 20.0, 0.0]")
     assert on_table.plant.robot.torsion == pytest.approx(np.array([[[0.1, 0], [0.3, 0]], [[5, 0], [20, 0]]]))
     assert "2 points of torsion" in repr(on_table.robot)
     assert on_table.robot.deflection([20.0, 3.0]) == pytest.approx([0.3, 3.0 / on_table.robot.K[1, 1]])
 
 
-def test_more_points_than_the_step_has_room_for_are_refused() -> None:
-    with pytest.raises(fjr.RobotError, match="m of 1 to 8"):
-        springs.checked_torsion(np.ones((2, 9, 1)).cumsum(axis=1), np.eye(1))
+TABLE = "torsion_deflection: [0.1, 0.1], torsion_torque"
+FULL_K, BY_TORQUE = "joint_stiffness: [40.0, 1.0, 1.0, 25.0]", "measurement: {velocity: observer, motor: torque}"
+REFUSED = [
+    ("cubic_stiffness: [-1.0, 0.0]", "", "'robot.cubic_stiffness' holds -1.0 N m/rad^3; expected at least 0.0"),
+    ("cubic_stiffness: [1.0]", "", "'robot.cubic_stiffness' has 1"),
+    (f"{TABLE}: [5.0, 5.0], cubic_stiffness: [1.0, 1.0]", "", "torsion is given with a cubic stiffness"),
+    (f"{TABLE}: [5.0, 5.0, 6.0, 6.0]", "", "'robot.torsion_torque' has 2 points; expected 1"),
+    (f"{TABLE}: [5.0, 0.0]", "", "torsion of joint 2 is [[0.1], [0.0]]; expected increasing positive"),
+    (f"{TABLE}: [5.0, 0.1]", "", "torsion of joint 2 begins so much flatter than its K of"),
+    (f"cubic_stiffness: [1.0, 1.0], {FULL_K}", "", "'robot.cubic_stiffness': cubic is not 0 with"),
+    ("cubic_stiffness: [1.0, 1.0]", BY_TORQUE, "'measurement.motor' is 'torque' with a robot.cubic_stiffness; exp"),
+]
 
 
-@pytest.mark.parametrize(
-    ("curve", "more", "sentence"),
-    [
-        ("cubic_stiffness: [-1.0, 0.0]", "", "'robot.cubic_stiffness' holds -1.0 N m/rad^3; expected at least 0.0"),
-        ("cubic_stiffness: [1.0]", "", "'robot.cubic_stiffness' has 1"),
-        (TABLE.format("[5.0, 5.0]"), "robot.cubic_stiffness: [1.0, 1.0]", "torsion is given with a cubic stiffness"),
-        (TABLE.format("[5.0, 5.0, 6.0, 6.0]"), "", "'robot.torsion_torque' has 2 points; expected 1"),
-        (TABLE.format("[5.0, 0.0]"), "", "torsion of joint 2 is [[0.1], [0.0]]; expected increasing positive"),
-        (TABLE.format("[5.0, 0.1]"), "", "torsion of joint 2 begins so much flatter than its K of"),
-        (
-            "cubic_stiffness: [1.0, 1.0]",
-            "robot.joint_stiffness: [40.0, 1.0, 1.0, 25.0]",
-            "'robot.cubic_stiffness': cubic is not 0 with",
-        ),
-        (
-            "cubic_stiffness: [1.0, 1.0]",
-            "measurement: {velocity: observer, motor: torque}",
-            "'measurement.motor' is 'torque' with a robot.cubic_stiffness; expected 'position', or straight springs",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("curve", "more", "sentence"), REFUSED)
 def test_what_has_no_inverse_is_refused(curve: str, more: str, sentence: str) -> None:
-    with pytest.raises(fjr.ParameterError) as refused:
-        _ = parse_scenario("hard", SCENARIO.format(curve=curve, more=more))
-    assert sentence in str(refused.value)
+    refused(fjr.ParameterError, lambda: scenario(curve, more), sentence)
+
+
+def test_more_points_than_the_step_has_room_for_are_refused() -> None:
+    nine = np.ones((2, 9, 1)).cumsum(axis=1)
+    refused(fjr.RobotError, lambda: springs.checked_torsion(nine, np.eye(1)), "m of 1 to 8")

@@ -10,7 +10,19 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fjr_core as fjr
-from core.oracles.cases import ARMS, HARD, Arm, GainSet, cubic, linear, planar, random_point, random_state, single
+from core.oracles.cases import (
+    ARMS,
+    HARD,
+    TORSION,
+    Arm,
+    GainSet,
+    cubic,
+    linear,
+    planar,
+    random_point,
+    random_state,
+    single,
+)
 from core.oracles.chains import arm7, two_joints
 from core.oracles.oracle import LiteralPlant, exact, stencil
 from core.oracles.properties import TOLERANCE, residual
@@ -27,7 +39,7 @@ def test_virtual_system_equals_the_plant_on_the_diagonal_for_any_input(arm: Arm,
     assert residual(virtual, fjr.Plant(arm.robot).derivative(p.x, p.u)) <= 1e-13
 
 
-@arms
+@pytest.mark.parametrize("arm", ARMS + HARD + TORSION, ids=lambda arm: arm.name)
 @seeds
 def test_derivative_agrees_with_the_literal_virtual_system(arm: Arm, seed: int) -> None:
     p = random_point(arm, seed)

@@ -100,13 +100,6 @@ def test_mean_rate_of_V_over_a_step_is_of_third_order(of_the_law: bool) -> None:
     assert error(2e-4) / error(1e-4) == pytest.approx(8.0, rel=0.1)
 
 
-def test_certificate_of_other_gains_is_theirs() -> None:
-    arm, p = planar("31", 31.0), random_point(planar("31", 31.0), 46)
-    other = fjr.TrackingLaw(arm.robot, fjr.PAPER_GAINS).with_gains(fjr.Gains(12.0, 25.0, 0.7, 14.0, 50.0, 0.4))
-    wanted = other.evaluate(p.x, p.x, p.jets).V
-    assert pytest.approx(wanted, rel=1e-12) == at(Certificate(other), *measured(arm, p.x), p.jets).V
-
-
 def test_zero_instants_are_allowed_and_wrong_shapes_refused() -> None:
     balance = Certificate(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS))
     assert balance.along(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 5, 1))).V.shape == (0,)

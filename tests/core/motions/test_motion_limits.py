@@ -79,20 +79,15 @@ def test_bounds_of_sums_of_sines_are_tight() -> None:
 
 
 @references
-def test_references_within_the_limits_pass(reference: Reference) -> None:
-    e = reference.motion_bounds(0.0, np.inf)
-    speed, acceleration = (np.maximum(e.upper[row], -e.lower[row]) for row in (1, 2))
-    fjr.check_motion(reference, fjr.MotionLimits(e.lower[0], e.upper[0], speed, acceleration))
-    fjr.check_motion(reference, fjr.MotionLimits(-np.inf, np.full(2, np.inf)))
-
-
-@references
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("what", ["lower", "upper", "velocity", "acceleration"])
-def test_a_slightly_exceeded_limit_is_detected(reference: Reference, joint: int, what: str) -> None:
+def test_references_within_the_limits_pass_and_a_slightly_exceeded_limit_is_detected(
+    reference: Reference, joint: int, what: str
+) -> None:
     e = reference.motion_bounds(0.0, np.inf)
     limits = {"lower": e.lower[0], "upper": e.upper[0]}
     limits |= {name: np.maximum(e.upper[row], -e.lower[row]) for row, name in ((1, "velocity"), (2, "acceleration"))}
+    fjr.check_motion(reference, fjr.MotionLimits(**limits))
     margin = (1.0 if what == "lower" else -1.0) * (1e-6 * np.ptp(e.upper) + 1e-9)
     limits[what] = limits[what].copy()
     limits[what][joint] += margin
@@ -144,16 +139,12 @@ def test_barely_exceeded_limit_is_printed_with_enough_digits() -> None:
     fjr.check_motion(fjr.Hold((1.0 + 1e-12,)), fjr.MotionLimits((-1.0,), 1.0))
 
 
-def test_only_the_requested_interval_is_checked() -> None:
+def test_only_the_requested_interval_is_checked_and_points_keep_their_numbers() -> None:
     reference = fjr.Spline([1.0, 2.0, 4.0], [[5.0], [0.0], [0.5]])
     limits = fjr.MotionLimits((-1.0,), 1.0)
     assert "point 0" in sentence(reference, limits)
     fjr.check_motion(reference, limits, 2.0, 9.0)
     assert "would reach" in sentence(reference, limits, 1.5)
-
-
-def test_points_keep_their_numbers_after_the_first_ones_have_passed() -> None:
-    limits = fjr.MotionLimits((-1.0,), 1.0)
     with pytest.raises(fjr.TrajectoryError, match="point 4 of joint 'a' asks for 2 rad"):
         check_points(limits, [[0.0], [2.0]], joints=("a",), first=3)
     check_points(limits, [[0.0], [1.0]])

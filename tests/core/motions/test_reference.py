@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Built-in references: C^4 with four exact derivatives; shapes, motion and configurations."""
+"""Built-in references: C^4 with four exact derivatives; shapes, motion, configurations, and what is refused."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.special import betainc
 
 import fjr_core as fjr
-from core.motions.cases import FREE, KNOTS, OTHERS, SERIES, SINES, SPLINES, T0, T1, references
+from core.motions.cases import FREE, KNOTS, OTHERS, REFERENCES, SERIES, SINES, SPLINES, T0, T1, references
 from core.oracles.oracle import stencil
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.sine import common_period
 from fjr_core.motions.transition import Transition
-from fjr_identification.excitation import logarithmic_harmonics
+from fjr_identification.excitation import RestingSeries, logarithmic_harmonics
+from fuzzing import refused
 
 
 @references
@@ -24,19 +27,17 @@ def test_each_row_is_the_derivative_of_the_one_above(reference: Reference, t: fl
 
 
 @references
-def test_references_are_c4_once_they_have_begun(reference: Reference) -> None:
+def test_references_are_c4_once_they_have_begun_and_constant_after_their_end(reference: Reference) -> None:
     motion = reference.segment if isinstance(reference, Transition) else getattr(reference, "pieces", None)
     begin = 0.0 if motion is None else motion.times[0]
     scale = 1.0 + np.abs(reference.jets(np.linspace(0.0, 5.0, 501))).max(axis=(0, 2))[:, None]
     for t in KNOTS:
         before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))
         assert t <= begin or np.all(np.abs(before - after) < np.maximum(1e-12 * scale, 1e-11)), t
-
-
-@pytest.mark.parametrize("reference", SINES.values(), ids=SINES)
-def test_first_row_is_the_sine(reference: fjr.Sine) -> None:
-    a, w, c, p = (np.asarray(getattr(reference, key)) for key in ("amplitude", "frequency", "offset", "phase"))
-    assert reference.jets(0.9)[0] == pytest.approx(c + a * np.sin(w * 0.9 + p), abs=1e-15)
+    if np.isfinite(reference.end):
+        last = reference.jets(reference.end)
+        np.testing.assert_array_equal(last[1:], 0.0)
+        np.testing.assert_array_equal(reference.jets(reference.end + 100.0), last)
 
 
 @references
@@ -48,14 +49,6 @@ def test_jets_at_many_times_are_those_at_each_and_returned_arrays_are_copies(ref
     np.testing.assert_allclose(reference.jets(times), alone, rtol=1e-12, atol=1e-12)
     assert alone[0].shape == (5, reference.n)
     assert [reference.configurations(k).shape for k in (1, 17)] == [(1, reference.n), (17, reference.n)]
-
-
-@references
-def test_after_its_end_a_reference_is_constant(reference: Reference) -> None:
-    if np.isfinite(reference.end):
-        last = reference.jets(reference.end)
-        np.testing.assert_array_equal(last[1:], 0.0)
-        np.testing.assert_array_equal(reference.jets(reference.end + 100.0), last)
 
 
 @pytest.mark.parametrize("reference", [*SINES.values(), *OTHERS.values(), *SPLINES.values()])
@@ -74,12 +67,12 @@ def test_sines_cover_their_ranges_and_those_of_one_frequency_keep_their_phases()
     np.testing.assert_allclose(second, first / 2)
 
 
-def test_a_multi_sine_is_the_sum_of_its_sines() -> None:
-    a, w, p = np.random.default_rng(1).normal(size=(3, 4, 2))
-    whole = fjr.MultiSine(a, w, p, (0.5, -0.5))
-    each = [fjr.Sine(*rows) for rows in zip(a, w, (0.0,) * 4, p, strict=True)]
-    expected = sum(sine.jets(1.3) for sine in each) + fjr.standing((0.5, -0.5))
-    np.testing.assert_allclose(whole.jets(1.3), expected, rtol=1e-13, atol=1e-13)
+@pytest.mark.parametrize("name", [*SINES, "one row", "two sines"])
+def test_first_row_of_sines_is_their_sum(name: str) -> None:
+    reference = REFERENCES[name]
+    a, w, c, p = (np.asarray(getattr(reference, key)) for key in ("amplitude", "frequency", "offset", "phase"))
+    found = np.atleast_2d(a * np.sin(w * 0.9 + p)).sum(axis=0)
+    np.testing.assert_allclose(reference.jets(0.9)[0], c + found, rtol=1e-14, atol=1e-15)
 
 
 def test_point_to_point_is_the_smoothstep_of_degree_nine() -> None:
@@ -111,20 +104,88 @@ def test_circle_is_exact_from_rest_to_its_frequency() -> None:
     assert x * dy - y * dx == pytest.approx(-2.0 * 0.5**2)  # a negative frequency is clockwise
 
 
-def test_the_basis_gives_the_jets_of_the_reference() -> None:
+def test_the_basis_of_a_series_gives_the_jets_of_its_reference_and_its_harmonics_are_distinct() -> None:
     t = np.linspace(0, 5, 23)
     jets = np.einsum("rks,sn->krn", SERIES.jet_basis(t), FREE)
-    assert np.allclose(jets, SERIES.reference(FREE).jets(t), rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize(("highest", "count"), [(3, 10), (8, 5), (100, 10)])
-def test_harmonics_are_distinct_and_reach_the_highest(highest: int, count: int) -> None:
-    found = logarithmic_harmonics(highest, count)
-    assert len(found) == min(highest, count) == len(set(found))
-    assert (found[0], found[-1]) == (1, highest)
+    np.testing.assert_allclose(jets, SERIES.reference(FREE).jets(t), rtol=1e-9, atol=1e-9)
+    for highest, count in ((3, 10), (8, 5), (100, 10)):
+        found = logarithmic_harmonics(highest, count)
+        assert len(found) == min(highest, count) == len(set(found))
+        assert (found[0], found[-1]) == (1, highest)
 
 
 def test_the_common_period_is_that_of_the_greatest_common_divisor() -> None:
     assert common_period(2 * np.pi * np.array([0.6, 1.0, 0.0, 1.4])) == pytest.approx(5.0)
     assert common_period(np.array([1.0, np.pi])) is None
     assert common_period(np.array([0.0])) is None
+
+
+TIMES = np.array([0.3, 1.0, 1.4, 2.5])
+POSITIONS, VELOCITIES, ACCELERATIONS = np.random.default_rng(4).normal(size=(3, 4, 3))
+VELOCITIES[-1] = 0.0
+START = np.ones((5, 3))
+NAN = np.where(np.arange(12).reshape(4, 3) == 7, np.nan, POSITIONS)
+RUNNING = fjr.Sine((0.5, 0.3), (1.0, 2.0))
+JETS = RUNNING.jets(0.0)
+
+BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
+    "sine-lengths": (lambda: fjr.Sine((1.0, 2.0), (1.0, 2.0, 3.0)), ("(2,)", "(3,)")),
+    "sine-nan": (lambda: fjr.Sine(np.nan, 1.0), ("amplitude", "nan", "finite")),
+    "sine-word": (lambda: fjr.Sine(1.0, "slow"), ("frequency", "slow", "numbers")),
+    "multi-vector": (lambda: fjr.MultiSine([1.0], 1.0), ("amplitude", "(1,)", "(m, n)")),
+    "multi-shape": (lambda: fjr.MultiSine([[1.0, 2.0]], [[1.0]]), ("frequency", "(1, 1)", "(1, 2)")),
+    "multi-offset": (lambda: fjr.MultiSine([[1.0, 2.0]], 1.0, 0.0, (1, 2, 3)), ("offset", "(3,)", "(2,)")),
+    "points": (lambda: fjr.PointToPoint((0, 0), (1, 1, 1), 1.0), ("q1", "(3,)", "(2,)")),
+    "points-scalar": (lambda: fjr.PointToPoint(0.0, 1.0, 1.0), ("q0", "()", "(n,)")),
+    "duration": (lambda: fjr.PointToPoint((0,), (1,), 0.0), ("duration", "0.0 s", "positive")),
+    "dwell": (lambda: fjr.PointToPoint((0,), (1,), 1.0, -1.0), ("dwell", "-1.0 s", "0 or more")),
+    "circle-one": (lambda: fjr.Circle((0.0,), 0.5, 1.0), ("centre", "1 entry", "2 or more")),
+    "circle-radius": (lambda: fjr.Circle((0.0, 0.0), np.nan, 1.0), ("radius", "nan", "finite")),
+    "circle-ramp": (lambda: fjr.Circle((0.0, 0.0), 0.5, 1.0, ramp=0.0), ("ramp", "0.0 s", "positive")),
+    "hold": (lambda: fjr.Hold([[1.0]]), ("q", "(1, 1)", "(n,)")),
+    "standing": (lambda: fjr.standing((1.0, 2.0), (1.0, 2.0, 3.0)), ("dq", "(3,)", "(2,)")),
+    # splines
+    "times stall": (lambda: fjr.Spline([0.3, 1.0, 1.0, 2.5], POSITIONS), ("1.0 s at point 1", "1.0 s at point 2")),
+    "times short": (lambda: fjr.Spline(TIMES[1:], POSITIONS), ("times", "(3,)", "(4,)")),
+    "times nan": (lambda: fjr.Spline(np.full(4, np.nan), POSITIONS), ("times", "nan", "finite")),
+    "times at start": (lambda: fjr.Spline(TIMES - 0.3, POSITIONS, start=START), ("times", "0.0 s", "more than 0")),
+    "too close": (lambda: fjr.Spline(1e-80 * np.arange(4), POSITIONS), ("1e-80 s at point 1", "at least 1e-06 s")),
+    "too large": (lambda: fjr.Spline(TIMES, 1e307 * POSITIONS), ("positions", "not finite", "smaller")),
+    "one point": (lambda: fjr.Spline(TIMES[:1], POSITIONS[:1]), ("times", "1 point", "at least 2")),
+    "no points": (lambda: fjr.Spline(TIMES[:0], POSITIONS[:0]), ("positions", "(0, 3)", "(k, n)")),
+    "flat": (lambda: fjr.Spline(TIMES, POSITIONS[:, 0]), ("positions", "(4,)", "(k, n)")),
+    "nan": (lambda: fjr.Spline(TIMES, NAN), ("positions", "nan", "point 2", "joint 1", "finite")),
+    "ragged": (lambda: fjr.Spline(TIMES, [[1.0, 2.0], [1.0]]), ("positions", "numbers")),
+    "velocities": (lambda: fjr.Spline(TIMES, POSITIONS, VELOCITIES[1:]), ("velocities", "(3, 3)", "(4, 3)")),
+    "moving end": (lambda: fjr.Spline(TIMES, POSITIONS, VELOCITIES + 1.0), ("1.0", "zeros at the last point")),
+    "start": (lambda: fjr.Spline(TIMES, POSITIONS, start=START[:4]), ("start", "(4, 3)", "(5, 3)")),
+    "start nan": (lambda: fjr.Spline(TIMES, POSITIONS, start=START * np.inf), ("start", "inf", "finite")),
+    # samples
+    "tolerance": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], -1.0), ("tolerance is -1.0; expected 0 or more",)),
+    "tolerances": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], [1, 1]), ("tolerance has 2 entries; expected 1",)),
+    # transitions
+    "at once": (lambda: fjr.transition(JETS, 0.0, RUNNING, 0.0), ("duration", "0.0 s", "positive")),
+    "endless": (lambda: fjr.transition(JETS, 0.0, RUNNING, np.inf), ("duration", "inf", "finite")),
+    "no time": (lambda: fjr.transition(JETS, 1e9, RUNNING, 1e-9), ("duration", "1e-09", "longer")),
+    "never": (lambda: fjr.transition(JETS, np.nan, RUNNING, 1.0), ("t0", "nan", "finite")),
+    "jets": (lambda: fjr.transition(np.zeros((5, 3)), 0.0, RUNNING, 1.0), ("jets0", "(5, 3)", "(5, 2)")),
+    "jets nan": (lambda: fjr.transition(np.full((5, 2), np.nan), 0.0, RUNNING, 1.0), ("jets0", "nan", "finite")),
+    "shift": (lambda: fjr.time_shifted(RUNNING, np.nan), ("t0 is nan; expected finite",)),
+    # limits
+    "order": (lambda: fjr.MotionLimits((1.0,), (-1.0,)), ("lower", "[1.0]", "upper", "[-1.0]", "lower <= upper")),
+    "length": (lambda: fjr.MotionLimits((-1.0, -1.0), (1.0, 1.0, 1.0)), ("lower", "[-1.0, -1.0]", "3")),
+    "limit nan": (lambda: fjr.MotionLimits((-1.0,), (np.nan,)), ("upper", "nan", "infinite for none")),
+    "negative": (lambda: fjr.MotionLimits((-1.0,), (1.0,), (-2.0,)), ("velocity", "-2.0", "no negative")),
+    "limit word": (lambda: fjr.MotionLimits((-1.0,), (1.0,), 1.0, "fast"), ("acceleration", "fast", "numbers")),
+    "other joints": (
+        lambda: fjr.check_motion(fjr.Hold((0.0,)), fjr.MotionLimits((-10.0, -10.0), 9.0)),
+        ("limits are of 2 joints; expected those of the reference, 1",),
+    ),
+    "few harmonics": (lambda: RestingSeries(1.0, (1, 2)), ("the series has 2 harmonics; expected 3 or more",)),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_what_cannot_be_is_refused_in_one_sentence(what: str) -> None:
+    make, words = BAD[what]
+    refused(fjr.TrajectoryError, make, *words)

@@ -42,14 +42,11 @@ def test_a_spline_starts_with_the_active_jets_or_at_rest_and_ends_at_rest(deriva
         np.testing.assert_array_equal(without_start.jets(t), fjr.standing(POSITIONS[0]))
 
 
-def test_a_moving_end_is_interpolated_and_constant_after() -> None:
+def test_an_end_may_move_and_one_point_suffices_with_an_active_reference() -> None:
     velocities = VELOCITIES + 0.5
-    reference = fjr.Spline(TIMES, POSITIONS, velocities, ACCELERATIONS, moving_end=True)
-    np.testing.assert_allclose(reference.jets(5.0)[:3], [POSITIONS[-1], velocities[-1], ACCELERATIONS[-1]])
-    np.testing.assert_array_equal(reference.jets(5.1), fjr.standing(POSITIONS[-1]))
-
-
-def test_one_point_suffices_with_an_active_reference() -> None:
+    moving = fjr.Spline(TIMES, POSITIONS, velocities, ACCELERATIONS, moving_end=True)
+    np.testing.assert_allclose(moving.jets(5.0)[:3], [POSITIONS[-1], velocities[-1], ACCELERATIONS[-1]])
+    np.testing.assert_array_equal(moving.jets(5.1), fjr.standing(POSITIONS[-1]))
     reference = fjr.Spline([2.0], [[1.0, 2.0]], start=fjr.standing((0.0, 0.0), (0.3, -0.3)))
     oracle = BPoly.from_derivatives([0.0, 2.0], [[0, 0.3, 0, 0, 0], [1, 0, 0, 0, 0]])
     for order in range(5):
@@ -176,30 +173,19 @@ def beyond(times: np.ndarray, q: np.ndarray, **derivatives: Any) -> tuple[np.nda
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_overshoot_of_monotone_positions_is_small(seed: int) -> None:
+def test_overshoot_is_small_of_monotone_positions_and_at_most_a_quarter_of_the_local_range_of_any(seed: int) -> None:
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.choice([0.02, 0.1, 1.0, 5.0], 8) * rng.uniform(0.5, 1.0, 8))
-    q = np.cumsum(rng.choice([0.0, 0.001, 0.1, 1.0], 8))
-    past, around = beyond(times, q)
+    past, around = beyond(times, np.cumsum(rng.choice([0.0, 0.001, 0.1, 1.0], 8)))
     assert np.all(past <= MONOTONE * around + 1e-12)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_overshoot_is_at_most_a_quarter_of_the_local_range(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    times = np.cumsum(10.0 ** rng.uniform(-2, 1, 9))
-    past, around = beyond(times, rng.normal(size=9))
+    past, around = beyond(np.cumsum(10.0 ** rng.uniform(-2, 1, 9)), rng.normal(size=9))
     assert np.all(past <= TURNING * around + 1e-12)
 
 
-def test_a_step_in_sparse_positions_is_flat_before_and_after() -> None:
-    q = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
-    past, _ = beyond(np.arange(6.0), q)
+def test_neither_a_step_in_sparse_positions_nor_zero_velocities_at_all_points_overshoot() -> None:
+    past, _ = beyond(np.arange(6.0), np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]))
     assert past[0] == past[-1] == 0.0
     assert past.max() <= MONOTONE
-
-
-def test_zero_velocities_at_all_points_do_not_overshoot() -> None:
     past, around = beyond(np.array([0.0, 0.5, 3.0, 3.2]), np.arange(4.0), velocities=np.zeros((4, 1)))
     assert np.all(past <= MONOTONE * around + 1e-12)
 
@@ -213,14 +199,11 @@ def test_smooth_data_are_unchanged_by_the_overshoot_limit() -> None:
     np.testing.assert_array_equal(polynomials.without_overshoot(times, chosen, free)[inside], chosen[inside])
 
 
-def test_joints_are_interpolated_independently() -> None:
+def test_joints_are_interpolated_independently_and_in_any_unit_of_time() -> None:
     whole = fjr.Spline(TIMES, POSITIONS, VELOCITIES)
     for joint in range(N):
         alone = fjr.Spline(TIMES, POSITIONS[:, [joint]], VELOCITIES[:, [joint]])
         np.testing.assert_allclose(whole.jets(2.2)[:, [joint]], alone.jets(2.2), rtol=1e-9)
-
-
-def test_splines_are_invariant_to_the_unit_of_time() -> None:
     slow, quick = fjr.Spline(3600 * TIMES, POSITIONS), fjr.Spline(TIMES / 1e3, POSITIONS)
     t = np.linspace(0.3, 5.0, 50)
     np.testing.assert_allclose(slow.jets(3600 * t)[:, 0], quick.jets(t / 1e3)[:, 0], atol=1e-9)

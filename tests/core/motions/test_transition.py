@@ -20,12 +20,16 @@ def nearly(t: float) -> float:
 
 
 @targets
-def test_transitions_are_exact_at_both_ends(target: Reference) -> None:
+def test_transitions_are_exact_at_both_ends_and_have_configurations_of_both_parts(target: Reference) -> None:
     joined = fjr.transition(RUNNING.jets(T0), T0, target, DURATION)
     np.testing.assert_allclose(joined.jets(T0), RUNNING.jets(T0), rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(joined.jets(nearly(T1)), target.jets(T1), rtol=1e-12, atol=1e-10)
     for t in (T1, 2.9, 40.0):
         np.testing.assert_array_equal(joined.jets(t), target.jets(t))
+    q = joined.configurations(64)
+    assert q.shape == (64, 2)
+    np.testing.assert_allclose(q[0], RUNNING.jets(T0)[0])
+    np.testing.assert_array_equal(q[16:], target.configurations(48))
 
 
 def test_repeated_transitions_keep_one_target() -> None:
@@ -36,14 +40,11 @@ def test_repeated_transitions_keep_one_target() -> None:
     assert joined.target is TARGETS["sine"]
 
 
-def test_a_transition_that_ends_within_another_follows_the_other() -> None:
+def test_a_transition_that_ends_within_another_follows_the_other_and_ends_with_its_target() -> None:
     first = fjr.transition(RUNNING.jets(0.0), 0.0, TARGETS["hold"], 3.0)
     second = fjr.transition(RUNNING.jets(0.5), 0.5, first, 1.0)
     np.testing.assert_array_equal(second.jets(2.0), first.jets(2.0))
     np.testing.assert_array_equal(second.jets(3.5), TARGETS["hold"].jets(3.5))
-
-
-def test_a_transition_ends_with_its_target() -> None:
     jets = RUNNING.jets(1.0)
     assert fjr.transition(jets, 1.0, fjr.Hold((0.0, 0.0)), 0.5).end == 1.5
     assert fjr.transition(jets, 1.0, TARGETS["spline"], 0.5).end == 4.5
@@ -58,12 +59,3 @@ def test_a_time_shifted_reference_is_the_reference_at_shifted_times() -> None:
     assert later.end == 6.0
     assert fjr.time_shifted(RUNNING, 0.0) is RUNNING
     np.testing.assert_array_equal(later.configurations(9), TARGETS["spline"].configurations(9))
-
-
-@targets
-def test_configurations_are_those_of_the_transition_and_of_the_target(target: Reference) -> None:
-    joined = fjr.transition(RUNNING.jets(T0), T0, target, DURATION)
-    q = joined.configurations(64)
-    assert q.shape == (64, 2)
-    np.testing.assert_allclose(q[0], RUNNING.jets(T0)[0])
-    np.testing.assert_array_equal(q[16:], target.configurations(48))

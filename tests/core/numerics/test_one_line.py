@@ -19,8 +19,14 @@ from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.runtime.safety_settings import Settings
 from two_link_urdf import two_link_urdf
 
+
+def from_parameters(names: list[str]) -> fjr.Robot:
+    given = {"robot.model": "planar_two_link", "joints": names}
+    return robot(complete(robot_parameters(given), given))
+
+
 ENTRIES: dict[str, Callable[[list[str]], object]] = {
-    "parameters": lambda names: from_parameters(names),
+    "parameters": from_parameters,
     "URDF": lambda names: fjr.robot_from_urdf(two_link_urdf(), names, 400.0, 0.1),
     "settings": lambda names: Settings(tuple(names)),
 }
@@ -34,11 +40,6 @@ BAD = st.one_of(
     NAMES.map(lambda name: ["other name", f" {name}"]),
     st.tuples(NAMES, NOT_PRINTABLE, NAMES).map(lambda parts: ["other name", "".join(parts)]),
 )
-
-
-def from_parameters(names: list[str]) -> fjr.Robot:
-    given = {"robot.model": "planar_two_link", "joints": names}
-    return robot(complete(robot_parameters(given), given))
 
 
 @pytest.mark.parametrize("entry", ENTRIES)

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 import fjr_core as fjr
-from core.oracles.cases import PLANAR, Arm, Array, GainSet, gain_set, square
+from core.oracles.cases import FULL, PLANAR, Arm, Array, GainSet, gain_set, square
 from fjr_core.model.rigid_arm import ArmDynamics
 
 ROBOTS = Path(__file__).parents[3] / "ros2_ws/src/fjr_bringup/robots"
@@ -239,9 +239,5 @@ def two_joints() -> Arm:
         "two",
         f'<robot name="two"><link name="base"/>{links}{joints}</robot>',
         ("joint1", "joint0"),
-        stiffness=np.array([[30.0, 4.0], [4.0, 20.0]]),
-        motor_inertia=np.array([[0.02, 0.003], [0.003, 0.01]]),
-        link_damping=np.array([[0.2, 0.05], [0.05, 0.1]]),
-        motor_damping=np.array([[0.02, -0.004], [-0.004, 0.01]]),
-        input_gain=np.array([[1.2, 0.1], [-0.2, 0.8]]),
+        **FULL,
     )

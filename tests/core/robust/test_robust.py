@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -12,11 +13,14 @@ import pytest
 from scipy import signal
 
 import fjr_core as fjr
+from core.oracles.cases import ARMS, TORSION, linear
 from fjr_core.config.scenario import load_scenario
-from fjr_core.errors import GainsError, StateError
+from fjr_core.errors import StateError
+from fjr_core.extensions.law_registry import LAWS, V_DPBC
+from fjr_core.law.interfaces import StaticLaw
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.integral_action import IntegralAction, gain_values
-from fjr_core.robust.law import Robust, RobustLaw, sampled_law
+from fjr_core.robust.law import Robust, RobustLaw, loaded_by_springs, loaded_expression, sampled_law
 from fjr_core.robust.smith_predictor import EffortBuffer
 from fjr_core.stability.linearization import spectral_radius
 from fjr_design.batch import ClosedLoop, Draws
@@ -24,7 +28,7 @@ from fjr_design.batch import ClosedLoop, Draws
 JOINT = fjr.TrackingLaw(fjr.single_link(stiffness=31.0), fjr.PAPER_GAINS)
 TWO_LINK = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")
 PLANAR = fjr.TrackingLaw(TWO_LINK.robot, TWO_LINK.gains)
-LAWS = {"joint": JOINT, "two_link": PLANAR}
+LOOPS = {"joint": JOINT, "two_link": PLANAR}
 SINE = fjr.Sine(1.0, 1.0)
 PERIOD = 1e-3  # s
 ESTIMATE = Robust(residual_gain=60.0, motor_residual_gain=30.0)
@@ -48,7 +52,7 @@ def on_reference(robot: fjr.Robot, reference: fjr.Reference) -> np.ndarray:
 
 
 def errors(
-    law: fjr.TrackingLaw,
+    law: StaticLaw,
     robust: Robust | None,
     reference: fjr.Reference,
     robot: fjr.Robot,
@@ -92,10 +96,10 @@ def test_residual_reduces_the_effect_of_an_inertia_error_threefold(gravity: floa
     assert plain > 3 * better
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", LOOPS)
 @pytest.mark.parametrize("samples", [0.5, 1.0, 2.0])
 def test_prediction_reduces_the_error_of_a_delay_tenfold(name: str, samples: float) -> None:
-    law, delay = LAWS[name], samples * PERIOD
+    law, delay = LOOPS[name], samples * PERIOD
     reference = SINE if name == "joint" else TWO_LINK.reference
     plain, better = (rms(errors(law, r, reference, law.robot, 3.0, delay)[1000:]) for r in (None, Robust(delay=delay)))
     assert plain > 10 * better
@@ -105,9 +109,9 @@ def test_prediction_reduces_the_error_of_a_delay_tenfold(name: str, samples: flo
 
 
 @actions
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", LOOPS)
 def test_equilibrium_under_load_is_on_the_reference_and_stable(name: str, robust: Robust) -> None:
-    law = LAWS[name]
+    law = LOOPS[name]
     q_ld = np.linspace(0.5, -0.4, law.robot.n)
     off = errors(law, robust, fjr.Hold(q_ld), pushed(law.robot, 0.3), 15.0)
     assert np.abs(off).max() > 1e-3
@@ -123,10 +127,10 @@ def test_integral_converges_at_its_rate_on_stiff_and_soft_joints(stiffness: floa
         assert -np.log(slowest) / PERIOD == pytest.approx(0.1, rel=0.02)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", LOOPS)
 def test_integral_gains_are_symmetric_and_positive_definite(name: str) -> None:
-    law, n = LAWS[name], LAWS[name].robot.n
-    values = gain_values(law.robot, law.gains, (np.full(n, 3.0), np.zeros(n)))
+    law, n = LOOPS[name], LOOPS[name].robot.n
+    values = gain_values(law, (np.full(n, 3.0), np.zeros(n)))
     K_l, K_m, K_l_inverse, _ = (K.reshape(n, n) for K in np.split(values, 4))
     np.testing.assert_allclose(K_l, K_l.T, rtol=1e-12)
     assert np.linalg.eigvalsh(K_l).min() > 0
@@ -170,13 +174,13 @@ def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: floa
     return np.array(r), np.array(w)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", LOOPS)
 def test_residual_is_the_torque_through_its_filter(name: str) -> None:
     """r = L / (s + L) d and w = (L / (s + L))^3 d for any motion, up to the error of the quadrature."""
-    gain, n = 40.0, LAWS[name].robot.n
+    gain, n = 40.0, LOOPS[name].robot.n
     off = []
     for period in (2e-3, 1e-3):
-        r, w = residual_run(LAWS[name], gain, period, 0.3)
+        r, w = residual_run(LOOPS[name], gain, period, 0.3)
         t = period * np.arange(len(r))
         _, first = signal.step(([gain], [1, gain]), T=t)
         _, third = signal.step(([gain**3], np.poly([-gain] * 3)), T=t)
@@ -215,10 +219,10 @@ def test_effort_buffer_returns_the_acting_efforts() -> None:
     assert float(waiting.mean(kept, ca.DM(1e-3))) == pytest.approx(mean, abs=2e-3)
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", LOOPS)
 def test_predicted_state_is_the_state_after_the_delay(name: str) -> None:
     """The effort is the law at the state after the delay and half a hold under the last effort."""
-    law, n, rng = LAWS[name], LAWS[name].robot.n, np.random.default_rng(3)
+    law, n, rng = LOOPS[name], LOOPS[name].robot.n, np.random.default_rng(3)
     step, plant = RobustLaw(law, Robust(delay=PERIOD, hold=PERIOD)), fjr.Plant(law.robot)
     x = law.robot.state(*rng.uniform(-0.3, 0.3, (4, n)))
     memory, sent, jets = step.memory, np.zeros(n), rng.uniform(-1, 1, (5, n))
@@ -335,20 +339,57 @@ def test_other_gains_reuse_the_function() -> None:
     np.testing.assert_array_equal(other.gain_values, fresh.gain_values)
 
 
-class Other:
-    """A measured law without load torques."""
+# --- other laws
 
-    robot = JOINT.robot
-    gain_values = JOINT.gain_values
-    measured_expression = JOINT.measured_expression
+BASELINES = tuple(name for name in LAWS if name not in (V_DPBC, "friction_observer", "active_disturbance"))
+every_baseline = pytest.mark.parametrize("name", BASELINES)
 
 
-def test_every_law_supports_prediction_but_only_v_dpbc_compensates_torques() -> None:
-    one, other = (RobustLaw(law, Robust(delay=1e-3)).step_function for law in (Other(), JOINT))
-    values = [np.full(2, 0.1), np.full(2, 0.1), np.ones((1, 5)), JOINT.gain_values, np.full(4, 0.1), 0.2, 1e-3]
-    np.testing.assert_array_equal(one(*values)[0].full(), other(*values)[0].full())
-    with pytest.raises(GainsError, match="enabled for a Other; expected it for the law v_dpbc only"):
-        RobustLaw(Other(), Robust(residual_gain=1.0))
+def baseline(name: str, robot: fjr.Robot, omega: float = 30.0) -> StaticLaw:
+    kind = LAWS[name]
+    return kind.make(robot, kind.tuning_rule(robot, np.full(robot.n, 0.4), omega, 0.8))
+
+
+@pytest.mark.parametrize("i", range(len(ARMS)), ids=[arm.name for arm in ARMS])
+def test_a_load_that_shifts_the_springs_is_that_of_the_loaded_law(i: int) -> None:
+    """v-dPBC has both forms, for any straight springs, damping and input gains."""
+    robot, rng = ARMS[i].robot, np.random.default_rng(i)
+    law, n = fjr.TrackingLaw(robot, linear(robot.n).gains), robot.n
+    at = tuple(ca.DM(rng.uniform(-1, 1, 2 * n)) for _ in range(2))
+    jets, gains, known, matched = (ca.DM(rng.uniform(-1, 1, size)) for size in ((n, 5), (1, 1), (n, 3), n))
+    gains = ca.DM(law.gain_values)
+    found = loaded_by_springs(law, at, jets, gains, known, matched)
+    wanted = loaded_expression(law, integrates=False)(*at, jets, gains, known, matched)[:2]
+    for one, other in zip(found, wanted, strict=True):
+        value = ca.evalf(one).full()
+        np.testing.assert_allclose(value, other.full(), rtol=1e-8, atol=1e-9 * np.abs(other.full()).max())
+
+
+@every_baseline
+@pytest.mark.parametrize(("loop", "robust"), [("joint", BOTH), ("joint", INTEGRATE), ("two_link", ESTIMATE)])
+def test_every_law_leaves_no_error_of_a_constant_load(name: str, loop: str, robust: Robust) -> None:
+    robot = LOOPS[loop].robot
+    law, q_ld = baseline(name, robot, 30.0 if robot.n == 1 else 15.0), np.full(robot.n, 0.4)
+    off = errors(law, robust, fjr.Hold(q_ld), pushed(robot, 0.1), 8.0)
+    assert np.abs(off).max() > 1e-4
+    assert np.abs(off[-1]).max() < 1e-6
+
+
+def test_springs_with_a_curve_are_compensated_by_v_dpbc_only() -> None:
+    robot = next(arm.robot for arm in TORSION)
+    law = fjr.PythonLaw(SimpleNamespace(effort=lambda position, velocity, jets: 0 * jets[0]), robot)
+    assert sampled_law(law, Robust(delay=1e-3)).lead == 1.5e-3
+    with pytest.raises(fjr.GainsError, match="PythonLaw is given springs with a .*; expected v_dpbc, or robust.delay"):
+        sampled_law(law, ESTIMATE)
+
+
+@pytest.mark.parametrize("name", ["lqr", "feedback_linearisation"])
+def test_integral_under_another_law_converges_at_its_rate(name: str) -> None:
+    """The slowest mode of the sampled loop decays at the rate, to second order, for torques on links or motors."""
+    law = baseline(name, JOINT.robot)
+    for side in ("integral_gain", "motor_integral_gain"):
+        slowest = spectral_radius(sampled_law(law, Robust(**{side: 0.1})), PERIOD, configurations=[[0.4]])[0]
+        assert -np.log(slowest) / PERIOD == pytest.approx(0.1, rel=0.05)
 
 
 def test_law_with_a_controller_state_requires_a_sample_period() -> None:

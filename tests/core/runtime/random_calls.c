@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Call the control step at random, as a program behind its text: print a digest of all commands, or abort at an effort
- * that is not finite or beyond its limit. Argument: the number of controllers.
+ * that is not finite, beyond its limit or changes faster than its limit. Argument: the number of controllers.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -143,11 +143,30 @@ static void make_references(struct fjr_reference* r) {
 
 /* ---- Calls ------------------------------------------------------------------------------------------------------ */
 
+static double sent[N]; /* last effort; at first zero */
+static int64_t sent_at;
+static int rates_apply; /* not before the sample after another limit */
+
+/* Check the rates since the last effort, over the time between the stamps, at most the timeout. */
+static void check_rates(const struct fjr_controller* c, const double* u, int64_t stamp) {
+  const int64_t since = sent_at == FJR_NEVER || stamp < sent_at ? 0 : stamp - sent_at;
+  const double dt = 1e-9 * (double)(since < c->stamps.timeout ? since : c->stamps.timeout);
+  for (int i = 0; i < N; ++i) {
+    const double rate = c->settings.effort_rate[i], most = rate < (double)INFINITY ? rate * dt : rate;
+    if (rates_apply && fabs(u[i] - sent[i]) > most * (1 + 1e-9) + 1e-12) abort();
+  }
+  sent_at = stamp, rates_apply = 1;
+}
+
 static void check_effort(const struct fjr_controller* c, const double* u) {
   for (int i = 0; i < N; ++i) {
     if (!isfinite(u[i]) || fabs(u[i]) > c->settings.effort[i]) abort();
     add(u[i]);
   }
+}
+
+static void stop_sent(const struct fjr_controller* c, const double* u) {
+  check_effort(c, u), memcpy(sent, u, sizeof sent);
 }
 
 static int64_t next_stamp(int64_t stamp) {
@@ -164,7 +183,8 @@ static void sample_once(const struct fjr_model* m, struct fjr_controller* c, int
   for (int i = 0; i < 2 * N; ++i) sample.velocity[i] = wild();
   memset(&command, 0, sizeof command);
   if (!fjr_step(m, c, &sample, arrival, &command)) return;
-  check_effort(c, command.u);
+  check_effort(c, command.u), check_rates(c, command.u, stamp);
+  memcpy(sent, command.u, sizeof sent);
   for (int k = 0; k < FJR_JETS * N; ++k) add(command.jets[k]);
   add(command.V), add(command.state), add((double)command.bound_start);
 }
@@ -176,10 +196,10 @@ static void act(const struct fjr_model* m, struct fjr_controller* c, const struc
   const struct fjr_reference* reference = &references[number(5)];
   struct fjr_settings settings;
   switch (number(10)) {
-    case 0: if (fjr_silence(m, c, arrival, u)) check_effort(c, u); break;
-    case 1: fjr_stop_effort(m, c, u), check_effort(c, u); break;
+    case 0: if (fjr_silence(m, c, arrival, u)) stop_sent(c, u); break;
+    case 1: fjr_stop_effort(m, c, u), stop_sent(c, u); break;
     case 2: fjr_start(c, rarely(2) ? 0 : reference); break;
-    case 3: random_settings(&settings), fjr_apply(c, &settings); break;
+    case 3: random_settings(&settings), fjr_apply(c, &settings), rates_apply = 0; break;
     case 4: fjr_use_gains(c, gains + 2 * number(2), damping); break;
     case 5: fjr_follow(c, reference, rarely(2) ? FJR_NEVER : stamp + 3 * MILLISECOND); break;
     case 6: fjr_hold(c); break;
@@ -202,6 +222,7 @@ int main(int argc, char** argv) {
     for (int i = 0; i < 9; ++i) number(2);
     random_model(&m), random_settings(&settings);
     fjr_init(&c, &settings, gains, &references[number(5)]);
+    memset(sent, 0, sizeof sent), sent_at = FJR_NEVER, rates_apply = 1;
     for (int call = 0; call < CALLS; ++call) {
       stamp = next_stamp(stamp), arrival += (rarely(50) ? 700 : 1) * MILLISECOND;
       if (rarely(10)) act(&m, &c, references, stamp, arrival);

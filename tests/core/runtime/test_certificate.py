@@ -53,13 +53,16 @@ def test_machine_code_and_evaluation_in_python_agree_to_rounding() -> None:
 @pytest.mark.parametrize(
     "break_", [{"restarted": True}, {"stamp": 5 * MS}, {"stamp": 6 * MS + round(LONGEST_JUDGED * 1e9)}]
 )
-def test_state_after_a_break_follows_no_other(break_: dict[str, Any]) -> None:
+def test_state_after_a_break_or_a_value_that_is_not_finite_follows_no_other(break_: dict[str, Any]) -> None:
     online, state = Certified(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
     assert not online.certify(5 * MS, *state).follows
     assert online.certify(6 * MS, *state).valid
     assert not online.certify(break_.pop("stamp", 7 * MS), *state, **break_).follows
     online.restart()
     assert not online.certify(8 * MS, *state).follows
+    online.certify(9 * MS, *state)  # a value that is not finite is not valid and has no successor
+    assert not online.certify(10 * MS, POSITION[0], VELOCITY[0] * np.inf, JETS[0], U[0]).valid
+    assert not online.certify(11 * MS, *state).follows
 
 
 def test_bound_decays_from_V_at_its_first_sample_and_there_is_none_without_it() -> None:
@@ -73,13 +76,6 @@ def test_bound_decays_from_V_at_its_first_sample_and_there_is_none_without_it() 
     assert online.certify(10 * MS, *state, bound_start=10 * MS).bound == first
     online.struct.pointer.bounded = False
     assert online.certify(11 * MS, *state, bound_start=10 * MS).bound == -1
-
-
-def test_value_that_is_not_finite_is_not_valid_and_has_no_successor() -> None:
-    online, state = Certified(LAW), (POSITION[0], VELOCITY[0], JETS[0], U[0])
-    online.certify(5 * MS, *state)
-    assert not online.certify(6 * MS, POSITION[0], VELOCITY[0] * np.inf, JETS[0], U[0]).valid
-    assert not online.certify(7 * MS, *state).follows
 
 
 def test_messages_for_observers_are_due_on_a_grid_that_a_jump_restarts() -> None:

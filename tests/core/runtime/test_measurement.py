@@ -24,32 +24,24 @@ def step_with(measurement: fjr.Measurement) -> ControlStep:
     return ControlStep(LAW, reference, Settings(("a", "b")), observer, measurement=measurement)
 
 
-def test_motor_angles_and_velocities_are_divided_by_the_gear_ratio() -> None:
+def test_motor_angles_are_divided_by_the_gear_ratio_or_follow_from_the_joint_torques() -> None:
     step = step_with(fjr.Measurement(2, gear_ratio=np.array([100.0, -50.0])))
     given = ([1.0, 2.0], [200.0, -3.0], [5.0, 6.0], [400.0, 30.0])
     assert step.step(0, 0, *(np.array(values) for values in given))
     assert step.position.tolist() == [1.0, 2.0, 2.0, 0.06]
     assert step.velocity.tolist() == [5.0, 6.0, 4.0, -0.6]
-
-
-def test_motor_positions_follow_from_the_joint_torques() -> None:
     step, torque = step_with(fjr.Measurement(2, "observer", "torque", K=K)), np.array([3.0, -2.0])
     assert step.step(0, 0, np.array([1.0, 2.0]), torque, None, None)
     np.testing.assert_allclose(K @ (step.position[2:] - step.position[:2]), torque, rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("measurement", "motor", "dq_m"),
-    [
-        (fjr.Measurement(2, "observer", "torque", K=1e-3 * K), 1e308, 0.0),
-        (fjr.Measurement(2, gear_ratio=1e-3), 1e308, 0.0),
-        (fjr.Measurement(2, gear_ratio=1e-3), 1.0, 1e308),
-    ],
-    ids=["torque", "angle", "velocity"],
-)
-def test_a_conversion_that_overflows_gets_the_stop_effort(
-    measurement: fjr.Measurement, motor: float, dq_m: float
-) -> None:
+SOFT, GEARED = fjr.Measurement(2, "observer", "torque", K=1e-3 * K), fjr.Measurement(2, gear_ratio=1e-3)
+OVERFLOWS = {"torque": (SOFT, 1e308, 0.0), "angle": (GEARED, 1e308, 0.0), "velocity": (GEARED, 1.0, 1e308)}
+
+
+@pytest.mark.parametrize("what", OVERFLOWS)
+def test_a_conversion_that_overflows_gets_the_stop_effort(what: str) -> None:
+    measurement, motor, dq_m = OVERFLOWS[what]
     step, rest = step_with(measurement), np.zeros(2)
     assert step.step(0, 0, rest, rest + motor, rest, rest + dq_m)
     assert step.controller.journal.count[step.lib.FJR_EFFORTS_NOT_FINITE] == 1
@@ -77,26 +69,20 @@ def test_options_reach_measurement_and_observer() -> None:
     np.testing.assert_array_equal(measurement(values(gear_ratio=[100.0, -50.0]), ROBOT).gear_ratio, [100.0, -50.0])
 
 
-REFUSED = {
-    "torque without observer": ({"motor": "torque"}, ("measurement.velocity is 'measured'", "expected 'observer'")),
-    "torque behind a gear": (
-        {"motor": "torque", "velocity": "observer", "gear_ratio": [2.0, 1.0]},
-        ("measurement.gear_ratio is [2.0, 1.0]", "expected 1"),
-    ),
-    "no ratio": ({"gear_ratio": [0.0, 1.0]}, ("measurement.gear_ratio is [0.0, 1.0]; expected no zeros",)),
-    "a ratio too many": ({"gear_ratio": [1.0, 1.0, 1.0]}, ("has 3 entries; expected 2",)),
-    "an unknown word": ({"velocity": "guessed"}, ("expected one of measured, observer",)),
-    "another one": ({"motor": "none"}, ("expected one of position, torque",)),
-    "no bandwidth": ({"observer_bandwidth": 0.0}, ("expected 1.0 to 10000.0",)),
-}
+BEHIND_GEAR = {"motor": "torque", "velocity": "observer", "gear_ratio": [2.0, 1.0]}
+REFUSED = [
+    ({"motor": "torque"}, "measurement.velocity is 'measured'", "expected 'observer'"),
+    (BEHIND_GEAR, "measurement.gear_ratio is [2.0, 1.0]", "expected 1"),
+    ({"gear_ratio": [0.0, 1.0]}, "measurement.gear_ratio is [0.0, 1.0]; expected no zeros"),
+    ({"gear_ratio": [1.0, 1.0, 1.0]}, "has 3 entries; expected 2"),
+    ({"velocity": "guessed"}, "expected one of measured, observer"),
+    ({"motor": "none"}, "expected one of position, torque"),
+    ({"observer_bandwidth": 0.0}, "expected 1.0 to 10000.0"),
+]
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_inconsistent_measurement_options_are_refused_in_one_sentence(case: str) -> None:
-    given, words = REFUSED[case]
-    refused(fjr.ParameterError, lambda: measurement(values(**given), ROBOT), *words)
-
-
-def test_a_measurement_is_checked_where_it_is_made() -> None:
+def test_inconsistent_measurements_are_refused_in_one_sentence() -> None:
+    for given, *words in REFUSED:
+        refused(fjr.ParameterError, lambda given=given: measurement(values(**given), ROBOT), *words)
     refused(fjr.ParameterError, lambda: fjr.Measurement(1, velocity="some"), "velocity is 'some'; expected one of")
     refused(fjr.ParameterError, lambda: fjr.Measurement(1, "observer", "torque"), "expected the joint stiffness")

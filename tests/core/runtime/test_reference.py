@@ -156,10 +156,6 @@ class ScaledSine(fjr.Sine):
         return 2.0 * super().jets(t)
 
 
-class NamedSine(fjr.Sine):
-    """A built-in reference whose jets are inherited."""
-
-
 @cache
 def two_joints() -> Library:
     """Return the library for two joints with all built-in references as constants, in the order of BUILT_IN."""
@@ -185,20 +181,13 @@ def times(reference: Reference) -> np.ndarray:
 
 @each
 def test_jets_in_c_equal_those_of_python(name: str) -> None:
-    """Those of polynomials bit by bit."""
-    reference = BUILT_IN[name]
-    t = times(reference)
-    expected = reference.jets(t)
-    scale = 0.0 if name in POLYNOMIALS else 1e-14 * np.abs(expected).max(axis=(0, 2))[:, None]
-    assert np.all(np.abs(two_joints().jets(reference, t) - expected) <= scale)
-
-
-@each
-def test_the_exported_text_is_the_reference_bit_by_bit(name: str) -> None:
-    """The text was compiled as C99 with warnings as errors."""
+    """Those of polynomials bit by bit, and those of the exported text, compiled as C99 with warnings as errors."""
     c, reference = two_joints(), BUILT_IN[name]
-    exported = c.at(c.lib.constant(list(BUILT_IN).index(name)), times(reference))
-    np.testing.assert_array_equal(exported, c.jets(reference, times(reference)))
+    t = times(reference)
+    expected, found = reference.jets(t), c.jets(reference, t)
+    scale = 0.0 if name in POLYNOMIALS else 1e-14 * np.abs(expected).max(axis=(0, 2))[:, None]
+    assert np.all(np.abs(found - expected) <= scale)
+    np.testing.assert_array_equal(c.at(c.lib.constant(list(BUILT_IN).index(name)), t), found)
 
 
 @each
@@ -280,20 +269,15 @@ def test_a_segment_is_the_polynomial_of_degree_nine_of_sixty_digits(h: float) ->
     assert np.all(np.abs(found - np.multiply.outer(exact, [1.0, 2.0])) <= 2e-13 * size(TWO_JETS, h))
 
 
-@pytest.mark.parametrize(
-    ("t0", "t1"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1e-100), (1e9, np.nextafter(1e9, inf)), (0.0, 2.0)]
-)
-def test_a_segment_is_refused_where_python_refuses_it(t0: float, t1: float) -> None:
-    finite = PiecewisePolynomial(np.array([t0, t1]), TWO_JETS).finite
-    assert (one_joint().segment(*TWO_JETS, t0, t1) is not None) == finite
-
-
-@pytest.mark.parametrize("wrong", [np.nan, inf])
-def test_a_segment_from_jets_that_are_not_finite_is_refused(wrong: float) -> None:
+def test_a_segment_is_refused_where_python_refuses_it_or_its_jets_are_not_finite() -> None:
+    for t0, t1 in ((0.0, 0.0), (1.0, 0.0), (0.0, 1e-100), (1e9, np.nextafter(1e9, inf)), (0.0, 2.0)):
+        finite = PiecewisePolynomial(np.array([t0, t1]), TWO_JETS).finite
+        assert (one_joint().segment(*TWO_JETS, t0, t1) is not None) == finite
     for place in np.ndindex(2, JETS):
-        jets = np.ones((2, JETS, 1))
-        jets[place] = wrong
-        assert one_joint().segment(*jets, 0.0, 1.0) is None
+        for wrong in (np.nan, inf):
+            jets = np.ones((2, JETS, 1))
+            jets[place] = wrong
+            assert one_joint().segment(*jets, 0.0, 1.0) is None
 
 
 def test_sines_and_circles_are_for_any_number_of_joints() -> None:
@@ -310,11 +294,8 @@ def test_a_reference_of_the_user_is_evaluated_in_python(reference: Reference) ->
     joined = TimeShifted(Transition(JOINED.segment, reference), 0.5)
     expected = [joined.jets(float(at)) for at in t]
     np.testing.assert_allclose(two_joints().jets(joined, t), expected, rtol=1e-12, atol=1e-12)
-
-
-def test_a_subclass_with_inherited_jets_is_a_table() -> None:
-    kinds = [reference_table(kind(1.0, 1.0)).kind for kind in (NamedSine, ScaledSine)]
-    assert kinds == ["FJR_SINES", "FJR_FUNCTION"]
+    inherited = type("NamedSine", (fjr.Sine,), {})
+    assert [reference_table(kind(1.0, 1.0)).kind for kind in (inherited, ScaledSine)] == ["FJR_SINES", "FJR_FUNCTION"]
 
 
 class BrokenReference(OwnReference):
@@ -327,44 +308,39 @@ class BrokenReference(OwnReference):
         return super().jets(t) if t < 1.0 else self.failure()
 
 
-@pytest.mark.parametrize(
-    ("failure", "words"),
-    [
-        (lambda: 1 / 0, "jets of BrokenReference raises ZeroDivisionError"),
-        (lambda: np.zeros((5, 3)), r"jets of BrokenReference has shape \(5, 3\); expected \(5, 2\)"),
-        (lambda: "far", "jets of BrokenReference is 'far'; expected numbers"),
-    ],
-    ids=["raises", "shape", "words"],
-)
+FAILURES: dict[str, Callable[[], object]] = {
+    "raises ZeroDivisionError": lambda: 1 / 0,
+    r"has shape \(5, 3\); expected \(5, 2\)": lambda: np.zeros((5, 3)),
+    "is 'far'; expected numbers": lambda: "far",
+}
+
+
+@pytest.mark.parametrize("words", FAILURES)
 def test_a_reference_that_fails_is_nan_and_its_error_is_raised_once(
-    failure: Callable[[], object], words: str, capfd: pytest.CaptureFixture[str]
+    words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    c, struct = two_joints(), ReferenceStruct(two_joints().ffi, BrokenReference(failure))
+    c, struct = two_joints(), ReferenceStruct(two_joints().ffi, BrokenReference(FAILURES[words]))
     good, bad = c.at(struct.pointer, [0.5, 1.5])
     assert np.isfinite(good).all()
     assert np.isnan(bad).all()
-    with pytest.raises(fjr.UserCodeError, match=words):
+    with pytest.raises(fjr.UserCodeError, match=f"jets of BrokenReference {words}"):
         struct.raise_failure()
     struct.raise_failure()
     assert capfd.readouterr() == ("", "")  # no traceback
 
 
-@pytest.mark.parametrize(
-    ("reference", "words"),
-    [
-        (np.sin, "expected a reference, e.g. fjr.Sine"),
-        (fjr.Sine, "reference is the class Sine"),
-        (fjr.Sine(1.0, 1.0), "the reference has 1 joints; expected 2"),
-        (TimeShifted(fjr.Hold((0.1, 0.2, 0.3)), 1.0), "the reference has 3 joints; expected 2"),
-    ],
-    ids=["function", "class", "one joint", "three joints"],
-)
-def test_what_is_no_reference_of_the_arm_is_refused_in_one_sentence(reference: Reference, words: str) -> None:
-    with pytest.raises(fjr.TrajectoryError, match=words):
-        ReferenceStruct(two_joints().ffi, reference)
+REFUSED: dict[str, Any] = {
+    "expected a reference, e.g. fjr.Sine": np.sin,
+    "reference is the class Sine": fjr.Sine,
+    "the reference has 1 joints; expected 2": fjr.Sine(1.0, 1.0),
+    "the reference has 3 joints; expected 2": TimeShifted(fjr.Hold((0.1, 0.2, 0.3)), 1.0),
+}
 
 
-@pytest.mark.parametrize("reference", [OwnReference(), TimeShifted(Transition(JOINED.segment, OwnReference()), 0.5)])
-def test_a_reference_of_the_user_is_not_exported(reference: Reference) -> None:
-    with pytest.raises(fjr.TrajectoryError, match="a reference OwnReference cannot be exported to C; expected one of"):
-        reference_code(reference, "way")
+def test_what_is_no_reference_of_the_arm_or_cannot_be_exported_is_refused_in_one_sentence() -> None:
+    for words, reference in REFUSED.items():
+        with pytest.raises(fjr.TrajectoryError, match=words):
+            ReferenceStruct(two_joints().ffi, reference)
+    for own in (OwnReference(), TimeShifted(Transition(JOINED.segment, OwnReference()), 0.5)):
+        with pytest.raises(fjr.TrajectoryError, match="a reference OwnReference cannot be exported to C; expected one"):
+            reference_code(own, "way")

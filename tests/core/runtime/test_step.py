@@ -65,7 +65,9 @@ def test_the_text_compiles_without_a_warning(n: int, memory: int, compiler: str,
 
 
 @pytest.mark.parametrize("n", [1, 3, pytest.param(7, marks=pytest.mark.full)])
-def test_random_calls_send_finite_limited_efforts_of_the_same_bits_in_every_build(n: int, tmp_path: Path) -> None:
+def test_random_calls_send_finite_efforts_within_limit_and_rate_of_the_same_bits_in_every_build(
+    n: int, tmp_path: Path
+) -> None:
     """No sanitizer finds a fault, whatever the samples are and in whichever order the functions are called."""
     source = c_text(n, 3) + Path(__file__).with_name("random_calls.c").read_text()
     digests = [

@@ -177,13 +177,10 @@ def test_error_radius_of_an_undamped_joint_is_that_of_its_modes(bandwidth: float
     expected = max(z, np.abs(np.roots([1, -trace, z * z])).max())
     assert error_radii(robot, bandwidth, dt, [[0.3]])[0] == pytest.approx(expected, rel=1e-3)
     assert expected < 1
-
-
-def test_an_unstable_equilibrium_requires_a_bandwidth_above_its_rate() -> None:
-    """Upright, the joint of the paper falls at a rate below sqrt(m g l / M) = 5 1/s because of spring and damping."""
-    robot = fjr.single_link(stiffness=31.0, link_damping=0.0, motor_damping=0.0)
-    slow, fast = (error_radii(robot, bandwidth, 1e-3, [[np.pi]])[0] for bandwidth in (1.0, 50.0))
-    assert slow > 1 > fast
+    if bandwidth == 150.0:  # upright, the joint of the paper falls at a rate below sqrt(m g l / M) = 5 1/s
+        upright = fjr.single_link(stiffness=31.0, link_damping=0.0, motor_damping=0.0)
+        slow, fast = (error_radii(upright, each, dt, [[np.pi]])[0] for each in (1.0, 50.0))
+        assert slow > 1 > fast
 
 
 @pytest.mark.parametrize("name", SHIPPED)

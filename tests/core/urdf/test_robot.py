@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -52,23 +53,17 @@ def test_named_joints_in_any_order_with_others_locked_agree_with_pinocchio(case:
     assert agreement(*robot_of(case), seed=case[1]) < 1e-10
 
 
-def test_links_and_joints_may_share_names() -> None:
-    text = ARM7.read_text(encoding="utf-8")
-    named = text
-    for i in range(1, 8):
-        named = named.replace(f'"link{i}"', f'"joint{i}"')
-    assert named != text
-    here, there = (fjr.robot_from_urdf(xml, ARM7_JOINTS, 100.0, 0.1) for xml in (named, text))
-    q = np.linspace(-1, 1, 7)
-    assert np.array_equal(here.M_l(q), there.M_l(q))
-
-
-def test_file_path_and_text_give_the_same_robot_with_or_without_a_byte_order_mark(tmp_path: Path) -> None:
-    urdf, file, q = random_urdf(3, 0), tmp_path / "arm.urdf", np.array([0.3, -0.4, 0.5])
-    text = '\ufeff<?xml version="1.0" encoding="utf-8"?>\n' + urdf.xml
-    file.write_text(text, encoding="utf-8")
-    sources = (file, str(file), text, urdf.xml)
-    robots = [fjr.robot_from_urdf(source, urdf.joints, 100.0, 0.1) for source in sources]
+def test_path_and_text_give_the_same_robot_with_a_byte_order_mark_extensions_or_links_named_as_joints(
+    tmp_path: Path,
+) -> None:
+    text, file, q = ARM7.read_text(encoding="utf-8"), tmp_path / "arm.urdf", np.linspace(-1, 1, 7)
+    marked = f"\ufeff{text}"
+    extended = text.replace("</robot>", "<gazebo><sim:sensor sim:rate='1'/></gazebo></robot>")
+    same_names = re.sub(r'"link(\d)"', r'"joint\1"', text)
+    file.write_text(marked, encoding="utf-8")
+    assert len({text, marked, extended, same_names}) == 4
+    sources = (file, str(file), marked, text, extended, same_names)
+    robots = [fjr.robot_from_urdf(source, ARM7_JOINTS, 100.0, 0.1) for source in sources]
     assert all(np.array_equal(robot.M_l(q), robots[0].M_l(q)) for robot in robots)
 
 
@@ -136,6 +131,16 @@ SHOULDER, ELBOW = joint("shoulder", "base", "upper"), joint("elbow", "upper", "l
 TWO = robot(BASE, link("upper"), link("lower"), SHOULDER, ELBOW)
 
 
+def with_more(*parts: str, xml: str = TWO) -> str:
+    """Return the URDF with further links and joints."""
+    return xml.replace("</robot>", "".join(parts) + "</robot>")
+
+
+def limited(limit: str, kind: str = "revolute") -> str:
+    """Return an arm with one joint and a tag <limit>."""
+    return robot(BASE, link("upper"), joint("shoulder", "base", "upper", kind, limit))
+
+
 def read(xml: str, joints: Any = ("shoulder", "elbow"), stiffness: Any = 50.0, **values: Any) -> fjr.Robot:
     return fjr.robot_from_urdf(xml, joints, stiffness, values.pop("motor_inertia", 0.1), **values)
 
@@ -178,7 +183,7 @@ def test_a_gear_ratio_reflects_the_rotors_inertia() -> None:
     ],
 )
 def test_zero_or_absent_limits_are_no_limits(inner: str, kind: str, expected: list[float]) -> None:
-    limits = read(robot(BASE, link("upper"), joint("shoulder", "base", "upper", kind, inner)), ["shoulder"]).limits
+    limits = read(limited(inner, kind), ["shoulder"]).limits
     assert [float(getattr(limits, name)[0]) for name in ("lower", "upper", "velocity", "effort")] == expected
 
 
@@ -214,7 +219,7 @@ def with_limits(xml: str) -> str:
 def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     bad = link("antenna", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + link("hub", mass=-2.0)
     arms = joint("mast", "base", "antenna", "fixed") + joint("wheel", "base", "hub", "continuous")
-    found = read(TWO.replace("</robot>", bad + arms + "</robot>"))
+    found = read(with_more(bad, arms))
     q = np.array([0.4, -0.7])
     assert np.array_equal(found.M_l(q), read(TWO).M_l(q))
     assert [record.getMessage() for record in caplog.records] == [
@@ -223,17 +228,12 @@ def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.Lo
     ]
 
 
-def test_an_extension_with_an_undeclared_prefix_is_ignored() -> None:
-    extended = TWO.replace("</robot>", "<gazebo><sim:sensor sim:rate='1'/></gazebo></robot>")
-    assert np.array_equal(read(extended).M_l([0.1, 0.2]), read(TWO).M_l([0.1, 0.2]))
-
-
 # Invalid input: one sentence, nothing printed.
 
 POINT = link("lower", 1.0, 0.0, ZERO)
-SIDE = TWO.replace("</robot>", link("other") + joint("wing", "upper", "other") + "</robot>")
+SIDE = with_more(link("other"), joint("wing", "upper", "other"))
 HOOK = link("hook", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + joint("wrist", "lower", "hook")
-FIXED = HAND.replace("</robot>", '<link name="camera"/>' + joint("mount", "lower", "camera", "fixed") + "</robot>")
+FIXED = with_more('<link name="camera"/>', joint("mount", "lower", "camera", "fixed"), xml=HAND)
 REFUSED: dict[str, tuple[str, str]] = {
     "broken": ("<robot", "the URDF text does not parse as XML"),
     "not a urdf": ("<sdf/>", "root element <sdf>; expected the <robot> of a URDF"),
@@ -245,16 +245,16 @@ REFUSED: dict[str, tuple[str, str]] = {
     "unknown link": (TWO.replace('child link="lower"', 'child link="fore"'), "joint 'elbow' names the link 'fore'"),
     "no child": (TWO.replace('<child link="lower"/>', ""), "joint 'elbow' has no <child link"),
     "two parents": (
-        TWO.replace("</robot>", joint("rod", "base", "lower") + "</robot>"),
+        with_more(joint("rod", "base", "lower")),
         "link 'lower' is the child of joints 'elbow' and 'rod' .a closed chain.; expected a tree",
     ),
     "loop": (
         robot(BASE, link("upper"), link("lower"), joint("shoulder", "lower", "upper"), ELBOW),
         "is its own ancestor .a closed chain.; expected a tree",
     ),
-    "two roots": (TWO.replace("</robot>", link("loose") + "</robot>"), "links base, loose have no parent joint"),
+    "two roots": (with_more(link("loose")), "links base, loose have no parent joint"),
     "floating base": (
-        TWO.replace("</robot>", '<link name="world"/>' + joint("free", "world", "base", "floating") + "</robot>"),
+        with_more('<link name="world"/>', joint("free", "world", "base", "floating")),
         "joint 'free' is floating; expected an arm with a fixed base",
     ),
     "zero axis": (TWO.replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"', 1), "joint 'shoulder' has the axis 0 0 0"),
@@ -264,27 +264,18 @@ REFUSED: dict[str, tuple[str, str]] = {
     "mass zero": (TWO.replace('value="1.0"', 'value="0"', 1), "link 'upper' has the mass 0 and an inertia; expected"),
     "negative mass": (TWO.replace('value="1.0"', 'value="-1"', 1), "link 'upper' has the mass -1.0; expected 0"),
     "negative inertia": (TWO.replace('iyy="0.01"', 'iyy="-1"', 1), "link 'upper' has the principal inertia -1"),
-    "bad inertia beyond a locked joint": (
-        TWO.replace("</robot>", HOOK + "</robot>"),
-        "link 'hook' has the principal inertia -1; expected 0 or more",
-    ),
+    "bad inertia beyond a locked joint": (with_more(HOOK), "link 'hook' has the principal inertia -1; expected 0 or"),
     "mass on the axis": (robot(BASE, link("upper"), POINT, SHOULDER, ELBOW), "joint 'elbow' can move without moving"),
     "all massless": (
         robot(BASE, '<link name="upper"/>', '<link name="lower"/>', SHOULDER, ELBOW),
         "joint 'elbow' can move without moving mass .M_l is singular.; expected links with mass and inertia beyond it",
     ),
     "range upside down": (
-        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit lower="1" upper="-1"/>')),
+        limited('<limit lower="1" upper="-1"/>'),
         "joint 'shoulder' has <limit> lower=1 upper=-1 velocity=0 effort=0; expected lower <= upper",
     ),
-    "negative effort": (
-        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit effort="-1"/>')),
-        "expected lower <= upper, velocity and effort 0 or more",
-    ),
-    "nan limit": (
-        robot(BASE, link("upper"), joint("shoulder", "base", "upper", inner='<limit effort="nan"/>')),
-        "joint 'shoulder' has <limit effort=\"nan\">; expected a number",
-    ),
+    "negative effort": (limited('<limit effort="-1"/>'), "expected lower <= upper, velocity and effort 0 or more"),
+    "nan limit": (limited('<limit effort="nan"/>'), "joint 'shoulder' has <limit effort=\"nan\">; expected a number"),
     "mimics a named joint": (
         HAND.replace('mimic joint="left_finger"', 'mimic joint="elbow"'),
         "joint 'right_finger' mimics the named joint 'elbow'",

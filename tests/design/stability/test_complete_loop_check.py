@@ -73,15 +73,15 @@ def drawn_robot(rng: np.random.Generator) -> tuple[fjr.Robot, fjr.Robot]:
 
 
 def drawn_law(rng: np.random.Generator, robot: fjr.Robot, q_l: np.ndarray, period: float, delay: float) -> SampledLaw:
-    """Draw a baseline, or v-dPBC with some of the robust options, possibly with prediction over the delay."""
+    """Draw a law with some of the robust options, possibly with prediction over the delay."""
     predicted = Robust(delay=delay, hold=period) if rng.random() < 0.4 else Robust(hold=period)
+    residual = 10 ** rng.uniform(1, 2.3, 2) * rng.integers(0, 2, 2)
     if rng.random() < 0.3:
         kind = law_kind(rng.choice(BASELINES))
-        return sampled_law(
-            kind.make(robot, kind.tuning_rule(robot, q_l, rng.uniform(5, 30), kind.default_damping)), predicted
-        )
+        law = kind.make(robot, kind.tuning_rule(robot, q_l, rng.uniform(5, 30), kind.default_damping))
+        residual_only = replace(predicted, residual_gain=residual[0], motor_residual_gain=residual[1])
+        return sampled_law(law, None if law.observes else residual_only)
     law = fjr.TrackingLaw(robot, fjr.PAPER_GAINS if robot.n == 1 and rng.random() < 0.5 else scaled(robot, q_l, rng))
-    residual = 10 ** rng.uniform(1, 2.3, 2) * rng.integers(0, 2, 2)
     integral = 10 ** rng.uniform(0.7, 2, 2) * rng.integers(0, 2, 2)
     gains = ("residual_gain", "motor_residual_gain", "integral_gain", "motor_integral_gain")
     return sampled_law(law, replace(predicted, **dict(zip(gains, map(float, [*residual, *integral]), strict=True))))

@@ -146,9 +146,8 @@ def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() ->
     robot, dt, random = three_joints(), 1e-3, np.random.default_rng(2)
     p = values(3, joint_stiffness=300.0, motor_inertia=0.1, link_damping=0.3, motor_coulomb_friction=0.2, offset=0.01)
     free = [(name, j) for name in USUAL[:7] for j in range(3)]
-    coordinates = ParameterCoordinates.of(
-        [*free, ("effort_delay", 0), ("effort_delay", 2)], p, dict.fromkeys(KINDS, np.ones(3))
-    )
+    free += [("effort_delay", 0), ("effort_delay", 2)]
+    coordinates = ParameterCoordinates.of(free, p, dict.fromkeys(KINDS, np.ones(3)))
     arm = ElasticArm(robot, coordinates.dynamic)
     shooting, effort = Shooting(arm, coordinates.delays), held(2 * random.standard_normal((30, 3)), dt, 2)
     assert coordinates.delays == (0, 2)
@@ -176,8 +175,11 @@ def test_normal_equations_are_products_of_the_jacobian(rows: int) -> None:
     np.testing.assert_allclose(g, J.T @ r, rtol=0, atol=1e-13)
 
 
-def test_prior_of_a_robot_holds_its_values_and_those_that_are_given() -> None:
-    robot = fjr.planar_two_link()
+def test_prior_of_a_robot_holds_its_values_and_those_that_are_given_but_no_inertia_without_bodies() -> None:
+    robot, silent = fjr.planar_two_link(), np.zeros((500, 2))
+    record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
+    with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
+        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).coordinates
     prior = Prior.of(robot, {"joint_stiffness": [50.0, 20.0]})
     np.testing.assert_array_equal(prior.values["joint_stiffness"], [50.0, 20.0])
     np.testing.assert_array_equal(prior.values["motor_inertia"], np.diag(robot.M_m))
@@ -284,11 +286,3 @@ def test_corrected_links_are_written_into_the_urdf() -> None:
         np.testing.assert_allclose(after.M_l(q), expected.M_l(q).full(), rtol=1e-7)
         np.testing.assert_allclose(after.grad_P_l(q), expected.grad_P_l(q).full().ravel(), rtol=1e-7)
     assert after.M_l(np.zeros(1)) != pytest.approx(before.M_l(np.zeros(1)), rel=1e-3)
-
-
-def test_a_robot_without_bodies_has_no_inertia_to_correct() -> None:
-    robot = fjr.planar_two_link()
-    silent = np.zeros((500, 2))
-    record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
-    with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
-        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).coordinates

@@ -53,11 +53,8 @@ def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() ->
     setup = setup_of()
     longest = []
     for link, motor in ((0.1, 0.0), (0.0, 0.1)):
-        values = {
-            **setup.prior.values,
-            "link_coulomb_friction": np.array([link]),
-            "motor_coulomb_friction": np.array([motor]),
-        }
+        friction = {"link_coulomb_friction": np.array([link]), "motor_coulomb_friction": np.array([motor])}
+        values = setup.prior.values | friction
         found = setup.problem(values).segments[0].effort.steps(values)
         assert found is not None
         longest.append(found["rest"])
@@ -65,7 +62,7 @@ def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() ->
     assert np.all(longest[0] < 4e-3)
 
 
-def test_the_fit_and_the_share_of_each_side_are_near_the_truth() -> None:
+def test_the_fit_and_the_share_of_each_side_are_near_the_truth_and_blocks_add_up_to_its_information() -> None:
     setup = setup_of()
     z = filtered_fit(setup, setup.coordinates.mean)
     assert np.all(z[list(confounded(setup))] == 0.0)
@@ -76,6 +73,15 @@ def test_the_fit_and_the_share_of_each_side_are_near_the_truth() -> None:
     late = JOINT.D_l / JOINT.K
     assert fitted["link_skew"][0] == pytest.approx(JOINT.skew - late, abs=5e-4)
     assert shared["link_skew"][0] == pytest.approx(JOINT.skew, abs=5e-4)
+    parts = equation_error(setup, z)
+    H, g = sum(part.H for part in parts), sum(part.g for part in parts)
+    assert len(parts) == 4
+    turning = [k for k, (name, _) in enumerate(setup.coordinates.free) if name == SMOOTHING]
+    assert np.all(np.delete(np.diag(H), turning) > 0)
+    fitted = [k for k in range(len(z)) if k not in (*confounded(setup), *turning)]
+    step = np.linalg.solve(H[np.ix_(fitted, fitted)] + np.diag(setup.coordinates.width[fitted] ** -2.0), g[fitted])
+    away = (setup.coordinates.mean - z)[fitted] / setup.coordinates.width[fitted]
+    assert np.all(np.abs(step) < setup.coordinates.width[fitted] * (0.01 + np.abs(away)))
 
 
 def test_derivatives_of_both_sides_equal_central_differences() -> None:
@@ -105,20 +111,6 @@ def test_derivatives_of_both_sides_equal_central_differences() -> None:
             error = side.columns.get(name, np.zeros_like(difference)) - difference
             tolerance = 0.2 if name[0] in ("link_skew", "effort_delay") else 1e-5
             assert np.linalg.norm(error) <= 1e-9 + tolerance * np.linalg.norm(difference), name
-
-
-def test_blocks_add_up_to_the_information_of_the_record() -> None:
-    setup = setup_of()
-    z = filtered_fit(setup, setup.coordinates.mean)
-    parts = equation_error(setup, z)
-    H, g = sum(part.H for part in parts), sum(part.g for part in parts)
-    assert len(parts) == 4
-    turning = [k for k, (name, _) in enumerate(setup.coordinates.free) if name == SMOOTHING]
-    assert np.all(np.delete(np.diag(H), turning) > 0)
-    fitted = [k for k in range(len(z)) if k not in (*confounded(setup), *turning)]
-    step = np.linalg.solve(H[np.ix_(fitted, fitted)] + np.diag(setup.coordinates.width[fitted] ** -2.0), g[fitted])
-    away = (setup.coordinates.mean - z)[fitted] / setup.coordinates.width[fitted]
-    assert np.all(np.abs(step) < setup.coordinates.width[fitted] * (0.01 + np.abs(away)))
 
 
 def test_torques_that_the_model_lacks_are_not_simulated() -> None:

@@ -53,13 +53,12 @@ def sensed(joint: ElasticJoint, q_l: Array, q_m: Array) -> Array:
     return np.asarray(torque + 2e-3 * np.random.default_rng(3).standard_normal(len(k)))
 
 
-def linear_record(frequencies: list[float], amplitude: float, link: bool, noise: float = NOISE) -> MotionRecord:
-    """Return a record that starts and ends smoothly, so that it excites these frequencies only."""
+def linear_record(frequencies: list[float], amplitude: float, noise: float = NOISE) -> MotionRecord:
+    """Return a record of a motor that starts and ends smoothly, so that it excites these frequencies only."""
     dt, joint = 2e-3, replace(LINEAR, skew=1.5e-3, delay=2.5e-3)
     t = np.arange(1500) * dt
     u = multi_sine(t, np.array(frequencies), amplitude, 2) * np.sin(np.pi * t / t[-1]) ** 4
-    q_l, q_m = exact(joint, u, dt, 5e-4)
-    return noisy(u, q_l if link else None, q_m, dt, noise=noise)
+    return noisy(u, None, exact(joint, u, dt, 5e-4)[1], dt, noise=noise)
 
 
 def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> dict[str, Estimate]:
@@ -100,39 +99,34 @@ def test_a_spring_that_hardens_is_found_with_its_curve() -> None:
     assert "the spring is not linear" in straight.reason
 
 
-def test_a_straight_spring_has_no_curve() -> None:
-    found = found_in(noisy(*usual_record(), 4e-3), ElasticJoint(), cubic_stiffness=True)
+def test_a_straight_spring_has_no_curve_and_a_torque_sensor_does_not_measure_one() -> None:
+    u, q_l, q_m = usual_record()
+    found = found_in(noisy(u, q_l, q_m, 4e-3), ElasticJoint(), cubic_stiffness=True)
     assert found["cubic_stiffness"].low <= 0.0 or found["cubic_stiffness"].value < 0.02 * HARD.cubic
     assert found["joint_stiffness"].value == pytest.approx(31.0, rel=0.02)
-
-
-def test_a_torque_sensor_does_not_measure_a_spring_that_hardens() -> None:
-    u, q_l, q_m = usual_record()
     record = noisy(u, q_l, q_m, 4e-3, sensed(ElasticJoint(), q_l, q_m))
     with pytest.raises(fjr.StateError, match="cubic_stiffness is of records with joint torque sensors"):
         found_in(record, ElasticJoint(), cubic_stiffness=True)
 
 
-def test_two_records_give_narrower_intervals_than_one() -> None:
+def test_two_records_give_narrower_intervals_than_one_and_those_of_other_joints_are_refused() -> None:
     robot = robot_like(ElasticJoint())
     both = identify([noisy(*usual_record(seed), 4e-3) for seed in (0, 1)], robot, Prior.of(robot))
     widths = [[each.high - each.low for each in found.estimates] for found in (usual_identification(), both)]
     assert np.median(np.array(widths[1]) / np.array(widths[0])) < 0.8
+    with pytest.raises(fjr.FjrError, match="expected the 2 of the robot"):
+        identify([noisy(*usual_record(), 4e-3)], fjr.planar_two_link(), Prior.of(fjr.planar_two_link()))
 
 
-def test_without_gravity_the_motor_side_reveals_the_stiffness_by_its_resonance_and_not_the_offset() -> None:
-    found = found_in(linear_record([0.4, 1.1, 5.0, 15.0, 17.0], 0.15, link=False), LINEAR)
+def test_without_gravity_the_motor_side_reveals_the_stiffness_by_its_resonance_alone_and_not_the_offset() -> None:
+    found = found_in(linear_record([0.4, 1.1, 5.0, 15.0, 17.0], 0.15), LINEAR)
     stiffness = found["joint_stiffness"]
     assert stiffness.verdict == IDENTIFIED
     assert stiffness.low < LINEAR.K < stiffness.high
     assert "link_skew" not in found
     assert found["offset"].verdict == UNKNOWN
     assert "measure the link" in found["offset"].reason
-
-
-def test_without_its_resonance_the_motor_side_does_not_tell_the_stiffness() -> None:
-    found = found_in(linear_record([0.4, 0.9], 0.01, link=False, noise=5e-4), LINEAR)
-    stiffness = found["joint_stiffness"]
+    stiffness = found_in(linear_record([0.4, 0.9], 0.01, noise=5e-4), LINEAR)["joint_stiffness"]
     assert stiffness.verdict == UNKNOWN
     assert stiffness.value == stiffness.prior == pytest.approx(1.4 * LINEAR.K)
     assert "excite the joint near its resonance" in stiffness.reason
@@ -169,12 +163,6 @@ def test_an_identification_is_read_back_and_draws_respect_signs() -> None:
     assert spread == pytest.approx((stiffness.high - stiffness.low) / 3.92, rel=0.15)
 
 
-def test_records_of_other_joints_are_refused() -> None:
-    record = noisy(*usual_record(), 4e-3)
-    with pytest.raises(fjr.FjrError, match="expected the 2 of the robot"):
-        identify([record], fjr.planar_two_link(), Prior.of(fjr.planar_two_link()))
-
-
 LATE = 2  # samples by which the link encoder is read later
 
 
@@ -197,15 +185,9 @@ def test_the_deflection_of_another_record_is_predicted_better_than_by_rigid_join
 
 
 def test_a_torque_that_depends_on_the_position_is_found() -> None:
-    u, q_l, q_m = usual_record()
     joint = ElasticJoint()
-    empty = fjr.single_link(
-        stiffness=25.0, motor_inertia=0.005, link_inertia=joint.M, gravity_torque=0.0, link_damping=0.0
-    )
-    record = noisy(u, q_l, q_m, 4e-3)
-    found = {
-        e.name: e
-        for e in identify([record], empty, Prior.of(empty), IdentifyOptions(position_torque="joint1")).estimates
-    }
-    assert found["position_torque_sin1"].value == pytest.approx(joint.load, rel=0.01)
-    assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.01)
+    weightless = robot_like(replace(joint, load=0.0))
+    options = IdentifyOptions(position_torque="joint1")
+    found = identify([noisy(*usual_record(), 4e-3)], weightless, Prior.of(weightless), options)
+    assert found.value("position_torque_sin1") == pytest.approx(joint.load, rel=0.01)
+    assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.01)

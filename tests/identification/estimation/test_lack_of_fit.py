@@ -82,21 +82,14 @@ def bound(i: int, stiffer: float) -> float:
 
 
 @pytest.mark.parametrize("i", range(DRAWS))
-def test_a_stiffness_comes_with_the_deflections_that_were_driven(i: int) -> None:
+def test_a_stiffness_comes_with_the_deflections_that_were_driven_and_a_very_large_one_with_a_bound(i: int) -> None:
+    """Compliances up to 1e3 times smaller are right, though linear interpolation errs by more than they deflect."""
     setup, driven = of_draw(i), np.quantile(draws().deflections(i)[0], (0.01, 0.99))
     z = setup.coordinates.of_values({**setup.prior.values, **draws().truth(i)})
     np.testing.assert_allclose(deflections(setup, z, 0), driven, atol=2 * NOISE)
-
-
-@pytest.mark.parametrize("i", range(DRAWS))
-def test_of_a_stiff_joint_a_lower_bound_is_known(i: int) -> None:
     K = float(draws().arm.stiffness[i, 0])
     assert 1e3 * K < bound(i, STIFFER) < STIFFER * K
-
-
-@pytest.mark.parametrize("stiffer", [1e2, 1e3])
-def test_a_compliance_is_right_though_it_deflects_by_less_than_linear_interpolation_errs(stiffer: float) -> None:
-    assert all(bound(i, stiffer) == 0.0 for i in range(DRAWS))
+    assert bound(i, 1e2) == bound(i, 1e3) == 0.0
 
 
 def test_the_result_says_where_a_stiffness_was_seen_and_what_an_unknown_one_exceeds() -> None:

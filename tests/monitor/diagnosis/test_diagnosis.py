@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from fjr_monitor.diagnosis.delay_estimation import acting, effort_delay, needed
-from fjr_monitor.diagnosis.diagnosis import diagnose, innovations
+from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.delay_estimation import acting_sums, effort_delay, needed
+from fjr_monitor.diagnosis.diagnosis import diagnose, innovations, with_findings
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.verdict import Finding
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 2.5
@@ -56,8 +58,6 @@ def test_healthy_run_is_holding(measured: bool) -> None:
     assert (verdict.kind, verdict.causes) == ("holding", ())
     assert verdict.figures["violated share"] == 0.0
     assert verdict.figures["spectral radius"] < 1
-    strict = JointTolerances(("joint1",), ("rad",), np.array([1e-9]))
-    assert diagnose(record(measured=measured), LAW, axes=strict).kind == "holding"
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,8 @@ def test_wrong_plant_parameter_is_a_model_mismatch(name: str, value: float) -> N
 def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
     seen = record(delay=delay)
     found = innovations(seen, LAW)
-    age = acting(found, effort_delay(found, LAW.robot), needed(found, LAW.robot)).age
+    sums = acting_sums([found], effort_delay([found], LAW.robot), LAW.robot)
+    age = sums.acting(found, needed(found, LAW.robot)).age
     assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
     verdict = diagnose(seen, LAW)
     assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))
@@ -190,3 +191,48 @@ def test_the_ends_of_a_record_in_parts_are_its_first_and_last_states() -> None:
         rows = np.unique(np.r_[: min(most, len(whole.t)), max(0, len(whole.t) - most) : len(whole.t)])
         wanted = whole.t[rows]
         np.testing.assert_array_equal(ends.t, wanted)
+
+
+@pytest.mark.parametrize(
+    ("delay", "tolerance", "kind", "cause"),
+    [(0.0, 1e-9, "violated", "sampling"), (2e-3, 1e-4, "degraded", "delay"), (2e-3, 1e-6, "violated", "delay")],
+)
+def test_a_settled_error_beyond_tolerance_or_twice_the_foreseen_one_does_not_hold(
+    delay: float, tolerance: float, kind: str, cause: str
+) -> None:
+    """The hold of the effort makes an error of 10 nrad to 10 urad, which is foreseen; a delay adds one that is not."""
+    axes = JointTolerances(("joint1",), ("rad",), np.array([tolerance]))
+    verdict = diagnose(record(delay=delay), LAW, axes=axes)
+    assert (verdict.kind, verdict.causes[0]) == (kind, cause)
+
+
+def test_a_run_with_a_finding_does_not_hold_however_small_its_error() -> None:
+    fault = Finding("inertia", "joint1", "motor", 8e-5, "kg m^2", 1.0, "motor of joint1: inertia")
+    verdict = with_findings(diagnose(record(), LAW), (fault,))
+    assert (verdict.kind, verdict.causes, verdict.findings) == ("degraded", ("model mismatch",), (fault,))
+    assert fault.sentence in verdict.sentence
+
+
+@pytest.mark.parametrize("most", [4, (0, 1, 2, 3)])
+def test_delay_is_estimated_under_the_noise_of_encoders_and_compared_with_its_margin(most: int | tuple[int]) -> None:
+    """The delay margin of the paper's joint is 5.45 samples; torques are not measured, and some delays vary."""
+    rng, sent = np.random.default_rng(3), [np.zeros(1)]
+    noise = np.array([1e-6, 1e-6, 5e-4, 5e-4])
+
+    def acting(u: Array) -> Array:
+        sent.append(u)
+        return sent[max(0, len(sent) - 1 - int(rng.choice(most if isinstance(most, tuple) else [most])))]
+
+    seen = recorded(
+        LAW,
+        REFERENCE,
+        LAW.robot.state(0.5, 0.5, 0.0, 0.0),
+        round(DURATION / PERIOD),
+        sensed=lambda q, dq: tuple(np.split(np.concatenate([q, dq]) + noise * rng.standard_normal(4), 2)),  # type: ignore[return-value]
+        acting=acting,
+    )
+    verdict = diagnose(seen, LAW)
+    samples = float(np.mean(most))
+    assert most != 4 or (verdict.kind, verdict.causes) == ("degraded", ("delay",))
+    assert verdict.figures["effort age"] == pytest.approx(samples * PERIOD, abs=0.05 * PERIOD)
+    assert f"{samples / 5.453:.0%} of the delay margin" in verdict.sentence

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 import fjr_core as fjr
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.causes import BlockStatistics, CauseErrors, StorageBudget
+from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
 from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_monitor.diagnosis.grading import BlockStatistics
 from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, JointTolerances
@@ -131,7 +132,8 @@ def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) ->
     peaks = np.zeros((count, 4, 2))
     peaks[:above, 2] = error
     judged = BlockStatistics(0.9, JointTolerances.plain(2))
-    judged.add(blocks, CauseErrors(peaks, np.zeros((count, 2))))
+    none = np.zeros((count, 2))
+    judged.add(blocks, CauseErrors(peaks, none, none, peaks.sum(axis=1)))
     return judged.conclude(grown, {}).kind
 
 
@@ -145,6 +147,7 @@ def test_holding_requires_enough_blocks_a_small_share_and_no_growth(
         assert count >= FEWEST
         assert above <= 0.1 * count
         assert grown <= EXCEEDED
+        assert not above or error <= 1e-3
     if grown > DIVERGED:
         assert kind == "violated"
     elif count >= FEWEST and above >= FEWEST and above > 0.3 * count:
@@ -154,7 +157,8 @@ def test_holding_requires_enough_blocks_a_small_share_and_no_growth(
 def test_two_violated_blocks_of_four_do_not_hold() -> None:
     assert concluded(4, 2, error=1.0) == "violated"
     assert concluded(4, 1, error=1.0) == "unknown"
-    assert concluded(100, 1, error=1.0) == "holding"
+    assert concluded(100, 1, error=1e-6) == "holding"
+    assert concluded(100, 1, error=1.0) == "violated"
 
 
 @pytest.mark.parametrize("size", [1e100, np.inf])

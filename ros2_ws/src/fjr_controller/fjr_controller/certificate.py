@@ -7,6 +7,7 @@ The command loop evaluates and publishes the certificates in C (step.h); Python 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import CertificateStruct
 from fjr_monitor.diagnosis.online_diagnosis import Latency, LatestIntervals, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED, JointTolerances
-from fjr_monitor.diagnosis.verdict import unknown
+from fjr_monitor.diagnosis.verdict import EXTERNAL, external, unknown
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array
 from fjr_msgs_py.native.loop import NativeMessage
@@ -68,6 +69,8 @@ class LiveCertificate:
         self.pointer.bounded, self.pointer.beta = not self._why_not, self._rate()
         self.recertify: Callable[[Any, Any], None] = lambda gains, beta: None
         """Let the command loop use other gains and another beta; set by it."""
+        self.touched: Callable[[], list[str]] = list
+        """Return the joints of a contact in the last second; set by the command loop."""
 
     def use(self, law: TrackingLaw, limit: Array) -> None:
         """Replace the law by one made by `with_gains`, and the effort limits (n,) [N m]; the bound starts again."""
@@ -84,6 +87,9 @@ class LiveCertificate:
     def status(self) -> DiagnosticStatus:
         """Return the diagnosis of the last second; update a beta that depends on the configuration."""
         found: Any = unknown(self._why_not) if self._why_not else self._diagnosis.verdict()
+        if joints := self.touched():
+            found = external(found)
+            found = replace(found, sentence=f"{found.sentence}; {EXTERNAL} on {', '.join(joints)}")
         if self._law.robot.links.M_l_vertices is None:
             self.pointer.beta = self._rate()
         return diagnosis_status(self._name, found.kind, found.causes, found.sentence, found.figures)

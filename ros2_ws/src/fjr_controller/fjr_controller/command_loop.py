@@ -15,11 +15,10 @@ from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError, Measurement
-from fjr_core.config.controller import auxiliary_period, torque_observer
+from fjr_core.config.controller import auxiliary_period, contact_observer
 from fjr_core.config.process import NATIVE, process_settings
 from fjr_core.runtime.control_step import Command, ControlStep
-from fjr_core.runtime.events import NEVER, STATES, State
-from fjr_core.runtime.library import TorqueObserverStruct
+from fjr_core.runtime.events import NEVER, STATES, State, joints_of
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array, joint_state
@@ -91,9 +90,9 @@ class CommandLoop:
             "reference": NativeMessage(program, joint_state(joints, moving), moving),
             "error": NativeMessage(program, joint_state(joints, moving), moving),
             "torque": NativeMessage(program, joint_state(joints, efforts), efforts),
+            "contact": NativeMessage(program, joint_state(names.contact_names(joints), (0, 0, 2 * n)), (0, 0, 2 * n)),
         }
-        torques = torque_observer(node.values, step.law.robot)
-        self._observer = TorqueObserverStruct(program.ffi, torques.function, torques.bandwidth)
+        self._observer = contact_observer(node.values, step.law.robot).struct(program.ffi)
         self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
         shared = {"model": step.model, "controller": self._controller, "copy": step.controller}
         given = {
@@ -108,7 +107,7 @@ class CommandLoop:
             "auxiliary": (round(auxiliary_period(node.values, self._simulated) * 1e9), 0),
         }
         self._struct = program.ffi.new("struct fjr_controller_loop*", given)
-        topics = (names.REFERENCE, names.TRACKING_ERROR, names.EXTERNAL_TORQUE)
+        topics = (names.REFERENCE, names.TRACKING_ERROR, names.EXTERNAL_TORQUE, names.CONTACT_TORQUE)
         self._publishers = self._own = [node.create_publisher(JointState, topic, qos) for topic in topics]
         self._host = self._chosen_host()
         self._listeners: list[tuple[Listener, Callable[[], bool]]] = []
@@ -138,7 +137,7 @@ class CommandLoop:
 
     def certify(self, certificate: LiveCertificate) -> None:
         """Evaluate and publish the certificate of each sample from the next start on."""
-        self._certificate, certificate.recertify = certificate, self._recertify
+        self._certificate, certificate.recertify, certificate.touched = certificate, self._recertify, self._touched
         self._struct.certificate, self._struct.certified = certificate.pointer, certificate.message
         self._publishers = [*self._own, certificate.publisher]
 
@@ -233,6 +232,12 @@ class CommandLoop:
             self.copy()
             self._drain()
         self._request("FJR_RECERTIFY", gains, beta)
+
+    def _touched(self) -> list[str]:
+        """Return the joints of a contact in the last second."""
+        found = self._controls.controller.contact
+        recent = found.acting or 0 <= self._observer.pointer.stamp - found.stamp < 1_000_000_000
+        return joints_of(found.joints, self._node.values["joints"]) if recent else []
 
     def _on_silence(self) -> None:
         self.check_silence(self._node.get_clock().now().nanoseconds)

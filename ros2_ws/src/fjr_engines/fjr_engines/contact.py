@@ -18,7 +18,7 @@ from fjr_core.model.rigid_arm import rotation_to
 from fjr_core.model.robot import Robot
 from fjr_core.urdf.tree import is_xml
 
-from .mjcf.export import add_looks, stl
+from .mjcf.export import add_looks
 from .mjcf.writing import LINK, quaternion
 
 ARM, OBSTACLE = 1, 2
@@ -35,8 +35,7 @@ def add_contact(spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], obstac
 
     Raises ParameterError, and RobotError for a URDF that cannot be read.
     """
-    seen = add_looks(spec, robot, joints, obstacle.urdf, obstacle.locked)
-    spec.assets = {mesh.file: stl(each) for mesh, each in zip(spec.meshes, seen["meshes"], strict=True)}
+    add_looks(spec, robot, joints, obstacle.urdf, obstacle.locked)
     for joint in joints:
         for geom in spec.body(joint + LINK).geoms:
             geom.contype, geom.conaffinity, geom.mass = ARM, OBSTACLE, 0.0
@@ -44,40 +43,33 @@ def add_contact(spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], obstac
 
 
 def add_obstacle(spec: mujoco.MjSpec, obstacle: Obstacle) -> None:
-    """Add an obstacle to a specification; raises ParameterError."""
-    if obstacle.kind == MJCF:
-        _attach(spec, obstacle.mjcf)
-        return
-    centre, turn = obstacle.position, np.eye(3)
-    if obstacle.kind != BOX:
-        turn = rotation_to(np.asarray(UP if obstacle.kind == TABLE else obstacle.normal))
-        centre = centre - turn[:, 2] * obstacle.size[2] / 2
-    spec.worldbody.add_geom(
-        name=PREFIX + obstacle.kind,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=centre,
-        quat=quaternion(turn),
-        size=obstacle.size / 2,
-        contype=OBSTACLE,
-        conaffinity=ARM,
-        rgba=[0.7, 0.6, 0.5, 1.0],
-    )
-
-
-def _attach(spec: mujoco.MjSpec, mjcf: str) -> None:
-    """Add the bodies of an MJCF path or text, of which none may move."""
-    try:
-        other = mujoco.MjSpec.from_string(mjcf) if is_xml(mjcf) else mujoco.MjSpec.from_file(mjcf)
-        other.compile()
-    except ValueError as error:
-        raise ParameterError(f"obstacle.mjcf: {' '.join(str(error).split())}; expected a valid MJCF") from None
-    if other.joints:
-        raise ParameterError(f"obstacle.mjcf has the joint '{other.joints[0].name}'; expected bodies that do not move")
-    if not other.geoms:
-        raise ParameterError("obstacle.mjcf has no geom; expected at least one")
+    """Add the geoms of an obstacle to a specification; raises ParameterError."""
+    other = _read(obstacle.mjcf) if obstacle.kind == MJCF else mujoco.MjSpec()
+    if obstacle.kind != MJCF:
+        centre, turn = obstacle.position, np.eye(3)
+        if obstacle.kind != BOX:
+            turn = rotation_to(np.asarray(UP if obstacle.kind == TABLE else obstacle.normal))
+            centre = centre - turn[:, 2] * obstacle.size[2] / 2
+        place = {"pos": centre, "quat": quaternion(turn), "size": obstacle.size / 2}
+        kind, brown = mujoco.mjtGeom.mjGEOM_BOX, [0.7, 0.6, 0.5, 1.0]
+        other.worldbody.add_geom(name=obstacle.kind, type=kind, rgba=brown, **place)
     for geom in other.geoms:
         geom.contype, geom.conaffinity = OBSTACLE, ARM
     spec.attach(other, prefix=PREFIX, frame=spec.worldbody.add_frame())
+
+
+def _read(mjcf: str) -> mujoco.MjSpec:
+    """Return the bodies of an MJCF path or text, of which none may move; raise ParameterError."""
+    try:
+        spec = mujoco.MjSpec.from_string(mjcf) if is_xml(mjcf) else mujoco.MjSpec.from_file(mjcf)
+        spec.compile()
+    except ValueError as error:
+        raise ParameterError(f"obstacle.mjcf: {' '.join(str(error).split())}; expected a valid MJCF") from None
+    if spec.joints:
+        raise ParameterError(f"obstacle.mjcf has the joint '{spec.joints[0].name}'; expected bodies that do not move")
+    if not spec.geoms:
+        raise ParameterError("obstacle.mjcf has no geom; expected at least one")
+    return spec
 
 
 def check_outside(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -11,9 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
@@ -31,13 +29,14 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Leaf
 from fjr_core.errors import ParameterError, RobotError
 from fjr_core.model.rigid_arm import Body, tip_frame
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array
-from fjr_core.numerics.symbolic import PackedVector, bind, dense_function, evaluate, symbols
+from fjr_core.numerics.checks import MOTOR, Array
+from fjr_core.numerics.symbolic import bind, evaluate
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
-MOTOR, SPRING, ROTOR, LINK = "_motor", "_spring", "_rotor", "_link"
-"""Endings of the names of joints and bodies after that of the robot's joint."""
+SPRING, ROTOR, LINK = "_spring", "_rotor", "_link"
+"""Endings of the names of joints and bodies after that of the robot's joint, as MOTOR."""
+PAYLOAD = "payload"
 INTEGRATOR = "runge_kutta5"
 """Drake's method of Dormand and Prince, of order 5, here with the inner step of the plant."""
 
@@ -47,48 +46,37 @@ class DrakeEngine:
 
     in_python = True
 
-    def __init__(
-        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, integrator: str = INTEGRATOR
-    ) -> None:
-        """inner_step [ns]: of the integrator, one of Drake's; ffi: with the types of robot.h.
-
-        Raises ParameterError, RobotError.
-        """
+    def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> None:
+        """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
         if plant.plant.in_python or plant.plant.integrator != "rk4":
             raise ParameterError("engine is 'drake'; expected plant.type: flexible_joint and integrator: rk4 with it")
         self._plant, self._ffi, self._dt = plant, ffi, inner_step * 1e-9
         self.arm = multibody_plant(plant.robot, joints)
-        self._tip = self.arm.GetBodyByName(joints[plant.robot.links.order.index(plant.robot.n - 1)] + LINK)
-        self._map = joint_map(self.arm, joints)
-        self._forces = GeneralisedForces(plant, self._map)
-        builder = DiagramBuilder()
+        self._map, builder = joint_map(self.arm, joints), DiagramBuilder()
         builder.AddSystem(self.arm)
-        builder.AddSystem(self._forces)
+        self._forces = builder.AddSystem(GeneralisedForces(plant, self._map))
         builder.Connect(self.arm.get_state_output_port(), self._forces.state)
         builder.Connect(self._forces.get_output_port(), self.arm.get_applied_generalized_force_input_port())
         self.simulator = Simulator(builder.Build())
-        ResetIntegratorFromFlags(self.simulator, integrator, self._dt).set_fixed_step_mode(True)
+        ResetIntegratorFromFlags(self.simulator, INTEGRATOR, self._dt).set_fixed_step_mode(True)
         self._context = self.simulator.get_mutable_context()
         self._of_arm = self.arm.GetMyMutableContextFromRoot(self._context)
         self._of_forces = self._forces.GetMyMutableContextFromRoot(self._context)
         n = plant.robot.n
         self._sizes = {"state": 6 * n, "u": n, "external": n, "parameters": len(Imperfections(n).vector)}
-        self._known = np.zeros(4 * n)
         self.handle = ffi.new_handle(self)
         self.advance = ffi.callback("int(void*, struct fjr_robot*, int64_t)", self._advance, error=1)
-        self.use(Imperfections(n))
 
     def use(self, imperfections: Imperfections) -> None:
         """Attach the payload; the other imperfections are arguments of each step."""
-        links, (mass,) = self._plant.robot.links, np.asarray(imperfections.payload_mass)
-        R, r = tip_frame(links)
-        inertia = spatial_inertia(links.bodies[-1], mass, r + R @ np.asarray(imperfections.payload_position))
-        self._tip.SetSpatialInertiaInBodyFrame(self._of_arm, inertia)
-        self.forget()
+        R, r = tip_frame(self._plant.robot.links)
+        place = r + R @ np.asarray(imperfections.payload_position)
+        (mass,) = np.asarray(imperfections.payload_mass)
+        inertia = SpatialInertia(mass, place, UnitInertia.PointMass(place))
+        self.arm.GetBodyByName(PAYLOAD).SetSpatialInertiaInBodyFrame(self._of_arm, inertia)
 
     def forget(self) -> None:
-        """Start from the state of the robot with the next step."""
-        self._known[:] = np.nan
+        """Begin at the time 0 with the next step."""
         self._context.SetTime(0.0)
         self.simulator.Initialize()
 
@@ -97,79 +85,53 @@ class DrakeEngine:
         state, u, external, parameters = (
             np.frombuffer(self._ffi.buffer(getattr(robot, name), 8 * size)) for name, size in self._sizes.items()
         )
-        x, a, sliders = np.split(state, [len(self._known), len(state) - len(u)])
+        n = len(u)
+        x, a, sliders = np.split(state, [4 * n, 5 * n])
+        velocity, _ = self._plant.measure(state, parameters)
+        self.arm.SetPositions(self._of_arm, np.linalg.solve(self._map, x[: 2 * n]))
+        self.arm.SetVelocities(self._of_arm, np.linalg.solve(self._map, velocity))
         try:
-            if not np.array_equal(x, self._known):
-                self._move_to(x[: len(x) // 2], self._plant.measure(state, parameters)[0])
             for _ in range(steps):
-                start = self._context.get_time()
-                self._forces.held.FixValue(self._of_forces, np.r_[a, sliders, u, external, parameters, start])
-                self.simulator.AdvanceTo(start + self._dt)
-                memory = a, u, sliders, parameters, self._dt
-                a[:], sliders[:] = evaluate(self._plant.memory_step, self._motion()[0], *memory)
-            x[:] = self._plant.state(*self._motion(), parameters)
+                self._forces.hold(self._of_forces, a, u, external, sliders, parameters)
+                self.simulator.AdvanceTo(self._context.get_time() + self._dt)
+                position = self._map @ self.arm.GetPositions(self._of_arm)
+                a[:], sliders[:] = evaluate(self._plant.memory_step, position, a, u, sliders, parameters, self._dt)
+            x[:] = self._plant.state(position, self._map @ self.arm.GetVelocities(self._of_arm), parameters)
         except RuntimeError:
             x[:] = np.nan
-        self._known[:] = x
         return 0
-
-    def _move_to(self, position: Array, velocity: Array) -> None:
-        """Set positions and velocities (2n,) of links and motors."""
-        self.arm.SetPositions(self._of_arm, np.linalg.solve(self._map, position))
-        self.arm.SetVelocities(self._of_arm, np.linalg.solve(self._map, velocity))
-
-    def _motion(self) -> tuple[Array, Array]:
-        """Return positions and velocities (2n,) of links and motors."""
-        return self._map @ self.arm.GetPositions(self._of_arm), self._map @ self.arm.GetVelocities(self._of_arm)
 
 
 class GeneralisedForces(LeafSystem):
-    """Torques beside Drake's own elements, as generalised forces (2n,) of the state (4n,) of a MultibodyPlant.
+    """Torques beside Drake's own elements, as generalised forces (2n,), which do the work of the torques.
 
-    Inputs: the state, and `held` of generalised_forces, which is fixed for each step.
+    Inputs: `state` (4n,) of a MultibodyPlant, and `begin` [s], the time since which the other arguments are held.
     """
 
     def __init__(self, plant: NonidealPlant, coordinates: Array) -> None:
         """coordinates (2n, 2n): (q_l, q_m) of the coordinates of Drake."""
         super().__init__()
-        function = generalised_forces(plant, ca.DM(coordinates))
+        self._map, self._damping, function = coordinates, np.diag(plant.robot.D_l), plant.joint_torques
         self._arguments = [np.zeros(function.size1_in(name)) for name in function.name_in()]
-        self._found = np.zeros(len(coordinates))
-        self._evaluate = bind(function, self._arguments, [self._found])
-        self.state, self.held = (
-            self.DeclareVectorInputPort(name, function.size1_in(name)) for name in function.name_in()[:2]
-        )
+        self._torques = np.zeros(len(coordinates))
+        self._evaluate = bind(function, self._arguments, [self._torques])
+        self.state = self.DeclareVectorInputPort("state", 2 * len(coordinates))
+        self.begin = self.DeclareVectorInputPort("begin", 1)
         self.DeclareVectorOutputPort("forces", len(coordinates), self._calculate)
 
+    def hold(self, context: Context, *held: Array) -> None:
+        """Hold a, u, external torques, sliders and parameters of NonidealPlant.joint_torques from now on."""
+        for argument, values in zip(self._arguments[2:-1], held, strict=True):
+            argument[:] = values
+        self.begin.FixValue(context, context.get_time())
+
     def _calculate(self, context: Context, forces: BasicVector) -> None:
-        x, held, t = self._arguments
-        x[:], held[:], t[:] = self.state.Eval(context), self.held.Eval(context), context.get_time()
+        q, dq, *_, t = self._arguments
+        q[:], dq[:] = np.reshape(self.state.Eval(context), (2, -1)) @ self._map.T
+        t[:] = context.get_time() - self.begin.Eval(context)
         self._evaluate()
-        forces.SetFromVector(self._found)
-
-
-def generalised_forces(plant: NonidealPlant, T: ca.DM) -> ca.Function:
-    """Return the function (x, held, t) -> forces (2n,), with (q_l, q_m) = T q of Drake's state x = (q, dq) (4n,).
-
-    held: a, sliders, u, external torques, parameters, and the time of Drake since which they are held. Each force does
-    the work of the torques: forces = T' torques.
-    """
-    n = plant.robot.n
-    held = PackedVector(
-        {
-            "a": n,
-            "sliders": n,
-            "u": n,
-            "external": n,
-            "parameters": plant.joint_torques.size1_in("parameters"),
-            "start": 1,
-        }
-    )
-    s = symbols(ca.MX, x=4 * n, held=held.size, t=1)
-    p, q, dq = held.named(s["held"]), T @ s["x"][: 2 * n], T @ s["x"][2 * n :]
-    torques = plant.joint_torques(q, dq, p.a, p.u, p.external, p.sliders, p.parameters, s["t"] - p.start)
-    damping = ca.vertcat(np.diag(plant.robot.D_l) * dq[:n], ca.DM.zeros(n))
-    return dense_function("generalised_forces", s, {"forces": T.T @ (torques - damping)})
+        self._torques[: len(self._damping)] -= self._damping * dq[: len(self._damping)]
+        forces.SetFromVector(self._map.T @ self._torques)
 
 
 def multibody_plant(robot: Robot, joints: Sequence[str]) -> MultibodyPlant:
@@ -194,6 +156,7 @@ def multibody_plant(robot: Robot, joints: Sequence[str]) -> MultibodyPlant:
         arm.AddJointActuator(joints[k] + MOTOR, motor).set_default_rotor_inertia(robot.M_m[k, k])
         spring = arm.AddJoint(kind(joints[k] + SPRING, rotor, frame, axis))
         arm.AddForceElement(elastic(spring, 0.0, robot.K[k, k]))
+    arm.WeldFrames(frame, arm.AddRigidBody(PAYLOAD, SpatialInertia.Zero()).body_frame())
     arm.Finalize()
     return arm
 
@@ -208,19 +171,15 @@ def joint_map(arm: MultibodyPlant, joints: Sequence[str]) -> Array:
     return T
 
 
-def spatial_inertia(body: Body, payload: float = 0.0, place: ArrayLike = (0.0, 0.0, 0.0)) -> SpatialInertia:
-    """Return the inertia of a link about the origin of its frame, with a point mass [kg] at `place` (3,) [m].
+def spatial_inertia(body: Body) -> SpatialInertia:
+    """Return the inertia of a link about the origin of its frame.
 
     Raises RobotError for a link without mass but with an inertia, which Drake does not have.
     """
-    masses, points = (body.mass, payload), (np.asarray(body.com), np.asarray(place))
-    inertia, mass = np.array(body.inertia), body.mass + payload
-    if not mass:
+    inertia, com = np.asarray(body.inertia), np.asarray(body.com)
+    if not body.mass:
         if np.any(inertia):
             raise RobotError("a link has the mass 0 and an inertia; expected a mass: Drake has no other bodies")
         return SpatialInertia.Zero()
-    for m, r in zip(masses, points, strict=True):
-        inertia += m * (r @ r * np.eye(3) - np.outer(r, r))
-    com = (body.mass * points[0] + payload * points[1]) / mass
-    G = UnitInertia(*(inertia / mass)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
-    return SpatialInertia(mass, com, G, skip_validity_check=True)
+    G = UnitInertia(*(inertia / body.mass)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    return SpatialInertia(body.mass, com, G.ShiftFromCenterOfMass(com), skip_validity_check=True)

@@ -1,44 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw an arm in MuJoCo at given positions; a link turns orange as its spring deflects. As a program, draw a film."""
+"""Draw an arm in MuJoCo at given positions; a link turns orange as its spring deflects.
+
+As a program, draw a film: MuJoCo chooses its renderer when it is imported.
+"""
 
 from __future__ import annotations
 
+import pickle
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from fjr_core.config.obstacle import obstacle
+from fjr_core.config.robot import description, locked_positions
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 
 from .contact import add_obstacle
-from .mjcf.export import mjcf
+from .mjcf.export import add_looks
+from .mjcf.writing import specification
 
-MODEL, MOTION = "arm.mjb", "motion.npz"
-"""File of the arm, and of the arrays joints (n,), q_l, q_m (k, n) [rad, m], width and height of a film."""
 ORANGE = np.array([0.9, 0.4, 0.0, 1.0])
 AZIMUTH, ELEVATION, FIELD = 125.0, -20.0, 30.0  # degrees; of the camera
 CLOSER = 0.8  # the camera is nearer than where a ball about all poses is seen
 
 
-def write(scenario: Scenario, folder: Path) -> None:
-    """Write MODEL, the arm of a scenario and its obstacle on a floor, to a folder; raise RobotError or ValueError."""
-    (_, xml), *meshes = mjcf(scenario, "arm")[0].items()
-    spec = mujoco.MjSpec.from_string(xml.decode(), assets=dict(meshes))
-    if (found := obstacle(scenario.plant_values)) is not None:
-        add_obstacle(spec, found)
-    _add_surroundings(spec)
-    mujoco.mj_saveModel(spec.compile(), str(folder / MODEL))
-
-
 class DrawnArm:
-    """MuJoCo's `model` and `data` of an arm in a folder, which `pose` changes; `largest` (n,): deflection so far."""
+    """MuJoCo's `model` of an arm, its obstacle and a floor, and `data`, which `pose` changes.
 
-    def __init__(self, folder: Path, joints: Sequence[str]) -> None:
-        self.model = mujoco.MjModel.from_binary_path(str(folder / MODEL))
+    largest (n,): deflection so far [rad, m]. Raises RobotError, and ValueError for a mesh that MuJoCo refuses.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        robot, joints, values = scenario.plant.robot, scenario.joints, scenario.plant_values
+        spec = specification(robot, joints)
+        add_looks(spec, robot, joints, description(values), locked_positions(values))
+        if (found := obstacle(values)) is not None:
+            add_obstacle(spec, found)
+        _add_surroundings(spec)
+        self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.largest = np.full(len(joints), 1e-9)
         self._positions = [self.model.joint(joint).qposadr[0] for joint in joints]
@@ -87,18 +88,17 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     spec.visual.global_.fovy = FIELD
 
 
-def main(folder: Path) -> None:
-    """Write the frames of the arm and the motion in a folder to standard output, three bytes a pixel."""
-    motion = np.load(folder / MOTION)
-    arm = DrawnArm(folder, motion["joints"].tolist())
-    camera = arm.camera(motion["q_l"])
-    arm.largest = np.maximum(arm.largest, np.abs(np.nan_to_num(motion["q_m"] - motion["q_l"])).max(axis=0))
-    with mujoco.Renderer(arm.model, int(motion["height"]), int(motion["width"])) as renderer:
-        for q_l, q_m in zip(motion["q_l"], motion["q_m"], strict=True):
-            arm.pose(q_l, q_m)
+def main() -> None:
+    """Read (arm, positions of links and motors (k, n), height, width); write its frames, three bytes a pixel."""
+    arm, q_l, q_m, *size = pickle.load(sys.stdin.buffer)
+    camera = arm.camera(q_l)
+    arm.largest = np.maximum(arm.largest, np.abs(np.nan_to_num(q_m - q_l)).max(axis=0))
+    with mujoco.Renderer(arm.model, *size) as renderer:
+        for positions in zip(q_l, q_m, strict=True):
+            arm.pose(*positions)
             renderer.update_scene(arm.data, camera)
             sys.stdout.buffer.write(renderer.render().tobytes())
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

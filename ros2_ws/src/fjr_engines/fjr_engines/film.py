@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -97,17 +98,17 @@ def frames_of_mujoco(scenario: Scenario, arm: ArmReplay, times: Array, folder: P
     """Return the arm at these times (k,) [s] as MuJoCo's renderer draws it; None where it cannot."""
     if not backend():
         return None
-    from fjr_engines.drawing import MOTION, write
+    from fjr_engines.drawing import DrawnArm
 
     try:
-        write(scenario, folder)
+        drawn_arm = DrawnArm(scenario)
     except (RobotError, ValueError):  # ValueError: MuJoCo's, for a mesh
         return None
     sides = np.hstack([arm.link, arm.motor])
     q_l, q_m = np.split(np.column_stack([np.interp(times, arm.t, column) for column in sides.T]), 2, axis=1)
-    np.savez(folder / MOTION, joints=arm.joints, q_l=q_l, q_m=q_m, width=WIDTH, height=HEIGHT)
-    command, env = [sys.executable, "-m", "fjr_engines.drawing", str(folder)], os.environ | {"MUJOCO_GL": backend()}
-    done = subprocess.run(command, capture_output=True, env=env, cwd=folder, check=False)
+    command, env = [sys.executable, "-m", "fjr_engines.drawing"], os.environ | {"MUJOCO_GL": backend()}
+    given = pickle.dumps((drawn_arm, q_l, q_m, HEIGHT, WIDTH))
+    done = subprocess.run(command, input=given, capture_output=True, env=env, cwd=folder, check=False)
     drawn = np.frombuffer(done.stdout, np.uint8)
     return drawn.reshape(-1, HEIGHT, WIDTH, 3) if drawn.size == len(times) * HEIGHT * WIDTH * 3 else None
 

@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -12,14 +15,14 @@ import numpy as np
 from fjr_core.config.obstacle import Obstacle
 from fjr_core.errors import ParameterError
 from fjr_core.model.rigid_arm import tip_frame
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import MOTOR, Array
+from fjr_core.numerics.jit import CLibrary, c_library
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 from .contact import ARM, OBSTACLE, InsideError, add_contact, check_outside
-from .mjcf.writing import LINK, MOTOR, exact_inertia, specification
-from .native import mujoco_program
+from .mjcf.writing import LINK, exact_inertia, specification
 
 PAYLOAD = "payload"
 DISABLED = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_LIMIT
@@ -55,7 +58,6 @@ class MujocoEngine:
         self.advance = ffi.cast(
             "int(*)(void*, struct fjr_robot*, int64_t)", int(self._program.ffi.cast("intptr_t", function))
         )
-        self.use(Imperfections(plant.robot.n))
 
     def use(self, imperfections: Imperfections) -> None:
         """Attach the payload; the other imperfections are arguments of each step."""
@@ -84,24 +86,30 @@ class MujocoEngine:
 
     def _build(self, plant: NonidealPlant, joints: Sequence[str]) -> None:
         """Build struct fjr_mujoco; joints: of q_l and q_m."""
-        self._program, n = mujoco_program(), plant.robot.n
-        ffi = self._program.ffi
-        functions = plant.joint_torques, plant.memory_step
-        self._functions = [CFunction(ffi, function) for function in functions]
-        self._space = WorkSpace(ffi, list(functions))
-        sizes = {"q": 2 * n, "dq": 2 * n, "torque": 2 * n, "known": 4 * n, "wide": 2 * self.model.nv}
-        arrays = {name: np.zeros(size) for name, size in sizes.items()}
+        self._program, ffi = mujoco_program(), mujoco_program().ffi
+        functions = [plant.joint_torques, plant.memory_step]
+        self._functions, self._space = [CFunction(ffi, function) for function in functions], WorkSpace(ffi, functions)
         self._dof = np.array([self.model.joint(name).dofadr[0] for name in joints], dtype=np.int32)
-        self._kept = {name: ffi.from_buffer("double[]", values) for name, values in arrays.items()}
-        self._kept["dof"] = ffi.from_buffer("int32_t[]", self._dof)
-        self._state = ffi.new(
-            "struct fjr_mujoco*",
-            {
-                "model": ffi.cast("void*", self.model._address),
-                "data": ffi.cast("void*", self.data._address),
-                "torques": self._functions[0].pointer,
-                "memory": self._functions[1].pointer,
-                **self._kept,
-            },
-        )
+        self._known = ffi.new("double[]", 4 * plant.robot.n)
+        given = {
+            "model": ffi.cast("void*", self.model._address),
+            "data": ffi.cast("void*", self.data._address),
+            "dof": ffi.from_buffer("int32_t[]", self._dof),
+            "known": self._known,
+            "torques": self._functions[0].pointer,
+            "memory": self._functions[1].pointer,
+        }
+        self._state = ffi.new("struct fjr_mujoco*", given)
         self._space.lend(self._state)
+
+
+@cache
+def mujoco_program() -> CLibrary:
+    """Return the library of mujoco_steps.c, compiled and cached; raise CompilerError without a C compiler."""
+    wheel, native = Path(mujoco.__file__).parent, files(__package__) / "native"
+    robot = files("fjr_plant") / "native" / "robot.h"
+    *headers, source = (
+        path.read_text(encoding="utf-8") for path in (robot, native / "mujoco_steps.h", native / "mujoco_steps.c")
+    )
+    options = [f"-I{wheel / 'include'}", f"-L{wheel}", f"-l:libmujoco.so.{mujoco.__version__}", f"-Wl,-rpath,{wheel}"]
+    return c_library("fjr_mujoco", "\n".join(headers), source, options=options)

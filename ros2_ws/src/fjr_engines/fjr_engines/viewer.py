@@ -4,19 +4,20 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 
 import numpy as np
 
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import FjrError
+
+from .drawing import DrawnArm
 
 PERIOD = 1.0 / 60.0  # s between two pictures
 GRACE = 5.0  # s to close the window
@@ -24,17 +25,15 @@ NICE = 5  # below the nodes where those have no real-time priority
 
 
 class ViewerError(FjrError):
-    """MuJoCo's viewer cannot be shown here."""
+    """A window cannot be shown here."""
 
 
 def check() -> None:
-    """Raise ViewerError unless a display and MuJoCo's viewer are there."""
+    """Raise ViewerError unless a display is there."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewerError(
             "--viewer needs a display, and DISPLAY is not set; expected a desktop, or --film FILE, which needs none"
         )
-    if not all(map(find_spec, ("mujoco", "glfw"))) or find_spec("mujoco.viewer") is None:
-        raise ViewerError("--viewer needs MuJoCo's viewer; expected it from: pip install mujoco")
 
 
 @contextmanager
@@ -43,36 +42,32 @@ def shown(name: str, text: str) -> Iterator[None]:
 
     Raises RobotError for a robot that MuJoCo cannot express.
     """
-    from fjr_engines.drawing import write
-
     scenario = parse_scenario(name, text)
-    with TemporaryDirectory(prefix="fjr-viewer-") as folder:
-        write(scenario, Path(folder))
-        command = [sys.executable, "-m", "fjr_engines.viewer", folder, *scenario.joints]
-        process = subprocess.Popen(command, cwd=folder)  # where MuJoCo logs its errors
+    with TemporaryFile() as arm, TemporaryDirectory(prefix="fjr-viewer-") as folder:  # where MuJoCo logs its errors
+        pickle.dump((DrawnArm(scenario), scenario.joints), arm)
+        arm.seek(0)
+        process = subprocess.Popen([sys.executable, "-m", "fjr_engines.viewer"], stdin=arm, cwd=folder)
         try:
             yield
         finally:
             process.terminate()
-            try:
+            with suppress(subprocess.TimeoutExpired):
                 process.wait(GRACE)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.kill()
+            process.wait()
 
 
-def main(folder: Path, joints: tuple[str, ...]) -> None:
-    """Show the arm in a folder (fjr_engines/drawing.py) at the positions of both sides that /joint_states gives."""
+def main() -> None:
+    """Read (arm, joints) and show the arm at the positions of both sides that /joint_states gives."""
     import mujoco.viewer
     import rclpy
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import JointState
 
-    from fjr_engines.drawing import DrawnArm
     from fjr_msgs_py.names import JOINT_STATES, state_names
 
-    arm, newest = DrawnArm(folder, joints), dict[str, float]()
+    (arm, joints), newest = pickle.load(sys.stdin.buffer), dict[str, float]()
     os.nice(NICE)
     rclpy.init()
     node = rclpy.create_node("fjr_viewer")
@@ -96,4 +91,4 @@ def main(folder: Path, joints: tuple[str, ...]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), tuple(sys.argv[2:]))
+    main()

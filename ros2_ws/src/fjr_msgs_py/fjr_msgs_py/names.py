@@ -27,6 +27,7 @@ ROBOT_DESCRIPTION = "robot_description"
 CLOCK = "/clock"
 EXTERNAL_TORQUE = "~/external_torque"
 CONTACT = "~/contact"
+CONTACT_TORQUE = "~/contact_torque"
 RESET = "~/reset"
 PAUSE = "~/pause"
 ADVANCE = "~/advance"
@@ -48,6 +49,11 @@ WRENCH = ("force_x", "force_y", "force_z", "moment_x", "moment_y", "moment_z")
 def motor_name(joint: str) -> str:
     """Return the name of a joint's motor side in a JointState."""
     return f"{joint}{MOTOR}"
+
+
+def contact_names(joints: tuple[str, ...]) -> list[str]:
+    """Return the names in CONTACT_TORQUE: joints, then the thresholds of their torques."""
+    return [*joints, *(f"{joint}_threshold" for joint in joints)]
 
 
 def sample_qos(node: Node, lock_step: bool = False) -> QoSProfile:

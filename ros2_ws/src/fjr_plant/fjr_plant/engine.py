@@ -33,6 +33,14 @@ class Engine(Protocol):
     advance: Any
     handle: Any
 
+    def __init__(
+        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, *obstacle: Obstacle
+    ) -> None:
+        """inner_step [ns], ffi: cffi's FFI of robot.h, obstacle: at most one, for a simulator that has contact.
+
+        Raises ParameterError or RobotError for a robot that the simulator cannot express.
+        """
+
     def use(self, imperfections: Imperfections) -> None:
         """Use other imperfections from now on; raise ParameterError for what the simulator cannot express."""
 
@@ -43,22 +51,8 @@ class Engine(Protocol):
         """Put the obstacle to its place or take it away; raise ParameterError if the arm at q_l, q_m (2n,) is there."""
 
 
-class EngineKind(Protocol):
-    """Constructor of a simulator, with its in_python; inner_step [ns], ffi: cffi's FFI of robot.h.
-
-    obstacle: at most one, for a simulator that has contact.
-    """
-
-    in_python: bool
-
-    def __call__(
-        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, *obstacle: Obstacle
-    ) -> Engine:
-        """Build it; raise ParameterError or RobotError for a robot that the simulator cannot express."""
-
-
-def engine_kind(values: Values) -> EngineKind | None:
-    """Return the constructor of the simulator that the parameters of the plant name, None for the plant's own.
+def engine_kind(values: Values) -> type[Engine] | None:
+    """Return the class of the simulator that the parameters of the plant name, None for the plant's own.
 
     Raises ParameterError for one that is not installed, and in real time for one that calls Python.
     """
@@ -69,7 +63,7 @@ def engine_kind(values: Values) -> EngineKind | None:
     if name not in found:
         raise ParameterError(f"parameter '{ENGINE.name}' is '{name}'; expected the package {PACKAGE} beside fjr_plant")
     try:
-        kind: EngineKind = found[name].load()
+        kind: type[Engine] = found[name].load()
     except ModuleNotFoundError as error:
         raise ParameterError(
             f"parameter '{ENGINE.name}' is '{name}', but {error.name} is not installed; expected it from: "

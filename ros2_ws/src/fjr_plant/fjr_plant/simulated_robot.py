@@ -30,7 +30,7 @@ from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_msgs_py.native.program import Program
 
 from .channel import SENSORS, Random, Transport
-from .engine import EngineKind, engine_kind
+from .engine import Engine, engine_kind
 from .native import plant_program
 
 _FILL = ctypes.CDLL(np.random._generator.__file__).random_standard_normal_fill  # as numpy.org shows for extensions
@@ -120,13 +120,13 @@ class SimulatedRobot:
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
         program: Program | None = None,
-        engine: EngineKind | None = None,
+        engine: type[Engine] | None = None,
         joints: Sequence[str] = (),
         obstacle: Obstacle | None = None,
     ) -> None:
         """Start at the state x0 (4n,) of the robot without payload; inner_step: integrator step [ns].
 
-        seed: of the sensor noise. engine: constructor of a simulator with these names of the joints, None for the
+        seed: of the sensor noise. engine: class of a simulator with these names of the joints, None for the
         plant's own integrator. obstacle: what the simulator lets it touch. Raises ParameterError for invalid
         imperfections, and an obstacle inside the arm.
         """

@@ -42,7 +42,7 @@ OTHERS = {
 }
 RECORDING = ["run"], ["demo"]
 """First arguments of the commands that record in real time."""
-MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification", "export-mjcf": "fjr_engines"}
+MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identification"}
 """Commands of packages without which the others run."""
 
 

@@ -24,6 +24,7 @@ from fjr_msgs_py.console.ending import Exit, stoppable
 from fjr_msgs_py.console.output import Result, percent, phase
 from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.scenarios import library
+from fjr_plant.engine import engine_kind
 
 DEMO = ("paper_k31", "paper_k3p1", "arm7")  # the paper's stiff joint, its soft joint, any arm
 LOCKSTEP = {"realtime_priority": 0, "lockstep": True}
@@ -104,6 +105,7 @@ def _plan(
     discover_quickly()  # an invalid ROS domain is refused before anything is compiled
     with phase(f"{path.stem}: checking and compiling the law"):
         text, scenario = library.as_run(path, overrides)
+        engine_kind(scenario.plant_values)  # one that is not installed is refused before the nodes start
         for warning in (*scenario.motion_warnings, *scenario.robot_warnings):
             print(f"fjr: {warning}", file=sys.stderr)
         if not force:

@@ -97,14 +97,17 @@ static int publish_auxiliary(struct fjr_controller_loop* l) {
   return outcome == FJR_GO_ON ? l->publish(l->host, FJR_ERRORS, l->error) : outcome;
 }
 
-/* Estimate the external torques of the sample; due: publish them, if they are finite. */
+/* Estimate the external torques of the sample; due: publish them and the comparison with thresholds, if finite. */
 static int observe_torque(struct fjr_controller_loop* l, int due) {
   double torque[FJR_N];
   const int known = l->step.observe_torque(l->observer, l->model, l->controller, &l->sample, torque);
   if (!known || !due) return FJR_GO_ON;
   fjr_put_stamp(l->torque, l->sample.stamp);
   fjr_put_numbers(l->torque, EFFORTS, torque);
-  return l->publish(l->host, FJR_TORQUES, l->torque);
+  fjr_put_stamp(l->contact, l->sample.stamp);
+  fjr_put_numbers(l->contact, EFFORTS, l->observer->compared);
+  const int outcome = l->publish(l->host, FJR_TORQUES, l->torque);
+  return outcome == FJR_GO_ON ? l->publish(l->host, FJR_CONTACT_TORQUES, l->contact) : outcome;
 }
 
 static int publish_certificate(struct fjr_controller_loop* l, int64_t stamp, const struct fjr_certified* f) {

@@ -26,7 +26,7 @@ struct fjr_step_functions {
   void (*resume)(struct fjr_controller*);
   int (*certify)(struct fjr_certificate*, const struct fjr_command*, int64_t, struct fjr_certified*);
   void (*certificate_restart)(struct fjr_certificate*);
-  int (*observe_torque)(struct fjr_torque_observer*, const struct fjr_model*, const struct fjr_controller*,
+  int (*observe_torque)(struct fjr_torque_observer*, const struct fjr_model*, struct fjr_controller*,
                         const struct fjr_sample*, double*);
   int (*is_due)(struct fjr_auxiliary_rate*, int64_t);
   int64_t (*waits_until)(const struct fjr_controller*);
@@ -34,7 +34,8 @@ struct fjr_step_functions {
 
 /* Messages to publish. */
 enum fjr_controller_output {
-  FJR_EFFORTS, FJR_COMMANDS, FJR_REFERENCES, FJR_ERRORS, FJR_TORQUES, FJR_CERTIFICATES, FJR_OUTPUTS
+  FJR_EFFORTS, FJR_COMMANDS, FJR_REFERENCES, FJR_ERRORS, FJR_TORQUES, FJR_CONTACT_TORQUES, FJR_CERTIFICATES,
+  FJR_OUTPUTS
 };
 
 /* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
@@ -85,7 +86,7 @@ struct fjr_controller_loop {
   struct fjr_refusals* refusals;
   struct fjr_certificate* certificate; /* 0: none */
   struct fjr_torque_observer* observer;
-  struct fjr_message *effort, *command, *reference, *error, *torque, *certified;
+  struct fjr_message *effort, *command, *reference, *error, *torque, *contact, *certified;
   int32_t alone;                        /* atomic, an enum fjr_alone */
   int32_t simulated, sends;             /* sends: a command was sent, and no last one after a failure */
   int64_t silence_period, since; /* ns; since: arrival of the first state that is answered (steady clock) */

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..model.robot import Robot
+from ..monitoring.contact import ContactObserver
 from ..monitoring.external_torque import ExternalTorqueObserver
 from ..motions.motion_limits import MotionLimits
 from ..numerics.checks import Array
@@ -21,6 +22,7 @@ from .law import GAINS, LAW, ROBUST
 from .parameter import VECTOR, Parameter, Values, names, number, read, table, vector
 from .process import process_parameters
 from .reference import FILE_PATH, MOTION, TOLERANCE, motion_of_file, motion_warnings, reference_parameters
+from .robot import stated_errors
 
 AUTOSTART = Parameter("autostart", True, "Configure and activate at the start, without a request")
 AUXILIARY_RATE = Parameter(
@@ -112,6 +114,12 @@ def observer(values: Values, robot: Robot) -> VelocityObserver | None:
 def torque_observer(values: Values, robot: Robot) -> ExternalTorqueObserver:
     """Return the observer of external torques of the values."""
     return ExternalTorqueObserver(robot, number(values, TORQUE_BANDWIDTH.name), compile=bool(values["compile"]))
+
+
+def contact_observer(values: Values, robot: Robot) -> ContactObserver:
+    """Return the observer of external torques of the values, with the stated errors of the robot."""
+    given = number(values, TORQUE_BANDWIDTH.name), stated_errors(values)
+    return ContactObserver(robot, *given, compile=bool(values["compile"]))
 
 
 def safety_parameters(n: int) -> list[Parameter]:

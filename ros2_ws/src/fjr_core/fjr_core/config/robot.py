@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 from ..model import closed_form_arms
 from ..model.robot import Robot
+from ..monitoring.contact import StatedErrors
 from ..numerics.checks import joint_names
+from ..numerics.parameter_field import declared
 from ..urdf.robot import robot_from_urdf
 from ..urdf.tree import parse_xml
 from ..urdf.writing import Rod, hanging_rod, urdf_of_rods
@@ -143,6 +145,7 @@ GUESSES = {
     for name in ("joint_stiffness", "motor_inertia")
 }
 """Parameters that repeat the guessed values of a robot file, so that each is reported until it is replaced."""
+_DEVIATIONS = declared(StatedErrors, "robot.deviations.")
 _SYMBOLS = {
     "K": "robot.joint_stiffness",
     "cubic": CUBIC.name,
@@ -176,7 +179,7 @@ def robot_parameters(given: Mapping[str, object]) -> list[Parameter]:
     arguments = inspect.signature(MODELS[model_of(given)]).parameters.values()
     own = [_parameter(argument, n) for argument in arguments if argument.name != "joints"]
     curves = (each.for_joints(n) for each in (CUBIC, *TORSION))
-    return [JOINTS, FILE, MODEL, *own, *curves, *table(GUESSES, n)]
+    return [JOINTS, FILE, MODEL, *own, *curves, *table(GUESSES, n), *table(_DEVIATIONS, n)]
 
 
 def _parameter(argument: inspect.Parameter, n: int) -> Parameter:
@@ -209,6 +212,12 @@ def robot(values: Values) -> Robot:
         return replace(straight, cubic=cubic, torsion=np.stack(points)) if cubic.any() or np.any(points) else straight
 
     return named(lambda symbol: _SYMBOLS.get(symbol, fallback), built)
+
+
+def stated_errors(values: Values) -> StatedErrors:
+    """Return the stated errors of the robot of the values."""
+    n = joints_of(values)
+    return StatedErrors(n, **read(_DEVIATIONS, values, n))
 
 
 def guessed_joints(values: Values) -> dict[str, tuple[str, ...]]:

@@ -33,10 +33,12 @@ class StaticLaw(ABC):
     with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
     gains: named as in the paper; `arrays(robot)` returns the arrays of the law's equations by name, and raises
     GainsError if the paper's conditions are violated.
-    in_python: True for a law that is evaluated in Python and cannot be compiled.
+    in_python: True for a law that is evaluated in Python and cannot be compiled. observes: what an observer of its own
+    estimates, "" if it has none.
     """
 
     in_python = False
+    observes = ""
     lead = 0.0
     """Time [s] from the sample's stamp to the evaluation of the reference."""
 
@@ -89,6 +91,11 @@ class StaticLaw(ABC):
     def memory(self) -> Array:
         """Empty controller state (0,)."""
         return np.zeros(0)
+
+    @property
+    def sampled(self) -> SampledLaw:
+        """The law as it is run: itself, unless it has an observer of its own (`observes`)."""
+        return self
 
     def at_measured(self, f: Flow, outputs: dict[str, ca.SX]) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """Return the arguments of measured_function, and outputs in the symbols of f as expressions of them."""

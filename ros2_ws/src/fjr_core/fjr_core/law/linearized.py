@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -17,8 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..model import springs
 from ..model.robot import Robot
+from ..motions.reference import JETS
 from ..numerics.checks import Array
+from ..numerics.symbolic import directional, symbols
 from .gains import CheckedGains
+from .interfaces import StaticLaw
 
 Indices = NDArray[np.intp]
 
@@ -152,3 +155,30 @@ def metric_roots(points: Equilibria, gains: CheckedGains) -> Array:
     root_l, root_m = np.linalg.cholesky(gains.Pi_l).T, np.linalg.cholesky(gains.Pi_m).T
     L_l, L_m = np.linalg.cholesky(points.M_l), np.linalg.cholesky(points.robot.M_m)
     return points.block_diagonal(root_l, root_m, np.linalg.inv(L_l), np.linalg.inv(L_m))
+
+
+def slope_at_rest(law: StaticLaw, q_l: Array, robot: Robot | None = None) -> tuple[Array, Array]:
+    """Return F (n, 4n), G (n, n): du = F d(q_l, q_m, dq_l, dq_m) + G dq_ld, links and reference at rest at q_l (n,).
+
+    robot: whose springs carry the weight, by default that of the law.
+    """
+    n, position = law.robot.n, rest_position(robot or law.robot, q_l)
+    slope = _slope(law.measured_expression, ca.MX if law.in_python else ca.SX)
+    found = slope(np.concatenate([position, np.zeros(2 * n), q_l]), law.gain_values, np.eye(5 * n)).full()
+    law.raise_failure()
+    return found[:, : 4 * n], found[:, 4 * n :]
+
+
+def rest_position(robot: Robot, q_l: Array) -> Array:
+    """Return (q_l, q_m) (2n,) [rad] at the equilibrium with links at q_l (n,): the springs carry the weight."""
+    return np.concatenate([q_l, q_l + robot.deflection(robot.grad_P_l(q_l))])
+
+
+@lru_cache(maxsize=8)
+def _slope(measured: ca.Function, kind: type) -> ca.Function:
+    """Build (z, gains, d) -> derivative of u along d (5n,) at z = (position, velocity, q_ld), the reference at rest."""
+    n = measured.size1_in("jets")
+    z, gains, d = symbols(kind, z=5 * n, gains=measured.size1_in("gains"), d=5 * n).values()
+    position, velocity, q_ld = ca.vertsplit(z, [0, 2 * n, 4 * n, 5 * n])
+    u, _ = measured(position, velocity, ca.horzcat(q_ld, ca.DM(n, JETS - 1)), gains)
+    return ca.Function("slope", [z, gains, d], [ca.densify(directional(u, z, d))], {"cse": True})

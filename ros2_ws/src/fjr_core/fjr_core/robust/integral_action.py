@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Integral action in discrete time: gains, state update and anti-windup.
 
-The integrals of links and motors have the rates K port_l (law.vdpbc) and K port_m. A constant torque d
-gives the steady-state port output G d (steady_state_ports). With K = rate G^-1 the integral compensates the torque at
-this rate. G is large for a compliant joint, because the motor stage amplifies the port output by the inverse joint
-stiffness. A larger K excites a poorly damped mode of the loop. The extended storage requires a constant K, so G is
-averaged over sampled configurations.
+The integrals of links and motors have the rates K port_l (law.vdpbc) and K port_m. Under another law than v-dPBC both
+ports are the position error of the links, and nothing is proven. A constant torque d gives the steady-state port output
+G d (steady_state_ports, steady_state_errors). With K = rate G^-1 the integral compensates the torque at this rate. G is
+large for a compliant joint, because the motor stage amplifies the port output by the inverse joint stiffness. A larger
+K excites a poorly damped mode of the loop. The extended storage requires a constant K, so G is averaged over sampled
+configurations.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ import casadi as ca
 import numpy as np
 
 from ..law.gains import CheckedGains
-from ..law.linearized import Equilibria, equilibria_at, error_dynamics, error_matrices, metric_roots
+from ..law.interfaces import StaticLaw
+from ..law.linearized import Equilibria, equilibria_at, error_dynamics, error_matrices, metric_roots, slope_at_rest
+from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import sample_configurations
 from ..model.robot import Robot
 from ..numerics.checks import Array
@@ -62,17 +65,24 @@ class IntegralAction:
         return ca.reshape(gains[name], self._n, self._n)
 
 
-def gain_values(robot: Robot, gains: CheckedGains, rates: tuple[Array, Array]) -> Array:
+def gain_values(law: StaticLaw, rates: tuple[Array, Array]) -> Array:
     """Return the gains of IntegralAction.gain_sizes for rates (n,) [1/s] of links and motors; nan if not finite."""
-    n = robot.n
+    n, points = law.robot.n, _sampled_equilibria(law.robot)
     try:
         with np.errstate(all="ignore"):
-            ports = steady_state_ports(_sampled_equilibria(robot), gains)
-            K_l, K_m = _gain(ports[:, :n, :n], rates[0]), _gain(ports[:, n:, n:], rates[1])
+            if isinstance(law, TrackingLaw):
+                ports = steady_state_ports(points, law.gains)
+                sides = ports[:, :n, :n], ports[:, n:, n:]
+                means = [(mean + mean.T) / 2 for mean in (side.mean(axis=0) for side in sides)]
+            else:
+                means = np.split(steady_state_errors(points, law).mean(axis=0), 2, axis=1)
+            K_l, K_m = (
+                np.sqrt(rate)[:, None] * np.linalg.inv(G) * np.sqrt(rate) for G, rate in zip(means, rates, strict=True)
+            )
             parts = [K_l, K_m, np.linalg.pinv(K_l), np.linalg.pinv(K_m)]
     except np.linalg.LinAlgError:  # gains beyond double precision; the effort is not finite either
         return np.full(4 * n * n, np.nan)
-    return np.concatenate([K.ravel() for K in parts])
+    return np.concatenate([K.ravel(order="F") for K in parts])
 
 
 def steady_state_ports(points: Equilibria, gains: CheckedGains) -> Array:
@@ -86,12 +96,17 @@ def steady_state_ports(points: Equilibria, gains: CheckedGains) -> Array:
     return np.asarray(np.swapaxes(S @ E, 1, 2) @ (S @ steady))
 
 
+def steady_state_errors(points: Equilibria, law: StaticLaw) -> Array:
+    """Return the gains (k, n, 2n) [rad/N m] from constant torques on links and motors to the steady link error.
+
+    Links and motors are at rest: (K + N_l) e - K e_m = d_l and K (e_m - e) - B_m F (e, e_m) = d_m, u = F (e, e_m).
+    """
+    K, n = points.K, law.robot.n
+    feedback = law.robot.B_m @ np.array([slope_at_rest(law, q)[0] for q in points.q_l])
+    F_l, F_m = feedback[:, :, :n], feedback[:, :, n : 2 * n]
+    return np.asarray(np.linalg.inv(points.blocks([K + points.N_l, -K], [-K - F_l, K - F_m]))[:, :n], dtype=float)
+
+
 @lru_cache(maxsize=8)
 def _sampled_equilibria(robot: Robot) -> Equilibria:
     return equilibria_at(robot, sample_configurations(robot, CONFIGURATIONS))
-
-
-def _gain(ports: Array, rate: Array) -> Array:
-    """Return the rate times the inverse of the symmetrised mean port gain."""
-    mean, root = ports.mean(axis=0), np.sqrt(rate)
-    return np.asarray(root[:, None] * np.linalg.inv((mean + mean.T) / 2) * root)

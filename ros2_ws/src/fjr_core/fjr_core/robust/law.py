@@ -120,10 +120,29 @@ def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:
     return dense_function("loaded_command", arguments, {name: found[name] for name in names}, cse=True)
 
 
+def loaded_by_springs(
+    law: StaticLaw, at: tuple[ca.MX, ca.MX], jets: ca.MX, gains: ca.MX, known: ca.MX, matched: ca.MX
+) -> tuple[ca.MX, ca.MX]:
+    """Return u (n,) [N m] and V of any law that compensates known (n, 3) and matched (n,), see loaded_expression.
+
+    With straight springs and theta' = theta + K^-1 w the links move as without the torque w, and the motors as under
+
+        B_m u' = B_m u + w_m + w + D_m K^-1 dw + M_m K^-1 d2w.
+
+    The law computes u' at (q, theta'). For v-dPBC this is loaded_expression.
+    """
+    robot, (w, dw, d2w) = law.robot, ca.horzsplit(known)
+    K_inverse, B_inverse, none = (ca.DM(np.linalg.inv(robot.K)), ca.DM(np.linalg.inv(robot.B_m)), ca.MX(robot.n, 1))
+    position, velocity = (x + ca.vertcat(none, ca.mtimes(K_inverse, d)) for x, d in zip(at, (w, dw), strict=True))
+    u, V = law.measured_expression(position, velocity, jets, gains)
+    lag = ca.mtimes(ca.DM(robot.D_m), ca.mtimes(K_inverse, dw)) + ca.mtimes(ca.DM(robot.M_m), ca.mtimes(K_inverse, d2w))
+    return u - ca.mtimes(B_inverse, matched + w + lag), V
+
+
 def sampled_law(law: StaticLaw, robust: Robust | None = None) -> SampledLaw:
-    """Return the law with the robust action requested, the law itself if there is none. Raises GainsError."""
+    """Return the law with the robust action requested, as it is run alone if there is none. Raises GainsError."""
     robust = (robust or Robust()).checked(law.robot.n)
-    return law if robust.off else RobustLaw(law, robust)
+    return law.sampled if robust.off else RobustLaw(law, robust)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +150,8 @@ class RobustLaw:
     """A law with robust action, as a SampledLaw (docs/robust.md).
 
     Each sample estimates the disturbance torques, predicts the state at the time the effort acts, and evaluates there
-    the law that compensates the estimates and the integral. V is the storage at this state plus the energy of the
-    integral. Estimates and integral action require a TrackingLaw.
+    the law that compensates the estimates and the integral. V is the storage at this state, for v-dPBC plus the energy
+    of the integral. Springs with a curve require a TrackingLaw for estimates and integral action.
     Raises GainsError for inconsistent options.
     """
 
@@ -143,10 +162,16 @@ class RobustLaw:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robust", self.robust.checked(self.robot.n))
-        if (self.robust.estimates or self.robust.integrates) and not isinstance(self.law, TrackingLaw):
+        law, robust = self.law, self.robust
+        if law.observes and not robust.off:
             raise GainsError(
-                f"robust action by estimates or an integral is enabled for a {type(self.law).__name__}; "
-                "expected it for the law v_dpbc only"
+                f"{type(law).__name__} estimates {law.observes} itself; expected robust.* of 0: two estimates of one "
+                "torque cannot be told apart, and a prediction leaves its observer behind"
+            )
+        if law.robot.curve and (robust.estimates or robust.integrates) and not isinstance(law, TrackingLaw):
+            raise GainsError(
+                f"{type(law).__name__} is given springs with a {law.robot.curve}; expected v_dpbc, or robust.delay "
+                "only: other laws compensate torques through straight springs"
             )
 
     @property
@@ -165,9 +190,8 @@ class RobustLaw:
         r, values = self.robust, [self.law.gain_values]
         if r.estimates:
             values += [np.asarray(r.residual_gain), np.asarray(r.motor_residual_gain)]
-        if r.integrates and isinstance(self.law, TrackingLaw):
-            rates = np.asarray(r.integral_gain), np.asarray(r.motor_integral_gain)
-            values.append(gain_values(self.robot, self.law.gains, rates))
+        if r.integrates:
+            values.append(gain_values(self.law, (np.asarray(r.integral_gain), np.asarray(r.motor_integral_gain))))
         return np.concatenate(values)
 
     @property
@@ -186,7 +210,7 @@ class RobustLaw:
 
     def with_law(self, law: StaticLaw) -> RobustLaw:
         """Return this robust law for a law made by `self.law.with_gains`; nothing is built again."""
-        other = RobustLaw(law, self.robust)
+        other = type(self)(law, self.robust)
         other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
         return other
 
@@ -211,8 +235,8 @@ class RobustLaw:
             at = Predictor(self.robot, r.hold, r.delay).predict(*at, estimate if r.estimates else integral, efforts)
         if not (r.estimates or r.integrates):
             u, V = self.law.measured_expression(*at, s["jets"], gains["law"])
-        else:  # the law that compensates these torques
-            loaded = loaded_expression(self.law, r.integrates)  # type: ignore[arg-type]
+        elif isinstance(self.law, TrackingLaw):  # the law that compensates these torques
+            loaded = loaded_expression(self.law, r.integrates)
             arguments = (*at, s["jets"], gains["law"], known, estimate[n:] + integral[n:])
             if r.integrates:
                 u, V, _, port_m, port_l = loaded(*arguments, integral[:n], action.matrix(gains, "K_l"))
@@ -220,6 +244,14 @@ class RobustLaw:
                 V += action.energy(integral, gains)
             else:
                 u, V, *_ = loaded(*arguments)
+        else:
+            e, de = (each[:n] - s["jets"][:, k] for k, each in enumerate(at))
+            if r.integrates:
+                K_l = action.matrix(gains, "K_l")
+                known += ca.horzcat(integral[:n], ca.mtimes(K_l, e), ca.mtimes(K_l, de))
+            u, V = loaded_by_springs(self.law, at, s["jets"], gains["law"], known, estimate[n:] + integral[n:])
+            if r.integrates:
+                parts |= action.parts(integral, (e, e), gains, u)
         return dense_function("robust_law", s, {"u": u, "V": V, "next": self._memory.pack(parts)})
 
     @cached_property

@@ -17,6 +17,7 @@ NEVER = -(2**63)
 
 STOPS, STARTS_REFUSED = "stops", "starts refused"
 """Kinds of the events that end tracking."""
+CONTACTS = "contacts"
 KINDS = (
     "states older than the last",
     "states stale",
@@ -36,6 +37,7 @@ KINDS = (
     "stops: motor velocity",
     "stops: deflection",
     "stops: tracking error",
+    "stops: contact",
     "stops: law",
     "resumes",
     "efforts not finite",
@@ -45,10 +47,11 @@ KINDS = (
     "settings changed",
     "references changed",
     "holds",
+    CONTACTS,
 )
 """Names of the counters, in the order of enum fjr_kind in step.h."""
 ERRORS = (STARTS_REFUSED, STOPS, "efforts not finite")
-WARNINGS = ("reference restarts", "silences", "forward jumps", "observer restarts", "efforts saturated")
+WARNINGS = ("reference restarts", "silences", "forward jumps", "observer restarts", "efforts saturated", CONTACTS)
 """Kinds of events by level; all others inform."""
 
 
@@ -185,9 +188,12 @@ class Journal:
         if kind == "references changed":
             return f"another reference: {self.followed.popleft()}", {}
         if kind == "efforts saturated":
-            joints = [joint for i, joint in enumerate(settings.joints) if found.detail >> i % 31 & 1]
+            joints = joints_of(found.detail, settings.joints)
             return f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]}
         joint = settings.joints[found.joint] if found.joint >= 0 else ""
+        if kind == CONTACTS:
+            torque = f"{found.value:.3g} {settings.units[found.joint].effort} on {joint}, beyond {found.limit:.3g}"
+            return f"contact: external torque on {', '.join(joints_of(found.detail, settings.joints))}: {torque}", {}
         values: dict[str, float | str] = {"joint": joint} if joint else {}
         if not math.isnan(found.value):
             values |= {"value": found.value, "limit": found.limit}
@@ -223,7 +229,16 @@ class Journal:
         return _violation(cause, found, settings.joints[found.joint], settings)
 
 
+def joints_of(bits: int, joints: Sequence[str]) -> list[str]:
+    """Return the joints whose bits are set; from the 32nd on they share bits."""
+    return [joint for i, joint in enumerate(joints) if bits >> i % 31 & 1]
+
+
 def _violation(cause: str, found: Any, joint: str, settings: Settings) -> str:
+    if cause == "contact":
+        unit = settings.units[found.joint].effort
+        torque = f"external torque of {found.value:.3g} {unit} on {joint}"
+        return f"contact: {torque}; expected at most {found.limit:.3g} {unit}"
     symbol, quantity = LIMITED[cause]
     unit, side = getattr(settings.units[found.joint], quantity), "at least" if found.below else "at most"
     return f"{cause} of {joint}: {symbol} = {found.value:.6g} {unit}; expected {side} {found.limit:.6g} {unit}"

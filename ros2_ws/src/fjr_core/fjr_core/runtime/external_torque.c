@@ -3,17 +3,26 @@
  * while the velocities of an observer settle.
  */
 
-int fjr_observe_torque(struct fjr_torque_observer* o, const struct fjr_model* m, const struct fjr_controller* c,
+int fjr_watch_torque(struct fjr_torque_observer* o, struct fjr_contact* c, const double* position,
+                     const double* velocity, int64_t stamp) {
+  const int size = N * (1 + o->errors);
+  const double dt = (double)(stamp - o->stamp) * 1e-9;
+  o->arg[0] = o->kept, o->arg[1] = position, o->arg[2] = velocity, o->arg[3] = &o->bandwidth, o->arg[4] = &dt;
+  o->res[0] = o->next;
+  if (o->update(o->arg, o->res, o->iw, o->w, 0)) fill(o->next, NAN, 3 * size);
+  copy(o->kept, o->next, 3 * size);
+  o->stamp = stamp;
+  if (!all_finite(o->kept, 3 * size)) return 0;
+  watch_contact(o, c, o->kept + 2 * size, stamp);
+  return 1;
+}
+
+int fjr_observe_torque(struct fjr_torque_observer* o, const struct fjr_model* m, struct fjr_controller* c,
                        const struct fjr_sample* sample, double* torque) {
-  const double dt = (double)(sample->stamp - o->stamp) * 1e-9;
-  double position[2 * N], next[3 * N];
+  double position[2 * N];
   joint_positions(m, sample, position);
   if (m->observer && c->measured.k < OBSERVED) fill(position, NAN, 2 * N);
-  o->arg[0] = o->kept, o->arg[1] = position, o->arg[2] = c->measured.values + 2 * N;
-  o->arg[3] = &o->bandwidth, o->arg[4] = &dt, o->res[0] = next;
-  if (o->update(o->arg, o->res, o->iw, o->w, 0)) fill(next, NAN, 3 * N);
-  copy(o->kept, next, 3 * N);
-  copy(torque, next + 2 * N, N);
-  o->stamp = sample->stamp;
-  return all_finite(next, 3 * N);
+  const int known = fjr_watch_torque(o, &c->contact, position, c->measured.values + 2 * N, sample->stamp);
+  copy(torque, o->kept + 2 * N * (1 + o->errors), N);
+  return known;
 }

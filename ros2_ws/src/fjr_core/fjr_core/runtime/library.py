@@ -19,7 +19,7 @@ from ..numerics.checks import Array
 from ..numerics.jit import CLibrary, c_library, compiled, machine_code
 from ..numerics.symbolic import bind, dense_function, symbols
 from .measurement_model import Measurement
-from .safety_settings import GRAVITY_HOLD, Settings
+from .safety_settings import GRAVITY_HOLD, REACTIONS, Settings
 from .velocity_observer import VelocityObserver
 
 HEADER = "step.h"
@@ -39,6 +39,7 @@ SOURCES = (
     "wiring.c",
     "step.c",
     "certificate.c",
+    "contact.c",
     "external_torque.c",
     "auxiliary_rate.c",
 )
@@ -152,6 +153,7 @@ def settings_struct(library: CLibrary, settings: Settings, law: SampledLaw) -> A
     struct.state_timeout = round(settings.state_timeout * 1e9)
     struct.gravity_hold = settings.on_stop == GRAVITY_HOLD
     struct.wiring_check = settings.wiring_check
+    struct.on_contact = REACTIONS.index(settings.on_contact)
     return struct
 
 
@@ -257,13 +259,24 @@ def write_robot(model: Any, robot: Robot) -> None:
 class TorqueObserverStruct:
     """An observer of external torques; `pointer` is a struct fjr_torque_observer*, valid as long as this object lives.
 
-    ffi: with the types of step.h. function: of an ExternalTorqueObserver. bandwidth [1/s].
+    ffi: with the types of step.h. function: of a ContactObserver. bandwidth [1/s]. noise (n,) [N m]: its deviations.
+    limit: of the square of the Mahalanobis distance. period [s]: between two updates of the errors of the model, which
+    drift within `drift` [s].
     """
 
-    def __init__(self, ffi: Any, function: ca.Function, bandwidth: float) -> None:
+    def __init__(
+        self, ffi: Any, function: ca.Function, bandwidth: float, noise: Array, limit: float, period: float, drift: float
+    ) -> None:
         self._held, self._work = CFunction(ffi, function), WorkSpace(ffi, [function])
-        given = {"update": self._held.pointer, "bandwidth": bandwidth, "kept": [np.nan] * function.nnz_in(0)}
-        self.pointer = ffi.new("struct fjr_torque_observer *", given)
+        errors = function.nnz_in(0) // (3 * len(noise)) - 1
+        start = np.full(function.nnz_in(0), np.nan)
+        arrays = {"kept": start, "next": start, "d": np.zeros(errors), "P": np.eye(errors), "W": start}
+        self.arrays = {name: ffi.new("double[]", each.ravel().tolist()) for name, each in arrays.items()}
+        given = {"update": self._held.pointer, "bandwidth": bandwidth, "errors": errors, "limit": limit}
+        timing = {"period": round(period * 1e9), "stay": float(np.exp(-period / drift))}
+        self.pointer = ffi.new(
+            "struct fjr_torque_observer *", {**given, **timing, "noise": (noise**2).tolist(), **self.arrays}
+        )
         self._work.lend(self.pointer)
 
 

@@ -16,6 +16,8 @@ from ..numerics.checks import freeze, joint_names, limits
 from ..numerics.parameter_field import VECTOR, declared, parameter_field
 
 ZERO, GRAVITY_HOLD = "zero", "gravity_hold"
+REPORT, STOP, YIELD = REACTIONS = ("report", "stop", "yield")
+"""Reactions to contact, in the order of enum fjr_reaction."""
 SHORTEST = 1e-3  # s; shortest duration that is not 0
 _DURATION = f"0, or at least {SHORTEST} s"
 
@@ -79,6 +81,13 @@ class Settings:
         ZERO,
         "Effort after a stop, after state_timeout and at shutdown: zero, or gravity compensation with motor damping",
         choices=(ZERO, GRAVITY_HOLD),
+        dynamic=True,
+    )
+    on_contact: str = parameter_field(
+        REPORT,
+        "Reaction to contact, the external torque that robot.deviations.* do not explain: report it; stop, with the "
+        "effort of on_stop; or yield, gravity compensation with motor damping until it has ended",
+        choices=REACTIONS,
         dynamic=True,
     )
     state_timeout: float = parameter_field(

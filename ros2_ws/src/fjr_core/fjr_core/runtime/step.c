@@ -7,7 +7,7 @@
 static void select_effort(const struct fjr_model* m, struct fjr_controller* c, const double* jets,
                           enum fjr_order order, int64_t stamp, double* u, double* V) {
   const struct fjr_supervisor* s = &c->supervisor;
-  if (!(s->stopped || s->settling)) {
+  if (!(s->stopped || s->settling || s->yielding)) {
     double ahead[FJR_JETS * N];
     const int64_t dt = c->stamps.last == FJR_NEVER ? 0 : stamp - c->stamps.last;
     if (m->lead) active_jets(&s->reference, stamp + m->lead, ahead);
@@ -19,6 +19,8 @@ static void select_effort(const struct fjr_model* m, struct fjr_controller* c, c
   *V = NAN;
   if (s->stopped)
     moving_effort(m, c, u);
+  else if (s->yielding)
+    carry_effort(m, c, c->measured.values, c->measured.values + 3 * N, u);
   else if (s->starting)
     hold_effort(m, c, c->measured.values, 0, u);
   else
@@ -99,6 +101,7 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   if (order == FJR_LATE || order == FJR_GAP) note_gap(&c->stamps, stamp, arrival);
   if (!measure(m, c, sample, order)) return without_effort(m, c, stamp, command);
   stop_miswired(c, stamp);
+  heed_contact(c, stamp);
   watch_wiring(m, c, order, stamp);
   if (!attempt(m, c, order, stamp, command)) return without_effort(m, c, stamp, command);
   remember_position(c);
@@ -147,7 +150,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
   forget_stamps(&c->stamps);
   init_supervisor(&c->supervisor, c->start_reference);
   fjr_wiring_start(&c->wiring);
-  c->policy.released = 0;
+  c->policy.released = c->contact.heeded = 0;
 }
 
 void fjr_apply(struct fjr_controller* c, const struct fjr_settings* settings) {
@@ -182,7 +185,7 @@ void fjr_hold(struct fjr_controller* c) {
 void fjr_resume(struct fjr_controller* c) {
   if (!c->supervisor.stopped) return;
   fjr_wiring_start(&c->wiring);
-  c->policy.released = 0;
+  c->policy.released = c->contact.heeded = 0;
   c->supervisor.resuming = 1;
 }
 
@@ -190,7 +193,7 @@ enum fjr_state fjr_state_of(const struct fjr_controller* c) {
   const struct fjr_supervisor* s = &c->supervisor;
   if (s->stopped) return FJR_STOPPED;
   if (c->stamps.last == FJR_NEVER) return FJR_WAITING;
-  return s->transfer.active || s->settling || s->joining ? FJR_JOINING : FJR_TRACKING;
+  return s->transfer.active || s->settling || s->joining || s->yielding ? FJR_JOINING : FJR_TRACKING;
 }
 
 void fjr_jets_at(const struct fjr_controller* c, int64_t stamp, double* jets) {

@@ -62,6 +62,8 @@ struct fjr_reference {
 
 /* ---- Settings and model ---------------------------------------------------------------------------------------- */
 
+enum fjr_reaction { FJR_REPORT, FJR_STOP, FJR_YIELD };
+
 /* Limits, durations and stop policy; a limit is infinite where there is none (runtime/safety_settings.py). */
 struct fjr_settings {
   double effort[FJR_N], effort_rate[FJR_N]; /* N m, N m/s */
@@ -71,6 +73,7 @@ struct fjr_settings {
   double ramp_time, start_join_time, recovery_join_time; /* s */
   double acceleration[FJR_N], hold_deceleration;         /* rad/s^2 */
   int32_t gravity_hold;                                  /* stop policy: 1 gravity compensation, 0 no effort */
+  int32_t on_contact;                                    /* an enum fjr_reaction */
   int32_t wiring_check;                                  /* needs `dynamics` of the model, and no observer */
   double B_inverse[FJR_N * FJR_N];                       /* B_m^-1 by rows */
   double hold_damping[FJR_N * FJR_N];                    /* K_md by rows [N m s/rad] */
@@ -129,11 +132,12 @@ enum fjr_kind {
   FJR_STATES_OLDER, FJR_STATES_STALE, FJR_STATES_REPEATED, FJR_JUMPS_DOUBTED, FJR_REFERENCE_RESTARTS, FJR_SILENCES, FJR_FORWARD_JUMPS,
   FJR_OBSERVER_RESTARTS, FJR_RECOVERIES, FJR_STARTS_REFUSED, FJR_STOPS, FJR_STOPS_WIRING, FJR_STOPS_LINK_POSITION,
   FJR_STOPS_MOTOR_POSITION, FJR_STOPS_LINK_VELOCITY, FJR_STOPS_MOTOR_VELOCITY, FJR_STOPS_DEFLECTION,
-  FJR_STOPS_TRACKING_ERROR, FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
-  FJR_EFFORTS_RATE_LIMITED, FJR_GAINS_CHANGED, FJR_SETTINGS_CHANGED, FJR_REFERENCES_CHANGED, FJR_HOLDS, FJR_KINDS
+  FJR_STOPS_TRACKING_ERROR, FJR_STOPS_CONTACT, FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
+  FJR_EFFORTS_RATE_LIMITED, FJR_GAINS_CHANGED, FJR_SETTINGS_CHANGED, FJR_REFERENCES_CHANGED, FJR_HOLDS, FJR_CONTACTS,
+  FJR_KINDS
 };
 
-/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW; of a saturation the joints as bits.
+/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW; of a saturation or contact the joints as bits.
  * joint: -1 for none. value, limit: NaN for none; of a recovery and of a silence `value` is the duration [s]. below:
  * value < limit was found. */
 struct fjr_event {
@@ -226,6 +230,7 @@ struct fjr_supervisor {
   int64_t bound_start;
   int32_t stopped; /* 0, FJR_STARTS_REFUSED or the counter of the cause, FJR_STOPS_WIRING .. */
   int32_t settling, starting, joining, resuming, holding;
+  int32_t yielding, returning; /* to a contact; from it, at the next sample */
 };
 
 struct fjr_law_state {
@@ -270,6 +275,14 @@ struct fjr_wiring {
   struct fjr_comparison comparison;
 };
 
+/* Contact as the observer of external torques sees it. acting: at the last sample; heeded: the controller has reacted.
+ * joints: as bits; joint, value, limit: of the one furthest beyond its threshold when it began; stamp: last seen. */
+struct fjr_contact {
+  int32_t acting, heeded, joints, joint;
+  double value, limit;
+  int64_t stamp;
+};
+
 struct fjr_controller {
   struct fjr_settings settings;
   const double* gains;
@@ -280,6 +293,7 @@ struct fjr_controller {
   struct fjr_law_state law;
   struct fjr_effort_limits limits;
   struct fjr_stop_policy policy;
+  struct fjr_contact contact;
   struct fjr_journal journal;
   int64_t stopped_time; /* time stopped */
   struct fjr_wiring wiring;
@@ -320,12 +334,19 @@ struct fjr_certificate {
 
 /* ---- External torque ------------------------------------------------------------------------------------------- */
 
-/* kept: momenta of the links, their rates and the estimated torques at the last sample; NaN: none. */
+/* kept, next (3, 1 + errors, FJR_N): momenta of the links, their rates and the estimated torques at the last sample, each
+ * with its derivatives by the stated errors of the model; NaN: none. d (errors), P (errors, errors): mean and covariance
+ * of the errors. compared: torques that these do not explain, and thresholds; S (lower triangle): covariance of the
+ * former. See contact.c. */
 struct fjr_torque_observer {
   fjr_function update; /* (kept, position, velocity, bandwidth, dt) -> kept */
   double bandwidth;    /* 1/s */
   int64_t stamp;
-  double kept[3 * FJR_N];
+  int32_t errors;
+  double limit, stay, noise[FJR_N]; /* noise: variances [(N m)^2] */
+  int64_t period, learned;          /* between two updates of d and P; stamp of the last one */
+  double *kept, *next, *d, *P, *W;  /* W (FJR_N, errors): work space */
+  double compared[2 * FJR_N], S[FJR_N * FJR_N];
   const double** arg; /* work space of the function */
   double** res;
   long long int* iw;
@@ -398,9 +419,14 @@ void fjr_certificate_restart(struct fjr_certificate* c);
 /* Evaluate the certificate of a command; return 0 if a function failed. */
 int fjr_certify(struct fjr_certificate* c, const struct fjr_command* command, int64_t stamp, struct fjr_certified* found);
 
-/* Write the external torques on the links [N m] at the sample that was answered last; return 1 if they are known. */
-int fjr_observe_torque(struct fjr_torque_observer* o, const struct fjr_model* m, const struct fjr_controller* c,
+/* Write the external torques on the links [N m] at the sample that was answered last; return 1 if they are known. The
+ * next sample reacts to a contact. */
+int fjr_observe_torque(struct fjr_torque_observer* o, const struct fjr_model* m, struct fjr_controller* c,
                        const struct fjr_sample* sample, double* torque);
+
+/* The same without a controller, for recorded states: positions and velocities (2, FJR_N) of links and motors. */
+int fjr_watch_torque(struct fjr_torque_observer* o, struct fjr_contact* c, const double* position,
+                     const double* velocity, int64_t stamp);
 
 /* Return 1 if the messages for observers are due at the sample with this stamp. */
 int fjr_is_due(struct fjr_auxiliary_rate* r, int64_t stamp);

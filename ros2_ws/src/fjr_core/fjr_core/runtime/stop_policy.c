@@ -6,12 +6,11 @@
  * After a wiring fault, where gravity compensation would drive the arm, u = 0 under either policy (`released`).
  */
 
-/* The effort of a robot that stands still at q_l; dq_m: 0 for no damping. */
-static void hold_effort(const struct fjr_model* m, const struct fjr_controller* c, const double* q_l,
-                        const double* dq_m, double* u) {
+/* Gravity compensation at q_l, with damped motors; dq_m: 0 for no damping. */
+static void carry_effort(const struct fjr_model* m, const struct fjr_controller* c, const double* q_l,
+                         const double* dq_m, double* u) {
   double torque[N], damping[N];
   fill(u, 0, N);
-  if (!c->settings.gravity_hold || c->policy.released) return;
   m->arg[0] = q_l, m->res[0] = torque;
   if (m->gravity(m->arg, m->res, m->iw, m->w, 0)) return;
   if (dq_m) {
@@ -19,6 +18,15 @@ static void hold_effort(const struct fjr_model* m, const struct fjr_controller* 
     for (int i = 0; i < N; ++i) torque[i] -= damping[i];
   }
   multiply(u, c->settings.B_inverse, torque);
+}
+
+/* The effort of a robot that stands still at q_l; dq_m: 0 for no damping. */
+static void hold_effort(const struct fjr_model* m, const struct fjr_controller* c, const double* q_l,
+                        const double* dq_m, double* u) {
+  if (c->settings.gravity_hold && !c->policy.released)
+    carry_effort(m, c, q_l, dq_m, u);
+  else
+    fill(u, 0, N);
 }
 
 /* At the last valid link positions, always finite; zero before the first sample. */

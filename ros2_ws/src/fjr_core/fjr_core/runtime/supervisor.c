@@ -6,6 +6,7 @@
  * if |q_l - q_ld| exceeds limits.start_error.
  * Recovery (after a gap of the samples, or a resume): transition of the reference from the measured state over
  * recovery.join_time or longer, and blend of the effort over BLEND of that time. The clock of the reference continues.
+ * Contact: report it, stop, or yield (gravity compensation, damped motors) until it has ended, then recover.
  * Stop: at a violated limit, or where the law failed, latched until a resume. Outside the limits nothing is started or
  * resumed. Until the velocities of an observer that was reset have settled, their limits and that of the tracking error
  * are not checked. The functions that return int return 0 if there is no transition to the reference.
@@ -23,7 +24,7 @@ static void init_supervisor(struct fjr_supervisor* s, const struct fjr_reference
 
 /* True if this sample triggers no state transition. */
 static int continues(const struct fjr_supervisor* s, enum fjr_order order, int64_t stamp, int settling) {
-  const int requested = s->resuming || s->holding || is_due(&s->reference, stamp);
+  const int requested = s->resuming || s->holding || s->returning || is_due(&s->reference, stamp);
   return order == FJR_NEXT && !(settling || s->settling || requested);
 }
 
@@ -109,11 +110,30 @@ static int resume(struct fjr_controller* c, int64_t stamp) {
   return s->settling == 0;
 }
 
+/* Report a contact when it begins and react to it; when it has ended, recover from yielding. */
+static void heed_contact(struct fjr_controller* c, int64_t stamp) {
+  struct fjr_contact* t = &c->contact;
+  struct fjr_supervisor* s = &c->supervisor;
+  if (t->acting == t->heeded) return;
+  t->heeded = t->acting;
+  if (t->acting) {
+    const struct fjr_event seen = {FJR_CONTACTS, t->joints, t->joint, 0, stamp, t->value, t->limit};
+    const struct fjr_event stopped = {FJR_STOPS, FJR_STOPS_CONTACT, t->joint, 0, stamp, fabs(t->value), t->limit};
+    report_event(c, seen);
+    if (c->settings.on_contact == FJR_STOP && !s->stopped) stop(c, FJR_STOPS_CONTACT, stopped);
+    s->yielding = c->settings.on_contact == FJR_YIELD && !s->stopped;
+  } else if (s->yielding) {
+    s->yielding = 0, s->returning = !s->stopped;
+  }
+}
+
 /* Carry out requests since the last sample; start or recover once the velocities have settled. */
 static int handle_requests(struct fjr_controller* c, enum fjr_order order, int64_t stamp) {
   struct fjr_supervisor* s = &c->supervisor;
   int ready = 0;
   if (s->settling && order != FJR_REPEATED) ready = !--s->settling;
+  if (s->returning) ready = s->settling == 0;
+  s->returning = 0;
   if (s->resuming) ready = resume(c, stamp);
   if (ready && !s->stopped) check_limits(c, 0, stamp);
   if (ready && !s->stopped && !(s->starting ? start_tracking(c, stamp) : recover(c, stamp))) return 0;
@@ -128,5 +148,5 @@ static void supervised_jets(struct fjr_controller* c, int64_t stamp, double* jet
   struct fjr_supervisor* s = &c->supervisor;
   active_jets(&s->reference, stamp, jets);
   s->joining = stamp < s->reference.transition_end;
-  if (!s->stopped) check_limits(c, s->settling ? 0 : jets, stamp);
+  if (!s->stopped) check_limits(c, s->settling || s->yielding ? 0 : jets, stamp);
 }

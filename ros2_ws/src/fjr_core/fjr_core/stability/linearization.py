@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..errors import GainsError, StateError
 from ..law.gains import CheckedGains
 from ..law.interfaces import SampledLaw, StaticLaw, check_law, static_part
-from ..law.linearized import Equilibria, Indices, equilibria_at, error_matrices, feedback, metric_roots
+from ..law.linearized import Equilibria, Indices, equilibria_at, error_matrices, feedback, metric_roots, slope_at_rest
 from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import checked_configurations, sample_configurations
 from ..model.port_hamiltonian import Plant
@@ -24,7 +24,6 @@ from .linear_controller import (
     controller,
     momentum_matrix,
     plant_in_velocities,
-    slope_at_rest,
     static,
 )
 

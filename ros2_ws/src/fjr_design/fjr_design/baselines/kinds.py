@@ -5,8 +5,11 @@ from __future__ import annotations
 
 from fjr_core.extensions.law_registry import LawKind
 
+from .active_disturbance import ActiveDisturbanceGains, ActiveDisturbanceRejection
 from .backstepping import Backstepping, BacksteppingGains
+from .elastic_structure import ElasticStructureGains, ElasticStructurePreserving
 from .feedback_linearisation import CompositeGains, FeedbackLinearisation, LinearErrorGains, SingularPerturbation
+from .friction_observer import FrictionObserver, FrictionObserverGains
 from .lqr import Lqr, LqrGains
 from .pd_gravity import PdFeedforward, PdGains, PdGravity
 from .torque_feedback import TorqueFeedback, TorqueFeedbackFeedforward, TorqueFeedbackGains
@@ -85,5 +88,37 @@ BASELINES = (
         default_damping=1.0,
         damping_range=(0.5**0.5, 2.0),
         scaled=("R",),
+    ),
+    LawKind(
+        name="elastic_structure",
+        title="elastic structure preserving",
+        paper="Keppler, Lakatos, Ott, Albu-Schaeffer 2018",
+        make=ElasticStructurePreserving,
+        tuning_rule=ElasticStructureGains.standard,
+        damping_range=(0.2, 2.0),
+        scaled=("D_eta",),
+    ),
+    LawKind(
+        name="friction_observer",
+        title="friction observer",
+        paper="Kim, Beck, Ott, Albu-Schaeffer 2019",
+        make=FrictionObserver,
+        tuning_rule=FrictionObserverGains.standard,
+        measures="motor side, spring torque",
+        storage=_AT_REST,
+        extension=_FEEDFORWARD,
+        scaled=("L", "L_p"),
+    ),
+    LawKind(
+        name="active_disturbance",
+        title="active disturbance rejection",
+        paper="Han 2009, Gao 2003",
+        make=ActiveDisturbanceRejection,
+        tuning_rule=ActiveDisturbanceGains.standard,
+        measures="positions of both sides",
+        storage="",
+        extension=_FEEDFORWARD,
+        default_damping=1.0,
+        scaled=("A_1", "A_2", "A_3", "bandwidth"),
     ),
 )

@@ -156,6 +156,21 @@ def export_c(**given: Any) -> Any:
     return implementation("fjr_design.cli.files").export_scenario(**given)
 
 
+@command("export-mjcf")
+@click.argument("scenario", shell_complete=options.complete_scenario)
+@click.argument("file", metavar="FILE.xml", type=options.PATH)
+@click.option("--force", is_flag=True, help="Replace an earlier export; other files are kept.")
+@set_option
+def export_mjcf(**given: Any) -> Any:
+    """Export a robot as an MJCF for MuJoCo.
+
+    SCENARIO is the name of an installed scenario or a YAML file. Both sides of each joint are in the file: `<joint>` of
+    the link, `<joint>_motor` of the rotor with its motor, between them the tendon `<joint>_spring`. Meshes are written
+    to FILE_meshes. The keyframe `start` is the initial state of the scenario.
+    """
+    return implementation("fjr_design.cli.files").export_mjcf(**given)
+
+
 @command("export-ros2-control")
 @click.argument("scenario", shell_complete=options.complete_scenario)
 @click.argument("folder", metavar="DIR", type=options.PATH)

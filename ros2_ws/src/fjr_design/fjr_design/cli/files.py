@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that write files: `fjr new` from a URDF or MJCF; a scenario as URDF, as C99 and for ros2_control.
+"""Commands that write files: `fjr new` from a URDF or MJCF; a scenario as URDF, as C99, as MJCF and for ros2_control.
 
-`fjr new` makes a robot file and a scenario; `fjr description`, `fjr export-c` and `fjr export-ros2-control` read one.
+`fjr new` makes a robot file and a scenario; `fjr description`, `fjr export-c`, `fjr export-mjcf` and
+`fjr export-ros2-control` read one.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from fjr_design.exports.step_code import loop_of
 from fjr_design.scaffold.arm import Arm, arm_of, described
 from fjr_design.scaffold.files import locked_joints, origin_of, robot_text, scenario_text
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
-from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.output import Result, plural
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.library import ScenarioError
 
@@ -127,6 +128,21 @@ def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, pre
     if missing:
         text += f"\nnot exported: what {', '.join(missing)} add to the plant"
     return Result(text, {"folder": folder, "files": list(texts), "not_exported": list(missing)})
+
+
+def export_mjcf(scenario: str, assignments: Sequence[str], file: Path, force: bool) -> Result:
+    """Write a robot for MuJoCo, with its meshes beside the file; force: replace earlier ones. Raises FjrError."""
+    contents, notes = module("fjr_engines.mjcf.export").mjcf(library.load(scenario, assignments), file.name)
+    write(contents, file.parent, force, beside=True)
+    lines = [
+        f"{file}: {plural(len(contents) - 1, 'mesh', 'meshes')} beside it",
+        *(f"note  {note}" for note in notes),
+        f"view  python -m mujoco.viewer --mjcf={file}",
+        "ros2  mujoco_ros2_control: command interface <joint>_motor/effort, states of <joint> and <joint>_motor",
+        f"back  fjr new {file}",
+    ]
+    files = [file.parent / name for name in contents]
+    return Result("\n".join(lines), {"file": file, "files": files, "notes": notes})
 
 
 def export_ros2_control(

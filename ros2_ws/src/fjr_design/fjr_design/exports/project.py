@@ -88,18 +88,24 @@ def recorded_case(loop: ExportedLoop, samples: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write(texts: Mapping[str, str], folder: Path, force: bool = False) -> None:
+def write(contents: Mapping[str, str | bytes], folder: Path, force: bool = False, beside: bool = False) -> None:
     """Write the files; raises ExportError for a folder that is not empty or not writable.
 
-    force: accept a folder that is not empty; files of the same names are replaced, others are kept.
+    force: accept a folder that is not empty; files of the same names are replaced, others are kept. beside: other files
+    are accepted without it.
     """
     try:
-        if folder.exists() and not force and (not folder.is_dir() or any(folder.iterdir())):
+        if beside:
+            taken = [f"{path} exists; expected a new file" for path in map(folder.joinpath, contents) if path.exists()]
+        else:
+            empty = folder.is_dir() and not any(folder.iterdir())
             what = "is not empty" if folder.is_dir() else "is not a folder"
-            raise ExportError(f"{folder} {what}; expected a new or empty folder (--force replaces an earlier export)")
+            taken = [] if empty or not folder.exists() else [f"{folder} {what}; expected a new or empty folder"]
+        if taken and not force:
+            raise ExportError(f"{taken[0]} (--force replaces an earlier export)")
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
+        for name, content in contents.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_text(text, encoding="utf-8")
+            (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror}") from None

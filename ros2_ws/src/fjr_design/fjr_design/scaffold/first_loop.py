@@ -14,12 +14,12 @@ from fjr_core.config.law import gain_values
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError, TrajectoryError
 from fjr_core.law.gains import Gains
+from fjr_core.law.linearized import rest_position
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import bounds_of, sample_configurations
 from fjr_core.model.robot import Robot
 from fjr_core.motions.sine import Sine
 from fjr_core.numerics.checks import Array
-from fjr_core.stability.linear_controller import rest_position
 from fjr_design.stability.fast_modes import fastest_mode, least_steps
 from fjr_design.stability.sampled_loop import SampledCheck, check
 from fjr_design.tuning.gain_synthesis import GainSearch, gain_search

@@ -111,9 +111,10 @@ def _source() -> str:
 
 def jobs(suite: Suite) -> list[Job]:
     """Return a job for every law on every robot, robot by robot; raise CompareError for an invalid robot."""
-    texts = [(robot.label, scenario_texts(robot)) for robot in suite.robots]
+    joins = {law.join for law in suite.laws}
+    texts = {(robot.label, join): scenario_texts(robot, join) for robot in suite.robots for join in joins}
     shared = replace(suite, name="", laws=(), robots=())
-    return [Job(law, robot, found, shared) for robot, found in texts for law in suite.laws]
+    return [Job(law, robot.label, texts[robot.label, law.join], shared) for robot in suite.robots for law in suite.laws]
 
 
 def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> list[Values]:

@@ -28,6 +28,7 @@ KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "trac
 NOMINAL = "nominal"
 CHANGED = ("reference.", "initial_")  # parameters that references of one robot may change
 GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
+LONGEST_JOIN = 10.0  # s
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
@@ -36,7 +37,8 @@ class LawChoice:
     """A column: label, law, robust options.
 
     retune: v-dPBC with gains by the rule of docs/compare.md; otherwise with the gains of the scenario.
-    options: arguments of the constructor of a law of the user, module:Class.
+    options: arguments of the constructor of a law of the user, module:Class. join [s]: least duration of the transition
+    from the measured state to the reference (start.join_time), 0: none.
     """
 
     label: str
@@ -44,6 +46,7 @@ class LawChoice:
     robust: Mapping[str, float] = field(default_factory=dict)
     retune: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
+    join: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def _law(given: Any) -> LawChoice:
     if isinstance(given, str):
         return LawChoice(given, _known_law(given))
     label, law = str(_mapping("a law", given).get("label", given.get("law"))), _known_law(given.get("law"))
-    check_keys(given, ("label", "law", "robust", "gains", "options"), f"law '{label}' ")
+    check_keys(given, ("label", "law", "robust", "gains", "options", "join"), f"law '{label}' ")
     robust = _mapping(f"'robust' of {label}", given.get("robust", {}))
     check_keys(robust, ROBUST, f"'robust' of {label} ")
     gains, own = given.get("gains"), _mapping(f"'options' of {label}", given.get("options", {}))
@@ -141,7 +144,8 @@ def _law(given: Any) -> LawChoice:
             f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, for {V_DPBC} only, other laws are tuned"
         )
     numbers = {key: _number(f"robust.{key}", value, lambda v: v >= 0) for key, value in robust.items()}
-    return LawChoice(label, law, numbers, gains == TUNED, own)
+    join = _number(f"'join' of {label}", given.get("join", 0.0), lambda value: 0 <= value <= LONGEST_JOIN)
+    return LawChoice(label, law, numbers, gains == TUNED, own, join)
 
 
 def _known_law(name: Any) -> str:
@@ -168,13 +172,18 @@ def _robot(label: str, given: Any) -> RobotChoice:
     return RobotChoice(str(label), name, changes)
 
 
-def scenario_texts(robot: RobotChoice) -> tuple[tuple[str, str], ...]:
-    """Return (reference, scenario text) for each reference of a robot; raise CompareError or FjrError."""
+def scenario_texts(robot: RobotChoice, join: float = 0.0) -> tuple[tuple[str, str], ...]:
+    """Return (reference, scenario text) for each reference of a robot; raise CompareError or FjrError.
+
+    Every law starts alike: at once, or with a transition if join > 0 [s], whatever the scenario's limits.start_error.
+    """
     path = library.find(robot.scenario)
     texts = []
     try:
         for label, changes in robot.references.items():
-            text, scenario = library.as_run(path, changes)
+            _, scenario = library.as_run(path, changes)
+            start = {"start.join_time": join, "limits.start_error": [math.inf] * scenario.robot.n}
+            text, scenario = library.as_run(path, {**changes, **start})
             refuse_what_is_left_out(scenario, "a suite sets these itself, use 'imperfections'")
             texts.append((label, text))
     except FjrError as error:

@@ -35,12 +35,12 @@ from fjr_core.errors import GainsError
 from fjr_core.extensions.law_registry import V_DPBC, LawKind, law_kind
 from fjr_core.law.gains import Gains
 from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.linearized import rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_core.stability.linear_controller import rest_position, slope_at_rest
 
 from ..baselines.lqr import velocity_matrices
 

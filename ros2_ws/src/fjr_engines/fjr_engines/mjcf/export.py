@@ -9,13 +9,13 @@ initial state. The meshes of the URDF are written beside the file.
 from __future__ import annotations
 
 import ctypes
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from fjr_core.config.parameter import number
@@ -24,10 +24,10 @@ from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import RobotError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import MOTOR, Array
-from fjr_core.urdf.tree import MOVING, UrdfTree, read_urdf
-from fjr_monitor.scene import Mesh, shapes
+from fjr_core.urdf.tree import UrdfTree, read_urdf
+from fjr_monitor.scene import shapes
 
-from .writing import LINK, quaternion, refusals, specification
+from .writing import LINK, pose_of, quaternion, refusals, specification
 
 TORQUE = "_torque"
 """Ending of the name of the tendon and the sensor for the torque of a spring."""
@@ -37,25 +37,23 @@ DIGITS, ALL_DIGITS = 6, 17
 
 
 def mjcf(scenario: Scenario, name: str) -> tuple[dict[str, bytes], list[str]]:
-    """Return the contents of the files by path, first the MJCF `name`.xml, and a note for each thing it leaves out.
+    """Return the contents of the files by path, first the MJCF `name`, and a note for each thing that it leaves out.
 
     Raises RobotError for a robot that MuJoCo cannot express.
     """
     robot, joints = scenario.plant.robot, scenario.joints
     _refuse(scenario)
     spec = specification(robot, joints)
-    spec.modelname, spec.meshdir, spec.compiler.degree = scenario.name, f"{name}_meshes", False
+    spec.modelname, spec.meshdir, spec.compiler.degree = scenario.name, f"{Path(name).stem}_meshes", False
     spec.option.timestep = scenario.sample_period / number(scenario.plant_values, "inner_steps")
     for k, joint in enumerate(joints):
         spec.body(joint + MOTOR).ipos = np.zeros(3)  # else the XML has no <inertial>
         _add_limits(spec, robot, k, joint)
         _add_sensors(spec, float(robot.K[k, k]), joint)
     values = scenario.plant_values
-    seen = add_looks(spec, robot, joints, description(values), locked_positions(values))
+    unseen = add_looks(spec, robot, joints, description(values), locked_positions(values))
     _add_start(spec, scenario)
-    meshes = {f"{spec.meshdir}/{mesh.file}": stl(each) for mesh, each in zip(spec.meshes, seen["meshes"], strict=True)}
-    spec.assets = meshes
-    return {f"{name}.xml": _text(spec).encode(), **meshes}, [*_notes(scenario), *seen["notes"]]
+    return {name: _text(spec).encode(), **spec.assets}, [*_notes(scenario), *unseen]
 
 
 def _refuse(scenario: Scenario) -> None:
@@ -119,25 +117,27 @@ def _add_start(spec: mujoco.MjSpec, scenario: Scenario) -> None:
 
 def add_looks(
     spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], urdf: str, locked: Mapping[str, float]
-) -> dict[str, Any]:
-    """Add the shapes of the URDF text of a robot of the named joints; return them, as of fjr_monitor.scene.shapes.
+) -> list[str]:
+    """Add the shapes of the URDF text of a robot of the named joints; return a sentence for each that cannot be read.
 
-    locked: positions [rad, m] of joints that do not move. The caller adds the meshes as files.
+    locked: positions [rad, m] of joints that do not move.
     """
     seen, tree = shapes(urdf, locked), read_urdf(urdf)
-    for i in range(1, len(seen["meshes"]) + 1):
-        spec.add_mesh(name=f"mesh{i}", file=f"mesh{i}.stl", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    for i, each in enumerate(seen["meshes"], 1):
+        mesh = spec.add_mesh(name=f"mesh{i}", file=f"mesh{i}.stl", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        stl = trimesh.Trimesh(each.vertices, each.triangles, process=False).export(file_type="stl")
+        spec.assets |= {str(Path(spec.meshdir, mesh.file)): stl}
     bodies, pose = {"": (spec.worldbody, np.eye(4))}, np.eye(4)
     for i, body in enumerate(robot.links.bodies):
         joint = joints[robot.links.order.index(i)]
-        pose = pose @ _pose(np.asarray(body.rotation), np.asarray(body.translation))
+        pose = pose @ pose_of(body.translation, body.rotation)
         bodies[joint] = spec.body(joint + LINK), pose
     for link, found in seen["links"].items():
         joint, place = _placed(tree, link, joints, locked)
         owner, frame = bodies[joint]
         for shape in found:
             _add_geom(owner, shape, np.linalg.inv(frame) @ place)
-    return seen
+    return list(seen["notes"])
 
 
 def _placed(tree: UrdfTree, link: str, joints: Sequence[str], locked: Mapping[str, float]) -> tuple[str, Array]:
@@ -147,8 +147,7 @@ def _placed(tree: UrdfTree, link: str, joints: Sequence[str], locked: Mapping[st
     while link in carriers:
         joint = carriers[link]
         owner = owner or (joint.name if joint.name in joints else "")
-        moves = joint.kind in MOVING and joint.name not in joints
-        pose, link = joint.pose(tree.position(joint, locked, joints) if moves else 0.0) @ pose, joint.parent
+        pose, link = joint.pose(tree.position(joint, locked)) @ pose, joint.parent
     return owner, pose
 
 
@@ -161,7 +160,7 @@ def _add_geom(body: mujoco.MjsBody, shape: Mapping[str, Any], place: Array) -> N
         ends = np.outer([start, start + 1.0], shape["to"]) @ place[:3, :3].T + place[:3, 3]
         geom.size, geom.fromto = [size[0], 0.0, 0.0], ends.ravel()
         return
-    pose = place @ _pose(Rotation.from_euler("xyz", shape["rpy"]).as_matrix(), np.asarray(shape["xyz"]))
+    pose = place @ pose_of(shape["xyz"], Rotation.from_euler("xyz", shape["rpy"]).as_matrix())
     geom.pos, geom.quat = pose[:3, 3], quaternion(pose[:3, :3])
     if kind == "mesh":
         geom.type, geom.meshname = GEOMS.mjGEOM_MESH, f"mesh{shape['mesh'] + 1}"
@@ -173,20 +172,9 @@ def _add_geom(body: mujoco.MjsBody, shape: Mapping[str, Any], place: Array) -> N
         geom.type, geom.size = GEOMS.mjGEOM_CYLINDER, [size[0], size[1] / 2, 0.0]
 
 
-def _pose(rotation: Array, translation: Array) -> Array:
-    return np.block([[rotation, translation[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
-
-
 def _rgba(colour: str | None) -> tuple[float, ...]:
     """Return the numbers of a colour #rrggbb."""
     return GREY if colour is None else (*(byte / 255 for byte in bytes.fromhex(colour[1:])), 1.0)
-
-
-def stl(mesh: Mesh) -> bytes:
-    """Return a mesh as binary STL."""
-    triangles = np.zeros(len(mesh.triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("end", "<u2")])
-    triangles["corners"] = mesh.vertices[mesh.triangles]
-    return bytes(80) + struct.pack("<I", len(triangles)) + triangles.tobytes()
 
 
 def _text(spec: mujoco.MjSpec) -> str:

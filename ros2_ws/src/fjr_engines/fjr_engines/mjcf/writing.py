@@ -14,14 +14,15 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fjr_core.errors import RobotError
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import MOTOR, Array
 
-MOTOR, LINK, SPRING = "_motor", "_link", "_spring"
-"""Endings of the names of rotors, links and springs after that of the joint."""
+LINK, SPRING = "_link", "_spring"
+"""Endings of the names of links and springs after that of the joint; rotors have MOTOR, as in the states."""
 LEAST = 1e-12
 """Least mass [kg] and inertia [kg m^2] of a body that moves; MuJoCo compiles none below 1e-15."""
 
@@ -61,19 +62,15 @@ def specification(robot: Robot, joints: Sequence[str]) -> mujoco.MjSpec:
 
 
 def exact_inertia(model: mujoco.MjModel, robot: Robot, joints: Sequence[str]) -> None:
-    """Give the links of a compiled model the inertia of the robot, also one that MuJoCo refuses to compile.
+    """Give the links of a compiled model the moments of inertia of the robot, also those that MuJoCo does not compile.
 
-    It compiles principal inertias that are positive and the sides of a triangle; those of public URDFs often are not.
-    Rotors have their armature alone.
+    It compiles moments that are positive and the sides of a triangle; those of public URDFs often are not. Rotors have
+    their armature alone.
     """
     for joint in joints:
         model.body(joint + MOTOR).inertia = np.zeros(3)
     for i, body in enumerate(robot.links.bodies):
-        link = model.body(joints[robot.links.order.index(i)] + LINK)
-        moments, axes = np.linalg.eigh(np.asarray(body.inertia))
-        axes[:, 2] *= np.linalg.det(axes)
-        link.mass, link.ipos, link.inertia = max(body.mass, LEAST), np.asarray(body.com), moments
-        link.iquat = quaternion(axes)
+        model.body(joints[robot.links.order.index(i)] + LINK).inertia = np.linalg.eigvalsh(np.asarray(body.inertia))
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
@@ -91,6 +88,13 @@ def quaternion(rotation: Array) -> Array:
     found = np.empty(4)
     mujoco.mju_mat2Quat(found, np.ascontiguousarray(rotation, dtype=float).ravel())
     return found
+
+
+def pose_of(position: ArrayLike, rotation: ArrayLike) -> Array:
+    """Return the pose (4, 4) of a frame at a position (3,) with the nine entries of a rotation."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.reshape(rotation, (3, 3)), position
+    return pose
 
 
 def with_degree_0(value: float, coefficients: Any) -> Any:

@@ -19,21 +19,22 @@ static void add_torques(const mjModel* m, mjData* d) {
   if (!e || m != e->model || d != e->data) return;
   const struct fjr_robot* r = e->robot;
   const double time = d->time - e->start;
-  gather(e, d->qpos, e->q, 2 * r->n);
-  gather(e, d->qvel, e->dq, 2 * r->n);
-  const double* given[] = {e->q, e->dq, r->state + 4 * r->n, r->u, r->external, r->state + 5 * r->n, r->parameters, &time};
+  double q[2 * r->n], dq[2 * r->n], torque[2 * r->n];
+  gather(e, d->qpos, q, 2 * r->n);
+  gather(e, d->qvel, dq, 2 * r->n);
+  const double* given[] = {q, dq, r->state + 4 * r->n, r->u, r->external, r->state + 5 * r->n, r->parameters, &time};
   memcpy(e->arg, given, sizeof given);
-  e->res[0] = e->torque;
+  e->res[0] = torque;
   e->failed |= e->torques(e->arg, e->res, e->iw, e->w, 0);
-  for (int32_t i = 0; i < 2 * r->n; ++i) d->qfrc_passive[e->dof[i]] += e->torque[i];
+  for (int32_t i = 0; i < 2 * r->n; ++i) d->qfrc_passive[e->dof[i]] += torque[i];
 }
 
 /* Advance the outputs of the actuators and the sliders, which MuJoCo does not have. */
 static void advance_memory(struct fjr_mujoco* e) {
   struct fjr_robot* r = e->robot;
-  double *a = r->state + 4 * r->n, *sliders = a + r->n;
-  const double* given[] = {e->q, a, r->u, sliders, r->parameters, &r->dt};
-  gather(e, ((const mjData*)e->data)->qpos, e->q, 2 * r->n);
+  double *a = r->state + 4 * r->n, *sliders = a + r->n, q[2 * r->n];
+  const double* given[] = {q, a, r->u, sliders, r->parameters, &r->dt};
+  gather(e, ((const mjData*)e->data)->qpos, q, 2 * r->n);
   memcpy(e->arg, given, sizeof given);
   e->res[0] = r->next, e->res[1] = r->next + r->n;
   e->failed |= e->memory(e->arg, e->res, e->iw, e->w, 0);
@@ -66,18 +67,20 @@ static void load(struct fjr_mujoco* e) {
   if (!memcmp(e->known, e->robot->state, 4 * (size_t)n * sizeof(double))) return;
   scatter(e, e->robot->state, d->qpos, 2 * n);
   mj_fwdPosition(m, d);
-  scatter(e, e->robot->state + 2 * n, e->wide, 2 * n);
-  mj_solveM(m, d, d->qvel, e->wide, 1);
+  double momentum[m->nv];
+  scatter(e, e->robot->state + 2 * n, momentum, 2 * n);
+  mj_solveM(m, d, d->qvel, momentum, 1);
 }
 
 static void store(struct fjr_mujoco* e) {
   const mjModel* m = e->model;
   mjData* d = e->data;
   const int32_t n = e->robot->n;
+  double momentum[m->nv];
   mj_fwdPosition(m, d);
-  mj_mulM(m, d, e->wide, d->qvel);
+  mj_mulM(m, d, momentum, d->qvel);
   gather(e, d->qpos, e->known, 2 * n);
-  gather(e, e->wide, e->known + 2 * n, 2 * n);
+  gather(e, momentum, e->known + 2 * n, 2 * n);
   memcpy(e->robot->state, e->known, 4 * (size_t)n * sizeof(double));
 }
 

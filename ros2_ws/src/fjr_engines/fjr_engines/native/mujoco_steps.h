@@ -14,11 +14,7 @@ struct fjr_mujoco {
   double** res;
   long long* iw;
   double* w;
-  double* q;                /* (2n) */
-  double* dq;               /* (2n) */
-  double* torque;           /* (2n) */
   double* known;            /* (4n) state of the robot that MuJoCo has */
-  double* wide;             /* (2 nv) */
   struct fjr_robot* robot;  /* that moves now */
   double start;             /* time of MuJoCo at which the present step began [s] */
   int32_t failed;

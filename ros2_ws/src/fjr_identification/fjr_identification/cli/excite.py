@@ -14,8 +14,8 @@ from fjr_core.config.parameter import vector
 from fjr_core.config.plant import sensor_errors
 from fjr_core.config.scenario import Scenario
 from fjr_core.files.text_file import write_text
+from fjr_core.law.linearized import rest_position
 from fjr_core.numerics.checks import Array
-from fjr_core.stability.linear_controller import rest_position
 from fjr_design.scaffold.first_loop import first_values
 from fjr_identification.elastic_motion import PARAMETERS, JointNoise, encoder_noise, motion_envelope
 from fjr_identification.excitation import Excitation, design

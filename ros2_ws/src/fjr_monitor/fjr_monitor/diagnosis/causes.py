@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attribute the growth of V and the tracking error to their causes, block by block, and grade a violation by the error.
+"""Attribute the growth of V and the tracking error to their causes, block by block.
 
     V(second state) - V(first) = [change of V in the model with the effort of the law held]
                            + saturation: effort sent - effort of the law   + delay, loss: effort acting - effort sent
@@ -30,9 +30,8 @@ from fjr_core.stability.linearization import SampledLoop
 from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
 from fjr_monitor.diagnosis.record import Innovations
 
-from . import thresholds
-from .thresholds import AT_LIMIT, BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE, JointTolerances
-from .verdict import MISMATCH, NO_DECAY, SAMPLING, SATURATION, Diagnosis, detail, explained, unknown, violated
+from .thresholds import AT_LIMIT, BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE
+from .verdict import MISMATCH, SATURATION
 
 CAUSES = (MISMATCH, SATURATION, "delay", "loss")
 CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
@@ -209,12 +208,15 @@ class StorageGrowth:
 class CauseErrors:
     """Tracking errors in b blocks, by cause.
 
-    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] due to each of CAUSES in a block. own (b, n): largest remaining
-    error, due to the loop itself.
+    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] due to each of CAUSES in a block. noise (b, n): that part of a model
+    mismatch that averages out in a block. own (b, n): largest remaining error, due to the loop itself. measured (b, n):
+    largest error.
     """
 
     peaks: Array
+    noise: Array
     own: Array
+    measured: Array
 
 
 def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array:
@@ -228,7 +230,7 @@ def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array
 
 
 class CausePropagation:
-    """The state error e (4n, 4) due to each of CAUSES, propagated from interval to interval; zero at first.
+    """The state error e (4n, 5) due to each of CAUSES and to noise, propagated between intervals; zero at first.
 
     loops (m, 4n, 4n): closed loops at m configurations, spread evenly over `total` intervals; None: over those of each
     call.
@@ -237,15 +239,17 @@ class CausePropagation:
     def __init__(self, robot: Robot, loops: Array = EMPTY, total: int | None = None) -> None:
         self.loops = loops
         self._robot, self._total, self._done = robot, total, 0
-        self._e = np.zeros((4 * robot.n, len(CAUSES)))
+        self._e = np.zeros((4 * robot.n, len(CAUSES) + 1))
 
     def errors(self, found: Innovations, acted: Acting, period: float, limit: Array) -> CauseErrors:
         """Return the errors due to the causes in the complete blocks of the next intervals."""
         count, n, loops = len(found) // BLOCK * BLOCK, self._robot.n, self.loops
         before, total = (0, count) if self._total is None else (self._done, self._total)
-        w = disturbances(found, acted, self._robot, period, limit)
+        w = disturbances(found, acted, self._robot, period, limit)[:count]
+        noise = w[:, :, 0] - np.repeat(blocks_of(w[:, :, 0]).mean(axis=1), BLOCK, axis=0)
+        w = np.concatenate([w, noise[:, :, None]], axis=2)
         steps = np.maximum(1, np.round(found.dt / period)).astype(int)
-        made = np.zeros((count, len(CAUSES), n))
+        made = np.zeros((count, len(CAUSES) + 1, n))
         for k in range(count):
             loop = loops[(before + k) * len(loops) // total]
             for _ in range(steps[k]):
@@ -253,8 +257,10 @@ class CausePropagation:
             self._e = self._e + w[k]
             made[k] = self._e[:n].T
         self._done += count
-        own = found.tracking[:count] - made.sum(axis=1)
-        return CauseErrors(*(np.abs(blocks_of(values)).max(axis=1) for values in (made, own)))
+        causes, measured = made[:, :-1], found.tracking[:count]
+        values = causes, made[:, -1], measured - causes.sum(axis=1), measured
+        peaks, noise, *rest = (np.abs(blocks_of(each)).max(axis=1) for each in values)
+        return CauseErrors(peaks, np.minimum(noise, peaks[:, 0]), *rest)
 
 
 def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
@@ -273,96 +279,3 @@ def _outdated(found: Innovations, period: float) -> Array:
     samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
     share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
     return np.asarray((found.law - law) * share[:, None])
-
-
-class BlockStatistics:
-    """The blocks of a loop that is stable at its sample period, counted."""
-
-    def __init__(self, decay: float, axes: JointTolerances) -> None:
-        """decay: guaranteed factor of V in a block."""
-        self._decay, self._axes = decay, axes
-        self._envelope = np.zeros(len(axes.tolerance))
-        self._graded = np.zeros(2, dtype=bool)  # whether any block is judged; of these, any outside a transient
-        self._within = np.ones(2, dtype=bool)
-        self._errors = np.zeros((2, len(CAUSES), len(axes.tolerance)))
-        self._blocks = self._counted = self._above = 0
-        self._strongest = np.zeros(len(CAUSES), dtype=int)
-        self._hold = self._slack = 0.0
-        self._added: list[Array] = []
-
-    def add(self, blocks: StorageBudget, made: CauseErrors) -> None:
-        """Add blocks and the tracking errors by cause in them; only those with `judged` can be violated."""
-        causes = np.maximum(blocks.causes[blocks.judged], 0.0)
-        allowed = (blocks.slack + thresholds.PREDICTED * (blocks.hold + blocks.noise))[blocks.judged]
-        above = ~(causes.sum(axis=1) <= allowed)
-        self._blocks += len(blocks.judged)
-        self._counted += len(above)
-        self._above += int(above.sum())
-        self._strongest += np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES))
-        self._hold += float(blocks.hold.sum())
-        self._slack += float(blocks.slack.sum())
-        self._added.append(blocks.hold + blocks.noise)
-        self._grade(made, blocks.judged)
-
-    def _grade(self, made: CauseErrors, judged: NDArray[np.bool_]) -> None:
-        """Keep the largest error (n,) due to each cause in the judged blocks, and in those outside a transient.
-
-        The loop's own error is bounded by an envelope that decays from block to block with the square root of the
-        guaranteed factor of V. A block belongs to a transient if that envelope exceeds both the tolerance (n,) and the
-        errors due to the causes; if all judged blocks do, all count. Within the tolerance: the errors due to the causes
-        are at most the tolerance plus RELATIVE times the envelope.
-        """
-        total, own, tolerance = made.peaks.sum(axis=1), made.own.copy(), self._axes.tolerance
-        for value in own:  # the running maximum, multiplied by the decay from block to block
-            np.maximum(value, np.sqrt(self._decay) * self._envelope, out=value)
-            self._envelope = value
-        settled = judged & ~((own > tolerance) & (own > total)).any(axis=1)
-        within = (total <= tolerance + thresholds.RELATIVE * own).all(axis=1)
-        for i, rows in enumerate((judged, settled)):
-            self._graded[i] |= rows.any()
-            self._within[i] &= within[rows].all()
-            self._errors[i] = np.maximum(self._errors[i], made.peaks[rows].max(axis=0, initial=0.0))
-
-    def floor(self, tolerated: float) -> float:
-        """Return the storage [J] that hold, noise and the tolerated tracking error explain.
-
-        tolerated [J]: storage of the tolerated error. The remainder is the level at which the decay in a block equals
-        the lower quartile of what hold and noise add. The quartile keeps a diverging loop from raising its own floor.
-        """
-        if not self._blocks:
-            return tolerated
-        added = np.concatenate(self._added)
-        explained = np.quantile(np.where(np.isfinite(added), added, np.finfo(float).max), 0.25)
-        return tolerated + thresholds.PREDICTED * float(explained) / max(1 - self._decay, np.finfo(float).eps)
-
-    def conclude(self, grown: float, figures: dict[str, float]) -> Diagnosis:
-        """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""
-        share, strongest = self._above / max(1, self._counted), self._strongest / max(1, self._above)
-        figures = {**figures, "blocks": float(self._counted), "violated share": share, "growth of V": grown}
-        figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
-        order = np.argsort(-strongest, kind="stable")
-        causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
-        if grown > thresholds.DIVERGED:  # the hold is the cause if it added more to V than the decay removed
-            causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
-            return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
-        if self._blocks < thresholds.FEWEST:
-            states = int(figures.get("intervals", self._blocks * BLOCK))
-            fewest = thresholds.FEWEST * BLOCK
-            return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
-        if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
-            return unknown("most efforts sent are not those of the law", figures)
-        which = int(self._graded[1])
-        errors = dict(zip(CAUSES, self._errors[which], strict=True)) if self._graded[which] else {}
-        often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and self._above >= thresholds.FEWEST)
-        if grown > thresholds.EXCEEDED or often:
-            size, why = detail(causes, errors, self._axes), explained(causes)
-            if causes and self._within[which] and SATURATION not in causes:
-                sentence = f"{size}, within the tolerance: {why}"
-                return Diagnosis("degraded", causes, sentence, figures, errors, size)
-            sentence = f"{NO_DECAY}: {why}" + (f"; {size}" if size else "")
-            return Diagnosis("violated", causes, sentence, figures, errors, size)
-        if share > thresholds.SHARE_OF_FEW:
-            few = f"V exceeds its floor in {self._above} of {self._counted} blocks; expected more blocks"
-            return unknown(few, figures)
-        sentence = "V decays as guaranteed, down to the floor that hold and noise predict"
-        return Diagnosis("holding", (), sentence, figures, errors)

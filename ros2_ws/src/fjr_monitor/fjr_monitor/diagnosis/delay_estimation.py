@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimate the input delay by regressing the effort that the motor equation requires on time-shifted commands.
 
-All estimates follow from sums over the intervals, so that a record may come in parts of any length.
+    mean over a block of (required - sent) = mean of (sent some samples before - sent) + noise / duration of the block
+
+The noise of velocities telescopes in a block, so that the least squares of block means, from block to block, is the
+likelihood under white noise of the sensors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar, NamedTuple
@@ -22,7 +24,9 @@ from fjr_monitor.diagnosis.record import Innovations, Table
 from . import thresholds
 
 BEFORE = 2 * thresholds.OLDEST + 2
-"""Intervals before a part of which the sent efforts, or their changes, may still act in it."""
+"""Intervals before a part of which the sent efforts may still act in it."""
+FEWEST_CHANGES = 20
+"""Blocks into which a short record is divided."""
 AFTER = thresholds.CLIPPED_FOR - 1
 """Intervals after a part that decide whether a motor was saturated in it."""
 _COLUMNS = thresholds.OLDEST + 4
@@ -82,7 +86,7 @@ def _effort(robot: Robot) -> Array:
 
 
 class DelaySums:
-    """Sums of products of the changes from interval to interval; only changes remove slow disturbances.
+    """Sums of products of the changes from block to block; only changes remove slow disturbances.
 
     Columns for each joint: required - sent, sent, efforts one sample older less newer (OLDEST of them), measured torque
     at the end and at the start of the interval less sent.
@@ -93,15 +97,24 @@ class DelaySums:
         self._measured = True
 
     def add(self, found: Innovations, required: Array, regular: NDArray[np.bool_]) -> None:
-        """Add the regular changes (k - 1,) of intervals that start with a record, or BEFORE the first such change.
+        """Add consecutive intervals, with the mean over the regular ones (k,) of each block.
 
-        required (k, n) [N m]: effort that the motor equation requires.
+        required (k, n) [N m]: effort that the motor equation requires. Blocks are shorter than BLOCK in a short record.
         """
         sent = found.sent
+        block = int(np.clip((len(found) - thresholds.OLDEST) // FEWEST_CHANGES, 1, thresholds.BLOCK))
         delayed = [_delayed(sent, d) for d in range(thresholds.OLDEST + 1)]
         steps = [older - newer for newer, older in zip(delayed, delayed[1:], strict=False)]
         columns = np.stack([required - sent, sent, *steps, found.after - sent, found.before - sent], axis=2)
-        changes = np.diff(columns, axis=0)[regular].transpose(1, 2, 0)
+        used = regular[thresholds.OLDEST :]
+        count = len(used) // block
+        rows = used[: count * block].reshape(count, block)
+        values = columns[thresholds.OLDEST :][: count * block].reshape(count, block, *columns.shape[1:])
+        share = rows.mean(axis=1)
+        with np.errstate(all="ignore"):
+            means = np.where(rows[:, :, None, None], values, 0.0).mean(axis=1) / share[:, None, None]
+        full = share > 0.5
+        changes = np.diff(means, axis=0)[full[1:] & full[:-1]].transpose(1, 2, 0)
         self._products += changes @ changes.transpose(0, 2, 1)
         self._measured &= bool(np.isfinite(found.after).all() and np.isfinite(found.before).all())
 
@@ -153,19 +166,15 @@ class ActingSums:
         self._mixed = self._changed = 0.0
         self._largest = np.zeros(n)
 
-    def add(self, found: Innovations, required: Array, regular: NDArray[np.bool_], begin: int) -> None:
-        """Add the intervals from `begin` on; otherwise as DelaySums.add."""
+    def add(self, found: Innovations, required: Array, regular: NDArray[np.bool_]) -> None:
+        """Add consecutive intervals, as DelaySums.add."""
         samples, newer, older = _newer(found, self.age, required)
-        self._counts += np.bincount(samples[begin:], minlength=BEFORE)
-        self._mixed += _squares(required - newer, regular)
-        self._changed += _squares(newer - older, regular)
+        changes = regular[1:] & regular[:-1]
+        changes[: thresholds.OLDEST] = False
+        self._counts += np.bincount(samples, minlength=BEFORE)
+        self._mixed += _squares(required - newer, changes)
+        self._changed += _squares(newer - older, changes)
         self._largest = np.maximum(self._largest, np.abs(found.after).max(axis=0, initial=0.0))
-
-    def delayed(self, age: EffortDelay) -> ActingSums:
-        """Return these sums for a delay of as many whole samples and any fraction."""
-        other = copy(self)
-        other.age = age
-        return other
 
     def acting(self, found: Innovations, required: Array) -> Acting:
         """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost.
@@ -179,8 +188,9 @@ class ActingSums:
             cut = _clipped(found.sent, found.after, self._largest)
         whole = self._mixed <= thresholds.MIXED * self._changed  # no change in an interval
         usual = _median(self._counts)
-        if not (whole or age.measured or age.late):  # an older effort is nearest by chance
-            samples, newer, usual = np.zeros_like(samples), found.sent, 0.0
+        if not (whole or age.measured):  # by chance another effort is nearest
+            samples, usual = np.full_like(samples, age.whole), float(age.whole)
+            newer, older = (_delayed(found.sent, age.whole + later) for later in (0, 1))
         total = usual + age.fraction
         difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
         limit = np.inf if not whole else 0.5 if total < thresholds.LATE else usual + 1.5
@@ -194,46 +204,41 @@ class ActingSums:
         )
 
 
-CANDIDATES = (EffortDelay(measured=True), *(EffortDelay(whole) for whole in range(thresholds.OLDEST + 1)))
-"""Delays in whole samples; the fraction does not matter to ActingSums."""
-
-
-def effort_delay(found: Innovations, robot: Robot) -> EffortDelay:
-    """Estimate the input delay from the intervals of a record."""
+def effort_delay(
+    parts: Sequence[Innovations], robot: Robot, timed: bool | None = None, by_torque: bool = True
+) -> EffortDelay:
+    """Estimate the input delay from parts of consecutive intervals; timed: as of regular_intervals."""
     sums = DelaySums(robot.n)
-    sums.add(found, needed(found, robot), regular_changes(found))
-    return sums.delay()
+    for found in parts:
+        sums.add(found, needed(found, robot), regular_intervals(found, timed))
+    return sums.delay(by_torque)
 
 
-def acting(found: Innovations, age: EffortDelay, required: Array) -> Acting:
-    """Classify the deviations of the acting effort in the intervals of a record, as ActingSums does."""
-    sums = ActingSums(age, found.sent.shape[1])
-    sums.add(found, required, regular_changes(found), 0)
-    return sums.acting(found, required)
+def acting_sums(parts: Sequence[Innovations], age: EffortDelay, robot: Robot, timed: bool | None = None) -> ActingSums:
+    """Return what classifies the acting efforts if the delay is `age`; parts, timed: as of effort_delay."""
+    sums = ActingSums(age, robot.n)
+    for found in parts:
+        sums.add(found, needed(found, robot), regular_intervals(found, timed))
+    return sums
 
 
-def regular_changes(
-    found: Innovations, usual: float | None = None, timed: bool | None = None, begin: int = 0
-) -> NDArray[np.bool_]:
-    """Return which changes (k - 1,) are between intervals of usual length; all of them unless latencies are known.
+def regular_intervals(found: Innovations, timed: bool | None = None) -> NDArray[np.bool_]:
+    """Return which intervals (k,) are of usual length; all of them unless latencies are known.
 
-    usual [s]: median length, timed: whether latencies are known; None: by these intervals. Left out are
-    the changes to intervals before `begin`, and the first OLDEST, whose older efforts are unknown.
+    timed: whether they are; None: if any of these intervals has one.
     """
     good = np.ones(len(found), dtype=bool)
     if found.latency.any() if timed is None else timed:
-        usual = float(np.median(found.dt)) if usual is None else usual
+        usual = float(np.median(found.dt))
         good &= (np.abs(found.dt - usual) <= thresholds.REGULAR * usual) & (found.latency < 1.0)
-    regular = good[1:] & good[:-1]
-    regular[: max(begin - 1, thresholds.OLDEST)] = False
-    return np.asarray(regular)
+    return good
 
 
 def _newer(found: Innovations, age: EffortDelay, required: Array) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the age (k,) of the acting effort in samples, and the efforts (k, n) of that age and one sample older."""
     if age.measured:
         return _samples(found.sent, found.after), found.after, found.before
-    samples = age.whole + _samples(found.sent, required, age.whole)
+    samples = age.whole + _samples(found.sent, required, age.whole, thresholds.MOST_LOST)
     return samples, _delayed(found.sent, samples), _delayed(found.sent, samples + 1)
 
 
@@ -247,9 +252,12 @@ def _delayed(u: Array, samples: int | NDArray[np.intp]) -> Array:
     return u[np.maximum(np.arange(len(u)) - samples, 0)]
 
 
-def _samples(sent: Array, acting: Array, whole: int = 0) -> NDArray[np.intp]:
-    """Return the delay (k,) in samples, beyond `whole`, of the sent effort that equals the acting one; 0: none does."""
-    distances = np.array([np.abs(acting - _delayed(sent, whole + j)).max(axis=1) for j in range(thresholds.OLDEST + 1)])
+def _samples(sent: Array, acting: Array, whole: int = 0, most: int = thresholds.OLDEST) -> NDArray[np.intp]:
+    """Return the delay (k,) in samples, `whole` to `most` more, of the sent effort that equals the acting one.
+
+    0: none does.
+    """
+    distances = np.array([np.abs(acting - _delayed(sent, whole + j)).max(axis=1) for j in range(most + 1)])
     nearest = np.argmin(distances, axis=0)
     return np.where(distances.min(axis=0) <= thresholds.SAME_OLDER * distances[0], nearest, 0)
 

@@ -19,23 +19,22 @@ from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import linearize
 
 from . import thresholds
-from .causes import BlockStatistics, CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
+from .causes import CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
 from .delay_estimation import (
     AFTER,
     BEFORE,
-    CANDIDATES,
     ActingSums,
-    DelaySums,
-    EffortDelay,
+    acting_sums,
+    effort_delay,
     foreseen,
     needed,
-    regular_changes,
 )
 from .fault_isolation import MOST_STATES, isolate
+from .grading import BlockStatistics
 from .record import PART, Innovations, Record, T
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
-from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, external, unknown, violated
+from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, Finding, external, unknown, violated
 
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 VISITED = 200  # configurations of a run at which the rate is evaluated
@@ -126,8 +125,6 @@ class PartwiseDiagnosis:
         self._step, self._timed = step, timed
         self._reference = Visited(law.robot.n, states, CONFIGURATIONS)  # a diverging robot may be anywhere else
         self.visited = Visited(law.robot.n, states, VISITED)  # known once all parts had their first pass
-        self._delay = DelaySums(law.robot.n)
-        self._ages = [ActingSums(age, law.robot.n) for age in CANDIDATES]
         self._ends: Record | None = None
         self._innovations: Innovations | None = None
         self._unsaturated: tuple[Innovations, Array] | None = None
@@ -140,11 +137,6 @@ class PartwiseDiagnosis:
         """Take a part of the record for the first time."""
         with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
             found, begin = self._parts.add(part, None, valued=False), self._parts.begin
-            required = needed(found, self._law.robot)
-            regular = regular_changes(found, self._step, self._timed, begin)
-            self._delay.add(found, required, regular)
-            for age in self._ages:
-                age.add(found, required, regular, begin)
             self._reference.add(part.jets[:, 0], part.begin)
             self.visited.add(part.position[:, : self._law.robot.n], part.begin)
         self._intervals += len(found) - begin
@@ -164,7 +156,7 @@ class PartwiseDiagnosis:
             if not self._intervals:
                 return
             if self._second is None:
-                visited, acted = np.concatenate(self._reference.some), self._acted(self._delay.delay())
+                visited, acted = np.concatenate(self._reference.some), self._acted()
                 beta = self._law.rate(visited).beta if beta is None else beta
                 self._second = _SecondPass(self._law, self._axes, beta, self._step, visited, acted, self._intervals)
             self._second.add(part, series)
@@ -181,18 +173,15 @@ class PartwiseDiagnosis:
             assert self._ends is not None  # a record has a part
             assert self._unsaturated is not None
             findings = isolate(self._ends, *self._unsaturated, self._law, self._axes.names)
-        known = diagnosis.kind in ("degraded", "violated") and MISMATCH not in diagnosis.causes
-        explained = known or diagnosis.kind == "holding"
-        findings = tuple(each for each in findings if not (explained and each.kind == UNKNOWN))
-        if any(each.kind == EXTERNAL for each in findings):
-            diagnosis = external(diagnosis)
-        sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
-        return replace(diagnosis, sentence=sentence, findings=findings)
+        return with_findings(diagnosis, findings)
 
-    def _acted(self, age: EffortDelay) -> ActingSums:
-        """Return the sums for a delay."""
-        acted = next(each for each in self._ages if (each.age.whole, each.age.measured) == (age.whole, age.measured))
-        return acted.delayed(age)
+    def _acted(self, by_torque: bool = True) -> ActingSums:
+        """Return what classifies the acting efforts; by_torque: as of DelaySums.delay."""
+        found, half = self._innovations, MOST_STATES // 2
+        assert found is not None  # a record has a part
+        parts = [found] if self._intervals <= MOST_STATES else [found.rows(slice(half)), found.rows(slice(half, None))]
+        age = effort_delay(parts, self._law.robot, self._timed, by_torque)
+        return acting_sums(parts, age, self._law.robot, self._timed)
 
     def _without_saturation(self) -> tuple[Innovations, Array]:
         """Return the innovations at both ends in which no motor was saturated, and the effort that acted late (k, n).
@@ -202,12 +191,27 @@ class PartwiseDiagnosis:
         found = self._innovations
         assert found is not None  # a record has a part
         required, usual = needed(found, self._law.robot), foreseen(found)
-        free = ~(self._acted(self._delay.delay()).acting(found, required).cut != 0).any(axis=1)
-        moved = self._acted(self._delay.delay(by_torque=False))
+        free = ~(self._acted().acting(found, required).cut != 0).any(axis=1)
+        moved = self._acted(by_torque=False)
         if moved.age.late:
             acted = moved.acting(found, required)
             usual = usual + acted.late + acted.lost
         return found.rows(free), usual[free]
+
+
+def with_findings(diagnosis: Diagnosis, findings: tuple[Finding, ...]) -> Diagnosis:
+    """Return the diagnosis with what was found; a run with a fault of the robot or its signals does not hold.
+
+    That nothing explains the residual torques is said only where the cause is a model mismatch or not known.
+    """
+    known = diagnosis.kind == "holding" or (diagnosis.kind != "unknown" and MISMATCH not in diagnosis.causes)
+    findings = tuple(each for each in findings if not (known and each.kind == UNKNOWN))
+    if findings and diagnosis.kind == "holding":
+        diagnosis = replace(diagnosis, kind="degraded", causes=(MISMATCH,), detail=MISMATCH)
+    if any(each.kind == EXTERNAL for each in findings):
+        diagnosis = external(diagnosis)
+    sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
+    return replace(diagnosis, sentence=sentence, findings=findings)
 
 
 def with_ends(before: T | None, new: T) -> T:
@@ -291,7 +295,8 @@ class _SecondPass:
         total: int,
     ) -> None:
         """visited (m, n): configurations of the reference. total: number of intervals."""
-        self._robot, self._beta, self._acting = law.robot, beta, acted
+        self._law, self._visited, self._acting = law, visited, acted
+        self._robot, self._beta = law.robot, beta
         self._tolerated = axes.storage(law)
         self._radius = float(linearize(law, visited).radii(period).max())
         whole = total // thresholds.BLOCK * thresholds.BLOCK
@@ -317,7 +322,19 @@ class _SecondPass:
         first, last = self._growth.thirds
         if self._radius >= 1 and not (last < thresholds.FALLEN * first):
             return violated(NO_DECAY, (SAMPLING,), figures)
-        return self._statistics.conclude(growth(self._growth.highest, self._statistics.floor(self._tolerated)), figures)
+        grown = growth(self._growth.highest, self._statistics.floor(self._tolerated))
+        return self._with_delay(self._statistics.conclude(grown, figures))
+
+    def _with_delay(self, diagnosis: Diagnosis) -> Diagnosis:
+        """Return the diagnosis with the age of the effort as a share of the delay margin of the loop."""
+        late = diagnosis.figures["effort age"]
+        loops = importing.module_if_there("fjr_design.stability.sampled_loop")
+        if late < thresholds.EXACT * self._period or loops is None:
+            return diagnosis
+        margin = self._period * loops.check(self._law, self._period, 0.0, self._visited).delay_margin
+        share = f", {late / margin:.0%} of the delay margin" if margin else ""
+        sentence = f"{diagnosis.sentence}; the effort acts {1e3 * late:.3g} ms late{share}"
+        return replace(diagnosis, sentence=sentence, figures={**diagnosis.figures, "delay margin": margin})
 
     def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
         """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""

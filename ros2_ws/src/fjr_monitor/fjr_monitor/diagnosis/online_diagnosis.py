@@ -19,7 +19,6 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import CLibrary, record_type
 from fjr_monitor.diagnosis.causes import (
     EMPTY,
-    BlockStatistics,
     CauseErrors,
     CausePropagation,
     StorageBudget,
@@ -28,7 +27,8 @@ from fjr_monitor.diagnosis.causes import (
     rises,
     storage_budget,
 )
-from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting, effort_delay, needed
+from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting_sums, effort_delay, needed
+from fjr_monitor.diagnosis.grading import BlockStatistics
 from fjr_monitor.diagnosis.record import Innovations
 from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
 
@@ -146,7 +146,7 @@ class OnlineDiagnosis:
         seen = self._intervals.last(DELAY_WINDOW)
         self._period, self._change = _usual(seen.dt), FORGETTING * self._change
         if not seen.latency.any():
-            self._age = effort_delay(seen, self._law.robot)
+            self._age = effort_delay([seen], self._law.robot)
         self._propagation.loops = EMPTY  # linearise again at the current reference
         risen = [each for _, _, each in self._blocks]
         judged = BlockStatistics(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
@@ -168,7 +168,7 @@ class OnlineDiagnosis:
             if seen.latency.any():
                 change = float((np.diff(seen.sent, 2, axis=0) ** 2).sum())
                 if change > self._change:
-                    self._age, self._change = effort_delay(seen, self._law.robot), change
+                    self._age, self._change = effort_delay([seen], self._law.robot), change
             self._blocks.append(self._latest_blocks(count * BLOCK))
         while sum(len(made[0].hold) for made in self._blocks) - len(self._blocks[0][0].hold) >= BLOCKS:
             self._blocks.popleft()
@@ -176,7 +176,8 @@ class OnlineDiagnosis:
     def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
         seen = self._intervals.last(size + OLDEST, self._new)
-        acted = acting(seen, self._age, needed(seen, self._law.robot)).rows(slice(-size, None))
+        sums = acting_sums([seen], self._age, self._law.robot)
+        acted = sums.acting(seen, needed(seen, self._law.robot)).rows(slice(-size, None))
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)

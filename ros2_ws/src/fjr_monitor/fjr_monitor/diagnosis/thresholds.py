@@ -36,6 +36,12 @@ TOLERANCE = float(CERTIFICATE_TOLERANCE.default)  # type: ignore[arg-type]
 """Largest tracking error [rad, m] due to the causes in a run that is degraded, not violated."""
 RELATIVE = 0.1
 """Additional tracking error due to the causes, as a share of the loop's own error."""
+FORESEEN = 2.0
+"""Largest tracking error of a run that holds, as a multiple of that which hold and noise make in the model."""
+UNSEEN = 0.01
+"""Share of the tolerance up to which an error is not compared with that which the model foresees."""
+OVERSHOOT = 10.0
+"""Largest factor by which the decay of the initial error stays behind the guaranteed rate."""
 CAUSE_SHARE = 0.2
 """A cause is reported if it is dominant in at least this share of the violating blocks."""
 NOISE_DEVIATIONS = 2.0
@@ -60,8 +66,10 @@ HALF_WAY = 0.3
 """Share of the residual that a change of the measured torque within the interval must explain to be accepted."""
 NO_WORSE = 1.1
 """Accept the measured torque if its residual is at most this multiple of that of the best delay."""
-OLDEST = 6
+OLDEST = 24
 """Largest delay searched, in samples."""
+MOST_LOST = 6
+"""Samples beyond the delay by which an acting effort may be older because others were lost."""
 SAME_OLDER = 0.1
 """The acting torque is an older effort if its distance is at most this fraction of that from the newest."""
 MIXED = 0.02

@@ -111,8 +111,8 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
 def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
     """Return the finding that torques act on links for part of the time; None if they do not, or motors need some, too.
 
-    It names the joints whose torque is not NEGLIGIBLE. A fault of the robot acts all the time while it moves, and
-    friction, which may act at low speed only, never drives a joint.
+    It names the joints whose torque is not NEGLIGIBLE; how large they were, report.contact says. A fault of the robot
+    acts all the time while it moves, and friction, which may act at low speed only, never drives a joint.
     """
     size, n = np.abs(seen.r), seen.robot.n
     largest = size.max(axis=0)
@@ -124,11 +124,9 @@ def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
     driven = np.maximum(power, 0.0).sum(axis=0) > DRIVEN * np.abs(power).sum(axis=0)
     if not (felt & driven).any() or often > EPISODE or largest[n:].max() > REACTION * on_l.max():
         return None
-    concerned, most = [names[j] for j in np.flatnonzero(felt)], int(on_l.argmax())
-    unit = seen.robot.units[most].effort
-    sentence = f"{EXTERNAL} on {', '.join(concerned)}: at most {on_l[most]:.3g} {unit} ({names[most]})"
+    concerned = ", ".join(names[j] for j in np.flatnonzero(felt))
     share = float((size[:, :n] ** 2).sum() / (size**2).sum())
-    return Finding(EXTERNAL, ", ".join(concerned), LINK, float(on_l[most]), unit, share, sentence)
+    return Finding(EXTERNAL, concerned, LINK, np.nan, "", share, f"{EXTERNAL} on {concerned}")
 
 
 def unexplained(nearest: Hypothesis, share: float, names: Sequence[str]) -> Finding:

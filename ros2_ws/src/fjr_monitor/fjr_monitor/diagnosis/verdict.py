@@ -12,7 +12,7 @@ from fjr_core.numerics.one_line import brief
 
 from .thresholds import JointTolerances
 
-SAMPLING, SATURATION = "sampling", "saturation"
+SAMPLING, SATURATION, NOISE = "sampling", "saturation", "noise"
 MISMATCH, EXTERNAL = "model mismatch", "external torque"
 NO_DECAY = "V does not decay as guaranteed"
 _EXPLANATIONS = {
@@ -21,7 +21,8 @@ _EXPLANATIONS = {
     SATURATION: "the effort was saturated at a limit",
     "delay": "the effort acted late",
     "loss": "states or efforts were lost",
-    SAMPLING: "the loop is unstable at this sample period",
+    SAMPLING: "the effort is held too long at this sample period",
+    NOISE: "noise of the sensors moves the robot",
 }
 
 

@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import innovations
-from fjr_monitor.diagnosis.record import Table
 from fjr_monitor.diagnosis.torque_faults import QUIET, block_means, torques
 from fjr_monitor.recording.bag import JointTable
 from fjr_monitor.recording.run import Recording
@@ -27,7 +27,7 @@ from fjr_msgs_py.console.output import number
 
 TOPIC = names.CONTACT.replace("~", f"/{names.PLANT}")
 TOGETHER = 5
-"""Intervals whose mean is one value, which quiets the noise of velocities."""
+"""Intervals whose mean is one value, which quiets the noise of velocities; `largest` is the largest of these means."""
 ALONG, AT_TIP = "along the simulator's line of action", "at the tip"
 
 
@@ -61,68 +61,55 @@ class Contact:
         return said + force + own
 
 
-@dataclass(frozen=True)
-class _Moments(Table):
-    """Residual torques (k, n) of the links, at k times and link positions (k, n)."""
-
-    t: Array
-    q: Array
-    torque: Array
-
-
 def contact(run: Recording, law: TrackingLaw, joints: Sequence[str]) -> Contact:
     """Return the contact of a run in which external torques act on the named joints; reads its parts once more."""
-    robot, concerned = run.scenario.robot, [run.joints.index(name) for name in joints]
-    seen = _moments(run, law)
-    largest = np.abs(seen.torque).max(axis=0)
-    seen = seen.rows((np.abs(seen.torque) > QUIET * largest)[:, concerned].any(axis=1))
-    simulated = _simulated(run)
-    forces, own, size = _forces(run, seen, simulated), None, None
-    if simulated is not None:
-        own = np.abs(simulated.effort).max(axis=0)
-        size = float(np.linalg.norm(simulated.effort[:, robot.n : robot.n + 3], axis=1).max())
+    n, concerned = run.scenario.robot.n, [run.joints.index(name) for name in joints]
+    t, q, torque = _residual_torques(run, law)
+    largest = np.abs(torque).max(axis=0)
+    touching = (np.abs(torque) > QUIET * largest)[:, concerned].any(axis=1)
+    t, q, torque = t[touching], q[touching], torque[touching]
+    simulated = run.bag.joints(TOPIC, [*run.joints, *names.WRENCH]) if run.bag.holds(TOPIC) else None
+    if simulated is None:
+        forces, own, own_force = _at_tip(run.scenario.robot, q, torque), None, None
+    else:
+        forces, own = _along(simulated, run, t, torque), np.abs(simulated.effort).max(axis=0)
+        own_force = float(np.linalg.norm(simulated.effort[:, n : n + 3], axis=1).max())
     return Contact(
-        begins_s=float(seen.t[0]),
-        ends_s=float(seen.t[-1]),
+        begins_s=float(t[0]),
+        ends_s=float(t[-1]),
         joints=[
             JointContact(run.joints[j], float(largest[j]), own if own is None else float(own[j])) for j in concerned
         ],
         force_n=float(np.nanmax(forces)) if np.isfinite(forces).any() else None,
         force_at=AT_TIP if simulated is None else ALONG,
-        simulated_force_n=size,
+        simulated_force_n=own_force,
     )
 
 
-def _moments(run: Recording, law: TrackingLaw) -> _Moments:
-    """Return the residual torques of all intervals of a run, TOGETHER averaged."""
+def _residual_torques(run: Recording, law: TrackingLaw) -> tuple[Array, Array, Array]:
+    """Return times (k,), positions and residual torques (k, n) of the links, each a mean over TOGETHER intervals."""
     n, parts = run.scenario.robot.n, []
     for part in run.parts():
         found, first = innovations(part, law, valued=False), part.consecutive()
         torque = torques(law.robot, found.states[:, 0, : 2 * n], found.error[:, 2 * n :], found.dt)[:, :n]
         parts.append([block_means(each, TOGETHER) for each in (part.t[first] + found.dt / 2, part.q_l[first], torque)])
-    return _Moments(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    t, q, torque = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return t, q, torque
 
 
-def _simulated(run: Recording) -> JointTable | None:
-    """Return torques (k, n) and wrench (k, 6) by the simulator's obstacle, in the efforts of a table; None without."""
-    if not run.bag.holds(TOPIC):
-        return None
-    return run.bag.joints(TOPIC, [*run.joints, *names.WRENCH])
+def _along(simulated: JointTable, run: Recording, t: Array, torque: Array) -> Array:
+    """Return the forces (k,) [N] along the simulator's lines of action that explain torques (k, n) at t (k,) best."""
+    n, ended = torque.shape[1], (simulated.stamp - run.start) * 1e-9 - run.step / 2
+    own = np.array([simulated.effort[np.abs(ended - each) < TOGETHER * run.step / 2].sum(axis=0) for each in t])
+    per_newton = own[:, :n] / np.linalg.norm(own[:, n : n + 3], axis=1, keepdims=True)
+    return np.abs((per_newton * torque).sum(axis=1)) / (per_newton**2).sum(axis=1)
 
 
-def _forces(run: Recording, seen: _Moments, simulated: JointTable | None) -> Array:
-    """Return the sizes (k,) [N] of the forces that explain torques best, at the tip or on the simulator's lines."""
-    robot, found = run.scenario.robot, []
-    if simulated is not None:
-        ended = (simulated.stamp - run.start) * 1e-9 - run.step / 2
-        for instant, torque in zip(seen.t, seen.torque, strict=True):
-            rows = np.abs(ended - instant) < TOGETHER * run.step / 2
-            own = simulated.effort[rows].sum(axis=0)
-            per_newton = own[: robot.n] / np.linalg.norm(own[robot.n : robot.n + 3])
-            found.append(abs(per_newton @ torque) / (per_newton @ per_newton))
-    elif robot.links.end_effector is not None:
-        q = ca.SX.sym("q", robot.n)
-        jacobian = ca.Function("J", [q], [ca.jacobian(robot.links.end_effector.position(q, ca.SX.zeros(3)), q)])
-        for q_l, torque in zip(seen.q, seen.torque, strict=True):
-            found.append(np.linalg.norm(np.linalg.lstsq(jacobian(q_l).full().T, torque, rcond=None)[0]))
-    return np.array(found)
+def _at_tip(robot: Robot, q: Array, torque: Array) -> Array:
+    """Return the sizes (k,) [N] of the forces at the tip that explain torques (k, n) at positions (k, n) best."""
+    if robot.links.end_effector is None:
+        return np.array([])
+    q_l = ca.SX.sym("q", robot.n)
+    J = ca.Function("J", [q_l], [ca.jacobian(robot.links.end_effector.position(q_l, ca.SX.zeros(3)), q_l)])
+    pairs = zip(q, torque, strict=True)
+    return np.array([np.linalg.norm(np.linalg.lstsq(J(at).full().T, given, rcond=None)[0]) for at, given in pairs])

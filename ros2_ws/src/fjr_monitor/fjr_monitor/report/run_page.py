@@ -129,16 +129,14 @@ class RunPlots:
     def external_torque(self) -> Plot:
         """Plot the estimated external torques on the links."""
         torque, unit = self._data.states["external_torque"], self._report.effort_unit
-        largest = np.nanmax(np.abs(torque), axis=0, initial=0.0)
         bandwidth = self._data.run.scenario.controller_values[TORQUE_BANDWIDTH.name]
-        at = f" ({self._joints[int(largest.argmax())]})" if len(self._joints) > 1 else ""
-        title = f"External torque: at most {number(largest.max(), unit)}{at}"
         caption = (
             f"Estimated from spring torque and motion, with a bandwidth of {bandwidth:g} 1/s. Contact, payload, "
             "friction of the links and model errors count."
         )
         label = f"external torque [{unit}]"
-        return Plot("external_torque", title, caption, self._t, self._per_joint(torque, width=1.2), y_label=label)
+        lines = self._per_joint(torque, width=1.2)
+        return Plot("external_torque", "External torque", caption, self._t, lines, y_label=label)
 
     def storage(self) -> Plot:
         """Plot V and its bound V(0) exp(-2 beta t) on a log axis; the caption explains why V leaves the bound."""

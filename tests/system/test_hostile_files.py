@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of arbitrary bytes: undamaged content is read, each loss is reported, no other error is raised."""
+"""Bags, plans and kept results of any bytes: what is undamaged is read, each loss is said, all else is one sentence."""
 
 from __future__ import annotations
 
+import json
 import shutil
 import sqlite3
 import struct
-from collections.abc import Callable
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -19,11 +21,19 @@ from mcap.writer import CompressionType, Writer
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import CompressionMode
 
+from fjr_core.files.text_file import is_sealed, write_text
+from fjr_design.studies import suite
+from fjr_design.studies.compare_run import read_kept
+from fjr_design.studies.study import Store, open_store
+from fjr_design.studies.sweep import Sweep
+from fjr_design.studies.sweep_file import Options, planned, usual
 from fjr_monitor.recording.bag import Bag, BagError, read_bag
 from fjr_monitor.recording.files import Topic
 from fjr_monitor.recording.message_types import definition, type_hash
 from fjr_monitor.recording.recorder import BagWriter
-from fuzzing import answer, bytes_of, fuzzed
+from fjr_monitor.report.write import known_of
+from fjr_msgs_py.scenarios import library
+from fuzzing import answer, bytes_of, documents, fuzzed
 from system.bags import JOINT_STATE, joint_state, rewritten
 
 TOPIC = "/states"
@@ -82,25 +92,20 @@ def flipped(data: bytes, place: int, bit: int = 0) -> bytes:
 
 
 def test_a_flipped_bit_in_a_chunk_costs_that_chunk(whole: Path, folder: Path) -> None:
+    """In its length, of whose records those before it stay, and in its content, whose checksum then differs."""
     data = content(whole)
     assert (messages(read_bag(whole)), read_bag(whole).notes) == (ALL, ())
     for number, (begin, end) in enumerate(chunks(data, folder)):
         rest = ALL[: number * IN_CHUNK] + ALL[(number + 1) * IN_CHUNK :]
+        for place in range(begin, begin + 60, 1 if number == 0 else 20):
+            bag = read_bag(written(folder, flipped(data, place, place % 8)))
+            assert set(rest) <= set(messages(bag))
+            assert bag.notes or len(messages(bag)) == SENT
         for place in np.linspace(begin + 60, end - 1, 5, dtype=int):
             bag = read_bag(written(folder, flipped(data, int(place), int(place) % 8)))
             assert messages(bag) == rest
             assert bag.complete
             assert f"{IN_CHUNK} of {SENT} messages are lost" in " ".join(bag.notes)
-
-
-def test_a_flipped_bit_in_the_length_of_a_chunk_costs_at_most_that_chunk(whole: Path, folder: Path) -> None:
-    data = content(whole)
-    for number, (begin, _) in enumerate(chunks(data, folder)):
-        kept = set(ALL) - set(ALL[number * IN_CHUNK : (number + 1) * IN_CHUNK])
-        for place in range(begin, begin + 60):
-            bag = read_bag(written(folder, flipped(data, place, place % 8)))
-            assert kept <= set(messages(bag))
-            assert bag.notes or len(messages(bag)) == SENT
 
 
 @fuzzed(60)
@@ -114,22 +119,19 @@ def test_any_flipped_bit_costs_at_most_one_chunk(whole: Path, folder: Path, plac
     assert bag.notes or len(found) == SENT
 
 
-def made(path: Path, compression: CompressionType, chunked: bool, change: Callable[[Writer], None]) -> Path:
+def made(
+    path: Path, compression: CompressionType, chunked: bool, times: tuple[int, ...] = (), text: bytes = b""
+) -> Path:
+    """Write ALL by the library mcap, and a message at each of more times."""
     with open(path, "wb") as stream:
         writer = Writer(stream, chunk_size=4000, compression=compression, use_chunking=chunked, enable_data_crcs=True)
         writer.start(profile="ros2")
-        change(writer)
+        number = writer.register_schema(JOINT_STATE, "ros2msg", text or definition(JOINT_STATE).encode())
+        channel = writer.register_channel(TOPIC, "cdr", number)
+        for k, data in [*enumerate(ALL), *((time, ALL[0]) for time in times)]:
+            writer.add_message(channel, k, data, k)
         writer.finish()
     return path
-
-
-def fill(writer: Writer, times: tuple[int, ...] = (), text: bytes = b"") -> None:
-    number = writer.register_schema(JOINT_STATE, "ros2msg", text or definition(JOINT_STATE).encode())
-    channel = writer.register_channel(TOPIC, "cdr", number)
-    for k, data in enumerate(ALL):
-        writer.add_message(channel, k, data, k)
-    for time in times:
-        writer.add_message(channel, time, ALL[0], time)
 
 
 @pytest.mark.parametrize("chunked", [True, False], ids=["chunks", "no chunks"])
@@ -137,7 +139,7 @@ def fill(writer: Writer, times: tuple[int, ...] = (), text: bytes = b"") -> None
 def test_bags_of_other_writers_are_read_damaged_or_not(
     compression: CompressionType, chunked: bool, folder: Path
 ) -> None:
-    path = made(folder / "other.mcap", compression, chunked, fill)
+    path = made(folder / "other.mcap", compression, chunked)
     assert messages(read_bag(path)) == ALL
     assert read_bag(path).notes == ()
     data = path.read_bytes()
@@ -147,18 +149,12 @@ def test_bags_of_other_writers_are_read_damaged_or_not(
         assert bag.notes or messages(bag) == ALL  # damage to an index that is not needed
 
 
-def test_times_beyond_63_bits_are_left_out(folder: Path) -> None:
-    path = made(folder / "late.mcap", CompressionType.NONE, True, lambda writer: fill(writer, (2**63, 2**64 - 1)))
-    bag = read_bag(path)
+def test_times_beyond_63_bits_and_a_definition_that_is_not_utf8_cost_nothing_else(folder: Path) -> None:
+    late, latin = (2**63, 2**64 - 1), b"# caf\xe9\nint32 x"
+    bag = read_bag(made(folder / "late.mcap", CompressionType.NONE, True, late, latin))
     assert bag.topic(TOPIC).publish_time.tolist() == list(range(SENT))
     assert "2 messages" in " ".join(bag.notes)
-
-
-def test_a_definition_that_is_not_utf8_is_needed_for_unknown_types_only(folder: Path) -> None:
-    path = made(
-        folder / "latin.mcap", CompressionType.NONE, True, lambda writer: fill(writer, (), b"# caf\xe9\nint32 x")
-    )
-    assert len(read_bag(path).topic(TOPIC).decoded) == SENT
+    assert len(bag.topic(TOPIC).decoded) == SENT  # a definition is needed for unknown types only
 
 
 @pytest.mark.parametrize("name", ["a/msg/B\nint32 x", "a/msg/B", "../../x", "", "import os"])
@@ -171,19 +167,13 @@ def test_invalid_definitions_are_reported_in_one_sentence(name: str, text: str) 
         _ = topic.decoded
 
 
-def test_small_file_cannot_cause_a_large_allocation(whole: Path, folder: Path) -> None:
-    data = content(whole)
-    begin, _ = chunks(data, folder)[0]
-    size = struct.pack("<Q", 2**40)
-    bag = read_bag(written(folder, data[: begin + 25] + size + data[begin + 33 :]))
-    assert len(messages(bag)) >= SENT - IN_CHUNK
-    assert bag.notes
-
-
-def test_an_index_beyond_the_file_costs_its_chunk_at_most(whole: Path, folder: Path) -> None:
-    """The checksum of the summary is 0, which stands for none."""
+def test_lengths_beyond_the_file_cost_their_chunk_at_most(whole: Path, folder: Path) -> None:
+    """Of the chunk, whose memory is not taken, and of its index; a checksum of the summary of 0 stands for none."""
     data = content(whole)
     begin, end = chunks(data, folder)[0]
+    bag = read_bag(written(folder, data[: begin + 25] + struct.pack("<Q", 2**40) + data[begin + 33 :]))
+    assert len(messages(bag)) >= SENT - IN_CHUNK
+    assert bag.notes
     index = struct.pack("<QQ", begin, end - begin)
     place = data.rindex(index)
     for wrong in ((2**63 + 5, end - begin), (begin, 2**62)):
@@ -218,23 +208,19 @@ def test_files_of_any_bytes(suffix: str, whole: Path, tables: bytes, folder: Pat
     answer(lambda: read_bag(path).joints(TOPIC, ("a", "b")))
 
 
-ODD = {
-    "no number": "INSERT INTO messages(topic_id, timestamp, data) VALUES ('a', 'b', 'c')",
-    "no topic": "INSERT INTO messages(topic_id, timestamp, data) VALUES (77, 1, x'00')",
-    "before 1970": "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, -5, x'00')",
-    "nothing": "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 2.5, 'text')",
-}
+ODD = ("('a', 'b', 'c')", "(77, 1, x'00')", "(1, -5, x'00')", "(1, 2.5, 'text')")
+"""Rows without a number, of no topic, before 1970 and without bytes."""
 
 
-@pytest.mark.parametrize("statement", ODD.values(), ids=ODD)
-def test_invalid_rows_are_skipped(statement: str, tables: bytes, folder: Path) -> None:
+def test_invalid_rows_are_skipped(tables: bytes, folder: Path) -> None:
     path = written(folder, tables, "odd.db3")
     with closing(sqlite3.connect(path)) as database:
-        database.execute(statement)
+        for statement in ODD:
+            database.execute(f"INSERT INTO messages(topic_id, timestamp, data) VALUES {statement}")
         database.commit()
     bag = read_bag(path)
     assert messages(bag) == ALL
-    assert "1 message of" in " ".join(bag.notes)
+    assert f"{len(ODD)} messages of" in " ".join(bag.notes)
 
 
 def test_an_endless_view_is_refused(folder: Path) -> None:
@@ -258,3 +244,110 @@ def test_compressed_bags_of_any_bytes(whole: Path, folder: Path, data: st.DataOb
     for path in sorted(target.iterdir()):
         path.write_bytes(data.draw(bytes_of(path.read_bytes())))
     answer(lambda: read_bag(target).joints(TOPIC, ("a", "b")))
+
+
+SUITE = """
+laws: [v_dpbc, {label: own, law: pd_gravity, robust: {integral_gain: 1.0}}]
+robots: {paper_k31: {scenario: paper_k31, references: {slow: {reference.frequency: [0.1]}}}}
+imperfections: {late: {delay: 1.0}}
+margins: [delay]
+duration: 2.0
+"""
+SWEEP = """
+scenario: paper_k31
+vary: {stiffness: {uniform: [0.7, 1.3], each_joint: true}, delay: {uniform: [0.0, 0.001]}, payload_mass: 0.1}
+success: {peak: 0.1}
+set: {publish_rate: 500.0}
+runs: 20
+duration: 0.1
+"""
+
+
+def read_sweep(folder: Path, text: str) -> str:
+    path = folder / "sweep.yaml"
+    path.write_text(text)
+    return answer(lambda: planned(str(path), Options(1, None, folder, {}, {})))
+
+
+@fuzzed(25)
+@given(text=documents(yaml.safe_load(SUITE)))
+def test_suites_with_misplaced_values(folder: Path, text: str) -> None:
+    (folder / "suite.yaml").write_text(text)
+    answer(lambda: suite.load(folder / "suite.yaml"))
+
+
+@fuzzed(30)
+@given(text=documents(yaml.safe_load(SWEEP)))
+def test_sweeps_with_misplaced_values(folder: Path, text: str) -> None:
+    read_sweep(folder, text)
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a/" * 3000, "..", "/dev/zero", ""])
+def test_sweep_of_an_impossible_path_is_refused(name: str, folder: Path) -> None:
+    assert read_sweep(folder, yaml.safe_dump({**yaml.safe_load(SWEEP), "scenario": name}))
+    assert answer(lambda: library.find(name))
+    assert answer(lambda: library.find(name, "suite"))
+
+
+PLAN = Sweep("small", "/**: {ros__parameters: {compile: false}}", 20, usual(1e-3), duration=0.1)
+COLUMNS = {"run": np.arange(10), "success": np.ones(10, bool)}
+
+
+def opened(folder: Path) -> AbstractContextManager[Store]:
+    return open_store(folder, PLAN.text, "program")
+
+
+def filled(folder: Path) -> Path:
+    with opened(folder) as store:
+        store.keep("first", COLUMNS)
+        assert store.holds("first")
+    return next((folder / "parts").glob("*.parquet"))
+
+
+def taken_up(folder: Path) -> None:
+    with opened(folder):
+        pass
+
+
+@fuzzed(8)
+@given(data=st.data())
+def test_changed_part_is_computed_again(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    folder = tmp_path_factory.mktemp("store")
+    part = filled(folder)
+    content = data.draw(bytes_of(part.read_bytes()))
+    same = content == part.read_bytes()
+    part.write_bytes(content)
+    with opened(folder) as store:
+        assert store.holds("first") == same
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[]", "3", "{", '{"program": []}', "\0"])
+def test_a_changed_table_and_an_invalid_study_file_are_refused(text: str, tmp_path: Path) -> None:
+    filled(tmp_path)
+    with opened(tmp_path) as store:
+        store.keep("second", COLUMNS)
+        table = store.write_table(["first", "second"])
+        assert pq.read_table(table).num_rows == 20
+    table.write_bytes(table.read_bytes()[:-1] + b"x")
+    assert "SHA-256" in answer(lambda: taken_up(tmp_path))
+    (tmp_path / "study.json").write_text(text)
+    assert answer(lambda: taken_up(tmp_path))
+
+
+def test_changed_kept_result_is_computed_again(tmp_path: Path) -> None:
+    path = tmp_path / "job.json"
+    write_text(path, json.dumps({"law": "v_dpbc"}), sealed=True)
+    assert read_kept(tmp_path, "job") == {"law": "v_dpbc"}
+    for text in ('{"law": "v_dpbd"}', "[]", "[" * 100_000):
+        path.write_text(text)
+        assert not is_sealed(path)
+        assert read_kept(tmp_path, "job") is None
+    path.write_text('{"law": "v_dpbc"}')
+    (tmp_path / "job.json.sha256").unlink()
+    assert read_kept(tmp_path, "job") is None
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"planned_s": "5", "not_recorded": [], "failure": 3}'])
+def test_invalid_entries_of_an_earlier_report_are_ignored(text: str, tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_text(text)
+    assert known_of(tmp_path / "report.json") == {}

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""False alarms and delay of the contact alarm on arm7, beside a momentum observer with fixed thresholds.
+
+    python -m bench.contact_alarm --hours 1 --seed 1 FOLDER     simulate, a file an hour
+    python -m bench.contact_alarm FOLDER                        write the tables of docs/tables/contact.md
+
+Every minute a robot is drawn that differs from the model by the stated errors, and a pose and sines about it. The links
+follow them; the springs carry what the drawn robot needs, by a recursion that the observer does not use. Encoders and
+velocities are noisy. At the times AT, 20 N in a random direction act on the tip for TRIAL. The fixed thresholds are the
+largest estimates of all minutes, which is the least that gives no alarm in them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from fjr_core.config.controller import contact_observer
+from fjr_core.config.scenario import Scenario
+from fjr_core.model.newton_euler import ChainAt, Mass, mass_of
+from fjr_core.monitoring.contact import STICKING
+from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import compiled
+from fjr_core.numerics.symbolic import dense_function, symbols
+from fjr_core.runtime.library import step_library
+from fjr_msgs_py.scenarios import library
+
+SCENARIO, FORCE = "arm7", 20.0  # N
+MINUTE, TRIAL, AT = 60_000, 300, (2_000, 10_000, 59_000)  # samples at 1 kHz
+POSITION_NOISE, VELOCITY_NOISE = 5e-6, 5e-4  # rad, rad/s
+SWING = 0.3  # rad, of each of two sines
+REACHES = (0.3, 0.5, 0.7)  # m, of the tip from the axis of joint 1, between the rows of the table
+TABLE = Path(__file__).parents[1] / "docs" / "tables" / "contact.md"
+
+BEGIN, END = "<!-- study -->\n", "<!-- end of study -->\n"
+TEXT = """
+**{alarms} false alarms in {hours} h** ({minutes} robots): at most {per_day:.2g} in 24 h with 95 % confidence.
+
+20 N in a random direction at the tip; delays in ms, "missed" if longer than 300 ms.
+
+| s after the start | median | 95 % | missed | peer: median | 95 % | missed | median of peer / alarm | at least 2 |
+| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |
+{delays}
+
+Median thresholds [N m] after 59 s, by the distance of the tip from the axis of joint 1, and median delays [ms]:
+
+| reach [m] | robots | {joints} | delay | peer's delay |
+| --- | ---: | {rules} | ---: | ---: |
+{by_reach}
+| peer, fixed | | {fixed} | | |
+
+"""
+
+
+@dataclass(frozen=True)
+class Minute:
+    """What a minute shows. alarms: without contact. largest (n,) [N m]: estimates without contact.
+
+    pose (n,) [rad]: at each time of AT. threshold (3, n) [N m]: there. delay (3,) [samples]: until the alarm.
+    torque (3, TRIAL, n) [N m]: estimates under the push.
+    """
+
+    alarms: int
+    largest: Array
+    pose: Array
+    threshold: Array
+    delay: Array
+    torque: Array
+
+
+FIELDS = tuple(field.name for field in fields(Minute))
+
+
+class Study:
+    """The alarm of the scenario, run on drawn robots."""
+
+    def __init__(self) -> None:
+        scenario: Scenario = library.as_run(library.find(SCENARIO), {})[1]
+        self.robot, self.n = scenario.robot, scenario.robot.n
+        self.observer = contact_observer(scenario.controller_values, self.robot)
+        self.library = step_library(self.n)
+        self.needed = compiled(self._needed())
+
+    def _needed(self) -> ca.Function:
+        """Return (q, dq, ddq, factors) -> torques of bodies with scaled masses, and J' of the tip by columns."""
+        n, links = self.n, self.robot.links
+        s = symbols(q=n, dq=n, ddq=n, factors=n)
+        factors = ca.vertsplit(s["factors"])
+        masses = [Mass(f * m.m, f * m.h, f * m.J) for f, m in zip(factors, map(mass_of, links.bodies), strict=True)]
+        assert links.end_effector is not None
+        chain = ChainAt(links.bodies, masses, links.end_effector.gravity, s["q"])
+        torque = chain.inertial_torque(s["dq"], s["dq"], s["ddq"]) + chain.gravity_torque()
+        tip = ca.jacobian(links.end_effector.position(s["q"], ca.SX.zeros(3)), s["q"])
+        return dense_function("needed", s, {"torque": torque, "tip": ca.vec(tip.T)}, cse=True)
+
+    def minute(self, rng: np.random.Generator) -> Minute:
+        """Run a minute of a drawn robot."""
+        n, robot = self.n, self.robot
+        t = np.arange(MINUTE + 1, dtype=np.float64)[:, None] * 1e-3
+        q, dq, ddq = self._motion(rng, t)
+        errors: Array = (self.observer.errors.deviations * rng.normal(size=5 * n)).reshape(5, n)
+        mass, stiffness, damping, friction, constant = errors
+        factors = np.tile((1 + mass)[:, None], len(t))
+        torque, tip = (each.full().T for each in self.needed.map(len(t))(q.T, dq.T, ddq.T, factors))
+        torque += (1 + damping) * np.diag(robot.D_l) * dq + friction * np.tanh(dq / STICKING) - constant
+        position, velocity = np.empty((len(t), 2 * n)), np.zeros((len(t), 2 * n))
+        K = (1 + stiffness) * np.diag(robot.K)
+        position[:, :n], position[:, n:], velocity[:, :n] = q, q + torque / K, dq
+        position += POSITION_NOISE * rng.normal(size=position.shape)
+        velocity += VELOCITY_NOISE * rng.normal(size=velocity.shape)
+        watch = Watch(self)
+        runs, largest, done, alarms = [], np.zeros(n), 0, 0
+        for at in AT:
+            before, seen = watch.along(position[done:at], velocity[done:at], done)
+            largest, alarms, done = np.maximum(largest, np.abs(before).max(axis=0)), alarms + seen, at
+            force = rng.normal(size=3)
+            jacobian = tip[at : at + TRIAL].reshape(-1, 3, n).transpose(0, 2, 1)
+            push = jacobian @ (FORCE * force / np.linalg.norm(force))
+            pushed = position[at : at + TRIAL].copy()
+            pushed[:, n:] -= push / K
+            runs.append(watch.tried(pushed, velocity[at : at + TRIAL], at))
+        before, seen = watch.along(position[done:], velocity[done:], done)
+        largest = np.maximum(largest, np.abs(before).max(axis=0))
+        threshold, delay, traces = (np.array(each) for each in zip(*runs, strict=True))
+        return Minute(alarms + seen, largest, q[list(AT)], threshold, delay, traces)
+
+    def _motion(self, rng: np.random.Generator, t: Array) -> tuple[Array, Array, Array]:
+        """Return positions, velocities and accelerations (k, n) of two sines a joint about a random pose."""
+        n, limits = self.n, self.robot.limits
+        assert limits is not None
+        q = rng.uniform(0.7 * limits.lower, 0.7 * limits.upper)[None]
+        dq = ddq = np.zeros((1, n))
+        for _ in range(2):
+            w, phase = 2 * np.pi * rng.uniform(0.1, 0.8, n), rng.uniform(0, 2 * np.pi, n)
+            angle = w * t + phase
+            q, dq, ddq = q + SWING * np.sin(angle), dq + SWING * w * np.cos(angle), ddq - SWING * w**2 * np.sin(angle)
+        return q, dq, ddq
+
+
+class Watch:
+    """The alarm in C for one robot."""
+
+    def __init__(self, study: Study) -> None:
+        ffi, n = study.library.ffi, study.n
+        self._watch, self._ffi = study.library.lib.fjr_watch_torque, ffi
+        self._held = study.observer.struct(ffi)
+        self._o, self._c = self._held.pointer, ffi.new("struct fjr_contact*")
+        size = n * (1 + self._o.errors)
+        self._r = np.frombuffer(ffi.buffer(self._o.kept, 24 * size))[2 * size : 2 * size + n]
+        self._threshold = np.frombuffer(ffi.buffer(self._o.compared))[n:]
+
+    def along(self, position: Array, velocity: Array, first: int) -> tuple[Array, int]:
+        """Return the estimates (k, n) [N m] at k samples from the number `first` on, and the alarms."""
+        k, two = position.shape
+        given = [self._ffi.from_buffer("double[]", np.ascontiguousarray(each)) for each in (position, velocity)]
+        found, alarms, acting = np.empty((k, two // 2)), 0, self._c.acting
+        for i in range(k):
+            self._watch(self._o, self._c, given[0] + two * i, given[1] + two * i, (first + i) * 1_000_000)
+            found[i] = self._r
+            if self._c.acting != acting:
+                acting = self._c.acting
+                alarms += acting
+        return found, alarms
+
+    def tried(self, position: Array, velocity: Array, first: int) -> tuple[Array, int, Array]:
+        """Return threshold (n,), delay [samples] and estimates (k, n) of a trial, and forget it."""
+        parts = [self._ffi.buffer(self._o), self._ffi.buffer(self._c)]
+        parts += [self._ffi.buffer(each) for each in self._held.arrays.values()]
+        kept = [bytes(part) for part in parts]
+        found, delay, threshold = [], len(position), self._threshold.copy()
+        for i in range(len(position)):
+            found.append(self.along(position[i : i + 1], velocity[i : i + 1], first + i)[0][0])
+            if self._c.acting and delay == len(position):
+                delay = i + 1
+        for part, before in zip(parts, kept, strict=True):
+            part[:] = before
+        return threshold, delay, np.array(found)
+
+
+def simulate(folder: Path, hours: int, seed: int) -> None:
+    """Simulate the hours that the folder lacks of a seed."""
+    study = Study()
+    folder.mkdir(parents=True, exist_ok=True)
+    for hour in range(hours):
+        file = folder / f"{seed}-{hour}.npz"
+        if file.exists():
+            continue
+        minutes = [study.minute(np.random.default_rng([seed, hour, k])) for k in range(60)]
+        columns: dict[str, Any] = {name: np.array([getattr(each, name) for each in minutes]) for name in FIELDS}
+        np.savez_compressed(file, **columns)
+        print(f"{file.name}: {sum(each.alarms for each in minutes)} alarms", flush=True)
+
+
+def page(folder: Path) -> str:
+    """Return the tables of all hours in the folder."""
+    files = [np.load(file) for file in sorted(folder.glob("*.npz"))]
+    found = {name: np.concatenate([each[name] for each in files]) for name in FIELDS}
+    hours, alarms, fixed = len(files), int(found["alarms"].sum()), found["largest"].max(axis=0)
+    beyond = (np.abs(found["torque"]) > fixed).any(axis=-1)
+    late = np.where(beyond.any(axis=-1), beyond.argmax(axis=-1) + 1, TRIAL)  # (minutes, times)
+    per_day = stats.chi2.ppf(0.95, 2 * alarms + 2) / 2 / hours * 24
+    delays = [
+        f"| {at * 1e-3:g} | {_delay(found['delay'][:, k])} | {_delay(late[:, k])} | "
+        f"{np.median(late[:, k] / found['delay'][:, k]):.1f} | {_share(late[:, k] >= 2 * found['delay'][:, k])} |"
+        for k, at in enumerate(AT)
+    ]
+    reach, by_reach = _reach(found["pose"][:, -1]), []
+    for low, high in zip((0.0, *REACHES), (*REACHES, np.inf), strict=True):
+        rows = (reach >= low) & (reach < high)
+        thresholds = " | ".join(f"{each:.2f}" for each in np.median(found["threshold"][rows, -1], axis=0))
+        own, other = np.median(found["delay"][rows, -1]), np.median(late[rows, -1])
+        by_reach.append(f"| {low:g} to {high:g} | {rows.sum()} | {thresholds} | {own:g} | {other:g} |")
+    joints = range(1, len(fixed) + 1)
+    return TEXT.format(
+        hours=hours,
+        minutes=len(reach),
+        alarms=alarms,
+        per_day=per_day,
+        delays="\n".join(delays),
+        by_reach="\n".join(by_reach).replace("to inf", "and more"),
+        joints=" | ".join(f"joint {j}" for j in joints),
+        rules=" | ".join("---:" for _ in joints),
+        fixed=" | ".join(f"{each:.2f}" for each in fixed),
+    )
+
+
+def _delay(samples: Array) -> str:
+    """Return median and 95 % quantile, and how often there was no alarm."""
+    median, most = np.quantile(samples, (0.5, 0.95), method="inverted_cdf")
+    return f"{median} | {most if most < TRIAL else f'over {TRIAL}'} | {_share(samples >= TRIAL)}"
+
+
+def _share(cases: NDArray[Any]) -> str:
+    return f"{100 * np.mean(cases):.1f} %"
+
+
+def _reach(poses: Array) -> Array:
+    """Return the distances (k,) [m] of the tip from the axis of the first joint."""
+    tip = Study().robot.links.end_effector
+    assert tip is not None
+    return np.array([float(np.hypot(*tip.position(q, np.zeros(3)).full()[:2, 0])) for q in poses])
+
+
+def main() -> None:
+    """Simulate hours, or write the table of those that there are."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--hours", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    if given.hours:
+        simulate(given.folder, given.hours, given.seed)
+    else:
+        before, _, after = TABLE.read_text(encoding="utf-8").partition(BEGIN)
+        TABLE.write_text(before + BEGIN + page(given.folder) + END + after.partition(END)[2], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

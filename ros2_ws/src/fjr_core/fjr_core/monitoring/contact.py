@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tell contact from the errors of the model that are stated: the threshold of the external torques while the arm moves.
+
+The stated errors d are independent and standard normal, in units of their standard deviations. The torques that the
+links need are linear in d, so the momentum observer (external_torque.py) of the model without them obeys exactly
+
+    r = L(s) tau - Z d + v        dz_j/dt = L (dp_j/dt - f_j - z_j)        the same observer, of dp_l/dd_j and df/dd_j
+
+with the noise v ~ N(0, N). Contact is where the Mahalanobis distance of what d does not explain exceeds its limit:
+
+    e' S^-1 e > limit        e = r + Z d^,   S = Z P Z' + N
+
+The mean d^ and the covariance P start from 0 and 1, and a Kalman filter improves them while there is no contact
+(runtime/contact.c). So the threshold of a joint, sqrt(limit S_ii), is large where the motion shows an error that is not
+known yet, and shrinks to that of the noise. A. De Luca, R. Mattone, ICRA 2005, compare r with constants.
+
+The limit is the quantile of chi^2 at which a day has at most 0.355 wrong samples on average: then at most one false
+alarm in 24 h has 95 % probability. A sum over all samples needs no independence of theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ParameterError
+from ..model import springs
+from ..model.newton_euler import ChainAt, Mass, mass_of
+from ..model.robot import Robot
+from ..numerics.checks import Array, floats, freeze, positive
+from ..numerics.jit import compiled_from_inputs
+from ..numerics.one_line import brief, one_line
+from ..numerics.parameter_field import VECTOR, declared, parameter_field
+from ..numerics.symbolic import PackedVector, dense_function, symbols
+from ..robust.disturbance_observer import next_residual
+from ..runtime.library import TorqueObserverStruct
+from ..runtime.velocity_observer import LONGEST_GAP
+
+DAY = 86_400_000
+"""Samples of 24 h at 1 kHz."""
+WRONG = 0.355
+"""Mean of a Poisson distribution whose probability of 0 or 1 is 95 %."""
+STICKING = 0.01
+"""Speed [rad/s] below which the sign of Coulomb friction is uncertain."""
+LEARNING_PERIOD = 3.0
+"""Time between two updates of d^, in 1 / bandwidth: r then forgets its noise to 5 %."""
+DRIFT = 600.0
+"""Time [s] in which the errors may drift to others of the same distribution."""
+
+
+def _stated(default: float, description: str, unit: str = "", minimum: float = 0.0) -> Any:
+    return parameter_field(
+        default, f"Standard deviation of {description}", unit, minimum=minimum, maximum=1e6, shape=VECTOR
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StatedErrors:
+    """Standard deviations of the errors of the model of n joints; each field is a scalar or (n,), stored as (n,).
+
+    Shares are relative to the value of the model. Raises ParameterError unless all are at least 0, and the noise above.
+    """
+
+    n: int
+    link_mass: ArrayLike = _stated(0.05, "mass and inertia of each link, as a share")
+    joint_stiffness: ArrayLike = _stated(0.05, "joint_stiffness, as a share")
+    link_damping: ArrayLike = _stated(0.3, "link_damping, as a share")
+    link_friction: ArrayLike = _stated(0.1, "the Coulomb friction of the links", "N m")
+    link_torque: ArrayLike = _stated(0.1, "a constant torque on each link, as by an offset of an encoder", "N m")
+    torque_noise: ArrayLike = _stated(0.1, "~/external_torque at standstill", "N m", 1e-9)
+
+    __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        for name, parameter in declared(StatedErrors).items():
+            array = floats(name, getattr(self, name), ParameterError)
+            if array.shape not in ((), (self.n,)) or not np.all((array >= parameter.minimum) & (array < np.inf)):
+                expected = f"expected one or {self.n} numbers, {parameter.range}"
+                raise ParameterError(f"{name} is {array.tolist()}; {expected}")
+            freeze(self, name, np.broadcast_to(array, self.n).copy())
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations (m,) of the errors of the model, kind by kind."""
+        return np.concatenate([np.asarray(getattr(self, each.name)) for each in fields(self)[1:-1]])
+
+
+class ContactObserver:
+    """External torques r on the links and their derivatives -Z by the stated errors.
+
+    bandwidth [1/s]: L above; ParameterError unless positive and finite. compile: to machine code (numerics.jit).
+    """
+
+    def __repr__(self) -> str:
+        return f"ContactObserver({self.robot!r}, bandwidth={brief(self.bandwidth)} 1/s)"
+
+    def __init__(self, robot: Robot, bandwidth: float, errors: StatedErrors, compile: bool = False) -> None:
+        positive("bandwidth", bandwidth, ParameterError, "1/s")
+        self.robot, self.bandwidth, self.errors, self._compile = robot, float(bandwidth), errors, compile
+
+    @cached_property
+    def limit(self) -> float:
+        """Square of the Mahalanobis distance beyond which there is contact."""
+        from scipy.special import chdtri  # loaded on use: see law/gains.py
+
+        return float(chdtri(self.robot.n, WRONG / DAY))
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The CasADi function (kept, position, velocity, bandwidth, dt) -> kept at this sample.
+
+        kept (3 n (1 + m),): p_l with its derivatives by the m errors, column by column; their rates without tau; r
+        and z [N m]. The rest is as of ExternalTorqueObserver.
+        """
+        if not self._compile:
+            return self._function()
+        stated = str(self.errors.deviations.tolist())
+        return compiled_from_inputs("contact", self.robot.fingerprint(), stated, self._function)
+
+    def struct(self, ffi: Any) -> TorqueObserverStruct:
+        """Return the observer for C; ffi: with the types of step.h."""
+        noise, period = np.asarray(self.errors.torque_noise), LEARNING_PERIOD / self.bandwidth
+        return TorqueObserverStruct(ffi, self.function, self.bandwidth, noise, self.limit, period, DRIFT)
+
+    def _function(self) -> ca.Function:
+        n, columns = self.robot.n, 1 + len(self.errors.deviations)
+        s = symbols(ca.MX, kept=3 * n * columns, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
+        parts, dt = PackedVector({"p": n * columns, "f": n * columns, "r": n * columns}), s["dt"]
+        kept = parts.unpack(s["kept"])
+        p, f = self.momenta(s["position"], s["velocity"])
+        follows = ca.logic_and(_finite(s["kept"]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
+        r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
+        r = ca.if_else(_finite(ca.vertcat(p, f)), r, np.nan)
+        return dense_function("contact", s, {"next": parts.pack({"p": p, "f": f, "r": r})})
+
+    @cached_property
+    def momenta(self) -> ca.Function:
+        """The function (position, velocity) -> p_l and dp_l/dt - tau (n (1 + m),), with derivatives by columns."""
+        n, robot = self.robot.n, self.robot
+        s = symbols(position=2 * n, velocity=2 * n)
+        q_l, dq_l, theta = s["position"][:n], s["velocity"][:n], ca.SX.sym("theta", len(self.errors.deviations))
+        mass, stiffness, damping, friction, constant = ca.vertsplit(theta, n)
+        p, moving = self._rigid(q_l, dq_l, mass)
+        spring = springs.torque(robot, s["position"][n:] - q_l)
+        f = moving + (1 + stiffness) * spring - (1 + damping) * (ca.DM(robot.D_l) @ dq_l)
+        f += constant - friction * ca.tanh(dq_l / STICKING)
+        by = ca.substitute(ca.jacobian(ca.vertcat(p, f), theta), theta, 0)
+        by = by @ ca.diag(ca.DM(self.errors.deviations))
+        nominal = ca.substitute(ca.vertcat(p, f), theta, 0)
+        whole = {"p": ca.horzcat(nominal[:n], by[:n, :]), "f": ca.horzcat(nominal[n:], by[n:, :])}
+        return dense_function("contact_momenta", s, {name: ca.vec(each) for name, each in whole.items()}, cse=True)
+
+    def _rigid(self, q_l: ca.SX, dq_l: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return M_l dq_l and C' dq_l - grad P_l (n,) with the bodies' masses and inertias times 1 + mass (n,).
+
+        Links whose bodies are not known are one body, of the first mass.
+        """
+        links = self.robot.links
+        if not links.bodies or links.end_effector is None:
+            whole = 1 + mass[0]
+            return whole * links.M_l(q_l) @ dq_l, whole * (links.grad_T(q_l, dq_l) - links.grad_P_l(q_l))
+        order, along = list(links.order), [links.order.index(i) for i in range(links.n)]
+        masses = [
+            Mass((1 + factor) * of.m, (1 + factor) * of.h, (1 + factor) * of.J)
+            for factor, of in zip(ca.vertsplit(mass), map(mass_of, links.bodies), strict=True)
+        ]
+        chain = ChainAt(links.bodies, masses, links.end_effector.gravity, q_l[along])
+        moving = chain.kinetic_gradient(dq_l[along]) - chain.gravity_torque()
+        return (chain.inertia() @ dq_l[along])[order], moving[order]
+
+
+def _finite(values: ca.MX) -> ca.MX:
+    """Return 1 if all values are finite, else 0."""
+    return ca.sum1(ca.fabs(values)) < np.inf

@@ -1,0 +1,98 @@
+/* SPDX-License-Identifier: Apache-2.0
+ * Contact: external torques on the links that the stated errors of the model do not explain (monitoring/contact.py).
+ *
+ *   e = r + Z d,  S = Z P Z' + N        contact: e' S^-1 e > limit, until it stays below a quarter of that for QUIET
+ */
+#define QUIET 200000000   /* ns; without torque until a contact has ended */
+#define SIGNIFICANT 4.0   /* standard deviations from which a joint of a contact is named */
+#define NEGLIGIBLE 0.05   /* of the largest torque, up to which it is not */
+
+/* Write W = P Z', S, e and the thresholds; Z (N, errors) by columns. */
+static void explain(struct fjr_torque_observer* o, const double* r) {
+  const double* Z = r + N;
+  double *e = o->compared, *threshold = e + N;
+  const int m = o->errors;
+  for (int i = 0; i < N; ++i) {
+    double* W = o->W + i * m;
+    fill(W, 0, m);
+    e[i] = r[i];
+    for (int j = 0; j < m; ++j) {
+      const double z = Z[j * N + i];
+      e[i] += z * o->d[j];
+      for (int k = 0; k < m && z != 0; ++k) W[k] += z * o->P[j * m + k];
+    }
+    for (int l = 0; l <= i; ++l) {
+      double s = i == l ? o->noise[i] : 0;
+      for (int k = 0; k < m; ++k) s += W[k] * Z[k * N + l];
+      o->S[i * N + l] = s;
+    }
+    threshold[i] = sqrt(o->limit * o->S[i * N + i]);
+  }
+}
+
+/* Return e' S^-1 e = |A^-1 e|^2, S = A A', A lower triangular. */
+static double squared_distance(const struct fjr_torque_observer* o) {
+  double A[N * N], y[N], sum = 0;
+  for (int i = 0; i < N; ++i) {
+    for (int j = 0; j <= i; ++j) {
+      double s = o->S[i * N + j];
+      for (int k = 0; k < j; ++k) s -= A[i * N + k] * A[j * N + k];
+      A[i * N + j] = i == j ? sqrt(s) : s / A[j * N + j];
+    }
+    y[i] = o->compared[i];
+    for (int k = 0; k < i; ++k) y[i] -= A[i * N + k] * y[k];
+    y[i] /= A[i * N + i];
+    sum += y[i] * y[i];
+  }
+  return sum;
+}
+
+/* Improve d and P by one joint after the other, after a time in which the errors drift to the share 1 - stay. */
+static void learn(struct fjr_torque_observer* o, const double* r) {
+  const double *Z = r + N, stay = o->stay;
+  const int m = o->errors;
+  double* w = o->W;
+  for (int k = 0; k < m * m; ++k) o->P[k] = stay * stay * o->P[k] + (k % (m + 1) ? 0 : 1 - stay * stay);
+  for (int j = 0; j < m; ++j) o->d[j] *= stay;
+  for (int i = 0; i < N; ++i) {
+    double s = o->noise[i], e = r[i];
+    fill(w, 0, m);
+    for (int j = 0; j < m; ++j)
+      for (int k = 0; k < m; ++k) w[k] += Z[j * N + i] * o->P[j * m + k];
+    for (int j = 0; j < m; ++j) s += w[j] * Z[j * N + i], e += Z[j * N + i] * o->d[j];
+    for (int j = 0; j < m; ++j) o->d[j] -= w[j] * e / s;
+    for (int j = 0; j < m; ++j)
+      for (int k = 0; k < m; ++k) o->P[j * m + k] -= w[j] * w[k] / s;
+  }
+}
+
+/* Add the joints with a significant torque to those of the contact; the one furthest beyond its threshold is named. */
+static void name_joints(const struct fjr_torque_observer* o, struct fjr_contact* c) {
+  const double *e = o->compared, *threshold = e + N, deviations = sqrt(o->limit);
+  double most = 0, furthest = 0;
+  for (int i = 0; i < N; ++i) most = fmax(most, fabs(e[i]));
+  for (int i = 0; i < N; ++i) {
+    const double size = fabs(e[i]) / threshold[i];
+    if (size * deviations > SIGNIFICANT && fabs(e[i]) > NEGLIGIBLE * most) c->joints |= 1 << i % 31;
+    if (size <= furthest) continue;
+    furthest = size;
+    if (!c->acting) c->joint = i, c->value = e[i], c->limit = threshold[i];
+  }
+  c->joints |= 1 << c->joint % 31;
+}
+
+/* Tell whether there is contact at the sample with this stamp; r: of the observer, with Z. */
+static void watch_contact(struct fjr_torque_observer* o, struct fjr_contact* c, const double* r, int64_t stamp) {
+  explain(o, r);
+  const double D = squared_distance(o);
+  if (D > (c->acting ? o->limit / 4 : o->limit)) {
+    if (!c->acting) c->joints = 0;
+    name_joints(o, c);
+    c->acting = 1, c->stamp = stamp;
+  } else if (c->acting) {
+    c->acting = stamp >= c->stamp && stamp - c->stamp < QUIET;
+  } else if (stamp < o->learned || stamp - o->learned >= o->period) {
+    learn(o, r);
+    o->learned = stamp;
+  }
+}

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contact alarm: Z is the effect of stated errors, the distance has its distribution, learning is Bayes' rule."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import fjr_core as fjr
+from core.oracles.cases import Array
+from core.oracles.chains import arm7
+from fjr_core.errors import ParameterError
+from fjr_core.monitoring.contact import DAY, STICKING, WRONG, ContactObserver, StatedErrors
+from fjr_core.monitoring.external_torque import ExternalTorqueObserver
+from fjr_core.runtime.library import step_library
+
+L = 40.0  # 1/s
+MASS, INERTIA, K, D = np.array([1.2, 0.8]), np.array([0.02, 0.01]), np.array([90.0, 60.0]), np.array([0.3, 0.2])
+NOISE = np.array([0.02, 0.01])
+STATED = {"link_mass": [0.1, 0.2], "joint_stiffness": 0.1, "link_damping": 0.5, "link_friction": [0.1, 0.05]}
+ERRORS = StatedErrors(2, **STATED, link_torque=[0.05, 0.02], torque_noise=NOISE)
+T = np.arange(120) * 1e-3
+
+
+def robot(d: Array) -> fjr.Robot:
+    """Return the arm whose masses, stiffness and damping differ by d (10,), in standard deviations."""
+    mass, stiffness, damping = (1 + (ERRORS.deviations * d).reshape(5, 2))[:3]
+    given = {"link_mass": MASS * mass, "link_inertia": INERTIA * mass, "link_damping": D * damping}
+    return fjr.planar_two_link(**given, stiffness=K * stiffness)
+
+
+def motion(d: Array, tau: Array | float = 0.0) -> tuple[Array, Array]:
+    """Return positions and velocities (k, 4) of links on sines, of the arm that differs by d."""
+    arm, (friction, constant) = robot(d), (ERRORS.deviations * d).reshape(5, 2)[3:]
+    angle, w = np.array([3.0, 5.0]) * T[:, None] + [0.3, 1.0], np.array([3.0, 5.0])
+    q, dq, ddq = 0.8 * np.sin(angle), 0.8 * w * np.cos(angle), -0.8 * w**2 * np.sin(angle)
+    rigid = [arm.M_l(x) @ a + arm.coriolis(x, v, v) + arm.grad_P_l(x) for x, v, a in zip(q, dq, ddq, strict=True)]
+    torque = np.array(rigid) + dq @ arm.D_l + friction * np.tanh(dq / STICKING) - constant - tau
+    return np.hstack([q, q + torque / np.diag(arm.K)]), np.hstack([dq, dq])
+
+
+class Watch:
+    """The alarm in C, without learning unless a period [ns] is given."""
+
+    def __init__(self, period: int = 2**62, **given: Any) -> None:
+        self.lib = step_library(2)
+        self.held = ContactObserver(robot(np.zeros(10)), L, ERRORS).struct(self.lib.ffi)
+        self.o, self.contact = self.held.pointer, self.lib.ffi.new("struct fjr_contact*")
+        self.o.period = period
+        for name, value in given.items():
+            setattr(self.o, name, value)
+
+    def see(self, position: Array, velocity: Array, first: int = 0) -> None:
+        for k, row in enumerate(zip(position, velocity, strict=True), start=first):
+            values = [self.lib.ffi.from_buffer("double[]", np.ascontiguousarray(each)) for each in row]
+            assert self.lib.lib.fjr_watch_torque(self.o, self.contact, *values, k * 1_000_000)
+
+    def array(self, name: str, size: int) -> Array:
+        return np.array(list(self.held.arrays[name][0:size]))
+
+    @property
+    def r(self) -> Array:
+        return self.array("kept", 66)[44:46]
+
+    @property
+    def Z(self) -> Array:
+        return self.array("kept", 66)[46:].reshape(10, 2).T
+
+    @property
+    def e(self) -> Array:
+        return np.array(list(self.o.compared[0:2]))
+
+    @property
+    def S(self) -> Array:
+        lower = np.tril(np.reshape(list(self.o.S[0:4]), (2, 2)))
+        return lower + np.tril(lower, -1).T
+
+
+@pytest.mark.parametrize("kind", range(10))
+def test_residual_is_minus_Z_times_the_error_of_the_robot(kind: int) -> None:
+    """The oracle is the arm built with other numbers; velocities of samples make the error of order 2 in dt."""
+    d = np.zeros(10)
+    d[kind] = 1.0
+    watch, exact = Watch(), Watch()
+    watch.see(*motion(d))
+    exact.see(*motion(0 * d))
+    estimated = ExternalTorqueObserver(robot(0 * d), L).along(T, *motion(d))[-1, -2:]
+    np.testing.assert_allclose(watch.r, estimated, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(watch.r - exact.r, -watch.Z @ d, rtol=2e-3, atol=1e-6)
+
+
+def test_distance_of_drawn_robots_has_the_distribution_of_chi_squared() -> None:
+    """20,000 robots and noises: r of each by the Z that the test above has shown; the alarm is that of the limit."""
+    rng, watch = np.random.default_rng(5), Watch()
+    watch.see(*motion(np.zeros(10)))
+    r0, Z = watch.r, watch.Z
+    r = r0 - rng.normal(size=(20_000, 10)) @ Z.T + NOISE * rng.normal(size=(20_000, 2))
+    np.testing.assert_allclose(watch.S, Z @ Z.T + np.diag(NOISE**2), rtol=1e-12)
+    np.testing.assert_allclose(watch.S, np.cov(r.T), rtol=0.04)
+    squared = np.einsum("ki,ij,kj->k", r, np.linalg.inv(watch.S), r)
+    for share in (0.1, 1e-2, 1e-3):
+        expected = 20_000 * share
+        assert abs((squared > stats.chi2.ppf(1 - share, 2)).sum() - expected) < 5 * np.sqrt(expected)
+
+
+def test_threshold_is_that_of_one_wrong_sample_in_a_day_at_95_percent() -> None:
+    assert stats.poisson.cdf(1, WRONG) == pytest.approx(0.95, abs=2e-3)
+    observer = ContactObserver(arm7().robot, L, StatedErrors(7))
+    assert stats.chi2.sf(observer.limit, 7) * DAY == pytest.approx(WRONG, rel=1e-6)
+
+
+@pytest.mark.parametrize("push", [0.0, 0.3, 3.0])
+def test_alarm_is_where_the_distance_exceeds_its_limit(push: float) -> None:
+    watch = Watch()
+    watch.see(*motion(np.ones(10), np.where(T[:, None] > 0.08, [0.0, push], 0.0)))
+    squared = watch.e @ np.linalg.solve(watch.S, watch.e)
+    np.testing.assert_allclose(
+        np.array(list(watch.o.compared[2:4])), np.sqrt(watch.o.limit * np.diag(watch.S)), rtol=1e-12
+    )
+    assert watch.contact.acting == (squared > watch.o.limit) == (push == 3.0)
+    if push == 3.0:
+        assert (watch.contact.joint, watch.contact.joints) == (1, 2)
+        assert watch.contact.value > watch.contact.limit
+
+
+def test_contact_ends_once_it_has_been_away_for_a_while() -> None:
+    watch, (position, velocity) = Watch(), motion(np.zeros(10), np.where(T[:, None] < 0.02, [3.0, 0.0], 0.0))
+    watch.see(position, velocity)
+    assert watch.contact.acting
+    for k in range(120, 420):
+        watch.see(position[-1:], 0 * velocity[-1:], k)
+    assert not watch.contact.acting
+
+
+def test_learning_is_the_rule_of_bayes() -> None:
+    """Every 25 samples; the oracle inverts the sum of all information. Contact is not learnt."""
+    watch = Watch(25_000_000, stay=1.0, learned=0)
+    position, velocity = motion(np.full(10, 0.5))
+    information, vector = np.eye(10), np.zeros(10)
+    for k in range(len(T)):
+        watch.see(position[k : k + 1], velocity[k : k + 1], k)
+        if k and k % 25 == 0:
+            information += watch.Z.T @ np.diag(NOISE**-2) @ watch.Z
+            vector -= watch.Z.T @ (watch.r / NOISE**2)
+    P = np.linalg.inv(information)
+    np.testing.assert_allclose(watch.array("P", 100).reshape(10, 10), P, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(watch.array("d", 10), P @ vector, rtol=1e-7, atol=1e-9)
+    before = watch.array("d", 10)
+    position[:, 2:] -= 5.0 / K
+    watch.see(position, velocity, len(T))
+    assert watch.contact.acting
+    np.testing.assert_array_equal(watch.array("d", 10), before)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"link_mass": -0.1}, "link_mass is -0.1; expected one or 2 numbers, 0.0 to"),
+        ({"torque_noise": 0.0}, "torque_noise is 0.0; expected one or 2 numbers, 1e-09 to"),
+        ({"joint_stiffness": [0.1, 0.1, 0.1]}, "expected one or 2 numbers"),
+        ({"link_torque": np.nan}, "link_torque is nan"),
+    ],
+)
+def test_stated_errors_that_make_no_sense_are_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        StatedErrors(2, **given)
