@@ -99,7 +99,7 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
 
 def _error(name: str, size: ArrayLike) -> str:
     if name == DELAY:
-        return f"a delay that changes by up to {size:g} samples either way"
+        return f"a delay that changes by up to {float(np.asarray(size)):g} samples either way"
     unit = "N m" if name in TORQUES else PARAMETERS[name].unit
     sizes = " and ".join(f"{value if unit else 100 * value:g}" for value in np.atleast_1d(size))
     if name in TORQUES:

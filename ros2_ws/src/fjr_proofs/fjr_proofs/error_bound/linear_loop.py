@@ -93,10 +93,6 @@ class LinearLoop:
         names = ("M", "H", "G", "F", "factors")
         return replace(self, **{name: getattr(self, name)[cells] for name in names})
 
-    def shifted(self, cells: int) -> LinearLoop:
-        """Return the models of the cells a number of cells before."""
-        return self.at(np.roll(np.arange(len(self.M)), cells))
-
     @cached_property
     def A(self) -> Array:
         """Matrices (c, 4n, 4n) of dy/dt = A y + .."""
@@ -251,10 +247,6 @@ class KnownErrors:
         """Return the errors of the selected cells."""
         return KnownErrors(self.torque[cells], self.aging[cells], self.effort[cells])
 
-    def shifted(self, cells: int) -> KnownErrors:
-        """Return the errors of the cells a number of cells before."""
-        return self.at(np.roll(np.arange(len(self.torque)), cells))
-
     def followed_by(self, others: KnownErrors) -> KnownErrors:
         """Return the errors with those of further cells."""
         pairs = (self.torque, others.torque), (self.aging, others.aging), (self.effort, others.effort)
@@ -329,7 +321,8 @@ def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) ->
         ends[i] = Z = step[i] @ Z + pushed[i]
     slips = np.ceil(blocks * cells.drift / cells.length) + 1 if cells.drift else 0.0
     remaining = slips * _largest(ends - np.roll(ends, 1, axis=0))
-    following = (linear.shifted(-1), errors.shifted(-1)) if cells.aligned else (linear, errors)
+    after = np.roll(np.arange(cells.count), -1)
+    following = (linear.at(after), errors.at(after)) if cells.aligned else (linear, errors)
     return _magnitudes((linear, errors), following, ends, earlier, remaining)
 
 
@@ -354,9 +347,9 @@ def course(linear: LinearLoop, Z: Array, at: Indices, errors: KnownErrors | None
             earlier[i], course[i] = course[i], loop[i] @ course[i] + force[i]
     of_samples = np.repeat(np.arange(len(at)), samples)
     after = np.minimum(of_samples + linear.centre.cells.aligned, len(at) - 1)
-    cells = ((own.at(each), errors.at(each)) for each in (of_samples, after))
+    ended, following = ((own.at(each), errors.at(each)) for each in (of_samples, after))
     shape = len(of_samples), *Z.shape
-    return _magnitudes(*cells, course.reshape(shape), earlier.reshape(shape), np.zeros(len(Z)))
+    return _magnitudes(ended, following, course.reshape(shape), earlier.reshape(shape), np.zeros(len(Z)))
 
 
 def _forced(linear: LinearLoop, errors: KnownErrors) -> tuple[KnownErrors, Array]:
