@@ -13,40 +13,14 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from fjr_core.law.linearized import Indices
-from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import static
 from fjr_core.stability.linearization import held_maps, map_of_held, split
 
-from .deviation_model import CentreMotion, DeviationModel
+from .deviation_model import CentreMotion, DeviationModel, ModalCoordinates
 from .peak_gains import ROUNDING, CellModels, columnwise, curvature
-
-
-class ModalCoordinates:
-    """Coordinates of the deviation in which the joints act on each other less than in their own.
-
-    A bound of each coordinate by itself ignores the signs of the others. In the modes of a mean inertia matrix M_l,
-    which the controller decouples, less is lost than in the joints:
-
-        y = S z,  S = diag(R, R^-T K, R, R),   torques R^-T w,   accelerations R dz_3,   R' R = M_l
-
-    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (3n, 3n) acts on links, motors and
-    springs.
-    """
-
-    def __init__(self, robot: Robot, M_l: Array) -> None:
-        eigenvalues, vectors = np.linalg.eigh(M_l)
-        self.R: Array = np.sqrt(eigenvalues)[:, None] * vectors.T
-        self.acceleration: Array = np.linalg.inv(self.R)
-        self.torque: Array = self.acceleration.T
-        self.torques: Array = block_diag(*[self.torque] * 3)
-        self.effort: Array = self.torque @ robot.B_m
-        self.effort_inverse: Array = np.asarray(np.linalg.inv(self.effort), dtype=float)
-        self.S: Array = block_diag(self.R, self.torque @ robot.K, self.R, self.R)
-        self.S_inverse: Array = np.linalg.inv(self.S)
 
 
 @dataclass(frozen=True, eq=False)
