@@ -83,13 +83,13 @@ LAYERS = {
 BUDGETS = {
     "fjr_core": 13_330,
     "fjr_msgs_py": 3_800,
-    "fjr_monitor": 7_630,
+    "fjr_monitor": 7_650,
     "fjr_plant": 1_500,
     "fjr_controller": 1_930,
-    "fjr_design": 9_850,
+    "fjr_design": 9_860,
     "fjr_identification": 6_540,
-    "fjr_proofs": 3_570,
-    "fjr_engines": 1_450,
+    "fjr_proofs": 3_910,
+    "fjr_engines": 1_290,
     "fjr_bringup": 1_350,
 }
 """Most lines of Python of each package. What needs more raises its budget in the same commit and says why."""

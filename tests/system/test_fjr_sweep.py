@@ -86,14 +86,18 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
     assert not Path(f"/proc/{killed[0]}/stat").exists() or "Z" in Path(f"/proc/{killed[0]}/stat").read_text()
 
 
-def test_a_scheduler_without_address_answer_or_program_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_without_address_answer_or_program_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed")
+    line = ("sweep", sweep_file(tmp_path, 20), "--scheduler", "nowhere", "--output", str(tmp_path))
+    assert "address is 'nowhere'; expected e.g. tcp://" in fjr_here(*line, code=1)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        for given, words in ((address, f"no Dask scheduler answers at {address}"), ("nowhere", "expected e.g. tcp://")):
-            with pytest.raises(ClusterError, match=words), cluster(given, timeout=0.5):
-                pass
+        words = f"no Dask scheduler answers at {address}"
+        with pytest.raises(ClusterError, match=words), cluster(address, timeout=0.5):
+            pass
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = "dask.distributed is not installed here; .*pip install distributed"
     with pytest.raises(ClusterError, match=words), cluster("tcp://127.0.0.1:8786"):

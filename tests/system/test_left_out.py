@@ -44,8 +44,8 @@ for line in sys.argv[1:]:
 
 
 def fjr(folder: Path, *lines: str) -> list[tuple[int, str]]:
-    """Return exit code and output of commands without identification and proofs, run in one process."""
-    _, said = python(PROGRAM, without("fjr_identification", "fjr_proofs"), folder, *lines)
+    """Return exit code and output of commands without identification, proofs and engines, run in one process."""
+    _, said = python(PROGRAM, without("fjr_identification", "fjr_proofs", "fjr_engines"), folder, *lines)
     found = re.findall(r"(.*?)^\| (\d)$", said, re.DOTALL | re.MULTILINE)
     assert len(found) == len(lines), said
     return [(int(code), text) for text, code in found]
@@ -58,6 +58,7 @@ NEEDS = {
     "check paper_k31 --error payload=0.1": (1, "fjr_proofs"),
     "check paper_k31 --prove-sampled": (1, "fjr_proofs"),
     "gains two_link --beta 1 --proven": (1, "fjr_proofs"),
+    "export-mjcf two_link arm.xml": (1, "fjr_engines"),
 }
 
 

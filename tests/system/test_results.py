@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from fjr_bringup.cli.app import fjr as application
 from fjr_bringup.cli.app import main
@@ -19,7 +21,7 @@ from fjr_core.extensions.law_registry import LAWS
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.run import ControllerStop
 from fjr_monitor.report import html
-from fjr_monitor.report.run_page import write_run_page
+from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import RunSummary
 from fjr_monitor.report.write import compare, report_bag
 from fjr_monitor.report.write import report as report_bags
@@ -103,12 +105,15 @@ def test_results_of_a_run_and_of_a_report_hold_the_metrics(summary: RunSummary, 
 def test_a_run_with_another_law_is_reported_without_v(summary: RunSummary, tmp_path: Path) -> None:
     run = Path(summary.report.bag).parent
     _, scenario = library.as_run(run / "scenario.yaml", {"law.type": "lqr"})
-    report = report_bag("lqr", read_bag(run / "bag"), scenario, tmp_path).report.as_json()
+    found, figure = report_bag("lqr", read_bag(run / "bag"), scenario, tmp_path), Figure()
+    report = found.report.as_json()
     assert report["verdict"]["kind"] == "unknown"
     assert report["verdict"]["sentence"] == "no diagnosis: the law lqr has no certificate"
     assert report["storage"] is None
     assert np.isfinite(report["joints"][0]["peak_effort_nm"])
     assert (tmp_path / "report.html").is_file()
+    draw_overview("lqr", found.data, found.report, figure)
+    assert any("this law has no certificate" in text.get_text() for text in figure.findobj(Text))
 
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])

@@ -145,12 +145,7 @@ def urdf(model: mujoco.MjModel, drives: Mapping[str, str], name: str, meshes: Se
             before = frame.copy()
         if body.id and not joints:
             _add_joint(robot, f"{body.name}_fixed", "fixed", (link, body.name), np.linalg.inv(before) @ frame)
-        element = _add(robot, "link", name=body.name)
-        if body.mass[0]:
-            _add_inertial(element, body, np.linalg.inv(frame) @ pose_of(data.xipos[body.id], data.ximat[body.id]))
-        for geom in _visible(model, body):
-            place = np.linalg.inv(frame) @ pose_of(data.geom_xpos[geom.id], data.geom_xmat[geom.id])
-            _add_visual(element, model, geom, place, meshes)
+        _add_link(robot, model, data, body, frame, meshes)
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
@@ -163,19 +158,24 @@ def _add_joint(robot: Element, name: str, kind: str, links: tuple[str, str], pos
     return joint
 
 
-def _add_inertial(link: Element, body: Any, pose: Array) -> None:
-    """Add mass and inertia of a body, whose principal axes have this pose in the link."""
-    J = pose[:3, :3] @ np.diag(body.inertia) @ pose[:3, :3].T
-    inertial = _add(link, "inertial")
-    _add(inertial, "origin", xyz=_text(pose[:3, 3]))
-    _add(inertial, "mass", value=_text(body.mass))
-    _add(inertial, "inertia", **dict(zip(INERTIA, map(_text, J[np.triu_indices(3)]), strict=True)))
+def _add_link(
+    robot: Element, model: mujoco.MjModel, data: mujoco.MjData, body: Any, frame: Array, meshes: Sequence[str]
+) -> None:
+    """Add a link with its inertia and the geoms that show it: those that never touch anything, else all.
 
-
-def _visible(model: mujoco.MjModel, body: Any) -> list[Any]:
-    """Return the geoms that show a body: those that never touch anything, else all."""
+    frame (4, 4): pose of the link in the world.
+    """
+    link, to_link = _add(robot, "link", name=body.name), np.linalg.inv(frame)
+    if body.mass[0]:
+        pose = to_link @ pose_of(data.xipos[body.id], data.ximat[body.id])
+        J = pose[:3, :3] @ np.diag(body.inertia) @ pose[:3, :3].T
+        inertial = _add(link, "inertial")
+        _add(inertial, "origin", xyz=_text(pose[:3, 3]))
+        _add(inertial, "mass", value=_text(body.mass))
+        _add(inertial, "inertia", **dict(zip(INERTIA, map(_text, J[np.triu_indices(3)]), strict=True)))
     geoms = [model.geom(body.geomadr[0] + k) for k in range(body.geomnum[0])]
-    return [geom for geom in geoms if not (geom.contype[0] or geom.conaffinity[0])] or geoms
+    for geom in [geom for geom in geoms if not (geom.contype[0] or geom.conaffinity[0])] or geoms:
+        _add_visual(link, model, geom, to_link @ pose_of(data.geom_xpos[geom.id], data.geom_xmat[geom.id]), meshes)
 
 
 def _add_visual(link: Element, model: mujoco.MjModel, geom: Any, pose: Array, meshes: Sequence[str]) -> None:
