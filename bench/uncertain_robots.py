@@ -100,7 +100,8 @@ class UncertainLoop:
     def _parameters(self, shares: Array) -> Array:
         """Return all parameters (k, .) at shares of the uncertain ones."""
         ends = np.cumsum([self._sizes[name].size for name in self.errors])[:-1]
-        of_errors = dict(zip(self.errors, np.split(shares, ends, axis=1), strict=True))
+        parts = np.split(shares, ends, axis=1) if self.errors else []
+        of_errors = dict(zip(self.errors, parts, strict=True))
         columns = []
         for name, size in self._sizes.items():
             share = of_errors.get(name, np.zeros((len(shares), size.size)))

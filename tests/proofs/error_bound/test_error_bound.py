@@ -230,6 +230,17 @@ def test_delay_and_every_error_enlarge_the_bound() -> None:
         assert paper(T, **{name: 0.05}).position > paper(T).position, name
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.3 * T, T])
+def test_no_robot_with_a_delay_within_its_error_exceeds_the_bound(delay: float) -> None:
+    made, errors = joint(), {"payload": 0.1}
+    bound = bound_errors(made, SWING, T, 0.5 * T, errors | {"delay": 0.5})
+    steady, whole = drawn(class_of(made, SWING, delay, errors), 20)
+    assert bound.proven
+    assert np.all(steady <= bound.position)
+    assert np.all(whole <= bound.from_start)
+    assert np.all(bound.position <= 1.5 * steady.max())
+
+
 def test_errors_too_large_for_a_tube_give_no_bound() -> None:
     found = paper(T, link_torque=100.0)
     assert not found.found
@@ -294,6 +305,7 @@ def test_a_reference_that_ends_is_bounded_from_samples() -> None:
         ((SWING, T, 0.0, {"stiffness": [0.1, 0.1]}), r"error 'stiffness' has shape \(2,\); expected one number or 1"),
         ((SWING, T, 0.0, {"payload_position": 0.1}), "error 'payload_position' is given alone; expected one with"),
         ((SWING, T, 0.0, {"stiffness": 1.5}), "error 'stiffness' is 1.5; expected 0 to 0.9"),
+        ((SWING, T, 0.8 * T, {"delay": 0.4}), "error 'delay' is 0.4; expected 0 to 0.2"),
         ((SWING, T, 0.0, {"link_torque": np.nan}), "error 'link_torque' is nan; expected 0 to inf"),
         ((fjr.Sine(0.5, 0.01), T), "neither a common period nor an end within 60 s"),
         ((fjr.MultiSine([[0.3], [0.1]], [[1.0], [np.sqrt(2)]]), T), "neither a common period nor an end within 60 s"),

@@ -19,7 +19,7 @@ from fjr_core.robust.law import Robust, RobustLaw
 from fjr_msgs_py.console.output import progress_bar
 
 from .error_bound.contraction import SampledContraction, sampled_contraction
-from .error_bound.search import SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
+from .error_bound.search import DELAY, SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
 from .error_bound.uncertain_robot import PARAMETERS
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
@@ -98,6 +98,8 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
 
 
 def _error(name: str, size: ArrayLike) -> str:
+    if name == DELAY:
+        return f"a delay that changes by up to {float(np.asarray(size)):g} samples either way"
     unit = "N m" if name in TORQUES else PARAMETERS[name].unit
     sizes = " and ".join(f"{value if unit else 100 * value:g}" for value in np.atleast_1d(size))
     if name in TORQUES:

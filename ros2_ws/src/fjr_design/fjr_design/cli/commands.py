@@ -102,7 +102,7 @@ def check(**given: Any) -> Any:
     itself or a list of them: link_mass, link_inertia, stiffness, motor_inertia, link_damping, motor_damping; of all
     together: payload (mass and inertia of the links), gravity. payload=1.4kg is a mass at the last link, up to
     payload_position [m] beside imperfections.payload_position; gravity_direction is in rad, link_torque and
-    motor_torque are in N m.
+    motor_torque are in N m, delay (from sample to sample) in samples.
     """
     return implementation("fjr_design.cli.check").check_scenario(**given)
 

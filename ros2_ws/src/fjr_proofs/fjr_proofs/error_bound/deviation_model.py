@@ -21,9 +21,11 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
 
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import StaticLaw
+from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import MotorMotion
 from fjr_core.motions.reference import JETS
 from fjr_core.motions.sine import MultiSine, Sines
@@ -234,3 +236,27 @@ class DeviationModel:
         dense = [ca.densify(ca.SX(result)) for result in results]
         given, outputs = [getattr(self, f"_{key}") for key in names], [f"result{i}" for i in range(len(dense))]
         return ca.Function(name, given, dense, names, outputs, {"cse": True})
+
+
+class ModalCoordinates:
+    """Coordinates of the deviation in which the joints act on each other less than in their own.
+
+    A bound of each coordinate by itself ignores the signs of the others. In the modes of a mean inertia matrix M_l,
+    which the controller decouples, less is lost than in the joints:
+
+        y = S z,  S = diag(R, R^-T K, R, R),   torques R^-T w,   accelerations R dz_3,   R' R = M_l
+
+    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (3n, 3n) acts on links, motors and
+    springs.
+    """
+
+    def __init__(self, robot: Robot, M_l: Array) -> None:
+        eigenvalues, vectors = np.linalg.eigh(M_l)
+        self.R: Array = np.sqrt(eigenvalues)[:, None] * vectors.T
+        self.acceleration: Array = np.linalg.inv(self.R)
+        self.torque: Array = self.acceleration.T
+        self.torques: Array = block_diag(*[self.torque] * 3)
+        self.effort: Array = self.torque @ robot.B_m
+        self.effort_inverse: Array = np.asarray(np.linalg.inv(self.effort), dtype=float)
+        self.S: Array = block_diag(self.R, self.torque @ robot.K, self.R, self.R)
+        self.S_inverse: Array = np.linalg.inv(self.S)

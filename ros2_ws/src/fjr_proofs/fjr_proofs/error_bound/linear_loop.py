@@ -13,40 +13,14 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from fjr_core.law.linearized import Indices
-from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import static
 from fjr_core.stability.linearization import held_maps, map_of_held, split
 
-from .deviation_model import CentreMotion, DeviationModel
+from .deviation_model import CentreMotion, DeviationModel, ModalCoordinates
 from .peak_gains import ROUNDING, CellModels, columnwise, curvature
-
-
-class ModalCoordinates:
-    """Coordinates of the deviation in which the joints act on each other less than in their own.
-
-    A bound of each coordinate by itself ignores the signs of the others. In the modes of a mean inertia matrix M_l,
-    which the controller decouples, less is lost than in the joints:
-
-        y = S z,  S = diag(R, R^-T K, R, R),   torques R^-T w,   accelerations R dz_3,   R' R = M_l
-
-    torque = R^-T, acceleration = R^-1 and effort = R^-T B_m are (n, n), torques (3n, 3n) acts on links, motors and
-    springs.
-    """
-
-    def __init__(self, robot: Robot, M_l: Array) -> None:
-        eigenvalues, vectors = np.linalg.eigh(M_l)
-        self.R: Array = np.sqrt(eigenvalues)[:, None] * vectors.T
-        self.acceleration: Array = np.linalg.inv(self.R)
-        self.torque: Array = self.acceleration.T
-        self.torques: Array = block_diag(*[self.torque] * 3)
-        self.effort: Array = self.torque @ robot.B_m
-        self.effort_inverse: Array = np.asarray(np.linalg.inv(self.effort), dtype=float)
-        self.S: Array = block_diag(self.R, self.torque @ robot.K, self.R, self.R)
-        self.S_inverse: Array = np.linalg.inv(self.S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +66,6 @@ class LinearLoop:
         """Return the models of the selected cells."""
         names = ("M", "H", "G", "F", "factors")
         return replace(self, **{name: getattr(self, name)[cells] for name in names})
-
-    def shifted(self, cells: int) -> LinearLoop:
-        """Return the models of the cells a number of cells before."""
-        return self.at(np.roll(np.arange(len(self.M)), cells))
 
     @cached_property
     def A(self) -> Array:
@@ -251,10 +221,6 @@ class KnownErrors:
         """Return the errors of the selected cells."""
         return KnownErrors(self.torque[cells], self.aging[cells], self.effort[cells])
 
-    def shifted(self, cells: int) -> KnownErrors:
-        """Return the errors of the cells a number of cells before."""
-        return self.at(np.roll(np.arange(len(self.torque)), cells))
-
     def followed_by(self, others: KnownErrors) -> KnownErrors:
         """Return the errors with those of further cells."""
         pairs = (self.torque, others.torque), (self.aging, others.aging), (self.effort, others.effort)
@@ -329,7 +295,8 @@ def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) ->
         ends[i] = Z = step[i] @ Z + pushed[i]
     slips = np.ceil(blocks * cells.drift / cells.length) + 1 if cells.drift else 0.0
     remaining = slips * _largest(ends - np.roll(ends, 1, axis=0))
-    following = (linear.shifted(-1), errors.shifted(-1)) if cells.aligned else (linear, errors)
+    after = np.roll(np.arange(cells.count), -1)
+    following = (linear.at(after), errors.at(after)) if cells.aligned else (linear, errors)
     return _magnitudes((linear, errors), following, ends, earlier, remaining)
 
 
@@ -354,9 +321,9 @@ def course(linear: LinearLoop, Z: Array, at: Indices, errors: KnownErrors | None
             earlier[i], course[i] = course[i], loop[i] @ course[i] + force[i]
     of_samples = np.repeat(np.arange(len(at)), samples)
     after = np.minimum(of_samples + linear.centre.cells.aligned, len(at) - 1)
-    cells = ((own.at(each), errors.at(each)) for each in (of_samples, after))
+    ended, following = ((own.at(each), errors.at(each)) for each in (of_samples, after))
     shape = len(of_samples), *Z.shape
-    return _magnitudes(*cells, course.reshape(shape), earlier.reshape(shape), np.zeros(len(Z)))
+    return _magnitudes(ended, following, course.reshape(shape), earlier.reshape(shape), np.zeros(len(Z)))
 
 
 def _forced(linear: LinearLoop, errors: KnownErrors) -> tuple[KnownErrors, Array]:

@@ -21,7 +21,7 @@ from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array, floats
 from fjr_core.numerics.one_line import one_line
-from fjr_core.stability.linearization import checked_times
+from fjr_core.stability.linearization import checked_times, split
 
 from ..verification.taylor_models import taylor_function
 from .cells import Cells, cells_of
@@ -34,6 +34,8 @@ from .uncertain_robot import PARAMETERS, UncertainRobot
 
 TORQUES = ("link_torque", "motor_torque")
 """Names of errors in N m of any joint, with any time course; the others are PARAMETERS."""
+DELAY = "delay"
+"""Name of the error of the delay in samples, which may change from sample to sample."""
 SECONDS_TO_PROVE = 2  # joints
 NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = 128
@@ -55,8 +57,8 @@ class ErrorBound:
 
     position, velocity (n,) [rad, rad/s]: ultimate bounds of |q_l - q_ld| and |dq_l - dq_ld| in steady motion; infinite
     if no invariant tube was found. from_start (n,) [rad]: bound of the positions at all times for a robot that starts
-    on the reference, and then ends within `position`; infinite unless proven. errors: of PARAMETERS and
-    TORQUES. storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
+    on the reference, and then ends within `position`; infinite unless proven. errors: of PARAMETERS, TORQUES and DELAY.
+    storage [J]: ultimate bound of V in steady motion; nan if the law has none. parts: number of parts
     of the box of factors. proven: every constant is verified; otherwise the bound rests on sampled constants.
     """
 
@@ -90,32 +92,37 @@ def bound_errors(
 ) -> ErrorBound:
     """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
 
-    delay [s]: constant, from a state to the effort that answers it. errors: largest errors of the robot's PARAMETERS,
-    one number or one for each joint or axis (`UncertainRobot`, also for payload_position), and largest TORQUES [N m]
-    that act at any joint with any time course. progress: see `Progress`. prove: whether a proof is tried; None: where
-    it takes seconds, with up to SECONDS_TO_PROVE joints or without an error of a parameter.
+    delay [s]: from a state to the effort that answers it. errors: largest errors of the robot's PARAMETERS, one number
+    or one for each joint or axis (`UncertainRobot`, also for payload_position), largest TORQUES [N m] that act at any
+    joint with any time course, and that of the DELAY, which stays between two whole numbers of samples. progress: see
+    `Progress`. prove: whether a proof is tried; None: where it takes seconds, with up to SECONDS_TO_PROVE joints or
+    without an error of a parameter.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
     a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
     CompilerError without a C compiler.
     """
     checked_times(sample_period, delay)
+    known = *PARAMETERS, *TORQUES, DELAY
     for name in errors:
-        if name not in (*PARAMETERS, *TORQUES):
-            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join((*PARAMETERS, *TORQUES))}")
-    n, torques = law.robot.n, [floats(name, errors.get(name, 0.0), ParameterError) for name in TORQUES]
-    for name, torque in zip(TORQUES, torques, strict=True):
-        if torque.ndim or not 0 <= torque < np.inf:
-            raise ParameterError(f"error '{name}' is {torque}; expected 0 to inf")
+        if name not in known:
+            raise ParameterError(f"error '{name}' is unknown; expected some of {', '.join(known)}")
+    _, fraction = split(delay, sample_period)
+    limits = dict.fromkeys(TORQUES, np.inf) | {DELAY: min(fraction, 1 - fraction)}
+    sizes = {name: floats(name, errors.get(name, 0.0), ParameterError) for name in limits}
+    for name, limit in limits.items():
+        if sizes[name].ndim or not 0 <= sizes[name] <= limit or np.isinf(sizes[name]):
+            raise ParameterError(f"error '{name}' is {sizes[name]}; expected 0 to {limit:g}")
+    n, torques = law.robot.n, [sizes[name] for name in TORQUES]
     model = DeviationModel(law, UncertainRobot(law.robot, errors, payload_position))
     box = -np.ones(model.uncertain.count), np.ones(model.uncertain.count)
-    given = model, reference, sample_period, delay, np.repeat(torques, n)
-    search = Search(*given, verified=True)
+    given, late = (model, reference, sample_period, delay, np.repeat(torques, n)), sample_period * float(sizes[DELAY])
+    search = Search(*given, verified=True, late=late)
     if prove is None:
         prove = n <= SECONDS_TO_PROVE or not model.uncertain.count
     boxes = search.boxes(*box, progress) if prove and search.applies else []
     proven = bool(boxes) and all(box.has_tube for box in boxes)
     if not proven:
-        boxes = Search(*given, verified=False).boxes(*box, progress)
+        boxes = Search(*given, verified=False, late=late).boxes(*box, progress)
     ultimate = np.max([box.ultimate for box in boxes], axis=0)
     start = np.max([box.from_start for box in boxes], axis=0)
     storage = float(np.max([box.storage for box in boxes]))
