@@ -12,7 +12,7 @@ With d the torque that the motors lack, c = (L s + L L_p) / (s^2 + (M_m^-1 D_m +
 constant d is compensated and leaves theta_n - theta = (M_m L L_p)^-1 d.
 
 u_c is motor PD with feedforward (pd_gravity.py), for the PD with gravity of the paper. The equations are those of
-(1, 2) in the authors' form "PD" as published with a controller of the Kinova Gen3 (gen3_compliant_controllers); D_m and
+(1, 2) in the form "PD" of an implementation by others for the Kinova Gen3 (gen3_compliant_controllers); D_m and
 the feedforward are our addition. (1) is integrated under the effort that was sent, so that a limit does not drive
 theta_n away.
 """
