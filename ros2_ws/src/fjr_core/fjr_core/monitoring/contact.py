@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
+from math import erfc, exp, gamma, sqrt
 from typing import Any
 
 import casadi as ca
@@ -90,6 +91,21 @@ class StatedErrors:
         return np.concatenate([np.asarray(getattr(self, each.name)) for each in fields(self)[1:-1]])
 
 
+def chi_squared_quantile(n: int, beyond: float) -> float:
+    """Return what chi^2 of n degrees exceeds with the probability `beyond`, by bisection; a node does without SciPy.
+
+    P(chi^2 > 2 y) = erfc(sqrt(y)) (n odd) + exp(-y) sum_h y^h / Gamma(h + 1), h = n/2 - 1, n/2 - 2, .. >= 0
+    (Abramowitz and Stegun 26.4.4, 26.4.5).
+    """
+    powers = [n / 2 - k for k in range(1, n // 2 + 1)]
+    low, high = 0.0, 100.0 + 2 * n
+    for _ in range(80):
+        y = (low + high) / 2
+        tail = exp(-y) * sum(y**h / gamma(h + 1) for h in powers) + (erfc(sqrt(y)) if n % 2 else 0.0)
+        low, high = (y, high) if tail > beyond else (low, y)
+    return low + high
+
+
 class ContactObserver:
     """External torques r on the links and their derivatives -Z by the stated errors.
 
@@ -106,9 +122,7 @@ class ContactObserver:
     @cached_property
     def limit(self) -> float:
         """Square of the Mahalanobis distance beyond which there is contact."""
-        from scipy.special import chdtri  # loaded on use: see law/gains.py
-
-        return float(chdtri(self.robot.n, WRONG / DAY))
+        return chi_squared_quantile(self.robot.n, WRONG / DAY)
 
     @cached_property
     def function(self) -> ca.Function:
