@@ -81,7 +81,7 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 13_330,
+    "fjr_core": 13_350,
     "fjr_msgs_py": 3_800,
     "fjr_monitor": 7_790,
     "fjr_plant": 1_500,
