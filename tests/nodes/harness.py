@@ -271,10 +271,15 @@ class Peer(Listener):
 
     def started(self, q: Any = 0.5, **parameters: Any) -> ControllerNode:
         """Start a controller; return it once it has answered the first state, at rest at q."""
+        node = self.lone_controller(**parameters)
+        self.ask(stamped(0.0, q))
+        return node
+
+    def lone_controller(self, **parameters: Any) -> ControllerNode:
+        """Start a controller; return it once it is connected and the publishers of earlier tests have left."""
         node = self.controller(**parameters)
         topics = node._control._command_loop._topics
         self._ros.until(lambda: not topics.others_appeared(), "publishers of an earlier test to leave")
-        self.ask(stamped(0.0, q))
         return node
 
     def ask(self, state: JointState, answered: bool = True) -> JointState | None:

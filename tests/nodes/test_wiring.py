@@ -81,7 +81,7 @@ def made(model: str, **parameters: Any) -> fjr.Robot:
 def controller_effort(ros: Ros, model: str = "single_link", **parameters: Any) -> np.ndarray:
     """Return the effort of a controller node with these parameters at time T after a start at 0."""
     peer = Peer(ros)
-    peer.controller(**{"start__join_time": 0.0, **model_parameters(model), **parameters})
+    peer.lone_controller(**{"start__join_time": 0.0, **model_parameters(model), **parameters})
     names = [*joints(model), *(f"{joint}_motor" for joint in joints(model))]
     n = len(joints(model))
     peer.ask(stamped(0.0, names=names))
