@@ -30,7 +30,7 @@ from .faults import FAULTS, HEALTHY, ROBOTS, WIRING, duration_of, joints_of
 from .wiring import HEALTHY_LASTING, LASTING, SEED, Stop, healthy, wrong
 
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
-OTHER = "several or none"
+OTHER, SEVERAL = "several or none", "several"
 KINDS = (*FAULTS, *WIRING, HEALTHY)
 SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
 
@@ -113,15 +113,17 @@ def faults_of(seed: int) -> list[str]:
         outcomes.append(result := outcome(case))
         if result.kind != result.found or not result.joint:
             print(f"seed {seed}: {case.name}: {result}", file=sys.stderr, flush=True)
-    columns, cells = counted([each[:2] for each in outcomes], KINDS)
+    columns, cells = counted([(e.kind, SEVERAL if " or " in e.found else e.found) for e in outcomes], KINDS)
     joints = {kind: [each.joint for each in outcomes if each.kind == kind] for kind in KINDS}
     rows = [
         (f"{SHORT[kind]} {kind}", *row, f"{sum(joints[kind])}/{len(joints[kind])}")
         for kind, row in zip(KINDS, cells, strict=True)
     ]
     faulty = [each for each in outcomes if each.kind != HEALTHY]
-    kind, joint = (100 * np.mean(right) for right in zip(*((e.kind == e.found, e.joint) for e in faulty), strict=True))
-    said = f"{len(faulty)} faulty runs: kind right in {kind:.1f} %, joint in {joint:.1f} %."
+    right = [(e.kind == e.found, e.kind in e.found.split(" or "), e.joint) for e in faulty]
+    alone, named, joint = 100 * np.mean(right, axis=0)
+    kinds = f"kind right in {alone:.1f} % alone, in {named:.1f} % alone or beside others"
+    said = f"{len(faulty)} faulty runs: {kinds}, joint in {joint:.1f} %."
     return [said, "", *markdown(("label", *(SHORT.get(each, each) for each in columns), "joint right"), rows)]
 
 

@@ -28,7 +28,7 @@ from .verdict import Finding
 
 CONTRADICTION = 5.0
 """Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
-SLIPS, SLIP = 2, 0.1
+SLIPS, SLIP = 2, 0.01
 """Blocks in which a position jumps, and the share of the power that others have, if an encoder slips."""
 DISCRETISED = 5e-4
 """Difference relative to the speed that is attributed to discretisation."""
