@@ -126,6 +126,14 @@ def test_alarm_is_where_the_distance_exceeds_its_limit(push: float) -> None:
         assert watch.contact.value > watch.contact.limit
 
 
+def test_a_distance_that_rounding_has_lost_is_contact() -> None:
+    watch = Watch()
+    for k in range(0, 100, 11):
+        watch.o.P[k] = -1e9  # no covariance; S has no square root
+    watch.see(*motion(np.zeros(10)))
+    assert watch.contact.acting
+
+
 def test_contact_ends_once_it_has_been_away_for_a_while() -> None:
     watch, (position, velocity) = Watch(), motion(np.zeros(10), np.where(T[:, None] < 0.02, [3.0, 0.0], 0.0))
     watch.see(position, velocity)

@@ -37,10 +37,9 @@ from ..numerics.checks import Array, floats, freeze, positive
 from ..numerics.jit import compiled_from_inputs
 from ..numerics.one_line import brief, one_line
 from ..numerics.parameter_field import VECTOR, declared, parameter_field
-from ..numerics.symbolic import PackedVector, dense_function, symbols
-from ..robust.disturbance_observer import next_residual
+from ..numerics.symbolic import dense_function, symbols
 from ..runtime.library import TorqueObserverStruct
-from ..runtime.velocity_observer import LONGEST_GAP
+from .external_torque import observer_function
 
 DAY = 86_400_000
 """Samples of 24 h at 1 kHz."""
@@ -142,15 +141,8 @@ class ContactObserver:
         return TorqueObserverStruct(ffi, self.function, self.bandwidth, noise, self.limit, period, DRIFT)
 
     def _function(self) -> ca.Function:
-        n, columns = self.robot.n, 1 + len(self.errors.deviations)
-        s = symbols(ca.MX, kept=3 * n * columns, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
-        parts, dt = PackedVector({"p": n * columns, "f": n * columns, "r": n * columns}), s["dt"]
-        kept = parts.unpack(s["kept"])
-        p, f = self.momenta(s["position"], s["velocity"])
-        follows = ca.logic_and(_finite(s["kept"]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
-        r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
-        r = ca.if_else(_finite(ca.vertcat(p, f)), r, np.nan)
-        return dense_function("contact", s, {"next": parts.pack({"p": p, "f": f, "r": r})})
+        n = self.robot.n
+        return observer_function("contact", n, n * (1 + len(self.errors.deviations)), self.momenta)
 
     @cached_property
     def momenta(self) -> ca.Function:
@@ -186,8 +178,3 @@ class ContactObserver:
         chain = ChainAt(links.bodies, masses, links.end_effector.gravity, q_l[along])
         moving = chain.kinetic_gradient(dq_l[along]) - chain.gravity_torque()
         return (chain.inertia() @ dq_l[along])[order], moving[order]
-
-
-def _finite(values: ca.MX) -> ca.MX:
-    """Return 1 if all values are finite, else 0."""
-    return ca.sum1(ca.fabs(values)) < np.inf

@@ -15,6 +15,7 @@ Velocities of an observer of bandwidth w [rad/s] add the low-pass w^2 / (s + w)^
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import casadi as ca
@@ -61,15 +62,8 @@ class ExternalTorqueObserver:
         return compiled_from_inputs("external_torque", self.robot.fingerprint(), "", self._function)
 
     def _function(self) -> ca.Function:
-        n = self.robot.n
-        s = symbols(ca.MX, kept=3 * n, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
-        parts, dt = PackedVector({"p": n, "f": n, "r": n}), s["dt"]
-        kept = parts.unpack(s["kept"])
-        p, f = (each[:n] for each in momenta(self.robot)(s["position"], s["velocity"]))
-        follows = ca.logic_and(_finite(s["kept"]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
-        r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
-        r = ca.if_else(_finite(ca.vertcat(p, f)), r, np.nan)
-        return dense_function("external_torque", s, {"next": parts.pack({"p": p, "f": f, "r": r})})
+        n, of_both_sides = self.robot.n, momenta(self.robot)
+        return observer_function("external_torque", n, n, lambda q, dq: [each[:n] for each in of_both_sides(q, dq)])
 
     def along(self, t: Array, position: Array, velocity: Array, before: Array | None = None) -> Array:
         """Return what is kept (k, 3n) after each of k samples; its last n columns are the estimated torques [N m].
@@ -82,6 +76,20 @@ class ExternalTorqueObserver:
         bandwidth, dt = np.full((1, len(t)), self.bandwidth), np.diff(t, prepend=0.0)[None]
         found = self.function.mapaccum("along", len(t))(kept, position.T, velocity.T, bandwidth, dt)
         return np.asarray(found.full().T)
+
+
+def observer_function(name: str, n: int, size: int, momentum: Callable[[ca.MX, ca.MX], Sequence[ca.MX]]) -> ca.Function:
+    """Return the function (kept, position, velocity, bandwidth, dt) -> kept of a momentum observer of n joints.
+
+    momentum: (position, velocity) -> p and dp/dt - tau, each (size,). kept (3 size,): p, dp/dt - tau, r.
+    """
+    s = symbols(ca.MX, kept=3 * size, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
+    parts, dt = PackedVector({"p": size, "f": size, "r": size}), s["dt"]
+    p, f = momentum(s["position"], s["velocity"])
+    follows = ca.logic_and(_finite(s["kept"]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
+    r = ca.if_else(follows, next_residual(parts.unpack(s["kept"]), p, f, 0.0, s["bandwidth"], dt), 0)
+    r = ca.if_else(_finite(ca.vertcat(p, f)), r, np.nan)
+    return dense_function(name, s, {"next": parts.pack({"p": p, "f": f, "r": r})})
 
 
 def _finite(values: ca.MX) -> ca.MX:

@@ -85,7 +85,7 @@ static void name_joints(const struct fjr_torque_observer* o, struct fjr_contact*
 static void watch_contact(struct fjr_torque_observer* o, struct fjr_contact* c, const double* r, int64_t stamp) {
   explain(o, r);
   const double D = squared_distance(o);
-  if (D > (c->acting ? o->limit / 4 : o->limit)) {
+  if (!(D <= (c->acting ? o->limit / 4 : o->limit))) { /* also if rounding has left no distance */
     if (!c->acting) c->joints = 0;
     name_joints(o, c);
     c->acting = 1, c->stamp = stamp;
