@@ -49,6 +49,7 @@ REFUSED = [
     ("check alias.yaml", 2, "has a YAML alias (*rate), which ROS 2"),
     ("check paper_k31 --set robot.file:=none.yaml", 2, "parameter 'robot.file': cannot read robot file"),
     ("check arm7 --set robot.joint_stiffness:=[1.0]", 2, "'robot.joint_stiffness' has 1 entries; expected 7"),
+    ("check arm7 --set robot.deviations.torque_noise:=[0.1,0.2]", 2, "torque_noise' has 2 entries; expected 7"),
     ("check paper_k3p1 --set robust.integral_gain:=[40.0]", 2, "integral_gain is [40] 1/s, which makes the loop unst"),
     ("check paper_k31 --error mass=0.2", 2, "error 'mass' is unknown; expected some of payload, payload_mass"),
     ("check paper_k31 --error payload=0.1 --error payload=0.2", 2, "'payload' is given 2 times; expected it once"),

@@ -197,6 +197,7 @@ def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) ->
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
     _ = scenario.reference, measurement(scenario.controller_values, scenario.robot)
+    _ = robot_parameters.stated_errors(scenario.controller_values)
     own_law, own_plant = (is_named(values[kind.name]) for kind, values in types)
     if user_code or not own_law:
         _ = scenario.sampled_law

@@ -111,7 +111,8 @@ def bound_errors(
     sizes = {name: floats(name, errors.get(name, 0.0), ParameterError) for name in limits}
     for name, limit in limits.items():
         if sizes[name].ndim or not 0 <= sizes[name] <= limit or np.isinf(sizes[name]):
-            raise ParameterError(f"error '{name}' is {sizes[name]}; expected 0 to {limit:g}")
+            room = f", beside a delay of {delay / sample_period:g} samples" if name == DELAY else ""
+            raise ParameterError(f"error '{name}' is {sizes[name]}; expected 0 to {limit:g}{room}")
     n, torques = law.robot.n, [sizes[name] for name in TORQUES]
     model = DeviationModel(law, UncertainRobot(law.robot, errors, payload_position))
     box = -np.ones(model.uncertain.count), np.ones(model.uncertain.count)

@@ -25,7 +25,7 @@ from fjr_core.numerics.checks import Array, floats
 from fjr_core.numerics.symbolic import PackedVector, directional, sparse
 
 LARGEST = 0.9
-"""Largest relative error of a factor."""
+"""Largest error: relative, of a factor; in rad, of the direction of gravity."""
 
 
 class Uncertainty(NamedTuple):
@@ -195,7 +195,7 @@ class UncertainRobot:
 def _checked(name: str, error: ArrayLike, numbers: int) -> Array:
     """Return the errors (numbers,) of a parameter."""
     size = floats(f"error '{name}'", error, ParameterError)
-    limit = np.inf if PARAMETERS[name].unit else LARGEST
+    limit = np.inf if PARAMETERS[name].unit in ("kg", "m") else LARGEST
     if size.shape not in ((), (numbers,)):
         raise ParameterError(f"error '{name}' has shape {size.shape}; expected one number or {numbers}")
     if not np.all((size >= 0) & (size <= limit) & np.isfinite(size)):
