@@ -75,9 +75,8 @@ class FrictionObserver(PdFeedforward, ObservedBaseline):
         (q, theta), (dq, dtheta) = ca.vertsplit(s.position, n), ca.vertsplit(s.velocity, n)
         spring = robot.K @ (theta - q)
         controller = robot.B_m @ s.sent - kept.compensation
-        ddtheta_n = np.linalg.inv(robot.M_m) @ (
-            controller - (kept.spring + spring) / 2 - robot.D_m @ kept.dtheta_n
-        )  # (1)
+        torque = controller - (kept.spring + spring) / 2 - robot.D_m @ kept.dtheta_n
+        ddtheta_n = np.linalg.inv(robot.M_m) @ torque  # (1)
         theta_n = ca.if_else(started, kept.theta_n + s.dt * kept.dtheta_n + s.dt**2 / 2 * ddtheta_n, theta)
         dtheta_n = ca.if_else(started, kept.dtheta_n + s.dt * ddtheta_n, dtheta)
         u_c, V = self.measured_expression(ca.vertcat(q, theta_n), ca.vertcat(dq, dtheta_n), s.jets, s.gains)
