@@ -241,10 +241,11 @@ def test_other_storage_and_commands_without_stamps_give_the_same_positions(
     plain = rewritten(
         run / "bag", tmp_path / "plain", StoragePlugin.SQLITE3, ("/joint_states", "/effort_controller/commands")
     )
-    record, notes = read_record(plain, scenario.joints, scenario.robot, Reading())
+    late = Reading(accepted=("clipped",))  # a recorder that waits for a core notes one effort for many states
+    record, notes = read_record(plain, scenario.joints, scenario.robot, late)
     first = int(np.argmin(np.sum(np.abs(whole.q_m - record.q_m[0]), axis=1)))  # states may be received before commands
     assert record.q_m[:500] == pytest.approx(whole.q_m[first : first + 500])
-    assert "is taken to answer the last state sent before it" in notes[0]
+    assert any("is taken to answer the last state sent before it" in note for note in notes)
 
 
 def test_bag_of_another_robot_is_refused(
