@@ -260,9 +260,11 @@ class Peer(Listener):
         topics = {self.subscriptions_by_topic[topic].topic_name for topic in heard}
         publishers = [each for node in self._ros._nodes for each in node.publishers if each.topic_name in topics]
         self._ros.until(
-            lambda: self._ros.matched(self.state_publisher, 2)
-            and all(self.heard(topic) for topic in heard)
-            and all(self._ros.matched(publisher) for publisher in publishers),
+            lambda: (
+                self._ros.matched(self.state_publisher, 2)
+                and all(self.heard(topic) for topic in heard)
+                and all(self._ros.matched(publisher) for publisher in publishers)
+            ),
             "the controller",
         )
 
