@@ -17,7 +17,7 @@ from ..motions.reference import JETS
 from ..numerics.checks import Array, kind_of
 from ..numerics.jit import compiled
 from ..numerics.one_line import joints, one_line
-from ..numerics.symbolic import NumericFunction, dense_function
+from ..numerics.symbolic import dense_function, evaluate
 from .gains import ArraySymbols
 from .lie_derivative import Flow
 
@@ -111,12 +111,12 @@ class StaticLaw(ABC):
         position (q_l, q_m) [rad] and velocity (dq_l, dq_m) [rad/s], (2n,) each; jets (5, n): q_ld .. d4q_ld.
         V is nan if the law has no storage. Raises StateError for wrong shapes.
         """
-        u, V = self._measured_command(position, velocity, jets, self.gain_values)
+        u, V = evaluate(self.measured_function, position, velocity, jets, self.gain_values)
         return u, float(V[0])
 
     def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
         """Return the effort u(x, x, t) (n,) [N m] at a state x (4n,) with momenta; jets (5, n)."""
-        return self._command(x, jets)[0]
+        return evaluate(self.command_function, x, jets)[0]
 
     @cached_property
     def command_function(self) -> ca.Function:
@@ -148,14 +148,6 @@ class StaticLaw(ABC):
     def ready(self, function: ca.Function) -> ca.Function:
         """Return the function, compiled if this law is compiled."""
         return compiled(function) if self.compiles else function
-
-    @cached_property
-    def _measured_command(self) -> NumericFunction:
-        return NumericFunction(self.measured_function)
-
-    @cached_property
-    def _command(self) -> NumericFunction:
-        return NumericFunction(self.command_function)
 
 
 class SampledLaw(Protocol):

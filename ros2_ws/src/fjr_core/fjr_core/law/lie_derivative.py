@@ -139,11 +139,9 @@ class Flow:
 
         Substitute ddq_l = M_l^-1 (phi(zeta) - C dq_l - D_l dq_l - grad P_l), eqs. (36) and (38), then the velocities.
         """
-        robot, positions = self.robot, 2 * self.robot.n
-        states = [ca.vertcat(x[:positions], *robot.velocity_expressions(x))]
-        if len(self._motions) == 2:
-            states.insert(0, ca.vertcat(x_v[:positions], *virtual_system.velocities(robot, x_v, x)))
-        return self.at_velocities(states, *expressions)
+        q_v, q = x_v[: 2 * self.robot.n], x[: 2 * self.robot.n]
+        dq_v, dq = virtual_system.velocities(self.robot, x_v, x), self.robot.velocity_expressions(x)
+        return self.at_velocities([ca.vertcat(q_v, *dq_v), ca.vertcat(q, *dq)], *expressions)
 
     def at_velocities(self, states: Sequence[ca.SX], *expressions: ca.SX) -> list[ca.SX]:
         """Return the expressions as functions of positions and velocities (4n,) of each motion, and of the jets."""

@@ -18,7 +18,7 @@ from ..motions.domain import GOAL, MOST_BOXES, Domain
 from ..numerics.checks import Array
 from ..numerics.jit import compiled_from_inputs
 from ..numerics.one_line import one_line
-from ..numerics.symbolic import NumericFunction, dense_function
+from ..numerics.symbolic import dense_function, evaluate, symbols
 from .gains import Gains, GainTerms
 from .interfaces import StaticLaw
 from .lie_derivative import Flow, flow
@@ -146,11 +146,11 @@ class TrackingLaw(StaticLaw):
 
         A law of the user has effort(position, velocity, jets) instead: it knows no virtual state (PythonLaw).
         """
-        return self._effort(x_v, x, jets, omega)[0]
+        return evaluate(self._effort, x_v, x, jets, omega)[0]
 
     def evaluate(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Evaluation:
         """Return the effort, all errors, the storage V of eq. (43) (undifferentiated) and its exact rate."""
-        results = self._evaluate(x_v, x, jets, omega)
+        results = evaluate(self._evaluation, x_v, x, jets, omega)
         u, u_l, q_md, q_tilde_l, sigma_l, q_tilde_m, sigma_m = results[:7]
         V, dissipation, dV = (float(result[0]) for result in results[7:])
         return Evaluation(u, u_l, q_md, q_tilde_l, sigma_l, q_tilde_m, sigma_m, V, dissipation, dV)
@@ -169,11 +169,6 @@ class TrackingLaw(StaticLaw):
         prover = importing.module("fjr_proofs.rate")
         rate: Rate = prover.proof_of_rate(self.robot, self.gains, domain, goal, most_boxes).rate
         return rate
-
-    @cached_property
-    def command_function(self) -> ca.Function:
-        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
-        return self.ready(self._function("command", {"u", "V"}, diagonal=True))
 
     @cached_property
     def measured_function(self) -> ca.Function:
@@ -208,20 +203,18 @@ class TrackingLaw(StaticLaw):
         return self.gains.K_md
 
     @cached_property
-    def _effort(self) -> NumericFunction:
-        return NumericFunction(self.ready(self._function("effort", {"u"})))
+    def _effort(self) -> ca.Function:
+        return self._function("effort", {"u"})
 
     @cached_property
-    def _evaluate(self) -> NumericFunction:
-        return NumericFunction(self.ready(self._function("evaluate", {f.name for f in fields(Evaluation)})))
+    def _evaluation(self) -> ca.Function:
+        return self._function("evaluate", {f.name for f in fields(Evaluation)})
 
-    def _function(self, name: str, names: Set[str], diagonal: bool = False) -> ca.Function:
-        """Build (x_v, x, jets, omega) -> the outputs named; diagonal: (x, jets) -> outputs at x_v = x, omega = 0."""
-        n = self.robot.n
-        f, omega = flow(self.robot, diagonal), ca.SX.zeros(n) if diagonal else ca.SX.sym("omega", n)
-        x_v, x = ca.SX.sym("x_v", 4 * n), ca.SX.sym("x", 4 * n)
+    def _function(self, name: str, names: Set[str]) -> ca.Function:
+        """Build (x_v, x, jets, omega) -> the outputs named; compiled if requested."""
+        s, f = symbols(x_v=4 * self.robot.n, x=4 * self.robot.n, omega=self.robot.n), flow(self.robot)
         gains = GainTerms(**{key: ca.sparsify(ca.DM(array)) for key, array in self.gains.arrays().items()})
-        outputs = {key: value for key, value in law_expressions(f, gains, omega).items() if key in names}
-        values = f.at(x_v, x, *outputs.values())
-        inputs = {"x": x, "jets": f.jets} if diagonal else {"x_v": x_v, "x": x, "jets": f.jets, "omega": omega}
-        return dense_function(name, inputs, dict(zip(outputs, values, strict=True)), cse=True)
+        outputs = {key: value for key, value in law_expressions(f, gains, s["omega"]).items() if key in names}
+        values = f.at(s["x_v"], s["x"], *outputs.values())
+        inputs = {"x_v": s["x_v"], "x": s["x"], "jets": f.jets, "omega": s["omega"]}
+        return self.ready(dense_function(name, inputs, dict(zip(outputs, values, strict=True)), cse=True))
