@@ -117,7 +117,7 @@ class ExcitationDesign:
         """
         period = self.duration / max(1, np.ceil(self.duration / LONGEST_PERIOD))
         M_m, softest = np.diag(self.robot.M_m), np.diag(self.robot.K)
-        if self.robot.curves:
+        if self.robot.torsion is not None:
             softest = np.array([np.min(of.stiffness) for of in self.robot.curves])
         resonance = BELOW_RESONANCE * float(np.sqrt(softest * (1 / self._M_l + 1 / M_m)).min())
         highest = min(resonance / (2 * np.pi), 1 / (SAMPLES_PER_CYCLE * self.sample_period))

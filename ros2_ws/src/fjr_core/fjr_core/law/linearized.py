@@ -50,7 +50,7 @@ class Equilibria:
     @cached_property
     def hardening(self) -> Array:
         """Tangents phi' of the springs over K (k, n); (1, n) ones for straight springs."""
-        return springs.hardening(self.robot, self.deflections) if self.robot.curve else np.ones((1, self.robot.n))
+        return springs.hardening(self.robot, self.deflections if self.robot.curve else np.zeros((1, self.robot.n)))
 
     @cached_property
     def K(self) -> Array:

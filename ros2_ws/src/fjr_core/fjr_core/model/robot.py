@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -98,12 +98,13 @@ class Robot:
         return "" if self.cubic is None else "cubic_stiffness"
 
     @cached_property
-    def curves(self) -> tuple[springs.TorsionCurve, ...]:
-        """Torsion curves of the n joints, or none."""
-        if self.torsion is None:
-            return ()
-        pairs = zip(np.diag(self.K), np.moveaxis(self.torsion, 2, 0), strict=True)
-        return tuple(springs.torsion_curve(K, *points) for K, points in pairs)
+    def curves(self) -> tuple[Any, ...]:
+        """CubicCurve or TorsionCurve of each joint (model.springs); none: straight springs."""
+        K = np.diag(self.K)
+        if self.torsion is not None:
+            points = np.moveaxis(self.torsion, 2, 0)
+            return tuple(springs.torsion_curve(stiffness, *of) for stiffness, of in zip(K, points, strict=True))
+        return () if self.cubic is None else tuple(map(springs.CubicCurve, K.tolist(), self.cubic.tolist()))
 
     def M_l(self, q_l: ArrayLike) -> Array:
         """Return the link inertia M_l(q_l) (n, n) [kg m^2] at q_l (n,) [rad]."""

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Springs of the joints: the torque phi(zeta) of a deflection zeta = q_m - q_l, straight or on one of two curves.
 
-    cubic     phi = K zeta + k zeta^3, an odd polynomial that hardens for k > 0
+    straight  phi = K zeta with a matrix K
+    cubic     phi = K zeta + k zeta^3 of each joint, an odd polynomial that hardens for k > 0 (CubicCurve)
     torsion   odd through the points of a table, with the slope K at zero; parabolas in pieces (TorsionCurve)
 
-    energy    zeta' K zeta / 2 + sum k zeta^4 / 4
-    tangent   phi'(zeta) = K + 3 k zeta^2
-    secant    S(a, b) = K + k (a^2 + a b + b^2),   phi(a) - phi(b) = S(a, b) (a - b)
-    inverse   zeta = 2 a sinh(asinh(3 tau / (2 K a)) / 3),   a^2 = K / (3 k)
-
-Both are monotone, so the inverse is their only real root. K is diagonal where a joint has a curve. Straight springs
-have the expressions of a matrix K.
+The law needs the torque, its integral, the tangent phi', the secant S with phi(a) - phi(b) = S (a - b), and the
+inverse. Curves are monotone, so the inverse is their only real root. K is diagonal where a joint has a curve.
 """
 
 from __future__ import annotations
@@ -29,6 +25,38 @@ from ..numerics.checks import Array
 
 MOST_POINTS = 8
 """Points of a torsion curve; FJR_PIECES of runtime/step.h has two parabolas for each."""
+
+
+@dataclass(frozen=True, eq=False)
+class CubicCurve:
+    """Odd cubic polynomial of one joint with K > 0 [N m/rad] and k >= 0 [N m/rad^3], numbers or symbols."""
+
+    K: Any
+    k: Any
+
+    def scaled(self, factor: Any) -> CubicCurve:
+        """Return the curve with factor times the torque."""
+        return CubicCurve(factor * self.K, factor * self.k)
+
+    def phi(self, zeta: Any) -> Any:
+        """Return the torque [N m] at a deflection."""
+        return self.K * zeta + self.k * zeta * zeta * zeta
+
+    def stored(self, zeta: Any) -> Any:
+        """Return the energy [J] at a deflection."""
+        return zeta * zeta * (self.K / 2 + self.k * zeta * zeta / 4)
+
+    def tangent(self, zeta: Any) -> Any:
+        """Return phi' [N m/rad] at a deflection."""
+        return self.K + 3 * self.k * zeta * zeta
+
+    def inverse(self, tau: Any) -> Any:
+        """Return the deflection [rad] at a torque."""
+        return root(self.K, self.k, tau)
+
+    def secant(self, a: Any, b: Any) -> Any:
+        """Return S(a, b) [N m/rad]."""
+        return self.K + self.k * (a * a + a * b + b * b)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +135,8 @@ class Springs(Protocol):
         """Joint stiffness (n, n) [N m/rad], without deflection."""
 
     @property
-    def cubic(self) -> Any:
-        """Cubic stiffness k (n,) [N m/rad^3], or None."""
-
-    @property
-    def curves(self) -> Sequence[TorsionCurve]:
-        """Torsion curves of the n joints, or none."""
+    def curves(self) -> Sequence[Any]:
+        """CubicCurve or TorsionCurve of each joint; none: straight springs."""
 
 
 def checked_cubic(value: ArrayLike, K: Array) -> Array | None:
@@ -172,80 +196,57 @@ def torsion_curve(K: float, deflection: Array, torque: Array) -> TorsionCurve:
 
 def torque(springs: Springs, zeta: ca.SX, added: ca.SX | None = None) -> ca.SX:
     """Return the joint torque phi(zeta) (n,) [N m]; added (n,) [N m/rad^3]: further cubic stiffness, of the plant."""
-    found = springs.K @ zeta
-    if springs.cubic is not None:
-        found = found + _column(springs.cubic) * zeta * zeta * zeta
-    if springs.curves:
-        found = _joined(springs, TorsionCurve.phi, zeta)
+    found = _of_joints(springs, "phi", zeta) if springs.curves else springs.K @ zeta
     return found if added is None else found + added * zeta**3
-
-
-def torques(springs: Springs, zeta: Array) -> Array:
-    """Return phi (k, n) [N m] at deflections (k, n) of springs with numeric parameters."""
-    if springs.curves:
-        pairs = zip(springs.curves, zeta.T, strict=True)
-        return np.column_stack([of.phi(ca.DM(column)).full().ravel() for of, column in pairs])
-    straight = np.asarray(zeta @ springs.K)
-    return straight if springs.cubic is None else straight + springs.cubic * zeta**3
 
 
 def energy(springs: Springs, zeta: ca.SX) -> ca.SX:
     """Return the energy of the springs [J] at a deflection (n,)."""
-    if springs.curves:
-        return ca.sum1(_joined(springs, TorsionCurve.stored, zeta))
-    found = ca.dot(zeta, springs.K @ zeta) / 2
-    return found if springs.cubic is None else found + ca.dot(_column(springs.cubic), (zeta * zeta) ** 2) / 4
+    return ca.sum1(_of_joints(springs, "stored", zeta)) if springs.curves else ca.dot(zeta, springs.K @ zeta) / 2
 
 
 def deflection(springs: Springs, tau: ca.SX) -> ca.SX:
     """Return phi^-1(tau) (n, ..) [rad] for torques (n, ..) [N m] of springs with numeric parameters."""
-    if springs.curves:
-        return _joined(springs, TorsionCurve.inverse, tau)
-    if springs.cubic is None:
-        return np.linalg.inv(springs.K) @ tau
-    return ca.vertcat(*map(root, np.diag(springs.K), springs.cubic, ca.vertsplit(tau)))
+    return _of_joints(springs, "inverse", tau) if springs.curves else np.linalg.inv(springs.K) @ tau
+
+
+def secant(springs: Springs, a: ca.SX, b: ca.SX) -> Any:
+    """Return S (n, n) [N m/rad] with phi(a) - phi(b) = S (a - b); it is K for straight springs."""
+    return ca.diag(_of_joints(springs, "secant", a, b)) if springs.curves else springs.K
+
+
+def compliance(springs: Springs, zeta: ca.SX) -> Any:
+    """Return phi'(zeta)^-1 (n, n) [rad/(N m)] of springs with numeric parameters."""
+    return ca.diag(1 / _of_joints(springs, "tangent", zeta)) if springs.curves else np.linalg.inv(springs.K)
+
+
+def torques(springs: Springs, zeta: Array) -> Array:
+    """Return phi (k, n) [N m] at deflections (k, n) of springs with numeric parameters."""
+    return _along(springs, "phi", zeta) if springs.curves else np.asarray(zeta @ springs.K)
+
+
+def hardening(springs: Springs, zeta: Array) -> Array:
+    """Return the tangents phi' over K (k, n) at deflections (k, n) of springs with numeric parameters."""
+    return _along(springs, "tangent", zeta) / np.diag(springs.K) if springs.curves else np.ones_like(zeta)
 
 
 def root(K: float, cubic: float, tau: Any, f: Any = ca) -> Any:
-    """Return the root zeta of K zeta + cubic zeta^3 = tau; f: casadi or numpy."""
+    """Return the root zeta = 2 a sinh(asinh(3 tau / (2 K a)) / 3), a^2 = K / (3 k), of K zeta + cubic zeta^3 = tau.
+
+    f: casadi or numpy.
+    """
     if not cubic:
         return tau / K
     a = float(np.sqrt(K / 3) / np.sqrt(cubic))  # K / cubic may overflow
     return 2 * a * f.sinh(f.arcsinh(1.5 / (K * a) * tau) / 3)
 
 
-def secant(springs: Springs, a: ca.SX, b: ca.SX) -> Any:
-    """Return S (n, n) [N m/rad] with phi(a) - phi(b) = S (a - b); it is K for straight springs."""
-    if springs.curves:
-        return ca.diag(_joined(springs, TorsionCurve.secant, a, b))
-    if springs.cubic is None:
-        return springs.K
-    return ca.diag(ca.DM(np.diag(springs.K)) + ca.DM(springs.cubic) * (a * a + a * b + b * b))
+def _of_joints(springs: Springs, name: str, *values: ca.SX) -> ca.SX:
+    """Return a function of the curves (n, ..) at values (n, ..) of the joints."""
+    each = zip(springs.curves, *map(ca.vertsplit, values), strict=True)
+    return ca.vertcat(*(getattr(curve, name)(*at) for curve, *at in each))
 
 
-def compliance(springs: Springs, zeta: ca.SX) -> Any:
-    """Return phi'(zeta)^-1 (n, n) [rad/(N m)] of springs with numeric parameters."""
-    if springs.curves:
-        return ca.diag(1 / _joined(springs, TorsionCurve.tangent, zeta))
-    if springs.cubic is None:
-        return np.linalg.inv(springs.K)
-    return ca.diag(1 / (ca.DM(np.diag(springs.K)) + ca.DM(3 * springs.cubic) * zeta * zeta))
-
-
-def hardening(springs: Springs, zeta: Array) -> Array:
-    """Return the tangents phi' over K (k, n) at deflections (k, n) of springs with numeric parameters."""
-    if springs.curves:
-        pairs = zip(springs.curves, np.abs(zeta).T, strict=True)
-        return np.column_stack([np.interp(size, of.edge, of.stiffness) for of, size in pairs]) / np.diag(springs.K)
-    cubic = np.zeros(len(springs.K)) if springs.cubic is None else springs.cubic
-    return np.asarray(1 + 3 * cubic / np.diag(springs.K) * zeta**2)
-
-
-def _joined(springs: Springs, of: Any, *values: ca.SX) -> ca.SX:
-    """Return a function of the torsion curves (n, ..) at values (n, ..) of the joints."""
-    return ca.vertcat(*(of(*each) for each in zip(springs.curves, *map(ca.vertsplit, values), strict=True)))
-
-
-def _column(cubic: Any) -> ca.SX | ca.DM:
-    """Return the cubic stiffness as a column of CasADi."""
-    return ca.DM(cubic) if isinstance(cubic, np.ndarray) else cubic
+def _along(springs: Springs, name: str, values: Array) -> Array:
+    """Return a function of the curves (k, n) at numbers (k, n)."""
+    return np.asarray(ca.evalf(_of_joints(springs, name, ca.DM(values.T))).full().T)

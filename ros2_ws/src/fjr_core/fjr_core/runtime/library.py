@@ -249,7 +249,7 @@ def write_robot(model: Any, robot: Robot) -> None:
     for name in ("K", "M_m", "B_m", "D_l", "D_m"):
         setattr(model, name, np.ravel(getattr(robot, name)).tolist())
     model.cubic = [0.0] * robot.n if robot.cubic is None else robot.cubic.tolist()
-    if robot.curves:
+    if robot.torsion is not None:
         model.pieces = len(robot.curves[0].edge)
         for name, field in (("edge", "edge"), ("torsion", "torque"), ("tangent", "stiffness"), ("bend", "slope")):
             values = np.column_stack([getattr(of, field) for of in robot.curves]).ravel()
