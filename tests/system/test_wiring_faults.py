@@ -6,44 +6,50 @@ The check in C agrees with its equations in NumPy (core/oracles/wiring.py) on th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.wiring import NumericCheck
+from core.oracles.wiring import NumericCheck, WiringFault
 from diagnosis_benchmark.cases import JOINTS, Case
 from diagnosis_benchmark.faults import PAIRS, ROBOTS, WIRING, joints_of
 from diagnosis_benchmark.lock_step import Fault
 from diagnosis_benchmark.wiring import HEALTHY_LASTING, Stop, healthy, wrong
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.events import WiringFault
+from fjr_core.runtime.events import Finding
 from fjr_monitor.diagnosis.fault_isolation import WiringCheck
 from fjr_monitor.diagnosis.record import Record
 
 pytestmark = pytest.mark.system
 FIRST = 20
+NAMES = ("joint1", "joint2")
 LASTING, STATES = 0.03, 30  # s; at 1 kHz
 TRAVEL = {"paper_k31": 0.75, "two_link": 0.25, "arm7": 0.05}  # rad, of any side, until the stop
 CASES = [(robot, kind) for robot in ROBOTS for kind in WIRING if robot != "paper_k31" or kind not in PAIRS]
 SAME = {"rtol": 1e-6, "atol": 1e-9}
 
 
+def said(fault: WiringFault | None, names: Sequence[str]) -> Finding | None:
+    return None if fault is None else fault.finding(names)
+
+
 def compared(case: Case, run: Record) -> str:
     """Give a stream to both; return the sentence of the fault that both find with the same state, if any."""
     robot = case.loaded().robot  # as the controller knows it
     names = [f"joint{j + 1}" for j in range(robot.n)]
-    here, oracle = WiringCheck(robot), NumericCheck(robot)
+    here, oracle = WiringCheck(robot, names), NumericCheck(robot)
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
         found, expected = here.see(t, q, dq), oracle.see(t, q, dq)
-        assert found == expected
-        assert WiringFault.of(here.state.fault) == oracle.last
+        assert found == said(expected, names)
+        assert Finding.of_wiring(here.state.fault, names) == said(oracle.last, names)
         np.testing.assert_array_equal(np.array(list(here.state.right), dtype=bool), oracle.right)
         np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[: 2 * robot.n], **SAME)
         assert here.done == oracle.right.all()
         if found is not None or here.done or not np.isfinite(u).all():
-            return found.sentence(names) if found is not None else ""
+            return found.sentence if found is not None else ""
         here.sent(u)
         oracle.sent(u)
     return ""
@@ -94,11 +100,11 @@ def test_both_agree_where_all_joints_are_suspected(robot: str, change: Fault) ->
     case = replace(next(wrong(robot, "effort sign")), fault=change)
     found = compared(case, Stop.of(case, LASTING).run)
     if robot == "two_link" and change.effort is np.negative:
-        assert found == WiringFault("effort sign", (0, 1), "motor").sentence(["joint1", "joint2"])
+        assert found == WiringFault("effort sign", (0, 1), "motor").finding(NAMES).sentence
 
 
 def test_check_continues_without_motion() -> None:
-    check = WiringCheck(fjr.planar_two_link())
+    check = WiringCheck(fjr.planar_two_link(), NAMES)
     for k in range(200):
         assert check.see(1e-3 * k, np.zeros(4), np.zeros(4)) is None
         check.sent(np.zeros(2))
@@ -110,7 +116,7 @@ def test_the_operations_after_one_state_are_bounded() -> None:
     moved = Fault(position=lambda q: np.roll(q, 1), velocity=lambda dq: np.roll(dq, 1))  # all joints are suspected
     case = replace(next(wrong("arm7", "effort sign")), fault=moved)
     run, robot = Stop.of(case, LASTING).run, case.loaded().robot
-    check, done, went_on = WiringCheck(robot), [], 0
+    check, done, went_on = WiringCheck(robot, [""] * robot.n), [], 0
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
         check._lib.fjr_wiring_see(check.state, t, check._pointer(q), check._pointer(dq))
         done.append(check._lib.fjr_wiring_compare(check._model, check.state))
@@ -137,13 +143,13 @@ def test_both_agree_on_a_robot_with_full_matrices_or_curved_springs(wrong_motor:
         z = np.array([[0.02, 0.03], [0.05, 0.06]])
         robot = replace(robot, K=np.diag(K), torsion=[z, K * z * [[1.2], [2.0]]])
     plant, rng, x = fjr.Plant(robot), np.random.default_rng(5), robot.state(*np.zeros((4, 2)))
-    here, oracle = WiringCheck(robot), NumericCheck(robot)
+    here, oracle = WiringCheck(robot, NAMES), NumericCheck(robot)
     for k in range(STATES):
         q, dq = x[:4] + 1e-6 * rng.standard_normal(4), np.hstack(robot.velocities(x)) + 5e-4 * rng.standard_normal(4)
         if wrong_motor is not None:
             q[2 + wrong_motor], dq[2 + wrong_motor] = -q[2 + wrong_motor], -dq[2 + wrong_motor]
         found = here.see(1e-3 * k, q, dq)
-        assert found == oracle.see(1e-3 * k, q, dq)
+        assert found == said(oracle.see(1e-3 * k, q, dq), NAMES)
         np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[:4], **SAME)
         if found is not None:
             break
@@ -151,4 +157,4 @@ def test_both_agree_on_a_robot_with_full_matrices_or_curved_springs(wrong_motor:
         here.sent(u)
         oracle.sent(u)
         x = plant.step(x, u, 1e-3)
-    assert found == (None if wrong_motor is None else WiringFault("encoder sign", (wrong_motor,), "motor"))
+    assert found == said(None if wrong_motor is None else WiringFault("encoder sign", (wrong_motor,), "motor"), NAMES)

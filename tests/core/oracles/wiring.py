@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from core.oracles.cases import Torsion
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.events import WiringFault
+from fjr_core.runtime.events import SENTENCES, Finding
 
 Order = NDArray[np.intp]
 
@@ -28,6 +29,20 @@ class Window:
     q: Array
     dq: Array
     u: Array
+
+
+class WiringFault(NamedTuple):
+    """Kind, side and joints (indices) of a fault."""
+
+    kind: str
+    joints: tuple[int, ...]
+    side: str
+
+    def finding(self, names: Sequence[str]) -> Finding:
+        """Return the fault as the product says it."""
+        first, last, both = names[self.joints[0]], names[self.joints[-1]], " and ".join(names[j] for j in self.joints)
+        sentence = SENTENCES[self.kind].format(joints=both, side=self.side, first=first, last=last)
+        return Finding(self.kind, first if self.kind.startswith("velocity") else both, self.side, sentence=sentence)
 
 
 Undone = Callable[[Window], Window]

@@ -16,11 +16,11 @@ from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_identification.estimation.elastic_arm import ElasticArm, corrected_arm, corrected_body, packed
+from fjr_identification.estimation.elastic_arm import ElasticArm, corrected_body, corrected_chain, packed
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.multiple_shooting import Segment, compare
+from fjr_identification.estimation.multiple_shooting import Problem, Segment
 from fjr_identification.estimation.parameters import (
     KINDS,
     PSEUDO_INERTIA,
@@ -120,13 +120,16 @@ def test_sensitivities_equal_central_differences(name: str) -> None:
     arm = ElasticArm(robot, coordinates.dynamic)
     shooting, signals = Shooting(arm, coordinates.delays), (("q_l", 0), ("q_m", 0))
 
+    x = np.array([0.2, 0.21, 0.5, 0.4])
+    problem = Problem([segment], shooting, coordinates, signals, np.ones(2), x[None], np.ones(4))
+
     def predicted(z: Array) -> Array:
-        found = compare(segment, shooting, coordinates, z, np.array([0.2, 0.21, 0.5, 0.4]), signals, np.ones(2))
+        found = problem.compare(0, z, x, np.ones(2))
         assert found is not None
         return found.predicted
 
     z, step = coordinates.mean, 1e-5 * max(abs(coordinates.mean[0]), 1e-2)
-    found = compare(segment, shooting, coordinates, z, np.array([0.2, 0.21, 0.5, 0.4]), signals, np.ones(2))
+    found = problem.compare(0, z, x, np.ones(2))
     assert found is not None
     difference = (predicted(z + step) - predicted(z - step)) / (2 * step)
     residual = -predicted(z)
@@ -205,14 +208,12 @@ def corrected(bodies: tuple[Body, ...], theta: np.ndarray) -> tuple[Body, ...]:
 
 def test_links_without_a_correction_are_those_of_the_robot() -> None:
     links, random = serial_chain(BODIES), np.random.default_rng(1)
-    arm = corrected_arm(links, np.zeros((2, 10)))
     q, v, a = random.normal(size=(3, 2))
+    chain = corrected_chain(links, np.zeros((2, 10)), q)
     for found, expected in (
-        (arm.M_l(q), links.M_l(q)),
-        (arm.P_l(q), links.P_l(q)),
-        (arm.grad_P_l(q), links.grad_P_l(q)),
-        (arm.grad_T(q, v), links.grad_T(q, v)),
-        (arm.inertial_torque(q, v, v, a), links.inertial_torque(q, v, v, a)),
+        (chain.inertia(), links.M_l(q)),
+        (chain.gravity_torque(), links.grad_P_l(q)),
+        (chain.inertial_torque(v, v, a), links.inertial_torque(q, v, v, a)),
     ):
         np.testing.assert_allclose(ca.DM(found).full(), expected.full(), rtol=1e-7, atol=1e-9)
 

@@ -11,11 +11,11 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 from fjr_monitor.diagnosis.delay_estimation import acting_sums, effort_delay, needed
 from fjr_monitor.diagnosis.diagnosis import diagnose, innovations, with_findings
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
-from fjr_monitor.diagnosis.verdict import Finding
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 2.5

@@ -14,6 +14,7 @@ import pytest
 import fjr_core as fjr
 from fjr_core.model.rigid_arm import PayloadArm
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 from fjr_monitor.diagnosis.diagnosis import diagnose, innovations
 from fjr_monitor.diagnosis.fault_isolation import velocity_faults
 from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Hypothesis, body_torques
@@ -21,7 +22,7 @@ from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.residuals import residuals
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.torque_faults import UNKNOWN, FittedFault, torque_fault, unexplained
-from fjr_monitor.diagnosis.verdict import Diagnosis, Finding
+from fjr_monitor.diagnosis.verdict import Diagnosis
 from monitor.diagnosis.loops import PERIOD, Sensed, recorded
 
 DURATION = 1.5

@@ -16,6 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 
 from .estimation.elastic_arm import coulomb
 from .estimation.lack_of_fit import slipping_elements
@@ -29,11 +30,8 @@ from .rigid_motion import (
     SIGN,
     SKEW,
     SWAPPED,
-    Contradiction,
     FittedLine,
     RigidMotion,
-    bounded_slope,
-    fitted_line,
     rigid_motion,
     without,
 )
@@ -52,7 +50,7 @@ EXCHANGED = {"the positions": ("q_l", "q_m"), "all signals": ("u", "q_l", "q_m",
 FOLLOWS = 0.1  # unexplained share of one side's position by that of another joint
 
 
-def degrees(motion: RigidMotion) -> Iterator[Contradiction]:
+def degrees(motion: RigidMotion) -> Iterator[Finding]:
     """Find positions of both sides in degrees: as rad they leave the joints' range or contradict the efforts."""
     slides = [unit.position == "m" for unit in motion.robot.units]
     moving = [j for j in range(motion.robot.n) if motion.record.joints[j] not in motion.record.still and not slides[j]]
@@ -67,7 +65,7 @@ def degrees(motion: RigidMotion) -> Iterator[Contradiction]:
     if _leaves_range(motion, moving) or (2 * votes > len(moving) and largest > LEAST_DEGREES):
         joint = motion.record.joints[moving[0]] if len(moving) == 1 else ""
         sentence = f"positions reach {largest:.4g} and fit the robot as degrees only; expected rad"
-        yield Contradiction(DEGREES, joint, sentence)
+        yield Finding(DEGREES, joint, sentence=sentence)
 
 
 def _leaves_range(motion: RigidMotion, moving: list[int]) -> bool:
@@ -85,18 +83,18 @@ def effort_line(motion: RigidMotion, j: int, effort: int | None = None) -> Fitte
     v_l, v_m = motion.velocity[:, j], motion.motor_velocity[:, j]
     friction = [v_l, coulomb(v_l, SMOOTHING)]
     friction += [] if np.array_equal(v_l, v_m) else [v_m, coulomb(v_m, SMOOTHING)]
-    return fitted_line(motion.needed[:, j], motion.u[:, j if effort is None else effort], friction, motion.independent)
+    return motion.line(motion.needed[:, j], motion.u[:, j if effort is None else effort], *friction)
 
 
-def skews(motion: RigidMotion) -> Iterator[Contradiction]:
+def skews(motion: RigidMotion) -> Iterator[Finding]:
     """Find link encoders and torque sensors that are read too much later or earlier than the other side."""
     for j, joint in enumerate(motion.record.joints):
         v, tau = motion.velocity[:, j], motion.tau[:, j]
-        lines, count = {}, motion.independent
+        lines = {}
         if motion.both[j]:
-            lines["q_l"] = fitted_line(v, motion.deflection[:, j], (tau, coulomb(v, SMOOTHING)), count)
+            lines["q_l"] = motion.line(v, motion.deflection[:, j], tau, coulomb(v, SMOOTHING))
         if np.all(np.isfinite(motion.torque[:, j])):
-            lines["torque"] = fitted_line(-np.gradient(tau, motion.dt), motion.torque[:, j], (tau, v), count)
+            lines["torque"] = motion.line(-np.gradient(tau, motion.dt), motion.torque[:, j], tau, v)
         for name, line in lines.items():
             if abs(line.slope) - 5 * line.deviation > LARGEST_SKEW:
                 when = "later" if line.slope > 0 else "earlier"
@@ -104,46 +102,48 @@ def skews(motion: RigidMotion) -> Iterator[Contradiction]:
                     f"{name} of {joint} is read {1e3 * abs(line.slope):.3g} ms {when} than the other side; "
                     f"expected at most {1e3 * LARGEST_SKEW:g} ms"
                 )
-                yield Contradiction(SKEW, joint, sentence)
+                yield Finding(SKEW, joint, sentence=sentence)
 
 
-def sides(motion: RigidMotion) -> Iterator[Contradiction]:
+def sides(motion: RigidMotion) -> Iterator[Finding]:
     """Find a side that moves against the other, in another unit or by another gear ratio, and swapped sides."""
-    exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
     for j, joint in enumerate(motion.record.joints):
-        slopes = _slopes(motion, j)
+        slopes = _slopes(motion, j) if motion.both[j] else None
         if slopes is None:
             continue
         low, high = slopes
-        middle, differs = (low + high) / 2, _differs(slopes) and not _slips(motion, j)
+        middle, differs, exchanged = (low + high) / 2, _differs(slopes) and not _slips(motion, j), motion.exchanged
         if high < 0:
-            yield Contradiction(
-                SIGN, joint, f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction"
-            )
+            sentence = f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction"
+            yield Finding(SIGN, joint, sentence=sentence)
         elif differs and not _differs(_slopes(exchanged, j)) and _is_spring(exchanged, j):
-            yield Contradiction(
-                SWAPPED, joint, f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped"
-            )
+            sentence = f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped"
+            yield Finding(SWAPPED, joint, sentence=sentence)
         elif differs:
             yield _ratio(joint, middle)
 
 
-def _slopes(motion: RigidMotion, j: int) -> tuple[float, float] | None:
-    """Return the range of the ratio of q_m to q_l without the deflection; None if it is not known."""
-    return _slopes_of(motion, j, *_compared(motion, j)) if motion.both[j] else None
-
-
-def _compared(motion: RigidMotion, j: int) -> tuple[Array, Array, Array, tuple[Array, ...]]:
-    """Return q_l, q_m and the torque of joint j, (k,) each, and what skew and friction change."""
+def _compared(motion: RigidMotion, j: int, rows: slice = slice(None)) -> list[Array]:
+    """Return q_l, q_m, the torque of joint j, and what skew and friction change; some rows of each."""
     v = motion.velocity[:, j]
-    return motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j], (v, coulomb(v, SMOOTHING))
+    return [each[rows] for each in (motion.q_l[:, j], motion.q_m[:, j], motion.tau[:, j], v, coulomb(v, SMOOTHING))]
 
 
-def _slopes_of(
-    motion: RigidMotion, j: int, q_l: Array, q_m: Array, tau: Array, others: Sequence[Array]
+def _slopes(
+    motion: RigidMotion, j: int, rows: slice = slice(None), elements: Sequence[Array] = ()
 ) -> tuple[float, float] | None:
-    compliances = 1.0 / motion.robot.K[j, j] / SPREAD, 1.0 / motion.robot.K[j, j] * SPREAD
-    return bounded_slope(q_l, q_m, tau, others, compliances, motion.independent)
+    """Return the range of the ratio r of q_m to q_l without the deflection; None if it is not known.
+
+    q_m = r q_l + c tau + others + constant, +- 5 deviations of r, for a compliance c within SPREAD of that of the robot
+    file. elements: more of the others.
+    """
+    q_l, q_m, tau, *others = [*_compared(motion, j, rows), *elements]
+    free, compliance = motion.line(tau, q_m, q_l, *others), 1.0 / motion.robot.K[j, j]
+    ends = np.array([-5.0, 5.0]) * free.deviation + free.slope
+    lines = [motion.line(q_l, q_m - c * tau, *others) for c in np.clip(ends, compliance / SPREAD, compliance * SPREAD)]
+    if any(not max(1.0, abs(line.slope)) > 20 * line.deviation for line in lines):
+        return None
+    return min(a.slope - 5 * a.deviation for a in lines), max(a.slope + 5 * a.deviation for a in lines)
 
 
 def _slips(motion: RigidMotion, j: int) -> bool:
@@ -152,17 +152,15 @@ def _slips(motion: RigidMotion, j: int) -> bool:
     Hysteresis: elements that follow the torque but slip. Samples count from where each has slipped, since its state at
     the start is not known, at least the second half.
     """
-    q_l, q_m, tau, friction = _compared(motion, j)
+    tau = motion.tau[:, j]
     slips = np.sqrt(np.mean(tau**2)) * FINE
     following = slipping_elements(tau, slips)
     slipped = np.abs(following) >= slips
     rows = slice(min(int(np.max(np.argmax(slipped, axis=0))), len(tau) // 2), None)
-    q_l, q_m, tau, *others = (each[rows] for each in (q_l, q_m, tau, *friction))
-    usual, elements = [tau, *others, np.ones_like(tau)], list(following[rows].T)
-    by_slip, by_ratio = (
-        float(np.sum(without(np.column_stack([*usual, *more]), q_m - q_l) ** 2)) for more in (elements, [q_l])
-    )
-    return by_slip < by_ratio and not _differs(_slopes_of(motion, j, q_l, q_m, tau, [*others, *elements]))
+    q_l, q_m, *usual = _compared(motion, j, rows)
+    elements = list(following[rows].T)
+    by_slip, by_ratio = (float(np.sum(without(q_m - q_l, *usual, *more) ** 2)) for more in (elements, [q_l]))
+    return by_slip < by_ratio and not _differs(_slopes(motion, j, rows, elements))
 
 
 def _differs(slopes: tuple[float, float] | None) -> bool:
@@ -170,28 +168,27 @@ def _differs(slopes: tuple[float, float] | None) -> bool:
     return slopes is not None and (slopes[1] < 1 - RATIO or slopes[0] > 1 + RATIO)
 
 
-def _ratio(joint: str, slope: float) -> Contradiction:
+def _ratio(joint: str, slope: float) -> Finding:
     for name, scale in UNITS.items():
         if any(abs(slope / ratio - 1) < 0.1 for ratio in (scale, 1 / scale)):
             kind = DEGREES if "degrees" in name else GEAR_RATIO
             sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l: {name}; expected one unit"
-            return Contradiction(kind, joint, sentence)
+            return Finding(kind, joint, sentence=sentence)
     sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l; expected 1: wrong gear ratio"
-    return Contradiction(GEAR_RATIO, joint, sentence)
+    return Finding(GEAR_RATIO, joint, sentence=sentence)
 
 
-def swapped(motion: RigidMotion) -> Iterator[Contradiction]:
+def swapped(motion: RigidMotion) -> Iterator[Finding]:
     """Find swapped sides: the motor then lags behind the torque that the spring transmits."""
-    exchanged = rigid_motion(motion.record, motion.robot, swapped=True)
     for j, joint in enumerate(motion.record.joints):
         if not motion.both[j]:
             continue
-        here, there = _deflection_line(motion, j), _deflection_line(exchanged, j)
+        here, there = _deflection_line(motion, j), _deflection_line(motion.exchanged, j)
         against = here.slope < -4 * here.deviation or here.unexplained > 4 * there.unexplained
-        if against and there.unexplained < 0.5 and _is_spring(exchanged, j):
+        if against and there.unexplained < 0.5 and _is_spring(motion.exchanged, j):
             seen = f"{here.slope * motion.robot.K[j, j]:.2g} times the deflection that the motion needs"
             sentence = f"q_m - q_l of {joint} is {seen}; expected about 1: sides swapped"
-            yield Contradiction(SWAPPED, joint, sentence)
+            yield Finding(SWAPPED, joint, sentence=sentence)
 
 
 def _is_spring(motion: RigidMotion, j: int) -> bool:
@@ -202,69 +199,72 @@ def _is_spring(motion: RigidMotion, j: int) -> bool:
 
 def _deflection_line(motion: RigidMotion, j: int) -> FittedLine:
     """Fit the deflection of a joint by the spring torque, with a skew between the two measurements."""
-    return fitted_line(motion.tau[:, j], motion.deflection[:, j], (motion.velocity[:, j],), motion.independent)
+    return motion.line(motion.tau[:, j], motion.deflection[:, j], motion.velocity[:, j])
 
 
-def efforts(motion: RigidMotion) -> Iterator[Contradiction]:
+def efforts(motion: RigidMotion) -> Iterator[Finding]:
     """Find efforts and sensor torques of the wrong sign or scale."""
     for j, joint in enumerate(motion.record.joints):
         if joint in motion.record.still:
             continue
         lines = {"effort": effort_line(motion, j)}
         if np.all(np.isfinite(motion.torque[:, j])):
-            lines["torque"] = fitted_line(motion.tau[:, j], motion.torque[:, j], (), motion.independent)
+            lines["torque"] = motion.line(motion.tau[:, j], motion.torque[:, j])
         for name, line in lines.items():
             low, high = line.slope - 5 * line.deviation, line.slope + 5 * line.deviation
             seen = f"{name} of {joint} is {line.slope:.3g} times the torque that its motion needs"
             if high < 0:
-                yield Contradiction(SIGN, joint, f"{seen}; expected a positive factor near 1: a sign is wrong")
+                sentence = f"{seen}; expected a positive factor near 1: a sign is wrong"
+                yield Finding(SIGN, joint, sentence=sentence)
             elif high < 1 / SPREAD or low > SPREAD:
-                wrong = f"links in the robot file, gear ratio, unit of the {name}?"
-                yield Contradiction(SCALE, joint, f"{seen}; expected about 1: {wrong}")
+                sentence = f"{seen}; expected about 1: links in the robot file, gear ratio, unit of the {name}?"
+                yield Finding(SCALE, joint, sentence=sentence)
 
 
-def turned(motion: RigidMotion) -> Iterator[Contradiction]:
+def turned(motion: RigidMotion) -> Iterator[Finding]:
     """Find joints all of whose positions have the wrong sign: with the other one their efforts fit."""
-    for j, joint in _moving(motion.record):
-        here = effort_line(motion, j)
+    for j in motion.record.driven:
+        here, joint = effort_line(motion, j), motion.record.joints[j]
         if here.unexplained > POOR:
             scale = np.where(np.arange(motion.robot.n) == j, -1.0, 1.0)
             there = effort_line(rigid_motion(motion.record, motion.robot, scale), j)
             if _follows(there) and there.unexplained < BETTER * here.unexplained:
-                sentence = f"the effort of {joint} fits its motion only with the other sign of its positions"
-                yield Contradiction(SIGN, joint, f"{sentence}; expected the direction of the robot file")
+                seen = f"the effort of {joint} fits its motion only with the other sign of its positions"
+                yield Finding(SIGN, joint, sentence=f"{seen}; expected the direction of the robot file")
 
 
-def crossed_sides(record: MotionRecord) -> Iterator[Contradiction]:
+def crossed_sides(record: MotionRecord) -> Iterator[Finding]:
     """Find pairs of joints whose links are recorded in another order than their motors."""
-    for (i, first), (j, second) in combinations(_moving(record), 2):
+    for i, j in combinations(record.driven, 2):
+        first, second = record.joints[i], record.joints[j]
         straight = [_unexplained(record.q_l[:, k], record.q_m[:, k]) for k in (i, j)]
         across = [_unexplained(record.q_l[:, a], record.q_m[:, b]) for a, b in ((i, j), (j, i))]
         if max(across) < FOLLOWS and max(across) < BETTER * min(straight):
             sentence = f"q_m of {first} follows q_l of {second}, and the reverse; expected one order of the joints"
-            yield Contradiction(ORDER, first, sentence)
+            yield Finding(ORDER, first, sentence=sentence)
 
 
-def crossed(motion: RigidMotion) -> Iterator[Contradiction]:
+def crossed(motion: RigidMotion) -> Iterator[Finding]:
     """Find pairs of joints whose efforts, or all of whose signals, are recorded in the other order."""
-    for (i, first), (j, second) in combinations(_moving(motion.record), 2):
+    for i, j in combinations(motion.record.driven, 2):
+        first, second = motion.record.joints[i], motion.record.joints[j]
         pairs = (i, i), (j, j), (i, j), (j, i)
         by_effort = [effort_line(motion, *pair) for pair in pairs]
-        by_sensor = [fitted_line(motion.tau[:, k], motion.torque[:, of], (), motion.independent) for k, of in pairs]
+        by_sensor = [motion.line(motion.tau[:, k], motion.torque[:, of]) for k, of in pairs]
         wrong = [
             name
             for name, lines in (("efforts", by_effort), ("torques", by_sensor))
             if _all_follow(lines[:2], lines[2:])
         ]
         if wrong:
-            sentence = f"the {wrong[0]} of {first} and {second} fit the motion of the other joint"
-            yield Contradiction(ORDER, first, f"{sentence}; expected one order of the joints")
+            seen = f"the {wrong[0]} of {first} and {second} fit the motion of the other joint"
+            yield Finding(ORDER, first, sentence=f"{seen}; expected one order of the joints")
         elif max(line.unexplained for line in by_effort[:2]) > GOOD / 5:
             for what, names in EXCHANGED.items():
                 other = rigid_motion(_exchanged(motion.record, i, j, names), motion.robot)
                 if _all_follow(by_effort[:2], [effort_line(other, k) for k in (i, j)]):
-                    sentence = f"{what} of {first} and {second} fit the robot in the other order"
-                    yield Contradiction(ORDER, first, f"{sentence}; expected the order of the joints in the robot file")
+                    seen = f"{what} of {first} and {second} fit the robot in the other order"
+                    yield Finding(ORDER, first, sentence=f"{seen}; expected the order of the joints in the robot file")
                     break
 
 
@@ -273,12 +273,6 @@ def _exchanged(record: MotionRecord, i: int, j: int, names: Sequence[str]) -> Mo
     order = np.arange(len(record.joints))
     order[[i, j]] = order[[j, i]]
     return replace(record, **{name: getattr(record, name)[:, order] for name in names})
-
-
-def _moving(record: MotionRecord) -> list[tuple[int, str]]:
-    return [
-        (j, name) for j, name in enumerate(record.joints) if name not in record.still and np.ptp(record.u[:, j]) > 0
-    ]
 
 
 def _follows(line: FittedLine) -> bool:
@@ -308,3 +302,7 @@ def _unexplained(x: Array, y: Array) -> float:
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y)) and np.ptp(x) > 0 and np.ptp(y) > 0):
         return np.inf
     return float(1 - np.corrcoef(x, y)[0, 1] ** 2)
+
+
+IN_ORDER = (degrees, skews, sides, swapped, crossed, efforts, turned)
+"""Checks of a motion, the most fundamental one first."""

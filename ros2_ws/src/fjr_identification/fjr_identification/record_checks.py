@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from fjr_core.errors import RecordError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 
 from . import motion_checks, scale_checks
 from .estimation.motion_record import LEAST_MOTION, MotionRecord
-from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, Contradiction, rigid_motion
+from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, rigid_motion
 
 SHORTEST = 200  # samples
 CLIPPED_RUN = 3  # times as many samples in a row at the extreme value as at others
@@ -32,69 +33,60 @@ STEPS = 3.5  # of resolution; a joint that stops by itself takes smaller ones at
 SAME = 1e-9  # rad; two measurements differ by more
 
 
-def findings(record: MotionRecord, robot: Robot, accepted: Collection[str] = ()) -> tuple[Contradiction, ...]:
+def findings(record: MotionRecord, robot: Robot, accepted: Collection[str] = ()) -> tuple[Finding, ...]:
     """Return what contradicts the record, up to the first kind that is not accepted: a wrong unit causes many others.
 
     Raises RecordError for a record of another number of joints.
     """
     if len(record.joints) != robot.n:
         raise RecordError(f"{record.name} has {len(record.joints)} joints; expected {robot.n}, as the robot")
-    contradictions: list[Contradiction] = []
-    for check in _checks(record, robot):
-        contradictions += check
-        if any(finding.kind not in accepted for finding in contradictions):
+    found: list[Finding] = []
+    for of_check in _checks(record, robot):
+        found += of_check
+        if any(finding.kind not in accepted for finding in found):
             break
-    return tuple(contradictions)
+    return tuple(found)
 
 
-def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Contradiction]]:
+def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Finding]]:
     """Yield the findings of each check, the most fundamental one first."""
-    yield short(record)
-    yield rest(record)
-    yield constant(record)
-    yield jumps(record)
-    yield stuck(record)
-    yield motion_checks.crossed_sides(record)
+    yield from (check(record) for check in (short, rest, constant, jumps, stuck, motion_checks.crossed_sides))
     motion = rigid_motion(record, robot)
-    yield motion_checks.degrees(motion)
-    yield motion_checks.skews(motion)
-    yield motion_checks.sides(motion)
-    yield motion_checks.swapped(motion)
-    yield motion_checks.crossed(motion)
-    yield motion_checks.efforts(motion)
-    yield motion_checks.turned(motion)
+    yield from (check(motion) for check in motion_checks.IN_ORDER)
     yield clipped(record)
     yield scale_checks.scales(record, robot)
 
 
-def short(record: MotionRecord) -> Iterator[Contradiction]:
+def short(record: MotionRecord) -> Iterator[Finding]:
     """Find a record of too few samples."""
     if len(record.u) < SHORTEST:
-        yield Contradiction(TOO_SHORT, "", f"the record has {len(record.u)} samples; expected at least {SHORTEST}")
+        sentence = f"the record has {len(record.u)} samples; expected at least {SHORTEST}"
+        yield Finding(TOO_SHORT, "", sentence=sentence)
 
 
-def rest(record: MotionRecord) -> Iterator[Contradiction]:
+def rest(record: MotionRecord) -> Iterator[Finding]:
     """Find a record in which no joint moves."""
     largest = float(np.max(record.ranges))
     if largest < LEAST_MOTION:
-        yield Contradiction(AT_REST, "", f"no joint moves by more than {largest:.2g} rad; expected a record of motion")
+        sentence = f"no joint moves by more than {largest:.2g} rad; expected a record of motion"
+        yield Finding(AT_REST, "", sentence=sentence)
 
 
-def constant(record: MotionRecord) -> Iterator[Contradiction]:
+def constant(record: MotionRecord) -> Iterator[Finding]:
     """Find columns that never change although the joint moves, and one column that stands for both sides."""
     for j, joint in enumerate(record.joints):
         for name in ("q_l", "q_m", "torque", "u"):
             values = getattr(record, name)[:, j]
             if joint not in record.still and np.all(np.isfinite(values)) and np.ptp(values) == 0:
                 sentence = f"{name} of {joint} is {values[0]:.6g} at every sample; expected a changing signal"
-                yield Contradiction(CONSTANT, joint, sentence)
+                yield Finding(CONSTANT, joint, sentence=sentence)
         deflection = record.q_m[:, j] - record.q_l[:, j]
         if np.all(np.isfinite(deflection)) and np.ptp(record.q_m[:, j]) > 0 and np.ptp(deflection) < SAME:
             sentence = f"q_m - q_l of {joint} is constant at every sample; expected two measurements"
-            yield Contradiction(CONSTANT, joint, sentence)
+            yield Finding(CONSTANT, joint, sentence=sentence)
 
 
-def jumps(record: MotionRecord) -> Iterator[Contradiction]:
+def jumps(record: MotionRecord) -> Iterator[Finding]:
     """Find steps between samples that no smooth motion makes: a revolution, a spike.
 
     They bend a signal at few samples, a fast transient of a long record also at those before or after.
@@ -111,10 +103,10 @@ def jumps(record: MotionRecord) -> Iterator[Contradiction]:
                 f"{name} of {joint} jumps by {x[at] - x[at - 1]:.4g} {SIGNALS[name]} at sample {at} "
                 f"({at * record.dt:.4g} s); expected a continuous signal"
             )
-            yield Contradiction(JUMP, joint, sentence)
+            yield Finding(JUMP, joint, sentence=sentence)
 
 
-def stuck(record: MotionRecord) -> Iterator[Contradiction]:
+def stuck(record: MotionRecord) -> Iterator[Finding]:
     """Find sensors that keep a value from one sample to the next although the joint was moving."""
     least = max(LEAST_RUN, round(RUN / record.dt))
     for name, joint, x in _changing(record):
@@ -128,11 +120,11 @@ def stuck(record: MotionRecord) -> Iterator[Contradiction]:
                     f"{name} of {joint} stops at {x[start]:.6g} {SIGNALS[name]} from one sample to the next, at "
                     f"{start * record.dt:.4g} s for {length * record.dt:.3g} s; expected it to slow down first"
                 )
-                yield Contradiction(STUCK, joint, sentence)
+                yield Finding(STUCK, joint, sentence=sentence)
                 break
 
 
-def clipped(record: MotionRecord) -> Iterator[Contradiction]:
+def clipped(record: MotionRecord) -> Iterator[Finding]:
     """Find efforts that stay at their extreme values for longer than a smooth peak of this resolution."""
     for j, joint in enumerate(record.joints):
         u = record.u[:, j]
@@ -152,7 +144,7 @@ def clipped(record: MotionRecord) -> Iterator[Contradiction]:
                     f"effort of {joint} is {extreme:.6g} N m at {np.mean(u == extreme):.1%} of the samples, up to "
                     f"{length} in a row; expected an effort that is not clipped"
                 )
-                yield Contradiction(CLIPPED, joint, sentence)
+                yield Finding(CLIPPED, joint, sentence=sentence)
 
 
 def _runs(at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -32,7 +32,7 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LINK, MOTOR, EFFORT, TORQUE = "link_position", "motor_position", "effort", "joint_torque"
 UNITS = {LINK: ANGLES, MOTOR: ANGLES, EFFORT: TORQUES, TORQUE: TORQUES}
 KEYS = ("column", "unit", "joints", "gear_ratio", "sign")
-COMMANDS, STATES = "commands", "states"
+BY_COMMANDS, BY_STATES = "commands", "states"
 BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, list), "effort": (str,)}
 
 
@@ -95,8 +95,8 @@ def _bag(document: Mapping[Any, Any], n: int) -> BagMap:
     motor, effort = given.get("motor", "position"), given.get("effort", "")
     if motor not in ("position", "torque"):
         raise ParameterError(f"bag.motor is {motor!r}; expected position or torque")
-    if effort not in ("", COMMANDS, STATES):
-        raise ParameterError(f"bag.effort is {effort!r}; expected {COMMANDS} or {STATES}")
+    if effort not in ("", BY_COMMANDS, BY_STATES):
+        raise ParameterError(f"bag.effort is {effort!r}; expected {BY_COMMANDS} or {BY_STATES}")
     namespace = str(given.get("namespace", "")).strip("/")
     ratio = _numbers("bag.gear_ratio", given.get("gear_ratio", 1.0), n)
     return BagMap(ratio, f"/{namespace}" if namespace else "", motor == "torque", effort)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the checks of a record share: the findings, the slow part of the motion, and lines fitted to it."""
+"""What the checks of a record share: kinds of findings, the slow part of the motion, and lines fitted to it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -28,18 +27,6 @@ CUTOFF = 8.0  # Hz
 SAMPLES = 4000  # that are kept, at most
 EDGE, LARGEST_EDGE = 2.0 / CUTOFF, 0.2  # s at each end where the filter is not settled, and share of the record
 LEAST_SHARE = 1e-6  # of a regressor's variance that the others do not explain
-
-
-@dataclass(frozen=True)
-class Contradiction:
-    """A contradiction of a record, with itself or with the robot: its kind, the joint ("" for all) and a sentence.
-
-    The sentence says what was seen and what was expected.
-    """
-
-    kind: str
-    joint: str
-    sentence: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +59,40 @@ class RigidMotion:
         """q_m - q_l."""
         return np.asarray(self.q_m - self.q_l)
 
+    @cached_property
+    def exchanged(self) -> RigidMotion:
+        """The motion of the record with its sides exchanged."""
+        return rigid_motion(replace(self.record, q_l=self.record.q_m, q_m=self.record.q_l), self.robot)
 
-def rigid_motion(record: MotionRecord, robot: Robot, scale: Array | float = 1.0, swapped: bool = False) -> RigidMotion:
-    """Return the motion of a record below CUTOFF; scale: of the positions, (n,). swapped: exchange the sides."""
-    sides = (record.q_m, record.q_l) if swapped else (record.q_l, record.q_m)
-    q_l, q_m, torque, u = (
-        _low_pass(signal, record.dt) for signal in (sides[0] * scale, sides[1] * scale, record.torque, record.u)
-    )
+    def line(self, x: Array, y: Array, *others: Array) -> FittedLine:
+        """Fit y = slope x + others + constant by least squares; all are (k,).
+
+        A regressor that the others explain has the slope 0 with an infinite deviation.
+        """
+        x, y = without(x, *others), without(y, *others)
+        power, total = float(x @ x), float(y @ y)
+        if not power > LEAST_SHARE * len(x) * np.finfo(float).tiny or total == 0:
+            return FittedLine(0.0, np.inf, 1.0)
+        slope = float(x @ y) / power
+        residual = y - slope * x
+        freedom = max(1.0, self.independent - len(others) - 2)
+        deviation = np.sqrt(float(residual @ residual) / power / freedom)
+        return FittedLine(slope, float(deviation), float(residual @ residual) / total)
+
+
+@dataclass(frozen=True)
+class FittedLine:
+    """Slope of y over x, its standard deviation, and the share of the variance of y that the fit leaves."""
+
+    slope: float
+    deviation: float
+    unexplained: float
+
+
+def rigid_motion(record: MotionRecord, robot: Robot, scale: Array | float = 1.0) -> RigidMotion:
+    """Return the motion of a record below CUTOFF; scale: of the positions, (n,)."""
+    signals = record.q_l * scale, record.q_m * scale, record.torque, record.u
+    q_l, q_m, torque, u = (_low_pass(signal, record.dt) for signal in signals)
     link, motor = np.where(np.isfinite(q_l), q_l, q_m), np.where(np.isfinite(q_m), q_m, q_l)
     dq_l, dq_m = (np.gradient(q, record.dt, axis=0) for q in (link, motor))
     ddq_l, ddq_m = (np.gradient(dq, record.dt, axis=0) for dq in (dq_l, dq_m))
@@ -113,48 +127,7 @@ def _spring_torque(robot: Robot) -> ca.Function:
     return ca.Function("spring_torque", [q, dq, ddq], [spring_torque(robot, q, dq, ddq)])
 
 
-@dataclass(frozen=True)
-class FittedLine:
-    """Slope of y over x, its standard deviation, and the share of the variance of y that the fit leaves."""
-
-    slope: float
-    deviation: float
-    unexplained: float
-
-
-def fitted_line(x: Array, y: Array, others: Sequence[Array], independent: float) -> FittedLine:
-    """Fit y = slope x + others + constant by least squares; all are (k,), `independent` of the k samples are.
-
-    A regressor that the others explain has the slope 0 with an infinite deviation.
-    """
-    rest = np.column_stack([*others, np.ones_like(x)])
-    x, y = without(rest, x), without(rest, y)
-    power, total = float(x @ x), float(y @ y)
-    if not power > LEAST_SHARE * len(x) * np.finfo(float).tiny or total == 0:
-        return FittedLine(0.0, np.inf, 1.0)
-    slope = float(x @ y) / power
-    residual = y - slope * x
-    freedom = max(1.0, independent - rest.shape[1] - 1)
-    deviation = np.sqrt(float(residual @ residual) / power / freedom)
-    return FittedLine(slope, float(deviation), float(residual @ residual) / total)
-
-
-def bounded_slope(
-    x: Array, y: Array, load: Array, others: Sequence[Array], compliance: tuple[float, float], independent: float
-) -> tuple[float, float] | None:
-    """Return the range of slopes r of y = r x + c load + others + constant, for c within its bounds, +- 5 deviations.
-
-    None if x does not move enough.
-    """
-    free = fitted_line(load, y, (x, *others), independent)
-    bounds = np.clip([free.slope - 5 * free.deviation, free.slope + 5 * free.deviation], *compliance)
-    lines = [fitted_line(x, y - c * load, others, independent) for c in bounds]
-    rests = not np.any(without(np.ones((len(x), 1)), x))
-    if rests or any(not max(1.0, abs(line.slope)) > 20 * line.deviation for line in lines):
-        return None
-    return min(a.slope - 5 * a.deviation for a in lines), max(a.slope + 5 * a.deviation for a in lines)
-
-
-def without(rest: Array, values: Array) -> Array:
-    """Return the values (k,) without their projection on the columns of `rest` (k, m)."""
+def without(values: Array, *others: Array) -> Array:
+    """Return the values (k,) without their projection on the others, (k,) each, and on a constant."""
+    rest = np.column_stack([*others, np.ones_like(values)])
     return np.asarray(values - rest @ np.linalg.lstsq(rest, values, rcond=None)[0])

@@ -20,10 +20,11 @@ from scipy.signal import butter, sosfiltfilt
 
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 
 from .estimation.elastic_arm import coulomb
 from .estimation.motion_record import SIGNALS, MotionRecord
-from .rigid_motion import GEAR_RATIO, TIME, Contradiction, RigidMotion, rigid_motion, spring_torques
+from .rigid_motion import GEAR_RATIO, TIME, RigidMotion, rigid_motion, spring_torques, without
 
 CUTOFF = 2.0  # Hz; well below resonances, which the rigid links do not have
 ROWS = 1000  # samples that are compared
@@ -73,7 +74,7 @@ class Scan:
         return float(missed * STEP) if missed * STEP < LARGEST else np.inf
 
 
-def scales(record: MotionRecord, robot: Robot) -> Iterator[Contradiction]:
+def scales(record: MotionRecord, robot: Robot) -> Iterator[Finding]:
     """Find gear ratios and times with which the effort of a joint of one measured side fits much better."""
     for joint, scan in _scans(record, robot).items():
         best = {what: scan.best(what) for what in scan.unexplained}
@@ -82,7 +83,7 @@ def scales(record: MotionRecord, robot: Robot) -> Iterator[Contradiction]:
             like = [name for name, (_, share) in best.items() if share < 2 * least]
             seen = " or ".join(WORDS[name].format(best[name][0], 1 / best[name][0]) for name in like)
             sentence = f"effort and motion of {joint} fit the links of the robot only with {seen}; expected 1 times"
-            yield Contradiction(TIME if what == SECONDS else GEAR_RATIO, joint, sentence)
+            yield Finding(TIME if what == SECONDS else GEAR_RATIO, joint, sentence=sentence)
 
 
 def least_seen(record: MotionRecord, robot: Robot) -> dict[str, tuple[float, float]]:
@@ -103,8 +104,7 @@ def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
     short = len(record.u) * record.dt < SHORTEST or len(motion.u) <= SETTLING
     if short or not np.all(np.isfinite(motion.position)):
         return {}
-    moving = [j for j, name in enumerate(record.joints) if name not in record.still and np.ptp(record.u[:, j]) > 0]
-    one_sided = [j for j in moving if not motion.both[j]]
+    one_sided = [j for j in record.driven if not motion.both[j]]
     count = round(np.log(LARGEST) / np.log(STEP))
     tried = STEP ** np.arange(-count, count + 1, dtype=float)
     late = [_terms(motion, time=s) for s in tried] if one_sided else []
@@ -146,15 +146,10 @@ class Terms:
 
     def unexplained(self, j: int, effort: float = 1.0) -> float:
         """Return the share of the variance of joint j's effort, divided by a scale, that the equation leaves."""
-        u = self.effort[:, j] / effort
-        y, inertia = u - self.links[:, j], self.inertia[:, j]
-        free = [inertia, self.velocity[:, j], self.sign[:, j]]
-        factor = _fitted(free, y)[1][0]
-        if not 1 / TRUST <= factor <= TRUST:
-            y = y - np.clip(factor, 1 / TRUST, TRUST) * inertia
-            free = free[1:]
-        residual = y - _fitted(free, y)[0]
-        return float(np.sum(residual**2) / max(np.sum((u - np.mean(u)) ** 2), 1e-300))
+        u, friction = self.effort[:, j] / effort, (self.velocity[:, j], self.sign[:, j])
+        y, inertia = (without(x, *friction) for x in (u - self.links[:, j], self.inertia[:, j]))
+        factor = np.clip(float(y @ inertia) / max(float(inertia @ inertia), 1e-300), 1 / TRUST, TRUST)
+        return float(np.sum((y - factor * inertia) ** 2) / max(np.sum((u - np.mean(u)) ** 2), 1e-300))
 
 
 def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -> Terms:
@@ -170,11 +165,3 @@ def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
     links, inertia, v, sign, u = (sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms)
     return Terms(links, inertia, v, sign, u, min(2 * CUTOFF * dt, 1.0) * len(u))
-
-
-def _fitted(columns: list[Array], y: Array) -> tuple[Array, Array]:
-    """Return the best sum (k,) of columns and a constant, and the factors of the columns."""
-    A = np.column_stack([*columns, np.ones_like(y)])
-    size = np.maximum(np.abs(A).max(axis=0), 1e-300)
-    x = np.linalg.lstsq(A / size, y, rcond=1e-9)[0] / size
-    return A @ x, x[:-1]

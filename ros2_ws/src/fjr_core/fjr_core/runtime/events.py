@@ -68,32 +68,39 @@ SENTENCES = {
     "velocity sign": "the {side} velocity of {joints} has the sign opposite to its position's slope",
     "velocity of another joint": "the {side} velocity of {first} is that of {last}",
 }
-"""Sentence of each kind of fault, in the order of enum fjr_wiring_kind in step.h."""
+"""Sentence of each kind of wiring fault, in the order of enum fjr_wiring_kind in step.h."""
 SIDES = ("link", "motor")
 
 
-@dataclass(frozen=True, order=True)
-class WiringFault:
-    """Fault of the wiring.
+@dataclass(frozen=True)
+class Finding:
+    """Fault of a robot, its signals or a record of them.
 
-    kind: one of SENTENCES. joints: indices, two if joints are exchanged. side: "link" or "motor".
+    kind: of the wiring one of SENTENCES, of a diagnosis e.g. "Coulomb friction", of a record e.g. "gear_ratio";
+    "unknown". joint: its name ("a and b" if two are exchanged), empty if unknown or of all. side: "link", "motor",
+    "joint" (the spring between the two) or empty. size, unit: magnitude, NaN: not known. share: part of the residual
+    torque that the fault explains. kind "a or b": these fit equally well, size is that of a. sentence: what was seen,
+    and of a record what was expected. since [s]: when it began, 0: it acts all the time.
     """
 
     kind: str
-    joints: tuple[int, ...]
-    side: str
+    joint: str
+    side: str = ""
+    size: float = math.nan
+    unit: str = ""
+    share: float = 1.0
+    sentence: str = ""
+    since: float = 0.0
 
     @classmethod
-    def of(cls, found: Any) -> WiringFault | None:
-        """Return a struct fjr_wiring_fault as a fault, None if it is none."""
-        joints = tuple(found.joint[0 : found.count])
-        return cls(list(SENTENCES)[found.kind], joints, SIDES[found.side]) if joints else None
-
-    def sentence(self, names: Sequence[str]) -> str:
-        """Describe the fault with the names of the joints."""
-        named = [names[j] for j in self.joints]
-        joints = " and ".join(named)
-        return SENTENCES[self.kind].format(joints=joints, side=self.side, first=named[0], last=named[-1])
+    def of_wiring(cls, found: Any, names: Sequence[str]) -> Finding | None:
+        """Return a struct fjr_wiring_fault as a finding, None if it is none; names (n,): of the joints."""
+        joints = [names[j] for j in found.joint[0 : found.count]]
+        if not joints:
+            return None
+        kind, side, both = list(SENTENCES)[found.kind], SIDES[found.side], " and ".join(joints)
+        sentence = SENTENCES[kind].format(joints=both, side=side, first=joints[0], last=joints[-1])
+        return cls(kind, joints[0] if kind == "velocity of another joint" else both, side, sentence=sentence)
 
 
 SIMPLE = {
@@ -205,8 +212,8 @@ class Journal:
             ), values
         cause = KINDS[found.detail].removeprefix("stops: ")
         if cause == "wiring":
-            fault = WiringFault.of(self._step.controller.journal.wiring)
-            sentence = fault.sentence(settings.joints) if fault is not None else cause
+            fault = Finding.of_wiring(self._step.controller.journal.wiring, settings.joints)
+            sentence = fault.sentence if fault is not None else cause
         else:
             sentence = self._step.law_failure if cause == "law" else _violation(cause, found, joint, settings)
         return f"stopped: {sentence}{self._after_gap(found.stamp)}", values

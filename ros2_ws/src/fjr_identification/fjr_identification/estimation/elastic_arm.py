@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.model.newton_euler import ChainAt, Mass, pseudo_inertia
-from fjr_core.model.rigid_arm import ArmDynamics, Body, PayloadArm, RigidArm
+from fjr_core.model.rigid_arm import ArmDynamics, Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function, directional, solve, sparse, symbols
@@ -90,14 +90,15 @@ class ElasticArm:
         n = self.robot.n
         s = symbols(q=n, v=n, a=n, parameters=self.layout.size)
         *motion, parameters = s.values()
-        return s, _rigid(self._links(self.layout.named(parameters)), *motion)
+        return s, self._links(self.layout.named(parameters), *motion)[1]
 
     @cached_property
     def link_inertia(self) -> ca.Function:
         """Return the function (q, parameters) -> M_l (n, n) [kg m^2]."""
         s = symbols(q=self.robot.n, parameters=self.layout.size)
-        M_l = self._links(self.layout.named(s["parameters"])).M_l(s["q"]) + self._added
-        return dense_function("link_inertia", s, {"M_l": M_l})
+        still = ca.SX.zeros(self.robot.n)
+        M_l = self._links(self.layout.named(s["parameters"]), s["q"], still, still)[0]
+        return dense_function("link_inertia", s, {"M_l": M_l + self._added})
 
     @cached_property
     def _expressions(self) -> tuple[dict[str, ca.SX], ca.SX, ca.SX]:
@@ -107,7 +108,6 @@ class ElasticArm:
         x, u, parameters = s.values()
         p, a_l = self.layout.named(parameters), ca.SX.sym("a_l", n)
         q_l, q_m, v_l, v_m = ca.vertsplit(x, n)
-        links = self._links(p)
         zeta = q_m - q_l - p.offset
         tau = p.joint_stiffness * zeta
         if self.robot.cubic is not None or self._entries((HARDENING,)):
@@ -116,11 +116,12 @@ class ElasticArm:
         T = sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q_l), strict=True))
         on_links = tau - p.link_damping * v_l - F_l - T
         on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
-        M_l = links.M_l(q_l) + self._added
-        dv_l = solve(M_l, on_links - _rigid(links, q_l, v_l, ca.SX.zeros(n)))
+        M_l, bias = self._links(p, q_l, v_l, ca.SX.zeros(n))
+        M_l += self._added
+        dv_l = solve(M_l, on_links - bias)
         dv_m = on_motors / p.motor_inertia
         z = ca.vertcat(x, *[parameters[i] for i in self._entries(DYNAMIC)], u)
-        balance = on_links - _rigid(links, q_l, v_l, a_l) - self._added @ a_l
+        balance = on_links - self._links(p, q_l, v_l, a_l)[1] - self._added @ a_l
         D_l = ca.substitute(ca.jacobian(balance, z), a_l, dv_l)
         D_l = ca.sparsify(solve(M_l, ca.SX.eye(n)) @ D_l)
         return s, ca.vertcat(dv_l, dv_m), ca.vertcat(D_l, ca.jacobian(dv_m, z))
@@ -143,17 +144,24 @@ class ElasticArm:
     def _added(self) -> ca.SX:
         return sparse(ca.diag(ca.DM(self.added_inertia or (0.0,) * self.robot.n)))
 
-    def _links(self, p: SimpleNamespace) -> RigidArm:
-        """Return the links of the robot, with a payload or with corrected inertias if one is free."""
-        links: RigidArm = self.robot.links
+    def _links(self, p: SimpleNamespace, q: ca.SX, v: ca.SX, a: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return M_l (n, n) and M_l a + C v + grad P_l (n,) of the links, with what is free: inertias, a payload.
+
+        A point mass m at p(q) with J = dp/dq adds m J'J and m J'(J a + dJ v - g).
+        """
+        links = self.robot.links
         if self._entries(PSEUDO_INERTIA):
             theta = ca.horzcat(*(getattr(p, name) for name in PSEUDO_INERTIA))
-            links = corrected_arm(self.robot.links, [theta[i, :] for i in range(self.robot.n)])
-        end_effector = self.robot.links.end_effector
-        if end_effector is None or not self._entries(PAYLOAD):
-            return links
+            chain = corrected_chain(links, [theta[i, :] for i in range(self.robot.n)], q)
+            M_l, torque = chain.inertia(), chain.inertial_torque(v, v, a) + chain.gravity_torque()
+        else:
+            M_l, torque = links.M_l(q), links.inertial_torque(q, v, v, a) + links.grad_P_l(q)
+        if links.end_effector is None or not self._entries(PAYLOAD):
+            return M_l, torque
         position = ca.vertcat(p.payload_position_x, p.payload_position_y, p.payload_position_z)
-        return PayloadArm(links, end_effector, p.payload_mass, position)
+        J = ca.jacobian(links.end_effector.position(q, position), q)
+        force = p.payload_mass * (J @ a + directional(J @ v, q, v) - links.end_effector.gravity)
+        return M_l + p.payload_mass * (J.T @ J), torque + J.T @ force
 
     def _entries(self, names: Sequence[str]) -> list[int]:
         """Return the entries of the packed parameters of the free ones with these names."""
@@ -165,14 +173,6 @@ class ElasticArm:
 def packed(arm: ElasticArm, parameters: Mapping[str, Array]) -> Array:
     """Return the parameters of the arm as one vector."""
     return np.concatenate([np.atleast_1d(parameters[name]) for name in arm.layout.sizes])
-
-
-def _rigid(links: RigidArm, q: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
-    """Return M_l a + C v + grad P_l, C v = dM_l v - grad T."""
-    if isinstance(links, (ArmDynamics, InertialArm)):
-        return links.inertial_torque(q, v, v, a) + links.grad_P_l(q)
-    dM = directional(links.M_l(q) @ v, q, v)
-    return links.M_l(q) @ a + dM - links.grad_T(q, v) + links.grad_P_l(q)
 
 
 def coulomb(v: Array, smoothing: Array | float) -> Array:
@@ -190,13 +190,13 @@ def correctable(links: ArmDynamics) -> bool:
     return links.M_l_vertices is None and bool(links.bodies) and links.order == tuple(range(links.n))
 
 
-def corrected_arm(links: ArmDynamics, theta: Sequence[Any]) -> InertialArm:
-    """Return the links with expressions theta, ten for each link, as in PSEUDO_INERTIA."""
+def corrected_chain(links: ArmDynamics, theta: Sequence[Any], q: ca.SX) -> ChainAt:
+    """Return the links at q (n,) with expressions theta, ten for each link, as in PSEUDO_INERTIA."""
     assert links.end_effector is not None  # every serial chain has one
-    inertias = [
-        _corrected(body, of_body, ca.SX.eye(4), ca.exp) for body, of_body in zip(links.bodies, theta, strict=True)
-    ]
-    return InertialArm(links.bodies, inertias, links.end_effector.gravity)
+    pairs = zip(links.bodies, theta, strict=True)
+    inertias = [_corrected(body, of_body, ca.SX.eye(4), ca.exp) for body, of_body in pairs]
+    masses = [Mass(P[3, 3], P[:3, 3], P[:3, :3]) for P in inertias]
+    return ChainAt(links.bodies, masses, links.end_effector.gravity, q)
 
 
 def corrected_body(body: Body, theta: Array) -> Body:
@@ -228,42 +228,3 @@ def _corrected(body: Body, theta: Any, U: Any, exp: Any) -> Any:
         U[row, column] = theta[4 + k]
     factor = L @ (exp(theta[0]) * U)
     return factor @ factor.T
-
-
-@dataclass(frozen=True)
-class InertialArm:
-    """A rigid arm whose masses and inertias are expressions, so that they can be identified.
-
-    The joint axes of the bodies are z. The pseudo-inertia (4, 4) of each, an expression, is the integral of
-    (r, 1)(r, 1)' dm about the origin of the body's frame; the masses, centres of mass and inertias of the bodies
-    themselves do not count. gravity (3,) [m/s^2] in the base frame.
-    """
-
-    bodies: Sequence[Body]
-    pseudo_inertias: Sequence[ca.SX]
-    gravity: Array
-
-    def M_l(self, q_l: ca.SX) -> ca.SX:
-        """Inertia M_l (n, n) [kg m^2]."""
-        return self._at(q_l).inertia()
-
-    def P_l(self, q_l: ca.SX) -> ca.SX:
-        """Potential energy P_l [J]."""
-        return self._at(q_l).potential_energy()
-
-    def grad_P_l(self, q_l: ca.SX) -> ca.SX:
-        """Gravity torque grad P_l (n,) [N m]."""
-        return self._at(q_l).gravity_torque()
-
-    def grad_T(self, q_l: ca.SX, v: ca.SX) -> ca.SX:
-        """d/dq_l (v' M_l v / 2) (n,) [N m], v constant."""
-        return self._at(q_l).kinetic_gradient(v)
-
-    def inertial_torque(self, q_l: ca.SX, v: ca.SX, w: ca.SX, a: ca.SX) -> ca.SX:
-        """M_l a + C(q_l, v) w (n,) [N m]."""
-        return self._at(q_l).inertial_torque(v, w, a)
-
-    def _at(self, q_l: ca.SX) -> ChainAt:
-        return ChainAt(
-            self.bodies, [Mass(P[3, 3], P[:3, 3], P[:3, :3]) for P in self.pseudo_inertias], self.gravity, q_l
-        )

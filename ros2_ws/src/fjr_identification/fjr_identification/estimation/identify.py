@@ -22,7 +22,7 @@ from scipy.signal import detrend
 from fjr_core.errors import StateError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_design.uncertainty.posterior import Fit, Identification
+from fjr_design.uncertainty.posterior import DEFLECTION, Fit, Identification
 
 from .elastic_arm import packed
 from .estimation_problem import SHORTEST, Estimation
@@ -43,7 +43,7 @@ from .multiple_shooting import PredictedSegments
 from .optimise import optimise, parameter_step, refine
 from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
 from .reversals import COLOURED, coloured, with_reversals
-from .validation import deflection_error, deflections, simulated_fits
+from .validation import deflection_error, motion_fits, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 
 NOT_CONVERGED = (
@@ -89,7 +89,7 @@ def identify(
     z_start = _start_of_simulation(setup, z)
     if z_start is None:
         by_filter = filtered.identification(names)
-        return replace(by_filter, fits=tuple(each.fit for each in deflections(setup, filtered.mean)))
+        return replace(by_filter, fits=tuple(motion_fits(setup, filtered.mean)))
     progress("compilation", 0.0)
     simulated = simulated_fit(setup, simulation_start(setup, z_start), progress)
     simulated = replace(simulated, estimates=withheld(simulated.setup, simulated.estimates, joints))
@@ -259,6 +259,6 @@ def _better_by_filter(setup: Estimation, simulated: Simulation, filtered: Estima
 
 def _unexplained(setup: Estimation, estimates: Estimates) -> Array:
     """Return the root mean square (n,) of the deflections that are not explained, NaN: not measured."""
-    seen = deflections(setup, estimates.mean)
-    count = sum(len(deflection.t) for deflection in seen)
-    return np.asarray(np.sqrt(sum(len(deflection.t) * deflection.elastic**2 for deflection in seen) / count))
+    fits = motion_fits(setup, estimates.mean)
+    count = sum(len(fit.t) for fit in fits)
+    return np.asarray(np.sqrt(sum(len(fit.t) * fit.noise[DEFLECTION] ** 2 for fit in fits) / count))

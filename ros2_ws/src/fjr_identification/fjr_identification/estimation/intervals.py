@@ -132,13 +132,13 @@ def spurious_information(best: PredictedSegments) -> Array:
 
 def _growth(best: PredictedSegments, k: int, normals: Array) -> Array:
     """Return the growth of the information of segment k by disturbances of its initial state, (draws, 4n) each."""
-    x, size, information = best.x0[k], normals.shape[1], best.projected[k].H
-    scale, (factor, lower) = best.compared[k].state_factor(size, 0.0)
+    x, information = best.x0[k], best.projected[k].H
+    scale, (factor, lower) = best.compared[k].state_factor(0.0)
     growth = np.zeros_like(information)
     for normal in normals:
         dx = solve_triangular(factor, normal, trans=1 if lower else 0, lower=lower) / scale
         pair = [best.problem.compare(k, best.z, x + sign * dx, best.noise) for sign in (1, -1)]
-        complete = [compared.projected(size).H for compared in pair if compared is not None]
+        complete = [compared.projected.H for compared in pair if compared is not None]
         if len(complete) == len(pair):
             growth += (sum(complete) / 2 - information) / len(normals)
     contained, grown = np.maximum(np.diag(information), 0.0), np.diag(growth)

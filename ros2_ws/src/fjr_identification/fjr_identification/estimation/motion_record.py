@@ -70,6 +70,12 @@ class MotionRecord:
         """Return the joints that stand still."""
         return tuple(joint for joint, moved in zip(self.joints, self.ranges, strict=True) if moved < LEAST_MOTION)
 
+    @property
+    def driven(self) -> list[int]:
+        """Return the joints that move under an effort that changes."""
+        changes = np.ptp(self.u, axis=0) > 0
+        return [j for j, joint in enumerate(self.joints) if joint not in self.still and changes[j]]
+
     def both_sides(self, j: int) -> bool:
         """Return whether link and motor of joint j are measured."""
         return bool(np.isfinite(self.q_l[:, j]).any() and np.isfinite(self.q_m[:, j]).any())

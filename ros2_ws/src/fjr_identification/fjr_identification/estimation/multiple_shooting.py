@@ -98,89 +98,44 @@ class Whitening:
 class Comparison:
     """Prediction of a segment: predicted (signals, count), and with residuals in units of their noise, J = d predicted.
 
+    size: of the initial state, 4n.
     squares, counts (signals,): sum of squared residuals in units of the signals, and their number. H = J'J, g = J'r by
     the initial state (4n) and z. penalty: what the prior of the initial state adds to the sum of squares; unsettled:
     by how much the most likely initial state would lower it.
     """
 
+    size: int
     predicted: Array
     squares: Array
     counts: Array
     H: Array
     g: Array
-    penalty: float = 0.0
+    penalty: float
+    whitening: Whitening | None
     unsettled: float = 0.0
-    whitening: Whitening | None = None
 
-    def projected(self, size: int) -> NormalEquations:
-        """Return the normal equations of z, without the initial state (size,)."""
-        scale, factor = self.state_factor(size, 0.0)
+    @cached_property
+    def projected(self) -> NormalEquations:
+        """The normal equations of z, without the initial state."""
+        size, (scale, factor) = self.size, self.state_factor(0.0)
         across = self.H[:size, size:]
         B = cho_solve(factor, across / scale[:, None]) / scale[:, None]
         a = cho_solve(factor, self.g[:size] / scale) / scale
         return NormalEquations(self.H[size:, size:] - across.T @ B, self.g[size:] - across.T @ a, a, B)
 
-    def state_step(self, size: int, damping: float) -> tuple[Array, float]:
-        """Return the damped step of the initial state (size,), and by how much it lowers the sum of squares."""
-        scale, factor = self.state_factor(size, damping)
-        dx = cho_solve(factor, self.g[:size] / scale) / scale
-        return dx, float(dx @ self.g[:size])
+    def state_step(self, damping: float) -> tuple[Array, float]:
+        """Return the damped step of the initial state (4n,), and by how much it lowers the sum of squares."""
+        scale, factor = self.state_factor(damping)
+        g = self.g[: self.size]
+        dx = cho_solve(factor, g / scale) / scale
+        return dx, float(dx @ g)
 
-    def state_factor(self, size: int, damping: float) -> tuple[Array, Any]:
-        """Return the scale (size,) of the initial state, and the Cholesky factor of its scaled and damped Hessian."""
-        scale = np.sqrt(np.diag(self.H)[:size])
+    def state_factor(self, damping: float) -> tuple[Array, Any]:
+        """Return the scale (4n,) of the initial state, and the Cholesky factor of its scaled and damped Hessian."""
+        H = self.H[: self.size, : self.size]
+        scale = np.sqrt(np.diag(H))
         scale = np.where(scale > 0, scale, 1.0)
-        H = self.H[:size, :size] / np.outer(scale, scale)
-        return scale, cho_factor(H + (RIDGE + damping) * np.eye(size))
-
-
-def compare(
-    segment: Segment,
-    shooting: Shooting,
-    coordinates: ParameterCoordinates,
-    z: Array,
-    x0: Array,
-    signals: Sequence[tuple[str, int]],
-    noise: Array,
-    reversals: Any = None,
-) -> Comparison | None:
-    """Return the comparison of a segment, or None if the prediction does not stay finite. noise (signals,).
-
-    reversals: jumps that are eliminated (`reversals.Reversals`), None: none.
-    """
-    p = coordinates.parameters(z)
-    start, samples = segment.first - segment.pad, segment.count + 2 * segment.pad
-    motion = shooting(x0, segment.effort, start, samples, p)
-    if motion is None:
-        return None
-    n, moving = len(segment.record.joints), coordinates.moving
-    J = np.zeros((len(signals), segment.count, 4 * n + len(moving)))
-    predicted = np.empty((len(signals), segment.count))
-    for k, (signal, joint) in enumerate(signals):
-        predicted[k], dy, sensitivities = _output(segment, signal, joint, p, *motion)
-        np.divide(sensitivities, noise[k], out=J[k, :, : shooting.columns])
-        measuring = {SKEWS.get(signal, ""): dy}  # derivatives by parameters of the measurement
-        if signal == "torque":
-            K = p["joint_stiffness"][joint]
-            measuring |= {"joint_stiffness": predicted[k] / K, "offset": np.full(len(dy), -K)}
-        for column, (name, i) in enumerate((coordinates.free[i] for i in moving), start=4 * n):
-            if i == joint and name in measuring:
-                J[k, :, column] += measuring[name] / noise[k]
-    residual = np.array([segment.measured(*signal) for signal in signals]) - predicted
-    known = np.isfinite(residual)
-    if not known.all():
-        residual[~known], J[~known] = 0.0, 0.0
-    H, g = np.zeros((4 * n + len(z),) * 2), np.zeros(4 * n + len(z))
-    places = np.concatenate([np.arange(4 * n), 4 * n + np.array(moving, dtype=int)])
-    weighted, whitening = residual / noise[:, None], None
-    if reversals:
-        J, weighted, whitening = reversals.whitened(segment, *motion, p, J, weighted, noise)
-        residual = residual - whitening.explained * noise[:, None]
-    H[np.ix_(places, places)], g[places] = shooting.normal_equations(J.reshape(-1, J.shape[2]), weighted.ravel())
-    scale = np.concatenate([np.ones(4 * n), coordinates.scale(z)])
-    squares, counts = np.sum(residual**2, axis=1), known.sum(axis=1)
-    penalty = whitening.penalty if whitening else 0.0
-    return Comparison(predicted, squares, counts, H * np.outer(scale, scale), g * scale, penalty, whitening=whitening)
+        return scale, cho_factor(H / np.outer(scale, scale) + (RIDGE + damping) * np.eye(self.size))
 
 
 def _output(segment: Segment, signal: str, joint: int, p: Mapping[str, Array], X: Array, S: Array) -> tuple[Array, ...]:
@@ -267,11 +222,11 @@ class Problem:
 
     def _settle(self, k: int, z: Array, x: Array, noise: Array) -> tuple[Array, Comparison] | None:
         """Return the most likely initial state of a segment at z, by Levenberg-Marquardt, and the comparison there."""
-        compared, damping, size = self.compare(k, z, x, noise), SOFT, len(x)
+        compared, damping = self.compare(k, z, x, noise), SOFT
         for _ in range(MOST_SETTLING):
             if compared is None:
                 return None
-            dx, decrease = compared.state_step(size, damping)
+            dx, decrease = compared.state_step(damping)
             if decrease < max(SETTLED, SHARE * _weighted(compared, noise)):
                 return x, replace(compared, unsettled=decrease)
             trial, before = self.compare(k, z, x + dx, noise), _weighted(compared, noise)
@@ -282,14 +237,56 @@ class Problem:
         return None if compared is None else (x, compared)
 
     def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
-        """Return the comparison of segment k at z and the initial state x (4n,)."""
-        compared = compare(self.segments[k], self.shooting, self.coordinates, z, x, self.signals, noise, self.reversals)
-        if compared is None or not np.isfinite(compared.H).all():
+        """Return the comparison of segment k at z and the initial state x (4n,), or None if it does not stay finite.
+
+        noise (signals,): unit of the residuals.
+        """
+        segment, p, moving = self.segments[k], self.coordinates.parameters(z), self.coordinates.moving
+        motion = self.shooting(x, segment.effort, segment.first - segment.pad, segment.count + 2 * segment.pad, p)
+        if motion is None:
             return None
-        size, away = len(x), (x - self.filtered[k]) / self.state_width
-        compared.H[range(size), range(size)] += self.state_width**-2
-        compared.g[:size] -= away / self.state_width
-        return replace(compared, penalty=compared.penalty + float(away @ away))
+        size, (predicted, J) = len(x), self._linearised(segment, p, *motion, noise)
+        residual = np.array([segment.measured(*signal) for signal in self.signals]) - predicted
+        known = np.isfinite(residual)
+        if not known.all():
+            residual[~known], J[~known] = 0.0, 0.0
+        weighted, whitening = residual / noise[:, None], None
+        if self.reversals:
+            J, weighted, whitening = self.reversals.whitened(segment, *motion, p, J, weighted, noise)
+            residual = residual - whitening.explained * noise[:, None]
+        H, g = np.zeros((size + len(z),) * 2), np.zeros(size + len(z))
+        places = np.concatenate([np.arange(size), size + np.array(moving, dtype=int)])
+        reduced = self.shooting.normal_equations(J.reshape(-1, J.shape[2]), weighted.ravel())
+        H[np.ix_(places, places)], g[places] = reduced
+        scale, away = np.append(np.ones(size), self.coordinates.scale(z)), (x - self.filtered[k]) / self.state_width
+        H *= np.outer(scale, scale)
+        g *= scale
+        if not np.isfinite(H).all():
+            return None
+        H[range(size), range(size)] += self.state_width**-2
+        g[:size] -= away / self.state_width
+        squares, counts = np.sum(residual**2, axis=1), known.sum(axis=1)
+        penalty = (whitening.penalty if whitening else 0.0) + float(away @ away)
+        return Comparison(size, predicted, squares, counts, H, g, penalty, whitening)
+
+    def _linearised(
+        self, segment: Segment, p: Mapping[str, Array], X: Array, S: Array, noise: Array
+    ) -> tuple[Array, Array]:
+        """Return the prediction (signals, count), and J (signals, count, columns) in units of the noise."""
+        size, moving = X.shape[1], self.coordinates.moving
+        J = np.zeros((len(self.signals), segment.count, size + len(moving)))
+        predicted = np.empty((len(self.signals), segment.count))
+        for k, (signal, joint) in enumerate(self.signals):
+            predicted[k], dy, sensitivities = _output(segment, signal, joint, p, X, S)
+            np.divide(sensitivities, noise[k], out=J[k, :, : self.shooting.columns])
+            measuring = {SKEWS.get(signal, ""): dy}  # derivatives by parameters of the measurement
+            if signal == "torque":
+                K = p["joint_stiffness"][joint]
+                measuring |= {"joint_stiffness": predicted[k] / K, "offset": np.full(len(dy), -K)}
+            for column, (name, i) in enumerate((self.coordinates.free[i] for i in moving), start=size):
+                if i == joint and name in measuring:
+                    J[k, :, column] += measuring[name] / noise[k]
+        return predicted, J
 
 
 def _weighted(compared: Comparison, noise: Array) -> float:
@@ -325,7 +322,7 @@ class PredictedSegments:
     @cached_property
     def projected(self) -> list[NormalEquations]:
         """Normal equations of each segment, without its initial state."""
-        return [segment.projected(self.x0.shape[1]) for segment in self.compared]
+        return [segment.projected for segment in self.compared]
 
     @cached_property
     def normal_equations(self) -> tuple[Array, Array]:

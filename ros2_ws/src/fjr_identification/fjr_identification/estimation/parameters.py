@@ -85,7 +85,7 @@ KINDS = {
 """All parameters by name."""
 PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
 PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
-"""Correction of the mass and inertia of each link (elastic_arm.corrected_arm); 0 is the robot file's."""
+"""Correction of the mass and inertia of each link (elastic_arm.corrected_chain); 0 is the robot file's."""
 OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)
 """Parameters that the torques of the rigid links depend on."""
 POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")

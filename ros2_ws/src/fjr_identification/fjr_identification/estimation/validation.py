@@ -28,71 +28,22 @@ from .parameters import IdentifyOptions, Prior
 STIFF = 1e12  # times the identified stiffness
 
 
-@dataclass(frozen=True, eq=False)
-class Deflection:
-    """Deflection q_m - q_l of each joint in a record within the bandwidth of the motion, less its mean, in [rad].
+def motion_fits(setup: Estimation, z: Array) -> list[Fit]:
+    """Return the fit of each record that is not simulated: its deflections within the bandwidth of the motion.
 
-    t (k,), measured, predicted (k, n), NaN where a side is not measured.
+    Less their means; predicted at z (p,); NaN where a side is not measured.
     """
-
-    record: str
-    joints: tuple[str, ...]
-    t: Array
-    measured: Array
-    predicted: Array
-
-    @property
-    def elastic(self) -> Array:
-        """Return the root mean square difference (n,) of measured and predicted deflection."""
-        return _rms(self.measured - self.predicted)
-
-    @property
-    def unexplained(self) -> Array:
-        """Return elastic relative to the root mean square deflection (n,), which a rigid arm leaves."""
-        return self.elastic / _rms(self.measured)
-
-    @property
-    def fit(self) -> Fit:
-        """Return the fit of a record that is not simulated."""
-        measured, predicted = {DEFLECTION: self.measured}, {DEFLECTION: self.predicted}
-        return Fit(self.record, self.t, measured, predicted, {DEFLECTION: self.elastic}, 1 - self.unexplained**2)
-
-
-def deflections(setup: Estimation, z: Array) -> list[Deflection]:
-    """Return the deflection of each record, predicted at z (p,)."""
-    return [_deflection(setup, k, z) for k in range(len(setup.records))]
-
-
-def _deflection(setup: Estimation, k: int, z: Array) -> Deflection:
-    record, motion = setup.records[k], setup.motions[k]
-    rigid = rigid_along(setup, motion, z)
-    errors = np.column_stack([link_side(setup, motion, rigid, z, j).errors for j in range(setup.robot.n)])
-    measured = inner(smoothed(record.q_m - record.q_l, record.dt), record.dt)
-    measured, predicted = (
-        decimated(side - np.mean(side, axis=0), motion.stride) for side in (measured, measured - errors)
-    )
-    t = record.dt * inner(np.arange(len(record.u), dtype=float), record.dt)[:: motion.stride]
-    return Deflection(record.name, record.joints, t, measured, predicted)
-
-
-def predicted_deflection(
-    record: MotionRecord,
-    robot: Robot,
-    prior: Prior,
-    identification: Identification,
-    options: IdentifyOptions = IdentifyOptions(),  # noqa: B008
-    **factors: float,
-) -> Deflection:
-    """Return the deflection of a record, predicted by an identification from other records.
-
-    factors: on parameters by name.
-    """
-    values = {name: value.copy() for name, value in prior.values.items()}
-    for estimate in identification.estimates:
-        values[estimate.name][identification.joints.index(estimate.joint) if estimate.joint else 0] = estimate.value
-    values |= {name: factor * values[name] for name, factor in factors.items()}
-    setup = Estimation([record], robot, replace(prior, values=values), options)
-    return _deflection(setup, 0, setup.coordinates.mean)
+    fits = []
+    for record, motion in zip(setup.records, setup.motions, strict=True):
+        rigid = rigid_along(setup, motion, z)
+        errors = np.column_stack([link_side(setup, motion, rigid, z, j).errors for j in range(setup.robot.n)])
+        seen = inner(smoothed(record.q_m - record.q_l, record.dt), record.dt)
+        measured, predicted = (decimated(side - np.mean(side, axis=0), motion.stride) for side in (seen, seen - errors))
+        t = record.dt * inner(np.arange(len(record.u), dtype=float), record.dt)[:: motion.stride]
+        left = _rms(measured - predicted)
+        sides = {DEFLECTION: measured}, {DEFLECTION: predicted}, {DEFLECTION: left}
+        fits.append(Fit(record.name, t, *sides, 1 - (left / _rms(measured)) ** 2))
+    return fits
 
 
 def _rms(signal: Array) -> Array:
@@ -116,9 +67,18 @@ def hold_out(
     identification: Identification, record: MotionRecord, robot: Robot, prior: Prior, options: IdentifyOptions
 ) -> HoldOut:
     """Return what models leave unexplained of a record; robot, prior, options: of the identification."""
-    models: tuple[dict[str, float], ...] = ({}, {"joint_stiffness": STIFF}, {"link_skew": 0.0})
-    seen = [predicted_deflection(record, robot, prior, identification, options, **factors) for factors in models]
-    return HoldOut(record.name, identification.joints, np.column_stack([each.unexplained for each in seen]))
+    values = {name: value.copy() for name, value in prior.values.items()}
+    for estimate in identification.estimates:
+        values[estimate.name][identification.joints.index(estimate.joint) if estimate.joint else 0] = estimate.value
+    rigid, no_skew = (
+        {name: factor * values[name]} for name, factor in (("joint_stiffness", STIFF), ("link_skew", 0.0))
+    )
+    shares = []
+    for changed in ({}, rigid, no_skew):
+        setup = Estimation([record], robot, replace(prior, values={**values, **changed}), options)
+        (fit,) = motion_fits(setup, setup.coordinates.mean)
+        shares.append(fit.noise[DEFLECTION] / _rms(fit.measured[DEFLECTION]))
+    return HoldOut(record.name, identification.joints, np.column_stack(shares))
 
 
 def simulated_fits(prediction: PredictedSegments, deviations: Array) -> tuple[Fit, ...]:

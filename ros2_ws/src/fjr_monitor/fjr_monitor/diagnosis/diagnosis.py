@@ -16,6 +16,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 from fjr_core.stability.linearization import linearize
 
 from . import thresholds
@@ -34,7 +35,7 @@ from .grading import BlockStatistics
 from .record import PART, Innovations, Record, T
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
-from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, Finding, external, unknown, violated
+from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, external, unknown, violated
 
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 VISITED = 200  # configurations of a run at which the rate is evaluated

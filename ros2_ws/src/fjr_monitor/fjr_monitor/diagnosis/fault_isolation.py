@@ -17,14 +17,13 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.events import WiringFault
+from fjr_core.runtime.events import Finding
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
 from .record import Innovations, Record
 from .residuals import FEWEST_BLOCKS, block_means, deviation, residuals
 from .thresholds import BLOCK, LONGEST_GAP
 from .torque_faults import EXPLAINED, UNKNOWN, torque_fault
-from .verdict import Finding
 
 CONTRADICTION = 5.0
 """Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
@@ -50,11 +49,9 @@ def isolate(
     which no motor was saturated. late (k, n) [N m]: acting minus sent effort there. names (n,): of the joints.
     """
     with np.errstate(all="ignore"):
-        wiring = wiring_fault(record, law.robot)
+        wiring = wiring_fault(record, law.robot, names)
         if wiring is not None:
-            concerned = wiring.joints[:1] if wiring.kind == "velocity of another joint" else wiring.joints
-            joint = " and ".join(names[j] for j in concerned)
-            return (Finding(wiring.kind, joint, wiring.side, np.nan, "", 1.0, wiring.sentence(names)),)
+            return (wiring,)
         contradicted = velocity_faults(record, names)
         if contradicted:
             return contradicted
@@ -65,11 +62,12 @@ def isolate(
 class WiringCheck:
     """The check of the wiring by the control step (wiring.c) alone, for recorded states.
 
-    It compares samples and efforts from the start until every joint is right or a fault is found. Raises CompilerError
-    without a C compiler.
+    It compares samples and efforts from the start until every joint is right or a fault is found. names (n,): of the
+    joints. Raises CompilerError without a C compiler.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, names: Sequence[str]) -> None:
+        self._names = names
         library = step_library(robot.n)
         self._ffi, self._lib = library.ffi, library.lib
         functions = {name: jit.compiled(f) for name, f in rigid_arm_functions(robot).items()}
@@ -91,14 +89,14 @@ class WiringCheck:
         """Return whether all signals of all joints are known to be right."""
         return bool(self._lib.fjr_wiring_is_right(self.state))
 
-    def see(self, t: float, q: Array, dq: Array) -> WiringFault | None:
+    def see(self, t: float, q: Array, dq: Array) -> Finding | None:
         """Take the state q, dq (2n,) at time t [s]; return the fault once consecutive comparisons agree on it."""
         self._lib.fjr_wiring_see(self.state, t, self._pointer(q), self._pointer(dq))
         self._lib.fjr_wiring_compare(self._model, self.state)
         while self.state.comparing and not self.state.found:  # here nothing waits for an answer
             self.state.waiting = 1
             self._lib.fjr_wiring_compare(self._model, self.state)
-        return WiringFault.of(self.state.fault) if self.state.found else None
+        return Finding.of_wiring(self.state.fault, self._names) if self.state.found else None
 
     def sent(self, u: Array) -> None:
         """Take the command u (n,) [N m] for the last state."""
@@ -108,9 +106,9 @@ class WiringCheck:
         return self._ffi.from_buffer("double[]", np.ascontiguousarray(values, dtype=float))
 
 
-def wiring_fault(record: Record, robot: Robot) -> WiringFault | None:
+def wiring_fault(record: Record, robot: Robot, names: Sequence[str]) -> Finding | None:
     """Check the wiring on the first states of a record, as the running controller does."""
-    check = WiringCheck(robot)
+    check = WiringCheck(robot, names)
     longest = LONGEST_GAP * record.sample_period
     for k in range(min(STARTING, len(record.t))):
         if not (np.isfinite(record.position[k]).all() and np.isfinite(record.velocity[k]).all()):

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 
 from .hypotheses import LINK, Hypothesis, hypotheses
 from .residuals import Residuals
-from .verdict import EXTERNAL, Finding
+from .verdict import EXTERNAL
 
 UNKNOWN = "unknown"
 EXPLAINED = 0.8

@@ -9,6 +9,7 @@ from typing import Literal
 
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
+from fjr_core.runtime.events import Finding
 
 from .thresholds import JointTolerances
 
@@ -24,26 +25,6 @@ _EXPLANATIONS = {
     SAMPLING: "the effort is held too long at this sample period",
     NOISE: "noise of the sensors moves the robot",
 }
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Fault of a robot or its signals.
-
-    kind: e.g. "Coulomb friction"; "unknown". joint: its name ("a and b" if two are exchanged), empty if unknown.
-    side: "link", "motor", "joint" (the spring between the two) or empty. size, unit: magnitude. share: part of the
-    residual torque that the fault explains. kind "a or b": these fit equally well, size is that of a. since [s]: when
-    it began, 0: it acts all the time.
-    """
-
-    kind: str
-    joint: str
-    side: str
-    size: float
-    unit: str
-    share: float
-    sentence: str
-    since: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ class Bag:
             return self.namespace + name
         others = [] if self.namespace else [topic for topic in self.topics if topic.endswith(name)]
         if len(others) > 1:
-            raise BagError(f"{self.path} holds {' and '.join(sorted(others))}: name one of them by its --namespace")
+            raise BagError(f"{self.path} holds {' and '.join(sorted(others))}; expected one, or its namespace")
         return others[0] if others else None
 
     def joints(self, name: str, joints: Sequence[str]) -> JointTable:
