@@ -33,9 +33,9 @@ from bench.measure import in_turns, ratio
 from bench.nodes import bare, running
 from bench.tap import Seen, Tap
 from fjr_core import TrackingLaw, robot_from_urdf
-from fjr_core.config.scenario import load_scenario
 from fjr_core.monitoring.certificate import Certificate
 from fjr_msgs_py import names
+from fjr_msgs_py.scenarios import library
 from time_limits import HANG
 
 
@@ -155,8 +155,7 @@ def test_study_agrees_with_scipy_and_mujoco() -> None:
 
 
 def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> None:
-    joint = load_scenario(identification_peers.SINGLE)
-    case = identification_peers.case_of(joint, 0.9, seed=0)
+    case = identification_peers.case_of(library.load("paper_k31"), 0.9, seed=0)
     for found in (identification_peers.ours(case), identification_peers.theirs(case, pieces=3)):
         np.testing.assert_allclose(found.values[:2], list(case.truth.values())[:2], rtol=1e-2)
         assert np.all(found.low < found.high)
