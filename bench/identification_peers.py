@@ -23,7 +23,6 @@ from mujoco import sysid
 
 from bench.arm import JOINT, arm7, mujoco_spec
 from bench.figures import Figure
-from bench.identification import simulated
 from fjr_core.config.scenario import Scenario
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
@@ -69,11 +68,14 @@ class Case:
 
 def case_of(scenario: Scenario, duration: float, seed: int) -> Case:
     """Return a case of `duration` seconds with white noise on all encoders."""
-    robot = scenario.robot
+    robot, n, run = scenario.robot, scenario.robot.n, scenario.simulate(duration)
+    k = len(run.u)
+    motion = np.array([np.concatenate([x[: 2 * n], *robot.velocities(x)]) for x in run.x[:k]])
+    q = motion[:, : 2 * n] + NOISE * np.random.default_rng(seed).standard_normal((k, 2 * n))
+    unmeasured, dt = np.full((k, n), np.nan), scenario.sample_period
+    record = MotionRecord(scenario.name, scenario.joints, dt, run.u, q[:, :n], q[:, n:], unmeasured)
     truth = dict(zip(NAMES, map(np.diag, (robot.K, robot.M_m, robot.D_l, robot.D_m)), strict=True))
     start = {name: WRONG[name] * value for name, value in truth.items()}
-    record, states = simulated(scenario, duration, NOISE, seed)
-    motion = np.array([np.concatenate([x[: 2 * robot.n], *robot.velocities(x)]) for x in states])
     return Case(robot, record, motion, truth, start)
 
 
