@@ -32,10 +32,10 @@ from bench import (
     start_up,
     starts,
 )
-from bench.figures import Figure, page, table
+from bench.figures import ROOT, Figure, page, table
 from fjr_msgs_py.console.provenance import machine
 
-RESULTS = Path(__file__).resolve().parents[1] / "runs" / "bench.json"
+RESULTS = ROOT / "runs" / "bench.json"
 Measurement = tuple[Callable[..., list[Figure]], dict[str, Any]]
 """What measures, and its arguments in a quick run."""
 USUAL: dict[str, Measurement] = {

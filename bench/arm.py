@@ -1,27 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The seven-joint arm of the scenario `arm7`, as this project's and as Pinocchio's model."""
+"""The seven-joint arm of the scenario `arm7`, also as Pinocchio's model, and elastic robots as models of MuJoCo."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache, cached_property
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import mujoco
 import numpy as np
 import pinocchio as pin
 
 from fjr_core import Plant, TrackingLaw
-from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.config.scenario import Scenario
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import symbolic
 from fjr_core.numerics.checks import Array
+from fjr_engines.mjcf.writing import MOTOR, specification
+from fjr_msgs_py.scenarios import library
 
-ROOT = Path(__file__).resolve().parents[1]
-BRINGUP = ROOT / "ros2_ws" / "src" / "fjr_bringup"
-SCENARIO = BRINGUP / "scenarios" / "arm7.yaml"
-URDF = BRINGUP / "robots" / "arm7.urdf"
+URDF = library.find("arm7").parents[1] / "robots" / "arm7.urdf"
+JOINT = "joint{}"
+OFF = (
+    *("CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "REFSAFE", "WARMSTART", "FILTERPARENT"),
+    *("ACTUATION", "CLAMPCTRL", "SENSOR", "MIDPHASE", "AUTORESET", "EULERDAMP"),
+)
+"""Features of MuJoCo that eq. (36) does not need."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +64,25 @@ class Arm:
 @cache
 def arm7() -> Arm:
     """Return the arm of the scenario `arm7`; its joints are those of its URDF, in the same order."""
-    return Arm(load_scenario(SCENARIO), pin.buildModelFromUrdf(str(URDF)))
+    return Arm(library.load("arm7"), pin.buildModelFromUrdf(str(URDF)))
 
 
 def random_motion(n: int, seed: int) -> tuple[Array, Array, Array]:
     """Return random positions [rad], velocities [rad/s] and torques [N m], each (n,)."""
     random = np.random.default_rng(seed)
     return random.uniform(-1.5, 1.5, n), random.uniform(-1.0, 1.0, n), random.uniform(-20.0, 20.0, n)
+
+
+def mujoco_spec(robot: Robot, dt: float, on: Collection[str] = ()) -> mujoco.MjSpec:
+    """Return the elastic robot of fjr_engines in MuJoCo alone, with steps of dt [s]; qpos = (q_l, q_m).
+
+    on: features that are not disabled; with "ACTUATION" the motors are controls, else efforts are qfrc_applied.
+    """
+    joints = [JOINT.format(k) for k in range(robot.n)]
+    spec = specification(robot, joints)
+    spec.option.timestep = dt
+    off = (name for name in OFF if name not in on)
+    spec.option.disableflags = sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in off)
+    for joint in joints if "ACTUATION" in on else ():
+        spec.add_actuator(name=joint, target=joint + MOTOR, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    return spec

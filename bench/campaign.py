@@ -7,7 +7,7 @@ The peers simulate one run after the other as typical SciPy and MuJoCo code does
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from math import sin
@@ -18,9 +18,9 @@ import mujoco
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from bench.arm import mujoco_spec
 from bench.figures import Figure
 from bench.measure import one_core
-from bench.mujoco_arm import MujocoArm
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
@@ -38,11 +38,6 @@ RANGES = {
     "link_damping": (0.5, 2.0),
     "motor_damping": (0.5, 2.0),
 }
-GRAVITY = 9.81  # m/s^2
-MASS = 1.0  # kg, of MuJoCo's link; its gravity torque and inertia are those of the joint
-
-Peer = Callable[[ClosedLoop, Draws, int], float]
-"""(loop, draws, run) -> RMS error of the link from loop.settle_after on [rad]."""
 
 
 def loop() -> ClosedLoop:
@@ -64,15 +59,17 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
     ours, drawn = loop(), draws(runs)
     ours.run(drawn.taken(range(2)))
     wall, busy = campaign(ours, drawn)
-    some = {
-        "ours": (lambda first: ours.run(drawn.taken(np.arange(first, first + 100) % runs)), 100),
-        **_peers(ours, drawn),
+    some: dict[str, tuple[Callable[[Sequence[int]], object], int]] = {
+        "ours": (lambda chosen: ours.run(drawn.taken(np.array(chosen))), 100),
+        "solve_ivp": (lambda chosen: [scipy_peer(ours, drawn, run) for run in chosen], 1),
+        "MuJoCo": (lambda chosen: [mujoco_peer(ours, drawn, run) for run in chosen], 5),
     }
     times: dict[str, list[float]] = {name: [] for name in some}
     with one_core():
         for i in range(rounds):
             for name, (run, count) in some.items():
-                times[name].append(timeit(partial(run, i * count), number=1) / count)
+                chosen = [(i * count + k) % runs for k in range(count)]
+                times[name].append(timeit(partial(run, chosen), number=1) / count)
     each = {name: float(np.median(seconds)) for name, seconds in times.items()}
     name = f"campaign: {runs:,} runs of the paper's joint, 5 s at 1 kHz, on two cores"
     parts = {"processor time [s]": busy, "a run [ms]": 1e3 * each["ours"], "cores there": float(os.cpu_count() or 0)}
@@ -99,15 +96,8 @@ def campaign(ours: ClosedLoop, drawn: Draws) -> tuple[float, float]:
     return seconds
 
 
-def _peers(ours: ClosedLoop, drawn: Draws) -> dict[str, tuple[Callable[[int], object], int]]:
-    def of(peer: Peer, count: int) -> tuple[Callable[[int], object], int]:
-        return lambda first: [peer(ours, drawn, (first + i) % drawn.runs) for i in range(count)], count
-
-    return {"solve_ivp": of(scipy_peer, 1), "MuJoCo": of(mujoco_peer, 5)}
-
-
 def scipy_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
-    """Simulate a run by solve_ivp with default method and tolerances over each sample."""
+    """Simulate a run by solve_ivp with default method and tolerances over each sample; return the RMS error [rad]."""
     M_l, load, M_m, K, D_l, D_m = numbers(loop.robot, draws, run)
     period = loop.sample_period
 
@@ -123,9 +113,11 @@ def scipy_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
 
 
 def mujoco_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
-    """Simulate a run by mj_step, all steps of a sample in one call."""
-    peer = mujoco_joint(loop.robot, draws, run, loop.sample_period / loop.inner_steps)
-    model, data, first = peer.model, peer.data, [True]
+    """Simulate a run by mj_step, all steps of a sample in one call; return the RMS error [rad]."""
+    M_l, load, M_m, K, D_l, D_m = numbers(loop.robot, draws, run)
+    joint = single_link(K, M_l, load, M_m, D_l, D_m)
+    model = mujoco_spec(joint, loop.sample_period / loop.inner_steps).compile()
+    data, first = mujoco.MjData(model), [True]
 
     def follow(x: Array, u: float) -> Array:
         if first:
@@ -137,12 +129,6 @@ def mujoco_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
         return x
 
     return _tracked(loop, follow)
-
-
-def mujoco_joint(robot: Robot, draws: Draws, run: int, dt: float) -> MujocoArm:
-    """Return the joint with the drawn parameters as a MuJoCo model."""
-    M_l, load, M_m, K, D_l, D_m = numbers(robot, draws, run)
-    return MujocoArm(single_link(K, M_l, load, M_m, D_l, D_m), dt)
 
 
 def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, float, float, float]:

@@ -13,7 +13,9 @@ largest estimates of all minutes, the least that give no alarm in them, and thos
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from bench.figures import markdown, put
 from fjr_core.config.controller import contact_observer
 from fjr_core.config.scenario import Scenario
 from fjr_core.model.newton_euler import ChainAt, Mass, mass_of
@@ -37,27 +40,7 @@ MINUTE, TRIAL, AT = 60_000, 300, (2_000, 10_000, 59_000)  # samples at 1 kHz
 POSITION_NOISE, VELOCITY_NOISE = 5e-6, 5e-4  # rad, rad/s
 SWING = 0.3  # rad, of each of two sines
 REACHES = (0.3, 0.5, 0.7)  # m, of the tip from the axis of joint 1, between the rows of the table
-TABLE = Path(__file__).parents[1] / "docs" / "tables" / "contact.md"
-
 PEERS = {"equal": "fixed, no alarm in these hours", "hourly": "fixed, an alarm an hour"}
-BEGIN, END = "<!-- study -->\n", "<!-- end of study -->\n"
-TEXT = """
-**{alarms} false alarms in {hours} h** ({minutes} robots): at most {per_day:.2g} in 24 h with 95 % confidence.
-
-20 N in a random direction at the tip; delays in ms, "missed" if longer than 300 ms:
-
-| s after the start | thresholds | median | 95 % | missed | at least twice as late |
-| ---: | --- | ---: | ---: | ---: | ---: |
-{delays}
-
-Median thresholds [N m] after 59 s, by the distance of the tip from the axis of joint 1, and median delays [ms]:
-
-| reach | robots | {joints} | stated errors | fixed | fixed, 1/h |
-| --- | ---: | {rules} | ---: | ---: | ---: |
-{by_reach}
-{fixed}
-
-"""
 
 
 @dataclass(frozen=True)
@@ -116,21 +99,20 @@ class Study:
         position[:, :n], position[:, n:], velocity[:, :n] = q, q + torque / K, dq
         position += POSITION_NOISE * rng.normal(size=position.shape)
         velocity += VELOCITY_NOISE * rng.normal(size=velocity.shape)
-        watch = Watch(self)
-        runs, largest, done, alarms = [], np.zeros(n), 0, 0
-        for at in AT:
-            before, seen = watch.along(position[done:at], velocity[done:at], done)
-            largest, alarms, done = np.maximum(largest, np.abs(before).max(axis=0)), alarms + seen, at
+        watch, runs, largest, alarms = Watch(self), [], np.zeros(n), 0
+        for begin, at in pairwise((0, *AT, len(t))):
+            free, seen = watch.along(position[begin:at], velocity[begin:at], begin)
+            largest, alarms = np.maximum(largest, np.abs(free).max(axis=0)), alarms + seen
+            if at == len(t):
+                break
             force = rng.normal(size=3)
             jacobian = tip[at : at + TRIAL].reshape(-1, 3, n).transpose(0, 2, 1)
             push = jacobian @ (FORCE * force / np.linalg.norm(force))
             pushed = position[at : at + TRIAL].copy()
             pushed[:, n:] -= push / K
             runs.append(watch.tried(pushed, velocity[at : at + TRIAL], at))
-        before, seen = watch.along(position[done:], velocity[done:], done)
-        largest = np.maximum(largest, np.abs(before).max(axis=0))
         threshold, delay, traces = (np.array(each) for each in zip(*runs, strict=True))
-        return Minute(alarms + seen, largest, q[list(AT)], threshold, delay, traces)
+        return Minute(alarms, largest, q[list(AT)], threshold, delay, traces)
 
     def _motion(self, rng: np.random.Generator, t: Array) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations (k, n) of two sines a joint about a random pose."""
@@ -199,40 +181,40 @@ def simulate(folder: Path, hours: int, seed: int) -> None:
         print(f"{file.name}: {sum(each.alarms for each in minutes)} alarms", flush=True)
 
 
-def page(folder: Path) -> str:
-    """Return the tables of all hours in the folder."""
+def tables(folder: Path) -> Iterator[str]:
+    """Yield the lines of the tables of all hours in the folder."""
     files = [np.load(file) for file in sorted(folder.glob("*.npz"))]
     found = {name: np.concatenate([each[name] for each in files]) for name in FIELDS}
-    hours, alarms, own = len(files), int(found["alarms"].sum()), found["delay"]
-    n = found["largest"].shape[1]
-    fixed = {
-        "equal": found["largest"].max(axis=0),
-        "hourly": np.quantile(found["largest"], 1 - 1 / (60 * n), axis=0),
-    }
+    hours, alarms, own, largest = len(files), int(found["alarms"].sum()), found["delay"], found["largest"]
+    n = largest.shape[1]
+    fixed = {"equal": largest.max(axis=0), "hourly": np.quantile(largest, 1 - 1 / (60 * n), axis=0)}
     late = {name: _first(np.abs(found["torque"]) > thresholds) for name, thresholds in fixed.items()}
+    most = stats.chi2.ppf(0.95, 2 * alarms + 2) / 2 / hours * 24
+    counted = f"**{alarms} false alarms in {hours} h** ({len(own)} robots)"
+    yield f"{counted}: at most {most:.2g} in 24 h with 95 % confidence."
+
     delays = []
     for k, at in enumerate(AT):
-        delays.append(f"| {at * 1e-3:g} | stated errors | {_delay(own[:, k])} | |")
+        delays.append((f"{at * 1e-3:g}", "stated errors", *_delay(own[:, k]), ""))
         for name, samples in late.items():
             twice = _share(samples[:, k] >= 2 * own[:, k])
-            delays.append(f"| {at * 1e-3:g} | {PEERS[name]} | {_delay(samples[:, k])} | {twice} |")
+            delays.append((f"{at * 1e-3:g}", PEERS[name], *_delay(samples[:, k]), twice))
+    yield f'\n{FORCE:g} N in a random direction at the tip; delays in ms, "missed" if longer than {TRIAL} ms:\n'
+    columns = ["s after the start", "thresholds", "median", "95 %", "missed", "at least twice as late"]
+    yield from markdown(columns, delays, right={*columns} - {"thresholds"})
+
     reach, by_reach = _reach(found["pose"][:, -1]), []
-    for low, high in zip((0.0, *REACHES), (*REACHES, np.inf), strict=True):
+    for low, high in pairwise((0.0, *REACHES, np.inf)):
         rows = (reach >= low) & (reach < high)
         thresholds = _row(np.median(found["threshold"][rows, -1], axis=0))
-        medians = " | ".join(_ms(np.median(each[rows, -1])) for each in (own, *late.values()))
-        by_reach.append(f"| {low:g} to {high:g} m | {rows.sum()} | {thresholds} | {medians} |")
-    return TEXT.format(
-        hours=hours,
-        minutes=len(reach),
-        alarms=alarms,
-        per_day=stats.chi2.ppf(0.95, 2 * alarms + 2) / 2 / hours * 24,
-        delays="\n".join(delays),
-        by_reach="\n".join(by_reach).replace("to inf m", "m and more"),
-        joints=" | ".join(f"joint {j + 1}" for j in range(n)),
-        rules=" | ".join(["---:"] * n),
-        fixed="\n".join(f"| {PEERS[name]} | | {_row(each)} | | | |" for name, each in fixed.items()),
-    )
+        medians = (_ms(np.median(each[rows, -1])) for each in (own, *late.values()))
+        place = f"{low:g} to {high:g} m" if high < np.inf else f"{low:g} m and more"
+        by_reach.append((place, str(rows.sum()), *thresholds, *medians))
+    by_reach += [(PEERS[name], "", *_row(each), "", "", "") for name, each in fixed.items()]
+    distances = "by the distance of the tip from the axis of joint 1"
+    yield f"\nMedian thresholds [N m] after {AT[-1] // 1000} s, {distances}, and median delays [ms]:\n"
+    columns = ["reach", "robots", *(f"joint {j + 1}" for j in range(n)), "stated errors", "fixed", "fixed, 1/h"]
+    yield from markdown(columns, by_reach, right=columns[1:])
 
 
 def _first(beyond: NDArray[Any]) -> NDArray[Any]:
@@ -241,14 +223,14 @@ def _first(beyond: NDArray[Any]) -> NDArray[Any]:
     return np.where(seen.any(axis=-1), seen.argmax(axis=-1) + 1, TRIAL)
 
 
-def _row(values: Array) -> str:
-    return " | ".join(f"{each:.2f}" for each in values)
+def _row(values: Array) -> list[str]:
+    return [f"{each:.2f}" for each in values]
 
 
-def _delay(samples: Array) -> str:
+def _delay(samples: Array) -> tuple[str, str, str]:
     """Return median and 95 % quantile, and how often there was no alarm."""
     median, most = np.quantile(samples, (0.5, 0.95), method="inverted_cdf")
-    return f"{_ms(median)} | {_ms(most)} | {_share(samples >= TRIAL)}"
+    return _ms(median), _ms(most), _share(samples >= TRIAL)
 
 
 def _ms(delay: float) -> str:
@@ -276,8 +258,7 @@ def main() -> None:
     if given.hours:
         simulate(given.folder, given.hours, given.seed)
     else:
-        before, _, after = TABLE.read_text(encoding="utf-8").partition(BEGIN)
-        TABLE.write_text(before + BEGIN + page(given.folder) + END + after.partition(END)[2], encoding="utf-8")
+        put("contact.md", "contact", tables(given.folder))
 
 
 if __name__ == "__main__":

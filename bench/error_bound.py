@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +16,6 @@ from tqdm import tqdm
 
 from bench.figures import Figure, table
 from bench.uncertain_robots import UncertainLoop
-from fjr_core.model.robot import Robot
-from fjr_core.motions.inverse_dynamics import motor_motion
-from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.console.options import model_error
 from fjr_msgs_py.scenarios import library
@@ -29,29 +25,19 @@ from fjr_proofs.error_bound import bound_errors
 RUNS, SEARCHES = 10_000, 200
 ROUNDS = 15  # of a search
 AT_ONCE = 250  # runs between two steps of the bar
-LARGEST_RATIO = {"paper_k31": 1.5, "two_link": 2.0, "arm7": 3.0}  # of bound and largest error
-
-
-@dataclass(frozen=True)
-class Observed:
-    """Time [s] until errors count and length [s] of a run; a period of the reference is between them."""
-
-    settled: float
-    duration: float
-
-
-SCENARIOS = {"paper_k31": Observed(1.0, 7.3), "two_link": Observed(1.0, 7.3), "arm7": Observed(1.0, 3.0)}
+SETTLED = 1.0  # s until errors count
+SCENARIOS = {"paper_k31": (7.3, 1.5), "two_link": (7.3, 2.0), "arm7": (3.0, 3.0)}
+"""Length [s] of a run, a period of the reference beyond SETTLED; largest ratio of bound and largest error."""
 
 
 def of_scenario(
     name: str, errors: Mapping[str, ArrayLike], runs: int, searches: int, settings: list[str]
 ) -> list[Figure]:
     """Bound the tracking error for errors of parameters and one sample of delay; compare with runs and searches."""
-    scenario, observed = library.load(name, settings), SCENARIOS[name]
+    scenario, (duration, limit) = library.load(name, settings), SCENARIOS[name]
     T, place = scenario.sample_period, payload_position(scenario)
     bound = bound_errors(scenario.law, scenario.reference, T, T, errors, prove=True, payload_position=place)
-    times = observed.settled, observed.duration
-    loop = UncertainLoop(scenario.law, scenario.reference, T, T, errors, *times, place)
+    loop = UncertainLoop(scenario.law, scenario.reference, T, T, errors, SETTLED, duration, place)
     steady, whole = drawn(loop, runs if errors else 1)
     found = [steady.max(axis=0)]
     for seed in tqdm(range(searches if errors else 0), desc="searches", disable=not sys.stderr.isatty()):
@@ -62,7 +48,7 @@ def of_scenario(
         for what, of_joints in (("bound", bound.position), ("largest error", largest))
         for joint, size in zip(scenario.joints, of_joints, strict=True)
     }
-    ratio, limit = float(np.max(bound.position / largest)), LARGEST_RATIO[name]
+    ratio = float(np.max(bound.position / largest))
     return [
         Figure(f"{name}, {basis} error bound: runs of {len(steady)} beyond it", beyond(steady, bound.position), "", 0),
         Figure("... in parts", bound.parts, ""),
@@ -70,13 +56,6 @@ def of_scenario(
         Figure(f"... searches of {len(found) - 1} beyond it", beyond(np.array(found[1:]), bound.position), "", 0),
         Figure("... bound / largest error, worst joint", ratio, "", limit, parts=sizes),
     ]
-
-
-def on_reference(robot: Robot, reference: Reference) -> Array:
-    """Return the state (4n,) of the robot that keeps its links on the reference at time 0."""
-    q, dq, *more = reference.jets(0.0)
-    motors = motor_motion(robot, q, dq, *more)
-    return robot.state(q, motors.theta.full().ravel(), dq, motors.dtheta.full().ravel())
 
 
 def beyond(peaks: Array, bound: Array) -> int:

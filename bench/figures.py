@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured figures with their bounds, as a table, and tables between the markers of a page."""
+"""What benchmarks and studies write: figures with their bounds, results of long studies, tables of docs/tables."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import json
+import os
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-TABLES = Path(__file__).resolve().parents[1] / "docs" / "tables"
-
-FIELDS = ("name", "value", "unit", "bound", "aim", "at_least", "parts")
+ROOT = Path(__file__).resolve().parents[1]
+TABLES = ROOT / "docs" / "tables"
 HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
 
 
@@ -36,9 +38,7 @@ class Figure:
 
     def as_json(self) -> dict[str, object]:
         """Return the figure as plain values."""
-        holds = None if self.bound is None else self.holds
-        limits = {"bound": self.bound, "aim": self.aim, "at_least": self.at_least, "holds": holds}
-        return {"name": self.name, "value": self.value, "unit": self.unit, **limits, "parts": self.parts}
+        return {**asdict(self), "holds": None if self.bound is None else self.holds}
 
     def row(self) -> tuple[str, ...]:
         """Return the cells below HEADINGS."""
@@ -60,13 +60,34 @@ class Figure:
         return "" if limit is None else f"{'>=' if self.at_least else '<='} {limit:g}"
 
 
+def table(figures: Sequence[Figure]) -> str:
+    """Format all figures as a table, one per line."""
+    rows = [HEADINGS, *(figure.row() for figure in figures)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    rows.insert(1, tuple("-" * width for width in widths))
+    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
+
 def page(document: Mapping[str, Any]) -> str:
     """Format the figures of bench.json as a page in Markdown."""
-    figures = [Figure(**{name: each[name] for name in FIELDS}) for each in document["figures"]]
+    figures = [{name: each[name] for name in each if name != "holds"} for each in document["figures"]]
     processor, cores, _, python = document["machine"].rsplit(", ", 3)
     said = f"{processor}, {cores}, {python}, {document['date'][:10]}."
-    lines = markdown(HEADINGS, [figure.row() for figure in figures])
+    lines = markdown(HEADINGS, [Figure(**each).row() for each in figures])
     return "\n".join(["# Benchmark figures", "", f"Written by `make bench`. {said}", "", *lines, ""])
+
+
+def kept(file: Path, result: Callable[[], Any]) -> Any:
+    """Return the result in a JSON file; compute and write it, whole or not at all, if there is none.
+
+    A study of such files goes on where it ended, and any number of processes share its work.
+    """
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(f".{os.getpid()}")
+        part.write_text(json.dumps(result()), encoding="utf-8")
+        part.replace(file)
+    return json.loads(file.read_text(encoding="utf-8"))
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()) -> list[str]:
@@ -75,17 +96,21 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], right: Collecti
     return [f"| {' | '.join(row)} |" for row in (head, rule, *rows)]
 
 
-def table(figures: Sequence[Figure]) -> str:
-    """Format all figures as a table, one per line."""
-    rows = [HEADINGS, *(figure.row() for figure in figures)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
+def placed(page: str, name: str) -> str:
+    """Return what stands between `<!-- NAME: ... -->` and `<!-- end of NAME -->` on a page of docs/tables."""
+    return _parted(page, name)[1]
 
 
-def put(lines: Sequence[str], page: str, begin: str, end: str) -> None:
-    """Replace what is between two markers of a page of docs/tables; raise ValueError without the markers."""
-    path = TABLES / page
-    before, rest = path.read_text(encoding="utf-8").split(begin)
-    _, after = rest.split(end, 1)
-    path.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")
+def put(page: str, name: str, lines: Iterable[str]) -> None:
+    """Replace what stands between the marks of a name on a page of docs/tables; raise ValueError without them."""
+    before, _, after = _parted(page, name)
+    (TABLES / page).write_text("\n".join([before, "", *lines, "", after]), encoding="utf-8")
+
+
+def _parted(page: str, name: str) -> tuple[str, str, str]:
+    """Return a page up to the first mark, between both, and from the second on."""
+    pattern = rf"(.*<!-- {re.escape(name)}: [^\n]*-->)\n(.*)\n(<!-- end of {re.escape(name)} -->.*)"
+    found = re.fullmatch(pattern, (TABLES / page).read_text(encoding="utf-8"), re.DOTALL)
+    if found is None:
+        raise ValueError(f"{page} lacks '<!-- {name}: ... -->' and '<!-- end of {name} -->'; expected both")
+    return found[1], found[2], found[3]

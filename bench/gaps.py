@@ -33,16 +33,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from bench.arm import SCENARIO
 from bench.figures import Figure
 from bench.latency import at_rest
 from bench.machine import watched
 from bench.nodes import controller, plant, process, running, scenario_file
 from bench.tap import Heard, Tap
-from fjr_core.config.scenario import load_scenario
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.trajectories import trajectory_message
 from fjr_msgs_py.node.participant import own_node
+from fjr_msgs_py.scenarios import library
 
 REPEATS, WARM_UP = 5, 2.0  # s
 BOUND = 5.0  # ms
@@ -61,7 +60,7 @@ Use = Callable[[Tap, Heard], None]
 
 def longest(repeats: int = REPEATS) -> list[Figure]:
     """Return the longest gaps between two efforts, of `repeats` for each use."""
-    scenario = load_scenario(SCENARIO)
+    scenario = library.load("arm7")
     standing = at_rest(scenario)
     uses: Mapping[str, tuple[Use, Mapping[str, Any]]] = {
         f"while a standing arm receives {POINTS:,} points": (_send, standing),
@@ -117,7 +116,7 @@ def _send(tap: Tap, heard: Heard) -> None:
 
 def _pose() -> np.ndarray:
     """Return the largest position (n,) [rad] of the first joint's reference, with those of the others at time 0."""
-    reference = load_scenario(SCENARIO).reference
+    reference = library.load("arm7").reference
     largest = max(reference.jets(t)[0][0] for t in np.arange(0.0, 20.0, 0.01))
     return np.array([largest, *reference.jets(0.0)[0][1:]])
 
@@ -126,7 +125,7 @@ def _pose() -> np.ndarray:
 def _trajectory() -> bytes:
     """Return the serialised trajectory: a slow swing of the first joint, beyond its reference."""
     times = np.asarray(LEAD + SPACING * np.arange(POINTS), dtype=float)
-    scenario, phase = load_scenario(SCENARIO), 2 * np.pi * np.linspace(0, 10, POINTS)
+    scenario, phase = library.load("arm7"), 2 * np.pi * np.linspace(0, 10, POINTS)
     rate = 2 * np.pi * 10 / (SPACING * (POINTS - 1))
     positions = np.tile(_pose(), (POINTS, 1))
     velocities, accelerations = np.zeros((2, *positions.shape))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coverage of the intervals of `fjr identify`: random arms and records, identified, compared with the truth.
 
-    python -m bench.identification --cases 30 --joints 1 2 3 4 5 6 7 --measured both --out coverage.jsonl
+    python -m bench.identification --cases 30 --joints 1 2 3 4 5 6 7 --measured both --out coverage
 
 A case draws an arm, its springs and friction, noise and steps of the encoders, skews and a delay of the effort. Its
-record follows a multi-sine by PD control. Each case is added to the file as it ends; the same command goes on with the
-missing ones, and prints the tables of all. A study of an hour for many joints: no part of `make bench`.
+record follows a multi-sine by PD control. Each case is a file of the folder; the same command goes on with the missing
+ones, and prints the tables of all. A study of an hour for many joints: no part of `make bench`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import product
 from multiprocessing import Pool
 from pathlib import Path
@@ -26,8 +26,7 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 import fjr_identification
-from bench.figures import markdown
-from fjr_core.config.scenario import Scenario
+from bench.figures import kept, markdown
 from fjr_core.errors import FjrError
 from fjr_core.model.newton_euler import serial_chain
 from fjr_core.model.rigid_arm import Body
@@ -55,7 +54,7 @@ Row = dict[str, Any]
 Key = tuple[str, int, int]
 """Kind of measurement, number of joints, and seed of a case."""
 CODE = program_digest(*(Path(name).parent for name in (fjr_identification.__file__, __file__)))
-"""Of estimator and cases: results of other code do not count."""
+"""Of estimator and cases: results of each are in a folder of their own."""
 FIRST = 1000
 """First seed, so that no case is one by which the estimator was made."""
 FINE = 1e-4  # s; step of the simulation, and grain of skews and delays
@@ -78,16 +77,6 @@ class Case:
     robot: Robot
     prior: Prior
     truth: Mapping[str, Array]
-
-
-def simulated(scenario: Scenario, duration: float, noise: float, seed: int = 0) -> tuple[MotionRecord, Array]:
-    """Return a run of a scenario with white noise [rad] on all encoders as a record, and its true states (k, 4n)."""
-    n, run, random = scenario.robot.n, scenario.simulate(duration), np.random.default_rng(seed)
-    k = len(run.u)
-    q = run.x[:k, : 2 * n] + noise * random.standard_normal((k, 2 * n))
-    nothing = np.full((k, n), np.nan)
-    record = MotionRecord(scenario.name, scenario.joints, scenario.sample_period, run.u, q[:, :n], q[:, n:], nothing)
-    return record, run.x[:k]
 
 
 @cache
@@ -120,7 +109,8 @@ def draw(n: int, seed: int, duration: float | None = None, measured: str = "both
     if "torque" in signals:
         truth["torque_skew"] = np.round(np.random.default_rng([n, seed, 2]).uniform(-4e-3, 4e-3, n) / FINE) * FINE
     whole = _record(rng, robot, truth, duration or rng.uniform(8, 16))
-    record = _only(whole, signals)
+    unmeasured: dict[str, Any] = {name: np.full_like(whole.u, np.nan) for name in SIGNALS if name not in signals}
+    record = replace(whole, **unmeasured)
     spread = {"joint_stiffness": 0.5, "motor_inertia": 0.3}
     guess = {name: truth[name] * np.exp(sd * rng.standard_normal(n)) for name, sd in spread.items()}
     return Case(record, robot, Prior.of(robot, guess), truth)
@@ -150,7 +140,8 @@ def _record(rng: np.random.Generator, robot: Robot, truth: Mapping[str, Array], 
     step = Shooting(ElasticArm(robot, ()), ())
     p = {**truth, "effort_delay": np.zeros(n)}  # the efforts are delayed here
     reference = _reference(rng, n, dt * np.arange(samples, dtype=float))
-    x = _rest(robot, truth, reference[0])
+    q = reference[0]  # at rest
+    x = np.concatenate([q, q + robot.grad_P_l(q) / truth["joint_stiffness"] + truth["offset"], np.zeros(2 * n)])
     late = round(float(truth["effort_delay"][0]) / FINE)
     noise = rng.uniform(2e-6, 3e-5, (2, n))
     states, efforts, sent = [x[None]], [], [robot.grad_P_l(x[:n])] * (late // fine + 2)
@@ -181,20 +172,10 @@ def _measured(
     bits = 2 * np.pi / 2.0 ** rng.integers(18, 23, n)
     q_l, q_m = (q + s * rng.standard_normal(q.shape) for q, s in zip((link, motor), noise, strict=True))
     joints = tuple(f"joint{j + 1}" for j in range(n))
-    torque = _sensed(rng, truth["joint_stiffness"] * deflection)
+    torque = truth["joint_stiffness"] * deflection
+    step = SENSOR * rng.uniform(1, 4, n) * np.sqrt(np.mean(torque**2, axis=0))
+    torque = step * np.round(torque / step + rng.standard_normal(torque.shape))
     return MotionRecord("simulated", joints, dt, u, bits * np.round(q_l / bits), q_m, torque)
-
-
-def _only(record: MotionRecord, signals: Collection[str]) -> MotionRecord:
-    """Return the record with these signals only."""
-    kept = (getattr(record, name) * (1.0 if name in signals else np.nan) for name in SIGNALS)
-    return MotionRecord(record.name, record.joints, record.dt, record.u, *kept)
-
-
-def _sensed(rng: np.random.Generator, torque: Array) -> Array:
-    """Return torques (k, n) with the noise and the steps of a sensor."""
-    noise = SENSOR * rng.uniform(1, 4, torque.shape[1]) * np.sqrt(np.mean(torque**2, axis=0))
-    return np.asarray(noise * np.round(torque / noise + rng.standard_normal(torque.shape)))
 
 
 def _reference(rng: np.random.Generator, n: int, t: Array) -> Array:
@@ -206,16 +187,11 @@ def _reference(rng: np.random.Generator, n: int, t: Array) -> Array:
     return rng.uniform(-0.6, 0.6, n) + np.sum(amplitude * waves, axis=2)
 
 
-def _rest(robot: Robot, truth: Mapping[str, Array], q: Array) -> Array:
-    motor = q + robot.grad_P_l(q) / truth["joint_stiffness"] + truth["offset"]
-    return np.concatenate([q, motor, np.zeros(2 * robot.n)])
-
-
 def identified(key: Key) -> Row:
     """Identify a case; return its estimates beside the truth, or why it was refused."""
     measured, n, seed = key
     case, began = draw(n, seed, measured=measured), time.perf_counter()
-    line: Row = {"code": CODE, "measured": measured, "joints": n, "seed": seed}
+    line: Row = {"measured": measured, "joints": n, "seed": seed}
     try:
         rows = compared(case, identify([case.record], case.robot, case.prior, IdentifyOptions(threads=1)))
     except FjrError as error:
@@ -278,13 +254,6 @@ def report(lines: Sequence[Row]) -> Iterable[str]:
         yield f"median time (joints): {medians}; longest: {longest:.0f} s"
 
 
-def finished(file: Path) -> list[Row]:
-    """Return the results of this code in a file; its last line may have been cut off when the study was killed."""
-    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    rows = (json.loads(line) for line in lines if line.endswith("}"))
-    return [row for row in rows if row.get("code") == CODE]
-
-
 def main() -> None:
     """Run what is missing of the study, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -292,18 +261,20 @@ def main() -> None:
     parser.add_argument("--joints", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6, 7])
     parser.add_argument("--measured", choices=MEASURED, nargs="+", default=["both"])
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("coverage.jsonl"))
+    parser.add_argument("--out", type=Path, default=Path("coverage"))
     options = parser.parse_args()
-    lines = finished(options.out)
-    done = {(line["measured"], line["joints"], line["seed"]) for line in lines}
-    keys = product(options.measured, options.joints, range(FIRST, FIRST + options.cases))
-    missing = [key for key in keys if key not in done]
-    with Pool(options.processes) as pool, options.out.open("w", encoding="utf-8") as out:
-        out.writelines(f"{json.dumps(line)}\n" for line in lines)
-        for line in tqdm(pool.imap_unordered(identified, missing), total=len(missing)):
-            print(json.dumps(line), file=out, flush=True)
-            lines.append(line)
+    folder = options.out / CODE[:12]
+    keys = list(product(options.measured, options.joints, range(FIRST, FIRST + options.cases)))
+    with Pool(options.processes) as pool:
+        for _ in tqdm(pool.imap_unordered(partial(_kept, folder), keys), total=len(keys)):
+            pass
+    lines = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(folder.glob("*.json"))]
     print("\n".join(report(lines)))
+
+
+def _kept(folder: Path, key: Key) -> Row:
+    found: Row = kept(folder / "{}-{}-{}.json".format(*key), lambda: identified(key))
+    return found
 
 
 if __name__ == "__main__":

@@ -15,24 +15,22 @@ from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from absl import logging
 from mujoco import sysid
 
-from bench.arm import arm7
+from bench.arm import JOINT, arm7, mujoco_spec
 from bench.figures import Figure
-from bench.identification import simulated
-from bench.mujoco_arm import JOINT, peer
-from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_core.config.scenario import Scenario
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_engines.mjcf.writing import MOTOR, SPRING
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_msgs_py.scenarios import library
 
 NAMES = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
 CHANGES = (*NAMES, "link_coulomb_friction", "motor_coulomb_friction")
@@ -41,7 +39,6 @@ WRONG = {"joint_stiffness": 1.3, "motor_inertia": 0.8, "link_damping": 0.5, "mot
 LARGEST = 5.0  # factor of a parameter that MuJoCo may try, and its inverse
 NOISE = 1e-5  # rad
 DURATION, PIECE = 5.0, 0.1  # s; of a record of seven joints, and of its pieces
-SINGLE = Path(__file__).resolve().parents[1] / "ros2_ws/src/fjr_bringup/scenarios/paper_k31.yaml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +68,14 @@ class Case:
 
 def case_of(scenario: Scenario, duration: float, seed: int) -> Case:
     """Return a case of `duration` seconds with white noise on all encoders."""
-    robot = scenario.robot
+    robot, n, run = scenario.robot, scenario.robot.n, scenario.simulate(duration)
+    k = len(run.u)
+    motion = np.array([np.concatenate([x[: 2 * n], *robot.velocities(x)]) for x in run.x[:k]])
+    q = motion[:, : 2 * n] + NOISE * np.random.default_rng(seed).standard_normal((k, 2 * n))
+    unmeasured, dt = np.full((k, n), np.nan), scenario.sample_period
+    record = MotionRecord(scenario.name, scenario.joints, dt, run.u, q[:, :n], q[:, n:], unmeasured)
     truth = dict(zip(NAMES, map(np.diag, (robot.K, robot.M_m, robot.D_l, robot.D_m)), strict=True))
     start = {name: WRONG[name] * value for name, value in truth.items()}
-    record, states = simulated(scenario, duration, NOISE, seed)
-    motion = np.array([np.concatenate([x[: 2 * robot.n], *robot.velocities(x)]) for x in states])
     return Case(robot, record, motion, truth, start)
 
 
@@ -98,7 +98,7 @@ def theirs(case: Case, pieces: int = 1, substeps: int = 1) -> Estimated:
     n = case.robot.n
     on = ["ACTUATION", *(("CONSTRAINT", "FRICTIONLOSS") if any("friction" in name for name in case.truth) else ())]
     logging.set_verbosity(logging.ERROR)  # it warns of each piece that the model has no sensors
-    spec = peer(case.robot, case.record.dt / substeps, on)
+    spec = mujoco_spec(case.robot, case.record.dt / substeps, on)
     model = spec.compile()
     began = time.process_time()
     sequences = [_sequences(case, spec, model, pieces, substeps)]
@@ -184,7 +184,7 @@ def figures(label: str, cases: Sequence[Case], pieces: int = 1) -> list[Figure]:
 
 def against_mujoco(records: int = 20, of_seven: int = 2) -> list[Figure]:
     """Compare on records of the paper's joint, and on records of the seven-joint arm."""
-    joint, arm = load_scenario(SINGLE), arm7()
+    joint, arm = library.load("paper_k31"), arm7()
     single = [case_of(joint, 1.0, seed) for seed in range(records)]
     seven = [case_of(arm.scenario, DURATION, seed) for seed in range(of_seven)]
     found = figures(f"one joint, {records} records of 1 s", single)

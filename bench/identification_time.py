@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bench.arm import SCENARIO
+from bench.arm import arm7
 from bench.figures import Figure
 from bench.nodes import Used, used
-from fjr_core.config.scenario import load_scenario
+from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.parameters import SMOOTHING
 
 DURATION, SHORT = 60.0, 10.0  # s
@@ -47,7 +47,7 @@ def of_a_minute(duration: float = DURATION) -> list[Figure]:
 def of_designed_motion(duration: float = SHORT) -> list[Figure]:
     """Compare the intervals of the stiffness from the scenario's motion with those from the designed one."""
     with tempfile.TemporaryDirectory() as name:
-        motions = str(SCENARIO), _excited(Path(name), duration)
+        motions = "arm7", _excited(Path(name), duration)
         runs = [_recorded(Path(name), motion, duration) for motion in motions]
         before, after = (
             np.array([e["high"] - e["low"] for e in _identified(Path(name), run)[1] if e["name"] == "joint_stiffness"])
@@ -61,7 +61,7 @@ def of_designed_motion(duration: float = SHORT) -> list[Figure]:
 def _excited(folder: Path, duration: float) -> str:
     """Return the scenario with the motion that `fjr excite` designs for `arm7`."""
     excited = str(folder / "excited.yaml")
-    used("fjr", "excite", str(SCENARIO), "--duration", f"{min(duration, 20.0):g}", "--output", excited)
+    used("fjr", "excite", "arm7", "--duration", f"{min(duration, 20.0):g}", "--output", excited)
     return excited
 
 
@@ -75,33 +75,26 @@ def _recorded(folder: Path, scenario: str, duration: float) -> str:
 
 
 def _identified(folder: Path, run: str) -> tuple[Used, list[dict[str, Any]]]:
-    """Identify a run from a wrong robot file; return what the command used, and its estimates."""
-    output = folder / "identified" / Path(run).name
-    found = used("fjr", "identify", run, "--robot", _robot(folder), "--output", str(output))
+    """Identify a run from a robot file with wrong values; return what the command used, and its estimates."""
+    robot = {name: (factor * _true(name)).tolist() for name, factor in WRONG.items()}
+    document = {"file": "package://fjr_bringup/robots/arm7.yaml", **robot}
+    file, output = folder / "guessed.yaml", folder / "identified" / Path(run).name
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"robot": document}}}), encoding="utf-8")
+    found = used("fjr", "identify", run, "--robot", str(file), "--output", str(output))
     return found, json.loads((output / "identification.json").read_text(encoding="utf-8"))["estimates"]
 
 
-def _robot(folder: Path) -> str:
-    """Return a robot file with wrong stiffness and rotor inertia."""
-    robot: dict[str, Any] = {"file": "package://fjr_bringup/robots/arm7.yaml"}
-    for name, factor in WRONG.items():
-        robot[name] = [factor * value for value in _true(name)]
-    path = folder / "guessed.yaml"
-    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"robot": robot}}}), encoding="utf-8")
-    return str(path)
-
-
-def _true(name: str) -> list[float]:
-    robot = load_scenario(SCENARIO).robot
-    matrix = getattr(robot, TRUE[name]) if name in TRUE else None
-    return [0.0] * robot.n if matrix is None else [float(matrix[j, j]) for j in range(robot.n)]
+def _true(name: str) -> Array:
+    """Return the true values (n,) of a parameter."""
+    robot = arm7().robot
+    return np.diag(getattr(robot, TRUE[name])) if name in TRUE else np.zeros(robot.n)
 
 
 def _inside(estimates: list[dict[str, Any]]) -> list[bool]:
     """Return for each estimate whether its interval contains the truth; the arm has no friction that turns over."""
-    joints = load_scenario(SCENARIO).joints
+    joints = arm7().scenario.joints
     return [
-        each["low"] <= _true(each["name"])[joints.index(each["joint"])] <= each["high"]
+        bool(each["low"] <= _true(each["name"])[joints.index(each["joint"])] <= each["high"])
         for each in estimates
         if each["name"] != SMOOTHING
     ]

@@ -7,6 +7,7 @@ The effort leaves before the certificate is computed: its cost is the delay of t
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from bench.arm import arm7
 from bench.figures import Figure
 from bench.measure import ratio
-from bench.nodes import bare, controller, driver, running, scenario_file, used
+from bench.nodes import PRIORITY, bare, controller, running, scenario_file, used
 from fjr_core.config.scenario import Scenario
 
 ROUNDS = 15
@@ -68,10 +69,11 @@ def at_rest(scenario: Scenario) -> dict[str, Any]:
 def latencies(rounds: int, sides: tuple[str, ...], nodes: Sequence[Sequence[str]]) -> Times:
     """Run the nodes of both sides (namespaces) with the driver, which sends the reference as state."""
     position = np.tile(arm7().scenario.reference.jets(0.0)[0], 2).tolist()
-    given = {"rounds": rounds, "sides": f"[{', '.join(sides)}]", "position": position}
+    given = {"rounds": rounds, "sides": f"[{', '.join(sides)}]", "position": position, "realtime_priority": PRIORITY}
     arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
+    driver = (sys.executable, "-m", "bench.driver", "--ros-args", *arguments)
     with running(*nodes):
-        times: Times = json.loads(used(*driver(*arguments), longest=LONGEST + 4 * rounds).output)
+        times: Times = json.loads(used(*driver, longest=LONGEST + 4 * rounds).output)
     return times
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
-from bench.arm import ROOT
+from bench.figures import ROOT
 from fjr_msgs_py.node.scheduling import prioritised
 
 COMMAND = (sys.executable, "-m", "bench.machine")

@@ -11,11 +11,10 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from bench.arm import ROOT
+from bench.figures import ROOT
 from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py.scenarios import library
@@ -33,8 +32,7 @@ print(json.dumps([done.returncode, done.stdout, seconds, used.ru_utime + used.ru
 """Runs a command from a small process: the peak of a child is at least that of the process that started it."""
 
 
-@dataclass(frozen=True)
-class Used:
+class Used(NamedTuple):
     """Output of a command; wall time [s], processor time [s] and largest resident memory [MB] of all its processes."""
 
     output: str
@@ -62,22 +60,19 @@ def scenario_file(overrides: Mapping[str, Any] | None = None, name: str = "arm7"
 
 def plant(file: Path, *arguments: str) -> list[str]:
     """Return the command of the plant node."""
-    return _ours("fjr_plant", "plant_node", file, arguments)
+    return [str(executable("fjr_plant", "plant_node")), "--ros-args", "--params-file", str(file), *arguments]
 
 
 def controller(file: Path, *arguments: str) -> list[str]:
     """Return the command of the controller node."""
-    return _ours("fjr_controller", "controller_node", file, arguments)
+    node = executable("fjr_controller", "controller_node")
+    return [str(node), "--ros-args", "--params-file", str(file), *arguments]
 
 
 def bare(kind: str, *arguments: str, priority: int = PRIORITY) -> list[str]:
     """Return the command of a bare node."""
-    return _module("bench.bare", kind, arguments=(*arguments, "-p", f"realtime_priority:={priority}"))
-
-
-def driver(*arguments: str) -> list[str]:
-    """Return the command of the driver."""
-    return _module("bench.driver", arguments=(*arguments, "-p", f"realtime_priority:={PRIORITY}"))
+    module = [sys.executable, "-m", "bench.bare", kind]
+    return [*module, "--ros-args", *arguments, "-p", f"realtime_priority:={priority}"]
 
 
 @contextmanager
@@ -93,22 +88,20 @@ def process(
     stdout: int = subprocess.DEVNULL,
     quiet: bool = False,
     may_end: bool = False,
-    env: Mapping[str, str] | None = None,
+    cache: str = "",
 ) -> Iterator[subprocess.Popen[str]]:
     """Run a command inside the block, and end it by SIGINT; raise RuntimeError if it has ended before, unless it may.
 
-    quiet: without its messages on stderr.
+    quiet: without its messages on stderr. cache: folder of compiled code, "" for that of the user.
     """
-    stderr = subprocess.DEVNULL if quiet else None
-    with subprocess.Popen(
-        command, cwd=ROOT, stdout=stdout, stderr=stderr, text=True, start_new_session=True, env=env
-    ) as started:
+    options: dict[str, Any] = {"cwd": ROOT, "env": _environment(cache), "stdout": stdout, "text": True}
+    options |= {"stderr": subprocess.DEVNULL} if quiet else {}
+    with subprocess.Popen(command, **options, start_new_session=True) as started:
         try:
             yield started
             if started.poll() is not None and not may_end:
-                raise RuntimeError(
-                    f"{Path(command[0]).name} ended with {started.returncode}; expected it to be running"
-                )
+                name = Path(command[0]).name
+                raise RuntimeError(f"{name} ended with {started.returncode}; expected it to be running")
         finally:
             started.send_signal(signal.SIGINT)
             try:
@@ -127,19 +120,22 @@ def burning(count: int) -> Iterator[None]:
         yield
 
 
-def used(*command: str, env: Mapping[str, str] | None = None, longest: float | None = None) -> Used:
+def used(*command: str, cache: str = "", longest: float | None = None) -> Used:
     """Run a command to its end, at most `longest` [s]; return what it used. Raise RuntimeError if it fails."""
     measuring = [sys.executable, "-S", "-c", MEASURING, *command]
-    done = subprocess.run(measuring, cwd=ROOT, env=env, check=True, stdout=subprocess.PIPE, text=True, timeout=longest)
+    options: dict[str, Any] = {"cwd": ROOT, "env": _environment(cache), "stdout": subprocess.PIPE, "text": True}
+    done = subprocess.run(measuring, **options, check=True, timeout=longest)
     code, *found = json.loads(done.stdout)
     if code:
         raise RuntimeError(f"{' '.join(command)} ended with {code}; expected 0")
     return Used(*found)
 
 
-def _ours(package: str, name: str, file: Path, arguments: Sequence[str]) -> list[str]:
-    return [str(executable(package, name)), "--ros-args", "--params-file", str(file), *arguments]
-
-
-def _module(*command: str, arguments: Sequence[str]) -> list[str]:
-    return [sys.executable, "-m", *command, "--ros-args", *arguments]
+def _environment(cache: str) -> dict[str, str] | None:
+    """Return the environment of a process with its own cache, without variables of the start-up hook of the wheels."""
+    if not cache:
+        return None
+    env = {**os.environ, "XDG_CACHE_HOME": cache}
+    if env.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
+        env.pop("LD_LIBRARY_PATH", None)
+    return env

@@ -11,10 +11,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from bench.arm import Arm, arm7, random_motion
+from bench.arm import Arm, arm7, mujoco_spec, random_motion
 from bench.figures import Figure
 from bench.measure import Call, in_turns, microseconds, one_core, ratio
-from bench.mujoco_arm import MujocoArm
 from fjr_core import PAPER_GAINS, TrackingLaw, simulate, single_link
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
@@ -68,15 +67,16 @@ def step_over_mujoco() -> list[Figure]:
     arm = arm7()
     q, dq, _ = random_motion(arm.robot.n, seed=3)
     u = np.zeros(arm.robot.n)
-    peer = MujocoArm(arm.robot, STEP)
-    peer.set(q, q + 0.01, dq, dq, u)
+    model = mujoco_spec(arm.robot, STEP).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = np.concatenate([q, q + 0.01]), np.concatenate([dq, dq])
     x = arm.robot.state(q, q + 0.01, dq, dq)
     calls: dict[str, Call] = {
         "plant step": _bound(arm.plant.step_function, x, u, np.array([STEP])),
-        "mj_step": partial(mujoco.mj_step, peer.model, peer.data),
+        "mj_step": partial(mujoco.mj_step, model, data),
     }
     figure = _ratio("RK4 step, elastic arm, over MuJoCo's", calls, bound=0.4)
-    if not np.all(np.isfinite(peer.data.qpos)):
+    if not np.all(np.isfinite(data.qpos)):
         raise ArithmeticError("the state of MuJoCo's arm is not finite; expected a free oscillation")
     return [figure]
 

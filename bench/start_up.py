@@ -3,21 +3,21 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from tempfile import TemporaryDirectory
 from time import perf_counter
 
 import numpy as np
 
-from bench.arm import SCENARIO
 from bench.figures import Figure
 from bench.nodes import controller, plant, process, ros_environment, used
 from bench.tap import Tap
 from fjr_msgs_py import names
+from fjr_msgs_py.scenarios.library import find
 
 COLD_REPEATS, WARM_REPEATS, NODE_REPEATS, COMMAND_REPEATS = 3, 3, 11, 5
 LONGEST = 60.0  # s
+SCENARIO = find("arm7")
 FIRST_EFFORT = """
 import sys
 from fjr_core import TrackingLaw
@@ -70,29 +70,20 @@ def command() -> list[Figure]:
 
 def _processor_time(cache: str, *arguments: str) -> float:
     """Return the time [s] that the processors spend on `fjr` and its nodes: unlike that of a clock, for any load."""
-    return used("fjr", *arguments, env=_environment(cache), longest=2 * LONGEST).processor
+    return used("fjr", *arguments, cache=cache, longest=2 * LONGEST).processor
 
 
 def _first_effort(cache: str) -> float:
-    return used(sys.executable, "-c", FIRST_EFFORT, str(SCENARIO), env=_environment(cache), longest=LONGEST).seconds
+    return used(sys.executable, "-c", FIRST_EFFORT, str(SCENARIO), cache=cache, longest=LONGEST).seconds
 
 
 def _first_command(cache: str) -> float:
-    env = _environment(cache)
-    with process(plant(SCENARIO), env=env), Tap() as tap:
+    with process(plant(SCENARIO), cache=cache), Tap() as tap:
         tap.next(names.JOINT_STATES, LONGEST)
         start = perf_counter()
-        with process(controller(SCENARIO), env=env):
+        with process(controller(SCENARIO), cache=cache):
             tap.next(names.JOINT_COMMANDS, LONGEST)
             return perf_counter() - start
-
-
-def _environment(cache: str) -> dict[str, str]:
-    """Return the environment of a new process, without variables set by the start-up hook of the ROS wheels."""
-    env = {**os.environ, "XDG_CACHE_HOME": cache}
-    if env.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
-        env.pop("LD_LIBRARY_PATH", None)
-    return env
 
 
 def _figure(name: str, seconds: list[float], bound: float) -> Figure:

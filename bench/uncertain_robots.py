@@ -7,9 +7,10 @@ order differential equations in positions and velocities by the classical Runge-
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import product
 
 import casadi as ca
 import cma
@@ -31,6 +32,14 @@ WIDTHS = {"payload": 1, "payload_mass": 1, "payload_position": 3, "gravity": 1, 
 JOINTS = ("link_mass", "link_inertia", "stiffness", "motor_inertia", "link_damping", "motor_damping")
 LEVELS = ("payload_mass", "payload_position", "gravity_direction")
 STEP_SIZE = 0.5  # of the search, as a share of the half widths
+
+
+def on_reference(robot: Robot, reference: Reference, t: float = 0.0) -> tuple[Array, Array, Array, Array, Array]:
+    """Return q_l, q_m, dq_l, dq_m and u (n,) of the robot that keeps its links on the reference, at a time [s]."""
+    q, dq, *more = reference.jets(t)
+    motors = motor_motion(robot, q, dq, *more)
+    theta, dtheta, torque = (each.full().ravel() for each in (motors.theta, motors.dtheta, motors.torque))
+    return q, theta, dq, dtheta, np.linalg.solve(robot.B_m, torque)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +84,9 @@ class UncertainLoop:
         """
         parameters, n = self._parameters(shares).T, self.law.robot.n
         whole, fraction = split(self.delay, self.T)
-        start, _ = self._on_reference(0.0)
-        x = np.tile(start[:, None], len(shares))
-        efforts = [np.tile(self._on_reference(-i * self.T)[1][:, None], len(shares)) for i in range(1, whole + 2)]
+        start, *before = (on_reference(self.law.robot, self.reference, -i * self.T) for i in range(whole + 2))
+        x = np.tile(np.concatenate(start[:4])[:, None], len(shares))
+        efforts = [np.tile(u[:, None], len(shares)) for *_, u in before]
         largest = np.zeros((2, n, len(shares)))
         for k in range(round(self.duration / self.T)):
             jets = self.reference.jets(k * self.T)
@@ -108,13 +117,6 @@ class UncertainLoop:
             nominal = np.asarray(self.payload_position) if name == "payload_position" else float(name not in LEVELS)
             columns.append(size * (1 + share) / 2 if name == "payload_mass" else nominal + size * share)
         return np.concatenate(columns, axis=1)
-
-    def _on_reference(self, t: float) -> tuple[Array, Array]:
-        """Return the state (4n,) of the model on the reference at a time [s], in velocities, and its effort (n,)."""
-        q, dq, *more = self.reference.jets(t)
-        motors = motor_motion(self.law.robot, q, dq, *more)
-        theta, dtheta, torque = (each.full().ravel() for each in (motors.theta, motors.dtheta, motors.torque))
-        return np.concatenate([q, theta, dq, dtheta]), np.linalg.solve(self.law.robot.B_m, torque)
 
     @cached_property
     def _answer(self) -> ca.Function:
@@ -152,8 +154,10 @@ def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     across = np.linalg.svd(gravity[None, :])[2][1:]
     size, down = np.linalg.norm(gravity), gravity / np.linalg.norm(gravity)
     turned = size * (ca.sin(b) * across[0] - ca.sin(a) * ca.cos(b) * across[1] + ca.cos(a) * ca.cos(b) * down)
-    for joint, of_inertia, alone in _single_bodies(robot):
+    for body, of_inertia in product(range(robot.n), (False, True)):
+        joint = robot.links.order.index(body)
         factor = p["link_mass"][joint] * (p["link_inertia"][joint] if of_inertia else 1)
+        alone = partial(_alone, robot.links, body, of_inertia)
         M += factor * alone(gravity).M_l(q_l)
         torque += factor * alone(gravity).inertial_torque(q_l, dq_l, dq_l, zero)
         for axis in range(3):
@@ -170,27 +174,14 @@ def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     return ca.vertcat(dq_l, dq_m, ca.solve(p["payload"] * M, links), ddq_m)
 
 
-def _single_bodies(robot: Robot) -> Iterator[tuple[int, bool, SingleBody]]:
-    """Yield the joint, whether it is the inertia, and the arm of the mass, and of the inertia, of one body alone."""
-    for i in range(robot.n):
-        for of_inertia in (False, True):
-            yield robot.links.order.index(i), of_inertia, SingleBody(robot.links, i, of_inertia)
+def _alone(links: ArmDynamics, body: int, of_inertia: bool, gravity: Array) -> ArmDynamics:
+    """Return the arm of which one body has its mass, or its inertia about the centre of mass, and all else nothing.
 
-
-@dataclass(frozen=True, eq=False)
-class SingleBody:
-    """An arm of which one body has its mass, or its inertia about the centre of mass, and the others nothing."""
-
-    links: ArmDynamics
-    body: int
-    of_inertia: bool
-
-    def __call__(self, gravity: Array) -> ArmDynamics:
-        """Return the arm under gravity (3,) [m/s^2]."""
-        bodies = []
-        for i, body in enumerate(self.links.bodies):
-            own = i == self.body
-            mass = body.mass if own and not self.of_inertia else 0.0
-            inertia = np.asarray(body.inertia) * (own and self.of_inertia)
-            bodies.append(replace(body, mass=mass, inertia=inertia))
-        return serial_chain(bodies, gravity, self.links.order)
+    gravity (3,) [m/s^2].
+    """
+    shares = [(k == body and not of_inertia, k == body and of_inertia) for k in range(len(links.bodies))]
+    bodies = [
+        replace(each, mass=mass * each.mass, inertia=inertia * np.asarray(each.inertia))
+        for each, (mass, inertia) in zip(links.bodies, shares, strict=True)
+    ]
+    return serial_chain(bodies, gravity, links.order)

@@ -10,7 +10,6 @@ that a second call goes on.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -19,14 +18,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.figures import markdown, put
+from bench.figures import kept, markdown, put
 from diagnosis_benchmark.lock_step import LockStepLoop
 from fjr_core.config.plant import ENGINES, OWN
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.scenarios import library
-from robot_survey import FOLDER, ROBOTS, PublicRobot, kept_result, new_command, run_fjr, scenario_file
+from robot_survey import FOLDER, ROBOTS, PublicRobot
 
-BEGIN, END = "<!-- survey: written by tools/engine_survey.py -->", "<!-- end of survey -->"
 SHIPPED = ("paper_k31", "paper_k3p1", "two_link", "arm7")
 SCENARIOS: Mapping[str, PublicRobot | None] = {**dict.fromkeys(SHIPPED), **{robot.name: robot for robot in ROBOTS}}
 KINDS = (OWN, *ENGINES)
@@ -83,21 +81,18 @@ def compared(scenario: str, duration: float = DURATION) -> dict[str, Any]:
     }
 
 
-def kept(name: str) -> Path:
+def results(name: str) -> Path:
     """Return the file that keeps the result of a scenario."""
     robot = SCENARIOS[name]
-    return (kept_result(robot) if robot else FOLDER / name).with_suffix(".engines.json")
+    return (robot.scenario if robot else FOLDER / name).with_suffix(".engines.json")
 
 
 def outcome(name: str) -> dict[str, Any]:
     """Compare the engines in a scenario, or read the kept result; {} for a robot that `fjr new` refuses."""
-    robot, file = SCENARIOS[name], kept(name)
-    if not file.exists():
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        if robot and not scenario_file(robot).exists() and run_fjr(*new_command(robot))[1]:
-            return {}
-        file.write_text(json.dumps(compared(str(scenario_file(robot)) if robot else name)), encoding="utf-8")
-    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    robot = SCENARIOS[name]
+    if robot and not results(name).exists() and not robot.scenario.exists() and robot.new()[1]:
+        return {}
+    found: dict[str, Any] = kept(results(name), lambda: compared(str(robot.scenario) if robot else name))
     return found
 
 
@@ -122,7 +117,7 @@ def main(names: Sequence[str]) -> int:
         if not names or any(each.lower() in name.lower() for each in names):
             found = outcome(name)
             print(*(row(name, found) if found else (name, "refused by `fjr new`")), sep=" | ", flush=True)
-    put(table({name: outcome(name) for name in SCENARIOS if kept(name).exists()}), "engines.md", BEGIN, END)
+    put("engines.md", "engines", table({name: outcome(name) for name in SCENARIOS if results(name).exists()}))
     return 0
 
 

@@ -21,10 +21,8 @@ from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
-from bench.figures import markdown, put
+from bench.figures import kept, markdown, put
 
-BEGIN = "<!-- survey: written by tools/robot_survey.py -->"
-END = "<!-- end of survey -->"
 FOLDER = Path("runs/survey")
 TRACKED = 1e-3  # rad, m: largest error after two seconds of a run that tracks
 DURATION = 2.2  # s
@@ -48,6 +46,16 @@ class PublicRobot:
     def urdf(self) -> Path:
         """Path of the file; raises PackageNotFoundError if the distribution is not installed."""
         return Path(str(distribution(self.package).locate_file(self.path)))
+
+    @property
+    def scenario(self) -> Path:
+        """Path of the scenario that `fjr new` writes; results are kept beside it."""
+        return FOLDER / f"{re.sub(r'[^a-z0-9]+', '_', self.name.lower()).strip('_')}.yaml"
+
+    def new(self) -> tuple[dict[str, Any], str]:
+        """Write the scenario by `fjr new`; return its JSON result, and why it was refused if it was."""
+        name = self.scenario.stem
+        return run_fjr("new", str(self.urdf), "--name", name, "--output", str(FOLDER), "--force")
 
 
 def _example(name: str, path: str) -> PublicRobot:
@@ -115,51 +123,21 @@ MJCFS = (
 )
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Results of a robot: those of the three commands as JSON, and the sentence of the one that refused."""
+def outcome(robot: PublicRobot) -> dict[str, Any]:
+    """Return the results of the three commands by name, and the "refusal" of the one that failed, or what is kept."""
 
-    name: str
-    new: dict[str, Any]
-    check: dict[str, Any]
-    run: dict[str, Any]
-    refusal: str
+    def tried() -> dict[str, Any]:
+        scenario, found = str(robot.scenario), dict[str, Any]()
+        options = ("--lockstep", "--duration", str(DURATION), "--no-report", "--output", str(FOLDER / "runs"))
+        found["new"], refusal = robot.new()
+        if not refusal:
+            found["check"], refusal = run_fjr("check", scenario)
+        if not refusal:
+            found["run"], refusal = run_fjr("run", scenario, *options, "--set", "compile:=false")
+        return {**found, "refusal": refusal}
 
-
-def kept_result(robot: PublicRobot) -> Path:
-    """Return the file that keeps the result of a robot."""
-    return FOLDER / f"{re.sub(r'[^a-z0-9]+', '_', robot.name.lower()).strip('_')}.json"
-
-
-def scenario_file(robot: PublicRobot) -> Path:
-    """Return the scenario that `fjr new` writes."""
-    return kept_result(robot).with_suffix(".yaml")
-
-
-def new_command(robot: PublicRobot) -> tuple[str, ...]:
-    """Return the command that writes the scenario of a robot."""
-    return "new", str(robot.urdf), "--name", kept_result(robot).stem, "--output", str(FOLDER), "--force"
-
-
-def outcome(robot: PublicRobot) -> Outcome:
-    """Run the three commands, or read the kept result."""
-    kept = kept_result(robot)
-    if not kept.exists():
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        found: dict[str, Any] = {"new": {}, "check": {}, "run": {}, "refusal": ""}
-        scenario = str(scenario_file(robot))
-        runs = ("--lockstep", "--duration", str(DURATION), "--no-report", "--output", str(FOLDER / "runs"))
-        commands = {
-            "new": new_command(robot),
-            "check": ("check", scenario),
-            "run": ("run", scenario, *runs, "--set", "compile:=false"),
-        }
-        for name, command in commands.items():
-            found[name], found["refusal"] = run_fjr(*command)
-            if found["refusal"]:
-                break
-        kept.write_text(json.dumps(found), encoding="utf-8")
-    return Outcome(robot.name, **json.loads(kept.read_text(encoding="utf-8")))
+    found: dict[str, Any] = kept(robot.scenario.with_suffix(".json"), tried)
+    return found
 
 
 def run_fjr(*command: str) -> tuple[dict[str, Any], str]:
@@ -170,38 +148,35 @@ def run_fjr(*command: str) -> tuple[dict[str, Any], str]:
     return json.loads(done.stdout or "{}"), refusal
 
 
-def row(found: Outcome) -> list[str]:
+def row(robot: PublicRobot) -> list[str]:
     """Return the cells of a robot."""
-    joints = str(len(found.new["joints"])) if found.new else "-"
-    if not found.run:
-        return [found.name, joints, *[""] * 5, f"refused: {found.refusal}"]
-    result = found.run["runs"][0]
-    tracking, notes = result["tracking"], [*found.new["notes"]]
-    source = found.new["source"]
-    notes += [f"motor inertia of {source}" if source.endswith(".xml") else "published motor inertia"] if source else []
-    notes += [f"the first of {len(found.new['chains'])} chains"] if len(found.new["chains"]) > 1 else []
-    notes += [f"stopped: {result['stop']['reason']}"] if result["stop"] else []
+    found = outcome(robot)
+    new = found["new"]
+    joints = str(len(new["joints"])) if new else "-"
+    if not found.get("run"):
+        return [robot.name, joints, *[""] * 5, f"refused: {found['refusal']}"]
+    result = found["run"]["runs"][0]
+    tracking, notes, source = result["tracking"], [*new["notes"]], new["source"]
+    if source:
+        notes.append(f"motor inertia of {source}" if source.endswith(".xml") else "published motor inertia")
+    if len(new["chains"]) > 1:
+        notes.append(f"the first of {len(new['chains'])} chains")
+    if result["stop"]:
+        notes.append(f"stopped: {result['stop']['reason']}")
     share = tracking["largest_share_of_effort_limit"]
     errors = (tracking["initial_error_rad"], tracking["max_error_after_2s_rad"])
     return [
-        *(found.name, joints, f"{found.new['beta_per_s']:g}", f"{found.check['delay_margin_samples']:.1f}"),
+        *(robot.name, joints, f"{new['beta_per_s']:g}", f"{found['check']['delay_margin_samples']:.1f}"),
         *("-" if value is None else f"{value:.1e}" for value in errors),
         *("-" if share is None else f"{100 * share:.0f} %", "; ".join(notes)),
     ]
 
 
-def tracks(found: Outcome) -> bool:
+def tracks(robot: PublicRobot) -> bool:
     """Return whether the run ended by itself with an error below TRACKED after two seconds."""
-    runs = found.run.get("runs", [])
+    runs = outcome(robot).get("run", {}).get("runs", [])
     errors = [each["tracking"]["max_error_after_2s_rad"] for each in runs if not each["stop"]]
     return bool(errors) and errors[0] is not None and errors[0] < TRACKED
-
-
-def table(outcomes: list[Outcome]) -> list[str]:
-    """Return the Markdown lines: how many track, then a row for each robot."""
-    good = sum(map(tracks, outcomes))
-    said = f"{good} of {len(outcomes)} robots track within {1e3 * TRACKED:g} mrad (mm) after two seconds."
-    return [said, "", *markdown(HEADINGS, map(row, outcomes))]
 
 
 def main(names: list[str]) -> int:
@@ -213,10 +188,11 @@ def main(names: list[str]) -> int:
         print(f"no robot is called {' or '.join(names)}; expected a part of one of {known_names}", file=sys.stderr)
         return 2
     for robot in chosen:
-        print(*row(outcome(robot)), sep=" | ", flush=True)
+        print(*row(robot), sep=" | ", flush=True)
     for group, page in ((ROBOTS, "robots.md"), (MJCFS, "engines.md")):
-        if known := [outcome(robot) for robot in group if kept_result(robot).exists()]:
-            put(table(known), page, BEGIN, END)
+        if known := [robot for robot in group if robot.scenario.with_suffix(".json").exists()]:
+            said = f"{sum(map(tracks, known))} of {len(known)} robots track within {1e3 * TRACKED:g} mrad (mm)"
+            put(page, "robots", [f"{said} after two seconds.", "", *markdown(HEADINGS, map(row, known))])
     return 0
 
 

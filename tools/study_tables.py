@@ -106,7 +106,7 @@ def robust() -> None:
         for name, rms in zip(list(errors)[1:], left, strict=True):
             rows.append((case.text, f"{plain:.1e}", name, f"{rms:.1e}", f"{min(plain / rms, 1e6):.3g}"))
     head = ("disturbance", "error without, rad", "option", "error with, rad", "ratio")
-    put(markdown(head, rows), "robust.md", "<!-- measured: begin -->", "<!-- measured: end -->")
+    put("robust.md", "robust", markdown(head, rows))
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(12.0, 3.8), layout="constrained")
         for ax, i in zip(figure.subplots(1, 3), DRAWN_CASES, strict=True):
@@ -145,8 +145,7 @@ def noise(tuned: Path) -> None:
     }
     rows = [(name, *_noise(study, each)) for name, each in tqdm(gains.items(), desc="noise of arm7")]
     head = ("gains of arm7", "RMS error", "noise in the effort", "noise margin", "delay margin")
-    begin, end = "<!-- noise of arm7: written by tools/study_tables.py -->", "<!-- end of noise of arm7 -->"
-    put(markdown(head, rows), "compare.md", begin, end)
+    put("compare.md", "noise of arm7", markdown(head, rows))
 
 
 def _noise(study: Sweep, gains: fjr.Gains) -> Iterator[str]:

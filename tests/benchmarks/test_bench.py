@@ -20,7 +20,7 @@ from bench import (
     build,
     campaign,
     driver,
-    identification,
+    figures,
     identification_peers,
     latency,
     memory,
@@ -28,14 +28,14 @@ from bench import (
 )
 from bench.arm import Arm, arm7, random_motion
 from bench.build import chain_urdf, joint_names
-from bench.figures import Figure, page, table
+from bench.figures import Figure, kept, page, placed, put, table
 from bench.measure import in_turns, ratio
 from bench.nodes import bare, running
 from bench.tap import Seen, Tap
 from fjr_core import TrackingLaw, robot_from_urdf
-from fjr_core.config.scenario import load_scenario
 from fjr_core.monitoring.certificate import Certificate
 from fjr_msgs_py import names
+from fjr_msgs_py.scenarios import library
 from time_limits import HANG
 
 
@@ -155,17 +155,33 @@ def test_study_agrees_with_scipy_and_mujoco() -> None:
 
 
 def test_identification_and_mujoco_find_the_same_joint_in_the_same_record() -> None:
-    joint = load_scenario(identification_peers.SINGLE)
-    case = identification_peers.case_of(joint, 0.9, seed=0)
+    case = identification_peers.case_of(library.load("paper_k31"), 0.9, seed=0)
     for found in (identification_peers.ours(case), identification_peers.theirs(case, pieces=3)):
         np.testing.assert_allclose(found.values[:2], list(case.truth.values())[:2], rtol=1e-2)
         assert np.all(found.low < found.high)
 
 
-def test_a_study_of_coverage_goes_on_after_a_line_that_was_cut_off(tmp_path: Path) -> None:
-    row = {"code": identification.CODE, "measured": "both", "joints": 1, "seed": 1000, "rows": []}
-    line, older = json.dumps(row), json.dumps(row | {"code": "of another estimator", "seed": 1001})
-    file = tmp_path / "coverage.jsonl"
-    file.write_text(f"{older}\n{line}\n{line[:40]}")
-    assert [each["seed"] for each in identification.finished(file)] == [1000]
-    assert identification.finished(tmp_path / "none.jsonl") == []
+def test_results_are_computed_once_and_one_that_was_cut_off_again(tmp_path: Path) -> None:
+    file, computed = tmp_path / "study" / "one.json", []
+
+    def result() -> list[int]:
+        computed.append(len(computed))
+        if len(computed) == 1:
+            raise KeyboardInterrupt
+        return computed
+
+    with pytest.raises(KeyboardInterrupt):
+        kept(file, result)
+    assert [kept(file, result) for _ in range(2)] == [[0, 1], [0, 1]]
+
+
+def test_tables_stand_between_the_marks_of_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "TABLES", tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text("".join(f"{name}\n\n<!-- {name}: by x -->\nold\n<!-- end of {name} -->\n" for name in "ab"))
+    for _ in range(2):
+        put("page.md", "b", ["new", "| row |"])
+    assert (placed("page.md", "a"), placed("page.md", "b")) == ("old", "\nnew\n| row |\n")
+    assert page.read_text().endswith("<!-- b: by x -->\n\nnew\n| row |\n\n<!-- end of b -->\n")
+    with pytest.raises(ValueError, match="lacks '<!-- c: "):
+        put("page.md", "c", [])

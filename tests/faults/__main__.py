@@ -18,7 +18,6 @@ from bench.figures import markdown, put  # noqa: E402
 from faults.fault_rows import ROWS, Row  # noqa: E402
 from faults.outcome import Outcome, outcome  # noqa: E402
 
-BEGIN, END = "<!-- faults: written by python -m tests.faults -->", "<!-- end of faults -->"
 HEAD = ("fault", "what the arm does", "peak q_tilde_l [rad]", "recovered after [s]", "bad efforts")
 
 
@@ -32,7 +31,7 @@ def main(words: list[str]) -> int:
     table = markdown(HEAD, [cells(row, seen) for row, seen in done], right=HEAD[2:])
     print(*table, sep="\n")
     if not words:
-        put(table, "faults.md", BEGIN, END)
+        put("faults.md", "faults", table)
     return 1 if any(seen.bad for _, seen in done) else 0
 
 

@@ -27,8 +27,6 @@ from hosts.comparison import HOSTS, Compared, Comparison, with_states  # noqa: E
 from hosts.inputs import Sequence  # noqa: E402
 
 SAMPLES = 100_000
-BEGIN = "<!-- hosts: written by python -m tests.hosts -->"
-END = "<!-- end of hosts -->"
 TITLES = {"rclpy": "node, rclpy", "native": "node, native thread", "campaign": "study", "C": "exported C"}
 HEAD = ("states of", "states", *(TITLES.get(host, host) for host in HOSTS))
 
@@ -47,7 +45,7 @@ def main(words: list[str]) -> int:
                 done.append(run())
                 print(markdown(HEAD, [cells(done[-1])])[-1], flush=True)
     if not arguments.words:
-        put(markdown(HEAD, map(cells, done), right=HEAD[1:]), "hosts.md", BEGIN, END)
+        put("hosts.md", "hosts", markdown(HEAD, map(cells, done), right=HEAD[1:]))
     return 0 if all(row.equal for row in done) else 1
 
 

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
+from bench.figures import placed
 from diagnosis_benchmark.cases import Case
 from diagnosis_benchmark.faults import (
     FAULTS,
@@ -17,9 +17,8 @@ from diagnosis_benchmark.faults import (
     WIRING,
     cases,
 )
-from diagnosis_benchmark.tables import KINDS, begin, outcome
+from diagnosis_benchmark.tables import KINDS, outcome
 
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
 SEVERAL = [case for case in SET if case.scenario == "two_link" and case.kind in FAULTS][2::6]
@@ -36,7 +35,7 @@ def test_set_has_every_fault_in_three_sizes_and_the_page_the_required_shares() -
             assert sizes == sorted(set(sizes))
     assert sum(case.kind == HEALTHY for case in SET) >= 12
     assert VALIDATION_SEED not in TUNING_SEEDS
-    page = (ROOT / "docs" / "tables" / "diagnosis.md").read_text(encoding="utf-8").partition(begin("faults"))[2]
+    page = placed("diagnosis.md", "faults")
     rows = [line for line in page.splitlines() if line.startswith("| ")][2 : 2 + len(KINDS)]
     assert sum(int(cell) for row in rows for cell in row.split("|")[2:-2] if cell.strip()) == len(SET)
     assert all(row.split("|")[-2].strip() != "0/0" for row in rows)

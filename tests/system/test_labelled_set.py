@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
+from bench.figures import placed
 from diagnosis_benchmark.bags import read_record
 from diagnosis_benchmark.cases import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases
-from diagnosis_benchmark.tables import NAMES, begin, diagnosed, diagnosed_cause, right, table
+from diagnosis_benchmark.tables import NAMES, diagnosed, diagnosed_cause, right, table
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_msgs_py.console.ending import Exit
 from system.executables import fjr_here
 
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
 
@@ -44,8 +44,7 @@ def test_set_covers_all_causes_and_robots_and_the_page_shows_it() -> None:
     assert len(strengths) >= 24
     assert min(strengths.values()) >= 2
     assert VALIDATION_SEED != TUNING_SEED
-    page = (ROOT / "docs" / "tables" / "diagnosis.md").read_text(encoding="utf-8").partition(begin("causes"))[2]
-    rows = [line for line in page.splitlines() if line.startswith("| ")]
+    rows = [line for line in placed("diagnosis.md", "causes").splitlines() if line.startswith("| ")]
     causes, grades = rows[2 : 2 + len(NAMES)], rows[4 + len(NAMES) : 8 + len(NAMES)]
     for part in (causes, grades):
         assert sum(int(cell) for line in part for cell in line.split("|")[2:-1] if cell.strip()) == len(SET)

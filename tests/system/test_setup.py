@@ -8,6 +8,7 @@ import platform
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -218,6 +219,12 @@ def test_unavailable_system_packages_are_reported_and_the_set_up_continues(
     last = capsys.readouterr().out.splitlines()[-1]
     assert "a tool is missing: all is slow; " in last
     assert expected in last
+
+
+def test_a_required_package_that_is_not_there_ends_the_set_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    machine(monkeypatch, tmp_path, user=1000)
+    with pytest.raises(SetupError, match="a tool is missing: all is slow; ask an administrator for `apt-get install"):
+        replace(TOOL, required=True).ensure(tmp_path / "log", dict(os.environ))
 
 
 @pytest.mark.parametrize(

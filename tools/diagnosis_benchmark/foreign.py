@@ -194,8 +194,7 @@ def main() -> None:
         "of these beyond the tolerance",
     )
     table = markdown(head, rows([json.loads(file.read_text(encoding="utf-8")) for file in files]))
-    begin = "<!-- foreign: written by tools/diagnosis_benchmark/foreign.py -->"
-    put(["", *table, ""], "diagnosis.md", begin, "<!-- end of foreign -->")
+    put("diagnosis.md", "foreign", table)
 
 
 if __name__ == "__main__":

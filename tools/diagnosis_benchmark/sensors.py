@@ -102,8 +102,7 @@ def main() -> None:
         ("bandwidths", ("bandwidth, rad/s", *(f"`{name}`" for name in JOINTS)), by_bandwidth),
         ("mismatch", ("bandwidth, rad/s", *observers), [("RMS, rad", *(f"{rms:.1e}" for rms in wrong))]),
     ):
-        begin = f"<!-- {table}: written by tools/diagnosis_benchmark/sensors.py -->"
-        put(["", *markdown(head, rows), ""], "measurements.md", begin, f"<!-- end of {table} -->")
+        put("measurements.md", table, markdown(head, rows))
 
 
 if __name__ == "__main__":

@@ -35,11 +35,6 @@ KINDS = (*FAULTS, *WIRING, HEALTHY)
 SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
 
 
-def begin(table: str) -> str:
-    """Return the line before the tables of `causes`, `faults` or `wiring` on the page."""
-    return f"<!-- {table}: written by tools/diagnosis_benchmark/tables.py -->"
-
-
 def diagnosed(case: Case, folder: Path) -> tuple[Label, Diagnosis]:
     """Write the bag of a case into `folder` and return the label and the diagnosis of the bag."""
     loop = case.run()
@@ -159,8 +154,8 @@ def main() -> None:
     parser.add_argument("tables", nargs="+", choices=TABLES)
     for name in parser.parse_args().tables:
         confusion, seeds = TABLES[name]
-        parts = [["", f"{heading} (seed {seed}):", "", *confusion(seed)] for heading, seed in seeds.items()]
-        put([*(line for part in parts for line in part), ""], "diagnosis.md", begin(name), f"<!-- end of {name} -->")
+        parts = [[f"{heading} (seed {seed}):", "", *confusion(seed), ""] for heading, seed in seeds.items()]
+        put("diagnosis.md", name, [line for part in parts for line in part][:-1])
 
 
 if __name__ == "__main__":

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from envsetup.console import SetupError, Step, run_logged, say
+from envsetup.machine import base_interpreter
 
 COMPILERS = ("cc", "gcc", "clang")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -19,7 +21,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 class Extra:
     """title: name. packages: of Debian or Ubuntu that provide it. without: consequence of its absence.
 
-    checks: commands of which one succeeds where it is there, with `given` as input.
+    checks: commands of which one succeeds where it is there, with `given` as input. required: nothing works without.
     """
 
     title: str
@@ -27,30 +29,35 @@ class Extra:
     without: str
     checks: Sequence[Sequence[str]]
     given: bytes = b""
+    required: bool = False
 
     def is_there(self, env: Mapping[str, str]) -> bool:
         """Return whether one of the checks succeeds."""
         return any(_succeeds(check, env, self.given) for check in self.checks)
 
     def ensure(self, log: Path, env: dict[str, str]) -> None:
-        """Install the package if possible; otherwise print one line and continue."""
+        """Install the packages if possible; otherwise print one line and continue, or raise SetupError if required."""
         if self.is_there(env):
             return
-        lack, names = f"{self.title} is missing: {self.without}", " ".join(self.packages)
-        if not has_apt():
-            say(f"{lack}; install it if you can")
+        names, details = " ".join(self.packages), ""
+        if not self.packages or not has_apt():
+            reason = "; install it if you can"
         elif os.geteuid() != 0:
-            say(f"{lack}; ask an administrator for `apt-get install {names}`")
+            reason = f"; ask an administrator for `apt-get install {names}`"
         else:
             log.unlink(missing_ok=True)
             say(f"{self.title} is missing and will be installed")
             try:
                 apt_install(self.packages, log, env)
+                if self.is_there(env):
+                    return
+                reason = f", although {' and '.join(self.packages)} are installed"
             except SetupError as error:
-                say(f"{lack}; {error}")
-                return
-            if not self.is_there(env):
-                say(f"{lack}, although {' and '.join(self.packages)} are installed")
+                reason, details = f"; {error}", error.details
+        lack = f"{self.title} is missing: {self.without}{reason}"
+        if self.required:
+            raise SetupError(lack, details)
+        say(lack)
 
 
 def has_apt() -> bool:
@@ -66,6 +73,15 @@ def apt_install(packages: tuple[str, ...], log: Path, env: dict[str, str]) -> No
     with Step(f"apt-get install {names}") as step:
         command = ["apt-get", "install", "-y", "--no-install-recommends", *packages]
         run_logged(command, log, apt, step, failure=f"apt-get could not install {names}")
+
+
+def venv_module() -> Extra:
+    """Return `venv` of this interpreter, part of which Debian and Ubuntu ship in a separate package."""
+    python, version = base_interpreter(), "{}.{}".format(*sys.version_info)
+    packages = (f"python{version}-venv",) if python.startswith("/usr/bin/") else ()
+    without = "no environment can be made by this Python; name another one (make PYTHON=...)"
+    checks = [[python, "-c", "import ensurepip, venv"]]
+    return Extra(f"the module venv of {python}", packages, without, checks, required=True)
 
 
 def compiler(env: Mapping[str, str]) -> Extra:

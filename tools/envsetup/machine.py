@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterable
 
 from envsetup.console import SetupError
-from envsetup.extras import has_apt
 
 DISTRO = "jazzy"
 OLDEST_GLIBC = (2, 28)
@@ -84,9 +83,3 @@ def ros_candidates() -> list[str]:
     """Return candidate interpreters for a sourced ROS 2, the running one first."""
     found = (shutil.which(name) for name in ("python3", "/usr/bin/python3", "python3.12"))
     return list(dict.fromkeys([base_interpreter(), *(os.path.realpath(path) for path in found if path)]))
-
-
-def debian_venv_package() -> str:
-    """Return the Debian or Ubuntu package with `venv` for this interpreter; empty on other systems."""
-    is_system_python = base_interpreter().startswith("/usr/bin/")
-    return f"python{sys.version_info[0]}.{sys.version_info[1]}-venv" if has_apt() and is_system_python else ""

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 LEVELS = {
     "run": ("run", "tables", "colcon"),
@@ -86,7 +87,7 @@ def texts(paths: Iterable[Path]) -> dict[str, str]:
     return {path.name: path.read_text(encoding="utf-8") if path.exists() else "" for path in paths}
 
 
-def read_stamp(path: Path) -> dict[str, object]:
+def read_stamp(path: Path) -> dict[str, Any]:
     """Return the stamp of an earlier, completed step; empty if there is none."""
     try:
         stamp = json.loads(path.read_text(encoding="utf-8"))

@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 
 from envsetup import pins
-from envsetup.console import SetupError, Step, clean_environment, run_logged, say
-from envsetup.extras import apt_install
-from envsetup.machine import base_interpreter, debian_venv_package
+from envsetup.console import Step, clean_environment, run_logged
+from envsetup.extras import venv_module
+from envsetup.machine import base_interpreter
 
 OUTSIDE = """
 import importlib.metadata, json, sys
@@ -40,35 +40,30 @@ class Environment:
 
     def ensure(self, level: str) -> None:
         """Install the packages of a level (see pins.LEVELS) unless they are complete."""
-        wanted = self.wanted(level)
-        stamp = pins.read_stamp(self._stamp)
-        levels = stamp.get("levels")
-        done = dict(levels) if isinstance(levels, dict) else {}
+        wanted, stamp = self.wanted(level), pins.read_stamp(self._stamp)
         usable = stamp.get("identity") == self.identity() and self.python.exists()
-        if usable and done.get(level) == wanted:
+        if usable and wanted.items() <= stamp.get("installed", {}).items():
             return
         self.log.unlink(missing_ok=True)
         if not usable:
             self._create()
         self._stamp.unlink(missing_ok=True)
         self._install(level)
-        held = [name for name, files in pins.LEVELS.items() if set(files) <= set(pins.LEVELS[level])]
-        levels_held = {name: self.wanted(name) for name in held}
-        pins.write_stamp(self._stamp, {"identity": self.identity(), "levels": levels_held})
+        pins.write_stamp(self._stamp, {"identity": self.identity(), "installed": wanted})
 
     def identity(self) -> list[str]:
         """Return the properties that require a new environment when they change."""
         ros = self.env.get("AMENT_PREFIX_PATH", "") if self.sourced_ros else ""
         return [str(self.path), base_interpreter(), sys.version, ros.split(os.pathsep)[-1]]
 
-    def wanted(self, level: str) -> str:
-        """Return the fingerprint of the inputs of a level."""
+    def wanted(self, level: str) -> dict[str, str]:
+        """Return the fingerprints of the requirement files of a level, with all else that its packages depend on."""
+        others = pins.texts([self._files_only(), self.root / "constraints.txt", Path(__file__), Path(pins.__file__)])
         files = pins.requirement_files(self.root, level, not self.sourced_ros)
-        files += [self._files_only(), self.root / "constraints.txt"]
-        return pins.fingerprint(pins.texts(files), pins.texts([Path(__file__), Path(pins.__file__)]))
+        return {file.name: pins.fingerprint(pins.texts([file]), others) for file in files}
 
     def _create(self) -> None:
-        ensure_venv_module(self.log, self.env)
+        venv_module().ensure(self.log, self.env)
         options = ["--system-site-packages"] if self.sourced_ros else []
         with Step(f"virtual environment {self.path.name} for Python {sys.version.split()[0]}") as step:
             if self.path.exists():
@@ -126,29 +121,3 @@ def share_equal_files(folder: Path, least: int = 1 << 16) -> None:
         if not other.samefile(file):
             file.unlink()
             os.link(other, file)
-
-
-def ensure_venv_module(log: Path, env: dict[str, str]) -> None:
-    """Ensure that `python -m venv` works; Debian and Ubuntu ship part of it in a separate package."""
-    if _has_venv():
-        return
-    package = debian_venv_package()
-    if not package:
-        raise SetupError(
-            f"{base_interpreter()} lacks the modules venv and ensurepip: install them, or name another "
-            "Python (make PYTHON=...)."
-        )
-    if os.geteuid() != 0:
-        raise SetupError(
-            "Python's venv module is not complete here: ask an administrator for "
-            f"`apt-get install {package}`, then run the same command again."
-        )
-    say(f"{package} is missing and will be installed")
-    apt_install((package,), log, env)
-    if not _has_venv():
-        raise SetupError(f"{package} is installed, and still {base_interpreter()} -m venv does not work.")
-
-
-def _has_venv() -> bool:
-    query = [base_interpreter(), "-c", "import ensurepip, venv"]
-    return subprocess.run(query, stderr=subprocess.DEVNULL, check=False).returncode == 0

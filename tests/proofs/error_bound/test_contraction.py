@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import fjr_core as fjr
 from bench.build import chain_urdf, joint_names
-from bench.error_bound import on_reference
+from bench.uncertain_robots import on_reference
 from fjr_core.numerics.checks import Array
 from fjr_proofs.error_bound import sampled_contraction
 from proofs.error_bound.test_error_bound import STILL, joint, two_link
@@ -67,7 +67,7 @@ def check_pairs(
 ) -> None:
     """Check that two motions, with the same delays from sample to sample, approach at a rate from sample 100 to 600."""
     n, rng = law.robot.n, np.random.default_rng(seed)
-    x0 = on_reference(law.robot, reference)
+    x0 = law.robot.state(*on_reference(law.robot, reference)[:4])
     q, dq = x0[: 2 * n], law.robot.velocities(x0)
     apart = size * rng.uniform(-1, 1, (2, n))
     starts = np.array([law.robot.state(*np.split(q + np.tile(e, 2), 2), *dq) for e in apart])
@@ -108,7 +108,7 @@ def test_starts_on_the_corners_of_the_tube_end_below_the_offset(law: fjr.Trackin
     """The delay changes from sample to sample; without it the largest error that remains would be smaller."""
     found, n = sampled_contraction(law, reference, H, (0.0, 1.0)), law.robot.n
     assert found is not None
-    x0 = on_reference(law.robot, reference)
+    x0 = law.robot.state(*on_reference(law.robot, reference)[:4])
     q, dq = x0[: 2 * n], law.robot.velocities(x0)
     corners = found.tube * np.stack(np.meshgrid(*[[-1.0, 1.0]] * n), axis=-1).reshape(-1, n)
     starts = np.array([law.robot.state(*np.split(q + np.tile(corner, 2), 2), *dq) for corner in corners])

@@ -14,8 +14,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import fjr_core as fjr
-from bench.error_bound import drawn, on_reference
-from bench.uncertain_robots import UncertainLoop
+from bench.error_bound import drawn
+from bench.uncertain_robots import UncertainLoop, on_reference
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
@@ -117,7 +117,8 @@ def test_runs_of_seven_joints_stay_within_the_proven_bound(errors: dict[str, flo
 def largest_storage(law: fjr.TrackingLaw, reference: Reference, payload: float) -> float:
     """Return the largest V [J] from 2.5 s on of runs with payloads up to one sign and the other, one sample late."""
     robot, factors = law.robot, 1 + payload * np.array([-1.0, 0.3, 1.0])
-    loop = ClosedLoop(robot, law, reference, on_reference(robot, reference), 5.0, T)
+    x0 = robot.state(*on_reference(robot, reference)[:4])
+    loop = ClosedLoop(robot, law, reference, x0, 5.0, T)
     _, run = loop.recorded(Draws(len(factors), link_inertia=factors, gravity=factors, delay=T))
     settled = [(m, t) for states in run.measured for m, t in zip(states[2500::17], run.t[2500::17], strict=True)]
     return max(law.measured_command(*np.split(m, 2), reference.jets(t))[1] for m, t in settled)
@@ -145,7 +146,8 @@ def test_the_centre_of_a_tube_is_the_steady_motion_of_the_simulated_late_loop() 
     model, heaviest = DeviationModel(law, UncertainRobot(law.robot, {"payload": payload - 1})), np.array([-1.0])
     assert model.uncertain.of_joints("payload", heaviest) == pytest.approx(payload)
     centre = steady_motion(model, cells_of(SWING, T, verified=True, most=100), heaviest, T)
-    loop = ClosedLoop(law.robot, law, SWING, on_reference(law.robot, SWING), 4.0, T)
+    x0 = law.robot.state(*on_reference(law.robot, SWING)[:4])
+    loop = ClosedLoop(law.robot, law, SWING, x0, 4.0, T)
     _, run = loop.recorded(Draws(1, link_inertia=payload, gravity=payload, delay=T))
     settled = run.t > 2.0
     positions = centre.path.reference.jets(run.t[settled])[:, 0]
