@@ -4,7 +4,6 @@
 struct driver {
   struct fjr_loop* loop;
   struct fjr_message* state;
-  void* publisher[4]; /* rcl_publisher_t* of each side */
   int64_t period, longest; /* ns; longest: a state without an effort is given up */
   int64_t sides, block;    /* block: consecutive states to one side */
   int64_t pending, sent;   /* pending: an effort is waited for; sent: when its state was published */
@@ -12,7 +11,7 @@ struct driver {
   double* times; /* (total) us */
 };
 
-int driver_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival);
+int driver_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival, int64_t* next);
 int driver_tick(void* self, int64_t now, int64_t* next);
 int driver_request(void* self, int32_t kind, void* argument);
 void driver_end(void* self, int32_t outcome);

@@ -24,8 +24,8 @@ from std_msgs.msg import Float64MultiArray
 from bench.bare import JOINTS, PERIOD, Bare
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
-from fjr_msgs_py.native.loop import NativeLoop, NativeMessage, NativeSubscription, publisher_address
-from fjr_msgs_py.native.program import Program, common_headers, common_sources
+from fjr_msgs_py.native.loop import NativeLoop, NativeMessage, NativeSubscription
+from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node import process
 
 BLOCK = 250  # consecutive states to one side
@@ -56,7 +56,7 @@ class Driver(Bare):
 
     def _native_loop(self) -> NativeLoop:
         texts = {kind: Path(__file__).with_name(f"driver.{kind}").read_text(encoding="utf-8") for kind in "hc"}
-        program = Program("bench_driver", [*common_headers(), texts["h"]], [*common_sources(), texts["c"]])
+        program = Program("bench_driver", [texts["h"]], [texts["c"]])
         ffi, n = program.ffi, 2 * len(JOINTS)
         self._message = NativeMessage(program, joint_state(names.state_names(JOINTS), (n, n, n)), (n, n, n))
         position = np.array(self.get_parameter("position").value)
@@ -65,7 +65,6 @@ class Driver(Bare):
             "struct driver*",
             {
                 "state": self._message.pointer,
-                "publisher": [publisher_address(program, each) for each in self._states],
                 "period": PERIOD,
                 "longest": LONGEST,
                 "sides": len(self._sides),
@@ -74,9 +73,10 @@ class Driver(Bare):
                 "times": ffi.from_buffer("double[]", self._times),
             },
         )
-        callbacks = (ffi.addressof(program.lib, f"driver_{name}") for name in ("message", "tick", "request", "end"))
-        self._host = ffi.new("struct fjr_host*", (self._struct, *callbacks))
-        loop = NativeLoop(program, self._host, self._efforts, self._states)
+        functions = ("message", "tick", "request", "end")
+        driver = {f"on_{name}": ffi.addressof(program.lib, f"driver_{name}") for name in functions}
+        loop = NativeLoop(program, {"self": self._struct, **driver}, self._efforts)
+        loop.use(self._states)
         self._struct.loop = loop.pointer
         return loop
 

@@ -114,8 +114,9 @@ class NodeHost:
         assert self._until(lambda: self._received > before)
 
     def _deliver(self, raw: bytes, arrival: int) -> None:
-        lib = self._loop.program.lib
-        assert lib.fjr_controller_message(self._loop._struct, 0, raw, len(raw), arrival) == lib.FJR_GO_ON
+        program, struct = self._loop.program, self._loop._struct
+        given = struct, 0, raw, len(raw), arrival, program.ffi.new("int64_t*")
+        assert program.lib.fjr_controller_message(*given) == program.lib.FJR_GO_ON
         if self._received % RECORDS == 0:
             self._loop._drain()  # in simulated time a full queue would wait for this
 

@@ -1,8 +1,8 @@
-int echo_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival) {
+int echo_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival, int64_t* next) {
   struct echo* e = self;
-  (void)source, (void)arrival;
+  (void)source, (void)arrival, (void)next;
   if (fjr_read_joint_state(e->reader, data, size) != FJR_READ) return FJR_GO_ON;
-  if (++e->messages == e->fault) return fjr_loop_fail(e->loop, "a planted fault");
+  if (++e->messages == e->fault) return FJR_FAILED;
   int64_t* record = fjr_ring_free(e->ring, 0);
   if (record) {
     *record = e->reader->stamp;
@@ -12,7 +12,7 @@ int echo_message(void* self, int32_t source, const uint8_t* data, size_t size, i
   }
   fjr_put_stamp(e->answer, e->reader->stamp);
   fjr_put_numbers(e->answer, 2, e->reader->value[2]);
-  return fjr_loop_publish(e->loop, e->publisher, e->answer);
+  return fjr_loop_publish(e->loop, 0, e->answer);
 }
 
 int echo_tick(void* self, int64_t now, int64_t* next) {

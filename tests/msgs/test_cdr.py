@@ -21,7 +21,7 @@ from fjr_msgs_py.messages.cdr import FIELDS, HEADER, float_array, joint_state, j
 from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, MessageError, StateReader
 from fjr_msgs_py.names import state_names
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader
-from fjr_msgs_py.native.program import Program, common_headers, common_sources
+from fjr_msgs_py.native.program import Program
 from fuzzing import fuzzed
 
 JOINTS = ("elbow", "wr")
@@ -50,7 +50,7 @@ def stamped(message: JointState, frame: str, sec: int, nanosec: int) -> JointSta
 
 @cache
 def program() -> Program:
-    return Program("fjr_test_messages", common_headers(), common_sources())
+    return Program("fjr_test_messages", [], [])
 
 
 def by_c(reader: NativeReader, data: bytes) -> object:

@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fjr_controller.controller_node import ControllerNode
 from fjr_msgs_py.names import LATEST
-from fjr_msgs_py.native.host import NativeHost
+from fjr_msgs_py.native.loop import NativeLoop
 from fjr_msgs_py.node.participant import stop_discovery
 from fjr_msgs_py.node.reports import CertificateValues, labelled
 from fjr_plant.plant_node import PlantNode
@@ -132,8 +132,8 @@ def subscriptions(node: Node) -> Iterator[Subscription]:
     yield from node.subscriptions
     control, base = getattr(node, "_control", None), getattr(node, "_time_base", None)
     host = control._command_loop._host if control else base and base.host
-    if isinstance(host, NativeHost):
-        yield host.subscription._subscription
+    if isinstance(host, NativeLoop):
+        yield from (each._subscription for each in host.subscriptions)
     inbox = control and getattr(control._interface._close_subscription, "__self__", None)
     if inbox:
         yield inbox._subscription

@@ -216,7 +216,7 @@ def test_no_module_is_loaded_while_the_controller_is_active(alone: list[str]) ->
     assert alone[:2] == ["changed", "late:"]
 
 
-@pytest.mark.parametrize("loop", ["controller_loop", "fjr_plant"])
+@pytest.mark.parametrize("loop", ["fjr_controller", "fjr_plant"])
 def test_the_thread_of_a_native_loop_allocates_only_in_the_middleware(alone: list[str], loop: str) -> None:
     found = [[Path(word).name for word in line.split()[:2]] for line in alone[2:]]  # thread by its library, and caller
     callers = {caller for thread, caller in found if thread.startswith(loop)}
@@ -288,7 +288,7 @@ def test_a_fault_in_the_thread_ends_the_node_with_one_sentence(ros: Ros, peer: P
     peer.meet_plant(lockstep=lockstep)
     host = node._time_base.host
     assert isinstance(host, NativePlantHost)
-    host.state.publisher[0] = plant_program().ffi.cast("void*", host.subscription.address)  # no publisher
+    host._addresses[0] = plant_program().ffi.cast("void*", host.subscriptions[0].address)  # no publisher
     ros.until(lambda: node.ended, "the end")
     assert isinstance(node.ended, SendError)
     assert str(node.ended).startswith("a message could not be sent: rcl_publish_serialized_message returned")

@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
-from fjr_msgs_py.native.host import NO_TIME
+from fjr_msgs_py.native.loop import NO_TIME
 from fjr_plant.native import plant_program
 from nodes.harness import Peer, Ros, nanoseconds
 from nodes.plants import INNER, PERIOD, command, integrate, state_of

@@ -158,8 +158,8 @@ class CommandLoop:
         self._controls.owner = self
         if self._certificate is not None:
             self._certificate.restart()
-        publishers = [*self._topics.publishers, *self._publishers]
-        self._host.serve(self._topics, publishers, process_settings(self._node.values).priority)
+        self._host.use([*self._topics.publishers, *self._publishers])
+        self._host.serve(self._topics, process_settings(self._node.values).priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         period = READING_PERIOD_SIMULATED if self._simulated else READING_PERIOD
         self._timers = [self._node.create_timer(period, self._poll, clock=steady)]

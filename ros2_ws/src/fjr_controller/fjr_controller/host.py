@@ -3,50 +3,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from fjr_msgs_py import names
-from fjr_msgs_py.native.host import NativeHost, RclpyHost
+from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, RclpyHost
 from fjr_msgs_py.native.program import Program
 
-from .command_topics import TOPICS, CommandTopics
+from .command_topics import CommandTopics
 
 BIG_ENDIAN = b"\x00"
 """Second byte of a serialised message (CDR) in the other byte order, which the C does not read."""
 
 
-class NativeControllerHost(NativeHost):
-    """A thread in C, see controller_thread.h: no Python runs on it, and it allocates no memory."""
+def callbacks(program: Program, loop: Any) -> dict[str, Any]:
+    """Return the fields of struct fjr_callbacks for a command loop, struct fjr_controller_loop*."""
+    functions = ("message", "tick", "request", "end")
+    of = {f"on_{name}": program.ffi.addressof(program.lib, f"fjr_controller_{name}") for name in functions}
+    return {"self": loop, **of}
+
+
+def reason_of(program: Program, loop: Any) -> str:
+    """Return why the command loop has failed, "" if the reason is its host's."""
+    return program.ffi.string(loop.reason).decode() if loop.reason else ""
+
+
+class NativeControllerHost(NativeLoop):
+    """A thread in C: no Python runs on it, and it allocates no memory."""
 
     name = "native command loop"
 
     def __init__(self, node: Node, program: Program, loop: Any) -> None:
         """Create the thread and subscribe to the states; loop: struct fjr_controller_loop*. Raise NativeError."""
-        ffi, lib = program.ffi, program.lib
-        self._topic_names = [ffi.new("char[]", node.resolve_topic_name(topic).encode()) for topic in TOPICS]
-        given = {"controller": loop, "node": ffi.cast("void*", node.handle.pointer), "topic": self._topic_names}
-        loop.host = state = ffi.new("struct fjr_controller_thread*", given)
-        for name in ("publish", "has_others", "pause"):
-            setattr(loop, name, ffi.addressof(lib, f"fjr_controller_{name}"))
-        super().__init__(node, program, "fjr_controller", state, JointState, names.JOINT_STATES)
+        states = NativeSubscription(node, JointState, names.JOINT_STATES, names.LATEST)
+        super().__init__(program, callbacks(program, loop), [states])
+        self._struct, loop.host = loop, self.pointer
+        loop.publish, loop.pause, loop.has_others = (
+            program.ffi.addressof(program.lib, f"fjr_{name}") for name in ("loop_publish", "loop_pause", "has_others")
+        )
 
-    def serve(self, topics: CommandTopics, publishers: Sequence[Publisher], priority: int) -> None:
-        """Start the thread, at this SCHED_FIFO priority if the system allows it.
-
-        topics: of the commands. publishers: by enum fjr_controller_output, those of topics first.
-        """
-        known, self.state.silent = topics.known
-        self._known = self._program.ffi.from_buffer(known)
-        self.state.known = self._known
-        self.use(publishers)
+    def serve(self, topics: CommandTopics, priority: int) -> None:
+        """Start the thread, at this SCHED_FIFO priority if the system allows it; topics: of the commands."""
+        self._struct.known = topics.known(self._program)
         self.start(priority)
+
+    @property
+    def reason(self) -> str:
+        """Why the thread has failed; empty if it has not."""
+        return reason_of(self._program, self._struct) or super().reason
 
 
 class RclpyControllerHost(RclpyHost):
@@ -66,24 +75,23 @@ class RclpyControllerHost(RclpyHost):
 
         raise_failure: raises the error of Python code that the last message called. read: takes records from the queue.
         """
-        super().__init__(node, program, JointState, names.JOINT_STATES)
+        super().__init__(node, program, callbacks(program, loop), JointState, names.JOINT_STATES)
         self._struct, self._raise_failure, self._read, self.runs = loop, raise_failure, read, False
-        self._callbacks = (
+        self._called = (
+            program.ffi.callback("int(void*)", self._pause, error=program.lib.FJR_FAILED),
             program.ffi.callback("int(void*)", lambda _: self._topics.others_appeared(), error=1),
-            program.ffi.callback("int(void*)", self._pause, error=2),
         )
-        loop.publish, (loop.has_others, loop.pause) = self.publish, self._callbacks
+        loop.publish, (loop.pause, loop.has_others) = self.publish, self._called
 
-    def serve(self, topics: CommandTopics, publishers: Sequence[Publisher], priority: int) -> None:
+    def serve(self, topics: CommandTopics, _: int) -> None:
         """Begin to serve, as NativeControllerHost.serve; the executor has the priority of its process."""
         self._topics = topics
-        self.use(publishers)
         self.runs, self.reason = True, ""
         self._tick()
 
     def request(self, kind: int, arguments: Any) -> None:
         """Serve a request of enum fjr_controller_request."""
-        self._check(self._program.lib.fjr_controller_request(self._struct, kind, arguments))
+        self._goes_on(self._program.lib.fjr_controller_request(self._struct, kind, arguments))
 
     def hold(self, hold: bool) -> None:
         """Do nothing: the executor serves no message meanwhile."""
@@ -101,33 +109,23 @@ class RclpyControllerHost(RclpyHost):
 
     def _serve_message(self, message: bytes) -> None:
         if self.runs:
-            now = self.now()
-            if message[1:2] == BIG_ENDIAN:
-                message = _little_endian(message)
-            data = self._program.ffi.from_buffer("uint8_t[]", message)
-            self._check(self._program.lib.fjr_controller_message(self._struct, 0, data, len(message), now))
-            self._tick_by(self._program.lib.fjr_controller_waits(self._struct))
+            super()._serve_message(_little_endian(message) if message[1:2] == BIG_ENDIAN else message)
 
-    def _serve_tick(self) -> None:
+    def _tick(self) -> None:
         if self.runs:
-            self._check(self._program.lib.fjr_controller_tick(self._struct, self.now(), self._next))
-            self._tick_by(int(self._next[0]))
+            super()._tick()
 
-    def _tick_by(self, due: int) -> None:
-        if self.runs:  # still, after the message or tick
-            super()._tick_by(due)
-
-    def _check(self, outcome: int) -> None:
+    def _goes_on(self, outcome: int) -> bool:
         """After a failure, end the loop in C, which sends the stop effort, and serve no more messages."""
         try:
             self._raise_failure()
         except Exception as error:
             self.reason, outcome = error, self._program.lib.FJR_FAILED
         if outcome == self._program.lib.FJR_FAILED and self.runs:
-            reason = self._struct.reason
-            self.reason = self.reason or (self._program.ffi.string(reason).decode() if reason else "unknown")
+            self.reason = self.reason or reason_of(self._program, self._struct) or "unknown"
             self.stop()
             self._program.lib.fjr_controller_end(self._struct, outcome)
+        return self.runs
 
     def _pause(self, _: Any) -> int:
         self._read()

@@ -5,17 +5,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
 from fjr_core import FjrError
+from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import LITTLE_ENDIAN
 from fjr_msgs_py.messages.joint_states import MessageError
-from fjr_msgs_py.native.host import NativeHost, RclpyHost
-from fjr_msgs_py.native.loop import Ring
+from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, RclpyHost, Ring
 from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.reports import Health
 
@@ -52,7 +51,7 @@ class Events:
         """read: reads a serialised command and raises MessageError; others: handlers by enum fjr_event, with value."""
         self._ffi, self._lib, self._health = program.ffi, program.lib, health
         self._read, self._others = read, others
-        declared = "int(void*, int32_t, int64_t, const uint8_t*, size_t)"
+        declared = "int(int32_t, int64_t, const uint8_t*, size_t)"
         self.notify = self._ffi.callback(declared, self._on_event, error=1)
 
     def counts(self, plant: Any) -> dict[str, int]:
@@ -64,7 +63,7 @@ class Events:
         counts = dict(zip(EXPECTED, plant.count[0:6], strict=True))
         return {**counts, **{name: count for name, count in unwanted if count}}
 
-    def _on_event(self, _: Any, event: int, value: int, data: Any, size: int) -> int:
+    def _on_event(self, event: int, value: int, data: Any, size: int) -> int:
         try:
             if event == self._lib.FJR_COUNTED:
                 self._health.tell(COUNTERS[value], UNWANTED[COUNTERS[value]])
@@ -92,40 +91,32 @@ class Events:
 NOTES, NOTES_PERIOD = 16, 0.05  # events that wait for Python, at most; s
 
 
-class Hosted(NamedTuple):
-    """What a host serves: a plant in C, its commands, and the publishers by enum fjr_output.
+class NativePlantHost(NativeLoop):
+    """A thread in C; raises NativeError if it cannot be started."""
 
-    command, tick: its functions in C. fail: called with a description after a fault; it does not raise.
-    """
+    def __init__(
+        self,
+        node: Node,
+        program: Program,
+        callbacks: Mapping[str, Any],
+        kind: type,
+        topic: str,
+        fail: Callable[[str], None],
+    ) -> None:
+        """callbacks: fields of struct fjr_callbacks, without on_request and on_end. kind, topic: of the commands.
 
-    node: Node
-    program: Program
-    plant: Any
-    lock_step: bool
-    kind: type
-    topic: str
-    publishers: list[Publisher]
-    command: Callable[[Any, Any, int, int], int]
-    tick: Callable[[Any, int, Any], int]
-    fail: Callable[[str], None]
-
-
-class NativePlantHost(NativeHost):
-    """A thread in C, see plant_loop.h; raises NativeError if it cannot be started."""
-
-    def __init__(self, hosted: Hosted) -> None:
-        program, plant = hosted.program, hosted.plant
-        ffi, lib = program.ffi, program.lib
-        self._callbacks = ffi.callback("int(void)", self._work, error=1), ffi.callback("void(void)", self._on_end)
-        state = ffi.new("struct fjr_plant_loop*", {"plant": plant, "lock_step": hosted.lock_step})
-        super().__init__(hosted.node, program, "fjr_plant", state, hosted.kind, hosted.topic)
-        self.use(hosted.publishers)
-        self._hosted, self._notes = hosted, Ring(program, "struct fjr_note", NOTES)
-        state.work, state.ended = self._callbacks
-        state.notes, state.notify, plant.host = self._notes.pointer, plant.notify, state
-        plant.send, plant.notify = (ffi.addressof(lib, f"fjr_plant_{name}") for name in ("send", "notify"))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = hosted.node.create_timer(NOTES_PERIOD, self._read_notes, clock=steady)
+        fail: called with a description after a fault; it does not raise.
+        """
+        ffi, plant = program.ffi, callbacks["self"]
+        self._fail, self._node, self._notes = fail, node, Ring(program, "struct fjr_note", NOTES)
+        own = {
+            "on_request": ffi.callback("int(void*, int32_t, void*)", self._work, error=1),
+            "on_end": ffi.callback("void(void*, int32_t)", self._on_end),
+        }
+        super().__init__(program, {**callbacks, **own}, [NativeSubscription(node, kind, topic, names.LATEST)])
+        self._plant, plant.host, plant.notes = plant, self.pointer, self._notes.pointer
+        plant.send = ffi.addressof(program.lib, "fjr_loop_publish")
+        self._timer = node.create_timer(NOTES_PERIOD, self._read_notes, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._action: Callable[[], Any] = lambda: None
         self._result: Any = None
         self._error: BaseException | None = None
@@ -145,36 +136,44 @@ class NativePlantHost(NativeHost):
     def close(self) -> None:
         """End the thread; a second call does nothing."""
         super().close()
-        self._hosted.node.destroy_timer(self._timer)
+        self._node.destroy_timer(self._timer)
 
     def _read_notes(self) -> None:
         """Report the events that the thread kept."""
-        ffi, null = self._hosted.program.ffi, self._hosted.program.ffi.NULL
         for note in self._notes.take():
-            data = ffi.from_buffer("uint8_t[]", note["data"][: note["size"]])
-            self.state.notify(null, int(note["event"]), int(note["value"]), data, int(note["size"]))
+            data = self._program.ffi.from_buffer("uint8_t[]", note["data"][: note["size"]])
+            self._plant.notify(int(note["event"]), int(note["value"]), data, int(note["size"]))
 
-    def _work(self) -> int:
+    def _work(self, *_: Any) -> int:
         try:
             self._result = self._action()
         except BaseException as error:
             self._error = error
         return 0
 
-    def _on_end(self) -> None:
-        self._hosted.fail(self.reason)
+    def _on_end(self, _: Any, outcome: int) -> None:
+        if outcome > 0:
+            self._fail(self.reason)
 
 
 class RclpyPlantHost(RclpyHost):
     """Callbacks of the node's executor; the clock is the steady one, or the node's if it is simulated."""
 
-    def __init__(self, hosted: Hosted, simulated: bool, period: float) -> None:
-        """simulated: whether the clock is the node's, set by another publisher of /clock; period: of ticks [s]."""
-        clock = hosted.node.get_clock() if simulated else None
-        super().__init__(hosted.node, hosted.program, hosted.kind, hosted.topic, clock)
-        self._hosted, self._period, self._periodic = hosted, period, None  # type: Hosted, float, Any
-        hosted.plant.send = self.publish
-        self.use(hosted.publishers)
+    def __init__(
+        self,
+        node: Node,
+        program: Program,
+        callbacks: Mapping[str, Any],
+        kind: type,
+        topic: str,
+        fail: Callable[[str], None],
+        simulated: bool,
+        period: float,
+    ) -> None:
+        """As NativePlantHost. simulated: whether the clock is the node's, set by another; period: of ticks [s]."""
+        super().__init__(node, program, callbacks, kind, topic, node.get_clock() if simulated else None)
+        self._plant, self._fail, self._period, self._periodic = callbacks["self"], fail, period, None
+        self._plant.send = self.publish
 
     def start(self) -> None:
         """Begin to tick."""
@@ -189,16 +188,11 @@ class RclpyPlantHost(RclpyHost):
         """Run an action and return its result."""
         return action()
 
-    def _serve_message(self, message: bytes) -> None:
-        data = self._hosted.program.ffi.from_buffer("uint8_t[]", message)
-        self._succeeded(self._hosted.command(self._hosted.plant, data, len(message), self.now()))
+    def _goes_on(self, outcome: int) -> bool:
+        if outcome:
+            self._fail(str(self.reason))
+        return not outcome
 
-    def _serve_tick(self) -> None:
-        plant = self._hosted.plant
-        if self._succeeded(self._hosted.tick(plant, self.now(), self._next)):
-            self._tick_by(plant.between)
-
-    def _succeeded(self, fault: int) -> bool:
-        if fault:
-            self._hosted.fail(str(self.reason))
-        return not fault
+    def _tick_by(self, _: int) -> None:
+        """Let a tick come at the next state that leaves between two ticks of the period."""
+        super()._tick_by(self._plant.between)

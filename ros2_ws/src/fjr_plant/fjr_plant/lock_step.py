@@ -14,8 +14,7 @@ from sensor_msgs.msg import JointState
 from fjr_core import FjrError
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, deserialised, nanoseconds, picked
-from fjr_msgs_py.native.host import NO_TIME
-from fjr_msgs_py.native.loop import NativeMessage, NativeReader
+from fjr_msgs_py.native.loop import NO_TIME, NativeMessage, NativeReader
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health

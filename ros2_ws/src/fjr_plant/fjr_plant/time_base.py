@@ -20,13 +20,12 @@ from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
 from fjr_msgs_py.messages.joint_states import deserialised, read_efforts
-from fjr_msgs_py.native.host import NO_TIME
-from fjr_msgs_py.native.loop import NativeMessage
+from fjr_msgs_py.native.loop import NO_TIME, NativeMessage
 from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health
 
 from .channel import Transport
-from .host import Events, Hosted, NativePlantHost, RclpyPlantHost
+from .host import Events, NativePlantHost, RclpyPlantHost
 from .native import plant_program
 from .simulated_robot import SimulatedRobot
 
@@ -146,21 +145,21 @@ class TimeBase(ABC):
 
     def _serve(self, simulated: bool = False) -> None:
         """Let a host serve commands and ticks; simulated: the time comes from another publisher of /clock."""
-        node, of = self._node, f"fjr_{self.functions}"
-        command, tick = getattr(self._lib, f"{of}_command"), getattr(self._lib, f"{of}_tick")
-        hosted = Hosted(
-            *(node, self._program, self.plant, self._lock_step, self.kind, self.topic),
-            *(self._publishers, command, tick, self._fail),
-        )
+        node, program = self._node, self._program
+        callbacks = {"self": self.plant}
+        for name, what in (("on_message", "command"), ("on_tick", "tick")):
+            callbacks[name] = program.ffi.addressof(self._lib, f"fjr_{self.functions}_{what}")
+        given = node, program, callbacks, self.kind, self.topic, self._fail
         why = self._without_loop(simulated)
         self.host: NativePlantHost | RclpyPlantHost
         if why:
             period = WATCH_PERIOD if self._lock_step else self._transport.period * 1e-9
-            self.host = RclpyPlantHost(hosted, simulated, period)
+            self.host = RclpyPlantHost(*given, simulated, period)
             if node.values["executor"] == NATIVE:
                 node.get_logger().info(f"the plant runs in rclpy's executor instead of a native thread: {why}")
         else:
-            self.host = NativePlantHost(hosted)
+            self.host = NativePlantHost(*given)
+        self.host.use(self._publishers)
 
     def _without_loop(self, simulated: bool) -> str:
         """Return why rclpy's executor serves the plant; "" if a native loop does."""

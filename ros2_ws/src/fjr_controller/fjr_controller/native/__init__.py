@@ -21,8 +21,7 @@ FUNCTIONS = (
 def controller_program(n: int, memory: int) -> Program:
     """Return the command loop for a step of n joints and a law with `memory` numbers as its controller state."""
     values, header = library.sizes(n, memory), library.text(library.HEADER)
-    files = ["controller_loop.h"], ["controller_loop.c"]
-    return Program.hosted("controller_loop", "fjr_controller", *files, "controller_thread", values, header)
+    return Program.of("fjr_controller", ["controller_loop.h", "controller_loop.c"], values, header)
 
 
 def step_functions(program: Program, step: CLibrary) -> dict[str, Any]:

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * All functions but the callbacks of the host are static and run on the thread of the host.
+ * All functions but those of struct fjr_callbacks are static and run on the thread of the host.
  */
 #define FIRST_UNSENDABLE 2147483648000000000 /* ns; the seconds of a stamp are a signed 32-bit integer */
 #define PAUSED 10000000                      /* ns; a silence check that comes later follows a pause of this process */
@@ -72,7 +72,7 @@ static int send_stop(struct fjr_controller_loop* l) {
 static int is_alone(struct fjr_controller_loop* l) {
   int32_t known = __atomic_load_n(&l->alone, __ATOMIC_ACQUIRE);
   if (known == FJR_UNASKED) {
-    known = l->has_others(l->host) ? FJR_NOT_ALONE : FJR_ALONE;
+    known = l->has_others(l->known) ? FJR_NOT_ALONE : FJR_ALONE;
     __atomic_store_n(&l->alone, known, __ATOMIC_RELEASE);
   }
   return known == FJR_ALONE;
@@ -176,14 +176,16 @@ static int process(struct fjr_controller_loop* l, int64_t arrival) {
   return answered ? answer(l, arrival) : FJR_GO_ON;
 }
 
-int64_t fjr_controller_waits(const struct fjr_controller_loop* l) {
+/* Return when a sample that waits for a newer one is answered [ns, steady clock], FJR_NO_TIME if none waits. */
+static int64_t waits_until(const struct fjr_controller_loop* l) {
   const int64_t waits = l->step.waits_until(l->controller);
   return waits == FJR_NEVER ? FJR_NO_TIME : waits;
 }
 
-/* ---- Callbacks of the host ------------------------------------------------------------------------------------- */
+/* ---- Functions of struct fjr_callbacks -------------------------------------------------------------------------- */
 
-int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival) {
+int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival,
+                           int64_t* next) {
   struct fjr_controller_loop* l = self;
   int outcome;
   (void)source;
@@ -193,7 +195,10 @@ int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size
   if (found != FJR_READ) return refuse(l->refusals, found, data, size), FJR_GO_ON;
   if (!is_alone(l)) return FJR_GO_ON;
   if (l->simulated && (outcome = check_silence(l, l->sample.stamp)) != FJR_GO_ON) return outcome;
-  return process(l, arrival);
+  outcome = process(l, arrival);
+  const int64_t waits = waits_until(l);
+  if (waits < *next) *next = waits;
+  return outcome;
 }
 
 /* Answer a sample for which no newer one has come; check for silence, but not before the states that waited while this
@@ -203,14 +208,14 @@ int fjr_controller_tick(void* self, int64_t now, int64_t* next) {
   int outcome = FJR_GO_ON;
   *next = FJR_NO_TIME;
   if (l->simulated) return FJR_GO_ON;
-  int64_t waits = fjr_controller_waits(l);
+  int64_t waits = waits_until(l);
   const int64_t late = now - l->silence_check;
   const int checks = late >= 0 && (late <= PAUSED || l->postponed);
   if (late >= 0) l->silence_check = now + (checks ? l->silence_period : PAUSED), l->postponed = !checks;
   *next = l->silence_check;
   if (waits <= now) {
     if ((outcome = process(l, now)) != FJR_GO_ON) return outcome;
-    waits = fjr_controller_waits(l);
+    waits = waits_until(l);
   } else if (waits != FJR_NO_TIME) {
     return *next = waits < *next ? waits : *next, FJR_GO_ON;
   }

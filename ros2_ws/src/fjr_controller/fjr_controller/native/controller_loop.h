@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  * The command loop: JointState -> struct fjr_sample -> fjr_step -> both command topics.
  *
- * A host calls one function per message, per tick and per request, from one thread at a time: a native thread
- * (controller_thread.h), or rclpy's executor. It supplies `publish`, `has_others` and `pause`.
+ * A host calls one function per message, per tick and per request, from one thread at a time: a native thread (loop.h),
+ * or rclpy's executor. It supplies `publish` and `pause`.
  * The controller belongs to the loop while it runs. Python changes it by requests, and reads a copy.
  */
 #ifndef FJR_CONTROLLER_LOOP_H
@@ -10,7 +10,6 @@
 
 #define FJR_REFUSALS 7 /* kinds: enum fjr_reading from 1 on, and FJR_NO_STAMP */
 #define FJR_NO_STAMP 6
-#define FJR_PARTICIPANT 12 /* bytes of a GID */
 
 /* Functions of the control step (step.h). */
 struct fjr_step_functions {
@@ -71,12 +70,12 @@ struct fjr_refusals {
 };
 
 struct fjr_controller_loop {
-  /* Of the host. publish: enum fjr_outcome; has_others: 1 if unknown publishers command the robot, or may do so;
-   * pause: wait for Python to take records, an enum fjr_outcome. */
+  /* Of the host; an enum fjr_outcome. pause: wait for Python to take records. */
   void* host;
   int (*publish)(void* host, int32_t output, const struct fjr_message* message);
-  int (*has_others)(void* host);
   int (*pause)(void* host);
+  int (*has_others)(void* known); /* 1 if unknown publishers command the robot, or may do so */
+  void* known;
   const char* reason; /* of FJR_FAILED, 0 if it is the host's */
   struct fjr_step_functions step;
   const struct fjr_model* model;
@@ -100,14 +99,11 @@ struct fjr_controller_loop {
   struct fjr_record spare;  /* of a sample that has no place in the queue */
 };
 
-/* The callbacks of struct fjr_host; self: struct fjr_controller_loop. After a message or a request the next tick may
- * have to come earlier, see fjr_controller_waits. */
-int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival);
+/* Those of struct fjr_callbacks; self: struct fjr_controller_loop. */
+int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival,
+                           int64_t* next);
 int fjr_controller_tick(void* self, int64_t now, int64_t* next);
 int fjr_controller_request(void* self, int32_t kind, void* argument);
 void fjr_controller_end(void* self, int32_t outcome);
-
-/* Return when a sample that waits for a newer one is answered [ns, steady clock], FJR_NO_TIME if none waits. */
-int64_t fjr_controller_waits(const struct fjr_controller_loop* l);
 
 #endif

@@ -20,6 +20,7 @@
 #include <rcutils/types/uint8_array.h>
 
 #define REASON 512
+#define PAUSE 1000000 /* ns */
 #define SLICE 100000 /* ns; the shortest slice that Linux grants */
 
 enum request_state { NO_REQUEST, POSTED };
@@ -32,7 +33,8 @@ struct source {
 };
 
 struct fjr_loop {
-  struct fjr_host host;
+  struct fjr_callbacks call;
+  void* const* publisher;
   struct source source[FJR_SOURCES];
   int32_t sources, held, priority;
   rcl_serialized_message_t buffer;
@@ -45,22 +47,20 @@ struct fjr_loop {
   char reason[REASON];
 };
 
-int fjr_loop_fail(struct fjr_loop* loop, const char* reason) {
-  snprintf(loop->reason, REASON, "%s", reason);
-  return FJR_FAILED;
-}
-
 static int rcl_failed(struct fjr_loop* loop, const char* what, int code) {
   snprintf(loop->reason, REASON, "%s returned %d (%s)", what, code, rcl_get_error_string().str);
   rcl_reset_error();
   return FJR_FAILED;
 }
 
-int fjr_loop_publish(struct fjr_loop* loop, void* publisher, const struct fjr_message* message) {
+void fjr_loop_use(struct fjr_loop* loop, void* const* publisher) { loop->publisher = publisher; }
+
+int fjr_loop_publish(void* at, int32_t k, const struct fjr_message* message) {
+  struct fjr_loop* loop = at;
   rcl_serialized_message_t bytes = rcutils_get_zero_initialized_uint8_array();
   bytes.buffer = message->bytes;
   bytes.buffer_length = bytes.buffer_capacity = message->size;
-  const rcl_ret_t code = rcl_publish_serialized_message(publisher, &bytes, NULL);
+  const rcl_ret_t code = rcl_publish_serialized_message(loop->publisher[k], &bytes, NULL);
   return code == RCL_RET_OK ? FJR_GO_ON : rcl_failed(loop, "rcl_publish_serialized_message", code);
 }
 
@@ -85,8 +85,8 @@ static int take(struct fjr_loop* loop, int32_t k) {
     const rcl_ret_t code = rcl_take_serialized_message(source->subscription, &loop->buffer, NULL, NULL);
     if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED) return FJR_GO_ON;
     if (code != RCL_RET_OK) return rcl_failed(loop, "rcl_take_serialized_message", code);
-    outcome = loop->host.on_message(loop->host.self, k, loop->buffer.buffer, loop->buffer.buffer_length,
-                                    fjr_steady_now());
+    outcome = loop->call.on_message(loop->call.self, k, loop->buffer.buffer, loop->buffer.buffer_length,
+                                    fjr_steady_now(), &loop->next);
   }
   return outcome;
 }
@@ -104,7 +104,7 @@ static int serve(struct fjr_loop* loop) {
   int32_t posted = POSTED;
   if (!__atomic_compare_exchange_n(&loop->request, &posted, NO_REQUEST, 0, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST))
     return FJR_GO_ON;
-  const int outcome = loop->host.on_request(loop->host.self, loop->kind, loop->argument);
+  const int outcome = loop->call.on_request(loop->call.self, loop->kind, loop->argument);
   loop->answer = outcome;
   sem_post(&loop->answered);
   return outcome;
@@ -127,10 +127,6 @@ void fjr_loop_hold(struct fjr_loop* loop, int32_t hold) {
   if (!hold) sem_post(&loop->wake);
 }
 
-void fjr_loop_tick_by(struct fjr_loop* loop, int64_t time) {
-  if (time < loop->next) loop->next = time;
-}
-
 static struct timespec timespec_of(int64_t time) {
   const struct timespec at = {(time_t)(time / 1000000000), (long)(time % 1000000000)};
   return at;
@@ -147,8 +143,9 @@ static void wait_until(struct fjr_loop* loop, int64_t time) {
 
 static int stopping(struct fjr_loop* loop) { return __atomic_load_n(&loop->stopping, __ATOMIC_ACQUIRE); }
 
-int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds) {
-  wait_until(loop, fjr_steady_now() + nanoseconds);
+int fjr_loop_pause(void* at) {
+  struct fjr_loop* loop = at;
+  wait_until(loop, fjr_steady_now() + PAUSE);
   const int outcome = serve(loop);
   return outcome == FJR_GO_ON && stopping(loop) ? FJR_DONE : outcome;
 }
@@ -166,7 +163,7 @@ static int one_round(struct fjr_loop* loop) {
   for (int32_t k = 0; k < loop->sources && outcome == FJR_GO_ON; ++k) outcome = take(loop, k);
   if (outcome == FJR_GO_ON && loop->next != FJR_NO_TIME) {
     const int64_t now = fjr_steady_now();
-    if (now >= loop->next) outcome = loop->host.on_tick(loop->host.self, now, &loop->next);
+    if (now >= loop->next) outcome = loop->call.on_tick(loop->call.self, now, &loop->next);
   }
   return outcome;
 }
@@ -212,18 +209,18 @@ static void* run(void* at) {
   schedule(loop->priority);
   while (!stopping(loop) && (outcome = one_round(loop)) == FJR_GO_ON)
     if (!waiting(loop)) wait_until(loop, loop->next);
-  loop->host.on_end(loop->host.self, outcome);
+  loop->call.on_end(loop->call.self, outcome);
   __atomic_store_n(&loop->running, 0, __ATOMIC_SEQ_CST);
   serve(loop);
   return NULL;
 }
 
-struct fjr_loop* fjr_loop_create(const struct fjr_host* host, void* const* subscription, int32_t subscriptions,
-                                 size_t largest) {
+struct fjr_loop* fjr_loop_create(const struct fjr_callbacks* callbacks, void* const* subscription,
+                                 int32_t subscriptions, size_t largest) {
   struct fjr_loop* loop = calloc(1, sizeof *loop);
   const rcutils_allocator_t allocator = rcutils_get_default_allocator();
   if (!loop) return NULL;
-  loop->host = *host, loop->sources = subscriptions;
+  loop->call = *callbacks, loop->sources = subscriptions;
   loop->buffer = rcutils_get_zero_initialized_uint8_array();
   if (rcutils_uint8_array_init(&loop->buffer, largest, &allocator) != RCUTILS_RET_OK) {
     free(loop);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A thread that waits for messages, a time or a request, and calls its host for each.
+ * A thread that waits for messages, a time or a request, and calls a function for each.
  *
  * Subscriptions and publishers belong to an rclpy node; they are handed over by address (rcl_subscription_t*,
  * rcl_publisher_t*) and live at least as long as the thread runs. Nothing is allocated between start and end.
@@ -16,17 +16,18 @@
 struct fjr_loop;
 struct fjr_message;
 
-/* Outcome of a callback; FJR_DONE and FJR_FAILED end the thread. */
-enum fjr_outcome { FJR_GO_ON, FJR_DONE, FJR_FAILED };
+/* Outcome of a callback; all but FJR_GO_ON end the thread. A positive number is a failure, of the callee's own kinds. */
+enum fjr_outcome { FJR_DONE = -1, FJR_GO_ON, FJR_FAILED };
 
-/* Callbacks of a host, all on the thread. Times are of the steady clock [ns].
+/* Functions that the thread calls. Times are of the steady clock [ns].
  * on_message: a message of subscription `source`, valid until the return; it was taken at `arrival`.
- * on_tick: the time that the last call wrote to `next` has come; the first call is at the start; FJR_NO_TIME: never.
- * on_request: see fjr_loop_request. on_end: the thread ends; outcome FJR_FAILED: after a failure.
+ * on_tick: the time `next` has come, at first at the start; each call writes it anew, FJR_NO_TIME: never. A message may
+ * bring it forward.
+ * on_request: see fjr_loop_request. on_end: the thread ends with this outcome.
  */
-struct fjr_host {
+struct fjr_callbacks {
   void* self;
-  int (*on_message)(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival);
+  int (*on_message)(void* self, int32_t source, const uint8_t* data, size_t size, int64_t arrival, int64_t* next);
   int (*on_tick)(void* self, int64_t now, int64_t* next);
   int (*on_request)(void* self, int32_t kind, void* argument);
   void (*on_end)(void* self, int32_t outcome);
@@ -34,9 +35,12 @@ struct fjr_host {
 
 /* Create a loop for subscriptions (rcl_subscription_t*); messages of up to `largest` bytes are taken without
  * allocation. Return 0 if there is not enough memory. */
-struct fjr_loop* fjr_loop_create(const struct fjr_host* host, void* const* subscription, int32_t subscriptions,
-                                 size_t largest);
+struct fjr_loop* fjr_loop_create(const struct fjr_callbacks* callbacks, void* const* subscription,
+                                 int32_t subscriptions, size_t largest);
 void fjr_loop_destroy(struct fjr_loop* loop);
+
+/* Let the callbacks send by these publishers (rcl_publisher_t*), in their order; not while the thread runs. */
+void fjr_loop_use(struct fjr_loop* loop, void* const* publisher);
 
 /* Start the thread; return 0, or an errno. priority: SCHED_FIFO priority of the thread, if the system allows it. Without
  * it a caller with real-time scheduling passes it on; with ordinary scheduling the thread asks for short slices. */
@@ -55,15 +59,13 @@ void fjr_loop_hold(struct fjr_loop* loop, int32_t hold);
 /* Return 1 while the thread runs. */
 int fjr_loop_runs(struct fjr_loop* loop);
 
-/* Return the reason of FJR_FAILED, "" for none. Valid after the end of the thread. */
+/* Return why the middleware failed, "" if it did not. Valid after the end of the thread. */
 const char* fjr_loop_reason(const struct fjr_loop* loop);
 
-/* For callbacks. fjr_loop_fail stores a reason and returns FJR_FAILED. fjr_loop_publish returns FJR_GO_ON or fails.
- * fjr_loop_pause waits for `nanoseconds`, a request or the end of the loop, serves requests, and returns FJR_DONE if
- * the loop is to end. fjr_loop_tick_by brings the next tick forward. */
-int fjr_loop_fail(struct fjr_loop* loop, const char* reason);
-int fjr_loop_publish(struct fjr_loop* loop, void* publisher, const struct fjr_message* message);
-int fjr_loop_pause(struct fjr_loop* loop, int64_t nanoseconds);
-void fjr_loop_tick_by(struct fjr_loop* loop, int64_t time);
+/* For callbacks; at: struct fjr_loop. fjr_loop_publish sends by the k-th publisher; it returns FJR_GO_ON or FJR_FAILED.
+ * fjr_loop_pause waits for a millisecond, a request or the end of the loop, serves requests, and returns FJR_DONE if the
+ * loop is to end. */
+int fjr_loop_publish(void* at, int32_t k, const struct fjr_message* message);
+int fjr_loop_pause(void* at);
 
 #endif

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread of a native loop (loop.h), and what its C uses of a node: subscriptions, publishers, messages, a queue."""
+"""Hosts of C functions that answer messages, a thread or rclpy's executor, and the structures of such functions."""
 
 from __future__ import annotations
 
 import atexit
 import os
-from collections.abc import Sequence
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -22,6 +25,7 @@ from rclpy.type_support import check_is_valid_msg_type
 from fjr_core.numerics.jit import record_type
 
 from ..messages.cdr import HEADER, Form
+from ..names import LATEST
 from .program import NativeError, Program
 
 NAMES_ROOM = 1 << 13  # bytes of a list of names that is compared instead of looked up
@@ -61,11 +65,6 @@ class NativeSubscription:
             for handler in self._subscription.event_handlers:
                 self._node.remove_waitable(handler)
             self._subscription.destroy()
-
-
-def publisher_address(program: Program, publisher: Publisher) -> Any:
-    """Return the rcl_publisher_t* of a publisher."""
-    return program.ffi.cast("void*", publisher.handle.pointer)
 
 
 class NativeMessage:
@@ -148,32 +147,31 @@ _running: set[NativeLoop] = set()
 
 
 class NativeLoop:
-    """A thread that serves subscriptions by the callbacks of a host in C (struct fjr_host)."""
+    """A thread in C that serves subscriptions; `pointer` is its struct fjr_loop*."""
 
     def __init__(
-        self,
-        program: Program,
-        host: Any,
-        subscriptions: Sequence[NativeSubscription],
-        publishers: Sequence[Publisher] = (),
+        self, program: Program, callbacks: Mapping[str, Any], subscriptions: Sequence[NativeSubscription]
     ) -> None:
-        """Create the loop. publishers: those that the host uses; they live while the thread runs."""
-        self._program, self._host, self._subscriptions = program, host, tuple(subscriptions)
-        self._held = ExitStack()
-        self.use(publishers)
+        """Create the loop; callbacks: fields of struct fjr_callbacks. Raises NativeError."""
+        self._program, self._callbacks, self.subscriptions = program, callbacks, tuple(subscriptions)
+        self._held, self._publishers = ExitStack(), ()
         addresses = [program.ffi.cast("void*", each.address) for each in subscriptions]
-        made = program.lib.fjr_loop_create(host, addresses, len(addresses), LARGEST)
+        given = program.ffi.new("struct fjr_callbacks*", callbacks)
+        made = program.lib.fjr_loop_create(given, addresses, len(addresses), LARGEST)
         if not made:
             raise NativeError("the loop cannot be created (out of memory)")
         self.pointer = program.ffi.gc(made, program.lib.fjr_loop_destroy)
 
     def use(self, publishers: Sequence[Publisher]) -> None:
-        """Replace the publishers that the host uses; not while the thread runs."""
+        """Let the C send by these publishers, in the order of its outputs; not while the thread runs."""
         self._publishers = tuple(publishers)
+        addresses = [self._program.ffi.cast("void*", each.handle.pointer) for each in publishers]
+        self._addresses = self._program.ffi.new("void*[]", addresses)
+        self._program.lib.fjr_loop_use(self.pointer, self._addresses)
 
     def start(self, priority: int = 0) -> None:
         """Start the thread, at this SCHED_FIFO priority if the system allows it; raises NativeError."""
-        for entity in (*self._subscriptions, *self._publishers):
+        for entity in (*self.subscriptions, *self._publishers):
             self._held.enter_context(entity.handle)
         error = self._program.lib.fjr_loop_start(self.pointer, priority)
         if error:
@@ -187,8 +185,14 @@ class NativeLoop:
         self._held.close()
         _running.discard(self)
 
+    def close(self) -> None:
+        """End the thread and destroy the subscriptions, which the node does not know; the caller serves requests."""
+        self.stop()
+        for subscription in self.subscriptions:
+            subscription.close()
+
     def request(self, kind: int, argument: Any = None) -> int:
-        """Let the thread call the host's on_request between two messages; return the result."""
+        """Let the thread call on_request between two messages; return the result."""
         ffi = self._program.ffi
         return int(self._program.lib.fjr_loop_request(self.pointer, kind, ffi.NULL if argument is None else argument))
 
@@ -203,7 +207,7 @@ class NativeLoop:
 
     @property
     def reason(self) -> str:
-        """Why the thread has failed; empty if it has not."""
+        """Why the middleware has failed; empty if it has not."""
         return self._program.ffi.string(self._program.lib.fjr_loop_reason(self.pointer)).decode(errors="replace")
 
 
@@ -212,3 +216,83 @@ def _end_all() -> None:
     """End threads that nobody has ended; they must not call a Python that is shut down."""
     for loop in tuple(_running):
         loop.stop()
+
+
+NO_TIME = 2**63 - 1
+"""FJR_NO_TIME."""
+
+
+class RclpyHost(ABC):
+    """Callbacks of the node's executor, which call the same functions in C as the thread of a NativeLoop.
+
+    publish: callback for the C that sends a message; reason: why it failed.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        program: Program,
+        callbacks: Mapping[str, Any],
+        kind: type,
+        topic: str,
+        clock: Clock | None = None,
+    ) -> None:
+        """Subscribe. callbacks: fields of struct fjr_callbacks. clock: of the ticks; None: the steady one."""
+        self._node, self._program, self._callbacks, self._clock = node, program, callbacks, clock
+        self._publishers: Sequence[Publisher] = ()
+        self.reason: BaseException | str = ""
+        self.publish = program.ffi.callback(
+            "int(void*, int32_t, const struct fjr_message*)", self._publish, error=program.lib.FJR_FAILED
+        )
+        self._subscription = node.create_subscription(kind, topic, self._serve_message, LATEST, raw=True)
+        self._timer = self._ticking(1.0)
+        self._timer.cancel()
+        self._due, self._next = NO_TIME, program.ffi.new("int64_t*")
+
+    @abstractmethod
+    def _goes_on(self, outcome: int) -> bool:
+        """Return False, and end, after the outcome of a failure."""
+
+    def use(self, publishers: Sequence[Publisher]) -> None:
+        """Let the C send by these publishers, in the order of its outputs."""
+        self._publishers = publishers
+
+    def now(self) -> int:
+        """Return the time of the clock of the ticks [ns]."""
+        return time.monotonic_ns() if self._clock is None else int(self._clock.now().nanoseconds)
+
+    def close(self) -> None:
+        """Destroy subscription and timer; a second call does nothing."""
+        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_timer(self._timer)
+
+    def _ticking(self, period: float) -> Any:
+        """Return a timer of the ticks; period [s]."""
+        return self._node.create_timer(period, self._tick, clock=self._clock or Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _tick(self) -> None:
+        self._timer.cancel()
+        self._due = NO_TIME
+        if self._goes_on(self._callbacks["on_tick"](self._callbacks["self"], self.now(), self._next)):
+            self._tick_by(int(self._next[0]))
+
+    def _serve_message(self, message: bytes) -> None:
+        data, self._next[0] = self._program.ffi.from_buffer("uint8_t[]", message), NO_TIME
+        given = self._callbacks["self"], 0, data, len(message), self.now(), self._next
+        if self._goes_on(self._callbacks["on_message"](*given)):
+            self._tick_by(int(self._next[0]))
+
+    def _tick_by(self, due: int) -> None:
+        """Let the next tick come at a time [ns], unless it comes earlier anyway."""
+        if due < self._due:
+            self._due = due
+            self._timer.timer_period_ns = max(due - self.now(), 1)
+            self._timer.reset()
+
+    def _publish(self, _: Any, output: int, message: Any) -> int:
+        try:
+            self._publishers[output].publish(bytes(self._program.ffi.buffer(message.bytes, message.size)))
+        except Exception as error:
+            self.reason = error
+            return int(self._program.lib.FJR_FAILED)
+        return 0

@@ -14,21 +14,24 @@ import numpy as np
 from fjr_core.errors import CompilerError
 from fjr_core.numerics.jit import c_library
 
-PORTABLE, COMMON = ("clock", "ring", "cdr"), ("clock", "ring", "cdr", "loop")
-"""Parts of every native loop, in the order in which they are included; the portable ones need no headers of ROS 2."""
+COMMON, THREAD = ("clock", "ring", "cdr"), ("loop", "graph")
+"""Parts of every program, in the order in which they are included; those of THREAD need the headers of ROS 2."""
 WARNINGS = ("-Wall", "-Wextra", "-Wno-unused-function")
 _FEATURES = "#define _GNU_SOURCE\n#include <math.h>\n#include <string.h>\n"
 
 
 class NativeError(Exception):
-    """Reason why no native loop can be built; the rclpy host runs instead."""
+    """Reason why no native loop can be built; rclpy's executor runs instead."""
 
 
 class Program:
-    """A library in C and its declarations: `lib` holds the functions, `ffi` makes their arguments."""
+    """A library in C, with that of this package, and its declarations.
+
+    `lib` holds the functions, `ffi` makes their arguments.
+    """
 
     without_thread = ""
-    """Why a program of `hosted` has no native thread; "" if it has."""
+    """Why a program of a package has no native thread; "" if it has."""
 
     def __init__(
         self,
@@ -37,45 +40,35 @@ class Program:
         sources: Sequence[str],
         values: Mapping[str, int] | None = None,
         base: str = "",
-        ros: bool = True,
+        thread: bool = True,
     ) -> None:
         """Build the library from the texts of headers and sources, or find it in the cache.
 
         values: macros that are numbers. base: C text that comes before the headers. Types of `ffi` are its own: `cast`
-        makes them of pointers to the same types of another library. ros: use the headers and libraries of ROS 2; raise
-        NativeError if that cannot be built. Else raise CompilerError without a C compiler.
+        makes them of pointers to the same types of another library. thread: with THREAD; raise NativeError if that
+        cannot be built. Else raise CompilerError without a C compiler.
         """
-        texts, options = ("\n".join([_FEATURES, base, *headers]), "\n".join(sources)), ros_options() if ros else ()
+        declared = [_FEATURES, base, *(_text(f"{part}.h") for part in (*COMMON, *THREAD)), *headers]
+        defined = [*(_text(f"{part}.c") for part in (*COMMON, *(THREAD if thread else ()))), *sources]
+        options = [*WARNINGS, *(ros_options() if thread else ())]
         try:
-            self.ffi, self.lib, _ = c_library(name, *texts, values or {}, [*WARNINGS, *options])
+            self.ffi, self.lib, _ = c_library(name, "\n".join(declared), "\n".join(defined), values or {}, options)
         except (CompilerError, OSError) as error:
-            if not ros:
+            if not thread:
                 raise
             raise NativeError(str(error)) from None
 
     @classmethod
-    def hosted(
-        cls,
-        name: str,
-        package: str,
-        headers: Sequence[str],
-        sources: Sequence[str],
-        thread: str,
-        values: Mapping[str, int] | None = None,
-        base: str = "",
-    ) -> Program:
-        """Build C files of the folder native of a package with their native host, the files `thread`.h and `thread`.c.
+    def of(cls, package: str, files: Sequence[str], values: Mapping[str, int] | None = None, base: str = "") -> Program:
+        """Build C files, headers and sources, of the folder native of a package.
 
-        Where that cannot be built they are built without it, for rclpy's executor alone; see `without_thread`.
+        Where the thread cannot be built they are built without it, for rclpy's executor alone; see `without_thread`.
         """
-        declared, defined = ([_text(file, package) for file in files] for files in (headers, sources))
-        host = [_text(f"{thread}.{kind}", package) for kind in "hc"]
+        headers, sources = ([_text(file, package) for file in files if file.endswith(kind)] for kind in (".h", ".c"))
         try:
-            texts = [*common_headers(), *declared, host[0]], [*common_sources(), *defined, host[1]]
-            return cls(name, *texts, values, base)
+            return cls(package, headers, sources, values, base)
         except NativeError as error:
-            portable = [_text(f"{part}.c") for part in PORTABLE]
-            found = cls(name, [*common_headers(), *declared], [*portable, *defined], values, base, ros=False)
+            found = cls(package, headers, sources, values, base, thread=False)
             found.without_thread = str(error)
             return found
 
@@ -88,16 +81,6 @@ class Program:
         """Return pointers by the names of the fields of a structure, with the types of these fields."""
         types = dict(self.ffi.typeof(struct).fields)
         return {name: self.ffi.cast(types[name].type, pointer) for name, pointer in pointers.items()}
-
-
-def common_headers() -> list[str]:
-    """Return the texts of the headers of COMMON."""
-    return [_text(f"{part}.h") for part in COMMON]
-
-
-def common_sources() -> list[str]:
-    """Return the texts of the sources of COMMON."""
-    return [_text(f"{part}.c") for part in COMMON]
 
 
 @cache

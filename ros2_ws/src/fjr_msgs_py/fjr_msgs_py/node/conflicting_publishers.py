@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from ..native.loop import NativeSubscription
+from ..native.program import Program
 
 LISTENING = 0.25  # s
 MATCHING = 1.0  # s
@@ -59,10 +60,14 @@ class ConflictingPublishers:
         """Return whether a publisher exists that did not at the last call of `appeared`."""
         return not self._found().keys() <= self._others.keys()
 
-    @property
-    def known(self) -> tuple[bytes, int]:
-        """Return the leading bytes of our GIDs, zeros if unknown, then those of the others, and their number."""
-        return b"".join([*self._family, bytes(_PARTICIPANT)][:1] + [*self._others]), len(self._others)
+    def known(self, program: Program) -> Any:
+        """Return what is known of the publishers as struct fjr_known* (graph.h), valid until the next call."""
+        ffi, topics = program.ffi, [program.ffi.new("char[]", topic.encode()) for topic in self._kinds]
+        gids = b"".join([*self._family, bytes(_PARTICIPANT)][:1] + [*self._others])  # zeros: ours are not known
+        self._kept = ffi.new("char*[]", topics), ffi.from_buffer(gids), topics
+        node = ffi.cast("void*", self._node.handle.pointer)
+        self._known = ffi.new("struct fjr_known*", (node, self._kept[0], len(topics), self._kept[1], len(self._others)))
+        return self._known
 
     @property
     def others(self) -> bool:

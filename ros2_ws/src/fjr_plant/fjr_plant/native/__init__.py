@@ -11,6 +11,5 @@ from fjr_msgs_py.native.program import Program
 @cache
 def plant_program() -> Program:
     """Return the program of this process, compiled and cached; raises CompilerError without a C compiler."""
-    headers = ("robot.h", "channel.h", "plant.h")
-    sources = ("robot.c", "channel.c", "time_base.c", "real_time.c", "lock_step.c")
-    return Program.hosted("fjr_plant", "fjr_plant", headers, sources, "plant_loop")
+    headers = "robot.h", "channel.h", "plant.h"
+    return Program.of("fjr_plant", [*headers, "robot.c", "channel.c", "time_base.c", "real_time.c", "lock_step.c"])

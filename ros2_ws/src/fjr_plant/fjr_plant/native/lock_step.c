@@ -68,7 +68,9 @@ static int go_on(struct fjr_plant* p, int64_t now) {
   return 0;
 }
 
-int fjr_lock_step_command(struct fjr_plant* p, const uint8_t* data, size_t size, int64_t now) {
+int fjr_lock_step_command(void* self, int32_t source, const uint8_t* data, size_t size, int64_t now, int64_t* next) {
+  struct fjr_plant* p = self;
+  (void)source, (void)next;
   if (p->fault) return p->fault;
   const int reading = fjr_read_joint_state(p->answer, data, size);
   if (reading != FJR_READ) return refuse(p, reading, data, size);
@@ -86,7 +88,8 @@ int fjr_lock_step_command(struct fjr_plant* p, const uint8_t* data, size_t size,
   return go_on(p, now);
 }
 
-int fjr_lock_step_tick(struct fjr_plant* p, int64_t now, int64_t* next) {
+int fjr_lock_step_tick(void* self, int64_t now, int64_t* next) {
+  struct fjr_plant* p = self;
   *next = now + FJR_RESEND_PERIOD / 2;
   if (p->fault || !is_running(p)) return p->fault;
   if (p->awaited == FJR_NO_TIME) return go_on(p, now);

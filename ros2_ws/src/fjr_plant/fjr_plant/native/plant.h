@@ -2,13 +2,14 @@
  * Time bases of the simulated robot: commands in, states out, in real time or in lock-step.
  *
  * A host calls one function per message and per tick, and the others between them, from one thread at a time. It
- * supplies `send` and `notify`. Times are of the host's clock [ns]; a sample has the stamp `offset` + robot time.
+ * supplies `send`. Times are of the host's clock [ns]; a sample has the stamp `offset` + robot time.
  * Functions that return int return an enum fjr_fault; after a fault the plant does nothing more.
  */
 #ifndef FJR_PLANT_H
 #define FJR_PLANT_H
 
-#define FJR_READINGS 6 /* number of enum fjr_reading */
+#define FJR_READINGS 6      /* number of enum fjr_reading */
+#define FJR_NOTE_ROOM 65536 /* bytes of a message that are kept */
 
 enum fjr_constant {
   FJR_LONGEST_BACKLOG = 50000000,  /* [ns] longest time integrated at once: no controller acts meanwhile */
@@ -31,7 +32,7 @@ enum fjr_counter {
   FJR_COUNTERS
 };
 
-/* Rare events of which the host is notified. */
+/* Rare events of which Python is notified. */
 enum fjr_event {
   FJR_COUNTED,         /* first count of an unwanted event; value: its enum fjr_counter */
   FJR_COMMAND_REFUSED, /* first command of an enum fjr_reading, `value`; the message follows */
@@ -39,6 +40,13 @@ enum fjr_event {
   FJR_FIRST_ANSWER,    /* lock-step: the first command is about to be accepted; a result other than 0 is a fault */
   FJR_ADVANCED,        /* the samples of an advance have passed */
   FJR_SECOND           /* a second of stamps has passed; value: stamp */
+};
+
+/* An event for which the plant does not wait. */
+struct fjr_note {
+  int64_t event, value;
+  size_t size;
+  uint8_t data[FJR_NOTE_ROOM];
 };
 
 /* Messages to send. */
@@ -57,7 +65,8 @@ struct fjr_plant {
   double* effort;                      /* (n) */
   void* host;
   int (*send)(void* host, int32_t output, const struct fjr_message* message);
-  int (*notify)(void* host, int32_t event, int64_t value, const uint8_t* data, size_t size);
+  int (*notify)(int32_t event, int64_t value, const uint8_t* data, size_t size); /* Python */
+  struct fjr_ring* notes;              /* struct fjr_note: events that wait for Python, NULL: none does */
 
   int32_t fault;
   int32_t paused, by_stamps;           /* by_stamps: 1: notify FJR_SECOND */
@@ -84,17 +93,18 @@ struct fjr_plant {
   int64_t sent_at, first_sent_at;      /* steady clock */
 };
 
-/* Real time, then the same functions in lock-step. `next`: latest time of the next tick. catch_up: integrate up to the
- * present. restart: with the robot at its initial state. resume: after a pause. advance: by the samples `left`. */
-int fjr_real_time_command(struct fjr_plant* plant, const uint8_t* data, size_t size, int64_t now);
-int fjr_real_time_tick(struct fjr_plant* plant, int64_t now, int64_t* next);
+/* Real time, then the same functions in lock-step. command, tick: of struct fjr_callbacks; self: struct fjr_plant.
+ * catch_up: integrate up to the present. restart: with the robot at its initial state. resume: after a pause. advance: by
+ * the samples `left`. */
+int fjr_real_time_command(void* self, int32_t source, const uint8_t* data, size_t size, int64_t now, int64_t* next);
+int fjr_real_time_tick(void* self, int64_t now, int64_t* next);
 int fjr_real_time_catch_up(struct fjr_plant* plant, int64_t now);
 int fjr_real_time_restart(struct fjr_plant* plant, int64_t now);
 int fjr_real_time_resume(struct fjr_plant* plant, int64_t now);
 int fjr_real_time_advance(struct fjr_plant* plant, int64_t now);
 
-int fjr_lock_step_command(struct fjr_plant* plant, const uint8_t* data, size_t size, int64_t now);
-int fjr_lock_step_tick(struct fjr_plant* plant, int64_t now, int64_t* next);
+int fjr_lock_step_command(void* self, int32_t source, const uint8_t* data, size_t size, int64_t now, int64_t* next);
+int fjr_lock_step_tick(void* self, int64_t now, int64_t* next);
 int fjr_lock_step_restart(struct fjr_plant* plant, int64_t now);
 int fjr_lock_step_resume(struct fjr_plant* plant, int64_t now);
 int fjr_lock_step_catch_up(struct fjr_plant* plant, int64_t now);

@@ -152,7 +152,8 @@ static int64_t next_arrival(const struct fjr_plant* p) {
   return due == FJR_NO_TIME || p->origin == FJR_NO_TIME || p->paused ? FJR_NO_TIME : p->origin + due;
 }
 
-int fjr_real_time_tick(struct fjr_plant* p, int64_t time, int64_t* next) {
+int fjr_real_time_tick(void* self, int64_t time, int64_t* next) {
+  struct fjr_plant* p = self;
   const int64_t now = read_clock(p, time);
   *next = now + p->times->period, p->between = FJR_NO_TIME;
   if (!is_active(p, now)) return p->fault;
@@ -167,7 +168,9 @@ int fjr_real_time_tick(struct fjr_plant* p, int64_t time, int64_t* next) {
 
 /* Commands in. */
 
-int fjr_real_time_command(struct fjr_plant* p, const uint8_t* data, size_t size, int64_t time) {
+int fjr_real_time_command(void* self, int32_t source, const uint8_t* data, size_t size, int64_t time, int64_t* next) {
+  struct fjr_plant* p = self;
+  (void)source, (void)next;
   const int reading = fjr_read_array(p->effort, p->robot->n, data, size);
   if (reading != FJR_READ) return refuse(p, reading, data, size);
   ++p->count[FJR_RECEIVED];

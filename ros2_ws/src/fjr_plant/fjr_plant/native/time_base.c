@@ -15,15 +15,28 @@ static int failed(struct fjr_plant* p, int fault) {
   return p->fault;
 }
 
-static int tell(struct fjr_plant* p, int32_t event, int64_t value) { return p->notify(p->host, event, value, NULL, 0); }
+/* Keep an event for Python, or call it if the plant needs the result or the time stands still. */
+static int notify(struct fjr_plant* p, int32_t event, int64_t value, const uint8_t* data, size_t size) {
+  if (!p->notes || event == FJR_FIRST_ANSWER || event == FJR_ADVANCED || event == FJR_SECOND)
+    return p->notify(event, value, data, size);
+  struct fjr_note* note = fjr_ring_free(p->notes, 0);
+  if (!note) return 0;
+  note->event = event, note->value = value;
+  note->size = size < FJR_NOTE_ROOM ? size : FJR_NOTE_ROOM;
+  if (size) memcpy(note->data, data, note->size);
+  fjr_ring_commit(p->notes);
+  return 0;
+}
 
-/* Count an unwanted event, and notify the host of the first one. */
+static int tell(struct fjr_plant* p, int32_t event, int64_t value) { return notify(p, event, value, NULL, 0); }
+
+/* Count an unwanted event, and notify Python of the first one. */
 static void unwanted(struct fjr_plant* p, int32_t counter) {
   if (++p->count[counter] == 1) tell(p, FJR_COUNTED, counter);
 }
 
 static int refuse(struct fjr_plant* p, int reading, const uint8_t* data, size_t size) {
-  if (++p->refused[reading] == 1) p->notify(p->host, FJR_COMMAND_REFUSED, reading, data, size);
+  if (++p->refused[reading] == 1) notify(p, FJR_COMMAND_REFUSED, reading, data, size);
   return p->fault;
 }
 
