@@ -17,7 +17,7 @@ from fjr_core.runtime.events import Event, State
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.messages.trajectories import TrajectoryReader
-from fjr_msgs_py.node.separate_subscription import SeparateSubscription
+from fjr_msgs_py.node.participant import SeparateSubscription
 
 from .planner import Outcome, Planner, PlanningRules, TrajectoryPlan
 from .reports import Reports

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import NANOSECONDS, ChannelErrors
-from fjr_msgs_py.native.program import Program
 
 from .native import plant_program
 
@@ -27,13 +26,13 @@ def generator(seed: int, stream: int) -> np.random.Generator:
 class Random:
     """A stream of random numbers for C, which draws what the generator would."""
 
-    def __init__(self, program: Program, seed: int, stream: int) -> None:
-        self._ffi, self._seed = program.ffi, (seed, stream)
+    def __init__(self, seed: int, stream: int) -> None:
+        self._seed = seed, stream
 
     def restart(self) -> Any:
         """Return the stream from its beginning on as a struct fjr_random*; it ends with the next call."""
         self._generator = generator(*self._seed)
-        return self._ffi.cast("struct fjr_random*", self._generator.bit_generator.ctypes.bit_generator.value)
+        return plant_program().ffi.cast("struct fjr_random*", self._generator.bit_generator.ctypes.bit_generator.value)
 
 
 class Channel:
@@ -44,18 +43,10 @@ class Channel:
     """
 
     def __init__(
-        self,
-        errors: ChannelErrors,
-        seed: int = 0,
-        stream: int = STATES,
-        width: int = 1,
-        period: int = 1_000_000,
-        program: Program | None = None,
+        self, errors: ChannelErrors, seed: int = 0, stream: int = STATES, width: int = 1, period: int = 1_000_000
     ) -> None:
         """period: usual time between two items [ns]."""
-        self._program = program or plant_program()
-        self._random = Random(self._program, seed, stream)
-        self._period = period
+        self._program, self._random, self._period = plant_program(), Random(seed, stream), period
         self.pointer = self._program.ffi.new("struct fjr_channel*", {"width": width})
         self.errors = errors
         self._arrays: tuple[NDArray[Any], ...] = ()
@@ -122,12 +113,9 @@ class SampleTimes:
     jitter is below the period, the instants increase by at least one inner step.
     """
 
-    def __init__(
-        self, period: int, inner_step: int, jitter: float, seed: int = 0, program: Program | None = None
-    ) -> None:
+    def __init__(self, period: int, inner_step: int, jitter: float, seed: int = 0) -> None:
         """Start at time 0; period, inner_step [ns], jitter [s]."""
-        self._program = program or plant_program()
-        self._random = Random(self._program, seed, PERIOD)
+        self._program, self._random = plant_program(), Random(seed, PERIOD)
         given = {"period": period, "inner_step": inner_step, "jitter": jitter}
         self.pointer = self._program.ffi.new("struct fjr_sample_times*", given)
         self.reset()
@@ -145,12 +133,12 @@ class SampleTimes:
 class Transport:
     """Channels for states and commands, and the sample times."""
 
-    def __init__(self, n: int, period: int, inner_step: int, seed: int, program: Program | None = None) -> None:
+    def __init__(self, n: int, period: int, inner_step: int, seed: int) -> None:
         """Start without errors; n: joints; period, inner_step [ns]."""
         self.period = period
-        self.times = SampleTimes(period, inner_step, 0.0, seed, program)
-        self.states = Channel(ChannelErrors(), seed, STATES, 2 + 6 * n, period, program)
-        self.commands = Channel(ChannelErrors(), seed, COMMANDS, n, period, program)
+        self.times = SampleTimes(period, inner_step, 0.0, seed)
+        self.states = Channel(ChannelErrors(), seed, STATES, 2 + 6 * n, period)
+        self.commands = Channel(ChannelErrors(), seed, COMMANDS, n, period)
 
     def reset(self) -> None:
         """Discard all messages and restart all random sequences."""

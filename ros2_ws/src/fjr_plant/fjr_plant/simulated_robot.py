@@ -27,7 +27,6 @@ from fjr_core.simulation.imperfections import (
     stuck_rate,
 )
 from fjr_core.simulation.nonideal_plant import NonidealPlant
-from fjr_msgs_py.native.program import Program
 
 from .channel import SENSORS, Random, Transport
 from .engine import Engine, engine_kind
@@ -45,9 +44,8 @@ class Sensors:
     by its deviation, independent of the other errors.
     """
 
-    def __init__(self, errors: SensorErrors, seed: int = 0, program: Program | None = None) -> None:
-        program = program or plant_program()
-        self._random = Random(program, seed, SENSORS)
+    def __init__(self, errors: SensorErrors, seed: int = 0) -> None:
+        program, self._random = plant_program(), Random(seed, SENSORS)
         self._step, self._deviation, self._draw = np.zeros(2 * errors.n), np.zeros(4 * errors.n), np.zeros(4 * errors.n)
         self._kept = [program.array(each) for each in (self._step, self._deviation, self._draw)]
         self.pointer = program.ffi.new("struct fjr_sensors*")
@@ -119,7 +117,6 @@ class SimulatedRobot:
         imperfections: Imperfections | None = None,
         sensor_errors: SensorErrors | None = None,
         seed: int = 0,
-        program: Program | None = None,
         engine: type[Engine] | None = None,
         joints: Sequence[str] = (),
         obstacle: Obstacle | None = None,
@@ -130,12 +127,12 @@ class SimulatedRobot:
         plant's own integrator. obstacle: what the simulator lets it touch. Raises ParameterError for invalid
         imperfections, and an obstacle inside the arm.
         """
-        self._program = program or plant_program()
+        self._program = plant_program()
         self._plant, self._n = plant, plant.robot.n
         self._imperfect = NonidealPlant(plant)
         self._x0 = x0
         self._inner_step = inner_step
-        self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed, self._program)
+        self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed)
         self._build(len(Imperfections(self._n).vector))
         more = (obstacle,) if obstacle else ()
         self._engine = engine(self._imperfect, joints, inner_step, self._program.ffi, *more) if engine else None

@@ -11,13 +11,14 @@ from typing import Any
 import yaml
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import parameter_value_to_python
 
 from fjr_bringup.clients import ClientError, ServiceClient
 from fjr_core.config import ros_yaml
 from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.ros2 import discover_quickly, refuse_over_ros2
-from fjr_msgs_py.messages.plain import fill, parameter_message, parameter_value, plain
+from fjr_msgs_py.messages.plain import fill, parameter_message, plain
 from fjr_msgs_py.node.participant import own_node
 
 
@@ -66,7 +67,7 @@ def set_value(node: str, parameter: str, value: str, timeout: float, force: bool
         result = services.call(setter, SetParameters.Request(parameters=[message])).results[0]
     if not result.successful:
         raise ClientError(f"{of} refused {parameter}: {result.reason or 'no reason given'}")
-    sent = parameter_value(message)
+    sent = parameter_value_to_python(message.value)
     return Result(f"{node} {parameter}: {sent}", {"node": node, "parameter": parameter, "value": sent})
 
 

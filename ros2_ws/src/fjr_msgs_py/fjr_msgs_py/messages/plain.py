@@ -21,7 +21,7 @@ def plain(value: Any) -> Any:
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
         return value[0] if len(value) == 1 else list(value)
-    if isinstance(value, (str, bool, int, float)):
+    if value is None or isinstance(value, (str, bool, int, float)):
         return value
     if hasattr(value, "tolist"):  # array.array and NumPy's
         return value.tolist()
@@ -92,12 +92,6 @@ def parameter_message(name: str, kind: int, text: str) -> ParameterMessage:
         expected = EXAMPLES.get(declared, "a value or a list of values of one type")
         raise ParameterError(f"{name} is {text}; expected {expected}") from None
     return made.to_parameter_msg()
-
-
-def parameter_value(message: ParameterMessage) -> Any:
-    """Return the value of a parameter message; a list for an array."""
-    value = Parameter.from_parameter_msg(message).value
-    return list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
 
 
 def _as_floats(value: Any) -> Any:

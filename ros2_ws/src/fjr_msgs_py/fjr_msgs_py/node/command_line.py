@@ -16,6 +16,8 @@ from typing import Any
 from fjr_core import ParameterError
 from fjr_core.config import ros_yaml
 
+from ..messages.plain import plain
+
 _FLAGS = ("-p", "--param")
 
 
@@ -73,13 +75,6 @@ def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) ->
 def same_value(one: Any, other: Any) -> bool:
     """Return True if two parameter values are equal in type and value; nan equals nan."""
     return repr(plain(one)) == repr(plain(other))
-
-
-def plain(value: Any) -> Any:
-    """Return a parameter value with arrays and tuples converted to lists."""
-    if value is None or isinstance(value, (str, bytes, bool, int, float)):
-        return value
-    return list(value)
 
 
 def _rule(text: str) -> ParameterRule | None:

@@ -2,7 +2,7 @@
 """Join the DDS domain before a node loads, so that other participants are discovered meanwhile, and leave it.
 
 The participant belongs to a context: it is created with the first node and destroyed with the last. A hidden node,
-which has no topics, stands in until the real one is built.
+which has no topics, stands in until the real one is built. Further contexts have participants of their own.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 import rclpy
@@ -19,7 +20,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
 from .loading import SIGNALS, domain_fault, ensure_log_folder
-from .scheduling import ahead_of_new_threads
+from .scheduling import ahead_of_new_threads, step_back
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -102,11 +103,14 @@ def hand_over() -> None:
 
 
 @contextmanager
-def own_node(name: str, arguments: list[str] | None = None) -> Iterator[Node]:
-    """Create a node in a context of its own, without signal handlers; arguments: as after --ros-args."""
+def own_node(name: str, arguments: list[str] | None = None, domain: int | None = None) -> Iterator[Node]:
+    """Create a node in a context of its own, without signal handlers.
+
+    arguments: as after --ros-args. domain: ROS domain; None: that of the environment.
+    """
     context = rclpy.Context()
     ros = ["--ros-args", *arguments] if arguments else None
-    rclpy.init(args=ros, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=ros, context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(name, context=context, enable_rosout=False, start_parameter_services=False)
         exchange_as_processes_do()
@@ -116,6 +120,45 @@ def own_node(name: str, arguments: list[str] | None = None) -> Iterator[Node]:
             leave(node)
     finally:
         context.try_shutdown()
+
+
+class SeparateSubscription:
+    """A subscription on a thread and in a participant of its own; both yield to loops.
+
+    Fast DDS receives all messages of a participant on one thread per transport. This thread allocates a message, and
+    waits while another thread copies it: 20 MB keep the states of the same participant waiting twice for 8 ms.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str, on_message: Callable[[bytes], object]) -> None:
+        """on_message: called with each serialised message on the thread that spins `node`."""
+        self._node, self._on_message, self._created = node, on_message, Event()
+        self._thread = Thread(target=self._receive, args=(kind, node.resolve_topic_name(topic)), daemon=True)
+        self._thread.start()
+        self._created.wait()
+
+    def close(self) -> None:
+        """End the thread and leave the domain."""
+        self._executor.context.try_shutdown()
+        self._thread.join()
+
+    def _receive(self, kind: type, topic: str) -> None:
+        """Create the participant, whose threads inherit the scheduling of this one, and spin until `close`."""
+        from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # loaded on use
+
+        step_back(0)  # its threads also take locks for which loops wait
+        name, space = f"_{self._node.get_name()}_inbox", self._node.get_namespace()
+        with own_node(name, ["-r", f"__ns:={space}"], self._node.context.get_domain_id()) as inbox:
+            self._subscription = inbox.create_subscription(kind, topic, self._forward, 10, raw=True)
+            self._executor = SingleThreadedExecutor(context=inbox.context)
+            self._executor.add_node(inbox)
+            self._created.set()
+            with suppress(ExternalShutdownException):
+                self._executor.spin()
+            self._executor.shutdown()
+
+    def _forward(self, data: bytes) -> None:
+        if self._node.executor is not None:
+            self._node.executor.create_task(self._on_message, data)
 
 
 def exchange_as_processes_do() -> None:
