@@ -40,15 +40,6 @@ RECORDS = 4096  # 4 s at 1 kHz
 LOST = "samples not reported"
 AT_ONCE = 1024  # records between two callbacks of other parts of the node
 IN_PYTHON = "the law or the observer is evaluated in Python (compile is false, or a law of one's own)"
-CHANGES = {
-    "start": "FJR_START",
-    "apply": "FJR_APPLY",
-    "use_gains": "FJR_USE_GAINS",
-    "follow": "FJR_FOLLOW",
-    "hold": "FJR_DO_HOLD",
-    "resume": "FJR_DO_RESUME",
-}
-"""Requests by the functions of step.h that change a controller."""
 
 Listener = Callable[[JointSample, Command], None]
 
@@ -176,7 +167,7 @@ class CommandLoop:
         for timer in self._timers:
             self._node.destroy_timer(timer)
         self._host.stop()
-        self._request("FJR_SEND_STOP")
+        self.change("send_stop")
         self._controls.owner = None
         self._drain()
         process.flush(*self._topics.publishers)
@@ -198,12 +189,15 @@ class CommandLoop:
     # The owner of the controller.
 
     def change(self, what: str, *pointers: Any, time: int = 0) -> None:
-        """Let the host call fjr_WHAT of step.h between two samples."""
-        self._request(CHANGES[what], *pointers, time=time)
+        """Let the host serve the request FJR_DO_WHAT between two samples, such as fjr_WHAT of step.h; wait for it."""
+        ffi = self.program.ffi
+        first, second, *_ = (*pointers, ffi.NULL, ffi.NULL)
+        arguments = ffi.new("struct fjr_arguments*", (first, second, time))
+        self._host.request(getattr(self.program.lib, f"FJR_DO_{what.upper()}"), arguments)
 
     def copy(self) -> None:
         """Bring the controller of the step up to date."""
-        self._request("FJR_COPY")
+        self.change("copy")
 
     @contextmanager
     def between_samples(self) -> Iterator[None]:
@@ -217,21 +211,14 @@ class CommandLoop:
 
     def check_silence(self, now: int) -> None:
         """Send the stop effort once per silence; now [ns]: of the clock of the stamps."""
-        self._request("FJR_CHECK_SILENCE", time=now)
-
-    def _request(self, kind: str, *pointers: Any, time: int = 0) -> None:
-        """Let the host serve a request of enum fjr_controller_request, and wait for it."""
-        ffi = self.program.ffi
-        first, second, *_ = (*pointers, ffi.NULL, ffi.NULL)
-        arguments = ffi.new("struct fjr_arguments*", (first, second, time))
-        self._host.request(getattr(self.program.lib, kind), arguments)
+        self.change("check_silence", time=now)
 
     def _recertify(self, gains: Any, beta: Any) -> None:
         """Let the loop use other gains for the certificate; records with those before are read first."""
         if self.active:
             self.copy()
             self._drain()
-        self._request("FJR_RECERTIFY", gains, beta)
+        self.change("recertify", gains, beta)
 
     def _touched(self) -> list[str]:
         """Return the joints of a contact in the last second."""

@@ -33,6 +33,7 @@ from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.numerics.symbolic import bind, evaluate
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
+from fjr_plant.engine import gravity_and_chain
 
 SPRING, ROTOR, LINK = "_spring", "_rotor", "_link"
 """Endings of the names of joints and bodies after that of the robot's joint, as MOTOR."""
@@ -136,16 +137,10 @@ class GeneralisedForces(LeafSystem):
 
 def multibody_plant(robot: Robot, joints: Sequence[str]) -> MultibodyPlant:
     """Return Drake's model of a robot of the n named joints; raise RobotError for one that it cannot express."""
-    links, n = robot.links, robot.n
-    if len(links.bodies) != n or links.end_effector is None:
-        raise RobotError(f"the bodies of the {n} links are not known; expected a serial chain, as from a URDF")
-    if np.any(robot.M_m - np.diag(np.diag(robot.M_m))):
-        raise RobotError(f"M_m is {robot.M_m.tolist()}; expected a diagonal matrix: Drake couples no rotors")
-    arm = MultibodyPlant(time_step=0.0)
-    arm.mutable_gravity_field().set_gravity_vector(links.end_effector.gravity)
+    (gravity, chain), arm = gravity_and_chain(robot, "Drake"), MultibodyPlant(time_step=0.0)
+    arm.mutable_gravity_field().set_gravity_vector(gravity)
     frame = arm.world_frame()
-    for i, body in enumerate(links.bodies):
-        k = links.order.index(i)
+    for k, body in chain:
         pose = RigidTransform(RotationMatrix(np.asarray(body.rotation)), np.asarray(body.translation))
         base = arm.AddFrame(FixedOffsetFrame(joints[k], frame, pose))
         rotor = arm.AddRigidBody(joints[k] + ROTOR, SpatialInertia.Zero()).body_frame()

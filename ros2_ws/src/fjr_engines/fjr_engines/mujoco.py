@@ -41,7 +41,7 @@ class MujocoEngine:
             raise ParameterError("engine is 'mujoco'; expected plant.type: flexible_joint and integrator: rk4 with it")
         spec = specification(plant.robot, joints)
         spec.option.timestep, spec.option.disableflags = inner_step * 1e-9, DISABLED
-        spec.body(joints[plant.robot.links.order.index(plant.robot.n - 1)] + LINK).add_body(
+        spec.body(joints[plant.robot.links.chain[-1][0]] + LINK).add_body(
             name=PAYLOAD, mass=1.0, inertia=[1.0] * 3, explicitinertial=True
         )
         if obstacle:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulators in place of the plant's own integrator: what they offer, and how one is found by its name.
+"""Simulators in place of the plant's own integrator: what they offer and take, and how one is found by its name.
 
 The state x of eq. (36) stays in struct fjr_robot between two samples, so that sensors, channels, reset and both hosts
 do not know which simulator moved it.
@@ -11,10 +11,14 @@ from collections.abc import Sequence
 from importlib.metadata import entry_points
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+
 from fjr_core.config.obstacle import Obstacle
 from fjr_core.config.parameter import Values
 from fjr_core.config.plant import ENGINE, OWN
-from fjr_core.errors import ParameterError
+from fjr_core.errors import ParameterError, RobotError
+from fjr_core.model.rigid_arm import Body
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
@@ -49,6 +53,16 @@ class Engine(Protocol):
 
     def obstruct(self, present: bool, position: Array) -> None:
         """Put the obstacle to its place or take it away; raise ParameterError if the arm at q_l, q_m (2n,) is there."""
+
+
+def gravity_and_chain(robot: Robot, engine: str) -> tuple[Array, list[tuple[int, Body]]]:
+    """Return gravity (3,) [m/s^2] and `links.chain`; raise RobotError for a robot that the engine cannot express."""
+    links = robot.links
+    if len(links.bodies) != robot.n or links.end_effector is None:
+        raise RobotError(f"the bodies of the {robot.n} links are not known; expected a serial chain, as from a URDF")
+    if np.any(robot.M_m - np.diag(np.diag(robot.M_m))):
+        raise RobotError(f"M_m is {robot.M_m.tolist()}; expected a diagonal matrix: {engine} couples no rotors")
+    return links.end_effector.gravity, links.chain
 
 
 def engine_kind(values: Values) -> type[Engine] | None:

@@ -228,15 +228,15 @@ int fjr_controller_request(void* self, int32_t kind, void* argument) {
   const struct fjr_arguments* a = argument;
   int outcome = FJR_GO_ON;
   switch (kind) {
-    case FJR_START: l->step.start(l->controller, a->first); break;
-    case FJR_APPLY: l->step.apply(l->controller, a->first); break;
-    case FJR_USE_GAINS: l->step.use_gains(l->controller, a->first, a->second); break;
-    case FJR_FOLLOW: l->step.follow(l->controller, a->first, a->time); break;
+    case FJR_DO_START: l->step.start(l->controller, a->first); break;
+    case FJR_DO_APPLY: l->step.apply(l->controller, a->first); break;
+    case FJR_DO_USE_GAINS: l->step.use_gains(l->controller, a->first, a->second); break;
+    case FJR_DO_FOLLOW: l->step.follow(l->controller, a->first, a->time); break;
     case FJR_DO_HOLD: l->step.hold(l->controller); break;
     case FJR_DO_RESUME: l->step.resume(l->controller); break;
-    case FJR_SEND_STOP: outcome = send_stop(l); break;
-    case FJR_CHECK_SILENCE: outcome = check_silence(l, a->time); break;
-    case FJR_RECERTIFY:
+    case FJR_DO_SEND_STOP: outcome = send_stop(l); break;
+    case FJR_DO_CHECK_SILENCE: outcome = check_silence(l, a->time); break;
+    case FJR_DO_RECERTIFY:
       outcome = hand_over(l, 0);
       l->certificate->gains = a->first;
       l->certificate->beta = *(const double*)a->second;

@@ -38,11 +38,11 @@ enum fjr_controller_output {
 };
 
 /* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
- * FJR_CHECK_SILENCE: `time` is of the clock of the stamps. FJR_SEND_STOP: the stop effort, if a command was sent.
- * FJR_RECERTIFY: `first` are the gains of the certificate, `second` is beta. */
+ * FJR_DO_CHECK_SILENCE: `time` is of the clock of the stamps. FJR_DO_SEND_STOP: the stop effort, if a command was sent.
+ * FJR_DO_RECERTIFY: `first` are the gains of the certificate, `second` is beta. */
 enum fjr_controller_request {
-  FJR_COPY, FJR_START, FJR_APPLY, FJR_USE_GAINS, FJR_FOLLOW, FJR_DO_HOLD, FJR_DO_RESUME, FJR_CHECK_SILENCE,
-  FJR_SEND_STOP, FJR_RECERTIFY
+  FJR_DO_COPY, FJR_DO_START, FJR_DO_APPLY, FJR_DO_USE_GAINS, FJR_DO_FOLLOW, FJR_DO_HOLD, FJR_DO_RESUME,
+  FJR_DO_CHECK_SILENCE, FJR_DO_SEND_STOP, FJR_DO_RECERTIFY
 };
 
 struct fjr_arguments {

@@ -73,11 +73,12 @@ def _notes(scenario: Scenario) -> list[str]:
         matrix = getattr(robot, name)
         if np.any(matrix - np.diag(np.diag(matrix))):
             notes.append(f"of {name} the diagonal only is in the file: dampers of MuJoCo couple no joints")
-    for i, body in enumerate(robot.links.bodies):
+    for k, body in robot.links.chain:
         moments = np.linalg.eigvalsh(np.asarray(body.inertia))
         if moments[2] > (1 + 1e-9) * (moments[0] + moments[1]):
-            joint = scenario.joints[robot.links.order.index(i)]
-            notes.append(f"the inertia beyond joint '{joint}' is none of a rigid body: the least moment is raised")
+            notes.append(
+                f"the inertia beyond joint '{scenario.joints[k]}' is none of a rigid body: the least moment is raised"
+            )
     missing = [name for name in left_out(scenario) if name in scenario.plant_values]
     return notes + ([f"{', '.join(missing)} of the simulated robot are left out"] if missing else [])
 
@@ -110,7 +111,7 @@ def _add_sensors(spec: mujoco.MjSpec, stiffness: float, joint: str) -> None:
 def _add_start(spec: mujoco.MjSpec, scenario: Scenario) -> None:
     """Add the initial state as keyframe `start`; MuJoCo counts links from base to tip, then rotors."""
     robot = scenario.plant.robot
-    chain = [*np.argsort(robot.links.order), *range(robot.n, 2 * robot.n)]
+    chain = [*(k for k, _ in robot.links.chain), *range(robot.n, 2 * robot.n)]
     velocity = np.hstack(robot.velocities(scenario.x0))
     spec.add_key(name="start", qpos=scenario.x0[: 2 * robot.n][chain], qvel=velocity[chain])
 
@@ -128,10 +129,9 @@ def add_looks(
         stl = trimesh.Trimesh(each.vertices, each.triangles, process=False).export(file_type="stl")
         spec.assets |= {str(Path(spec.meshdir, mesh.file)): stl}
     bodies, pose = {"": (spec.worldbody, np.eye(4))}, np.eye(4)
-    for i, body in enumerate(robot.links.bodies):
-        joint = joints[robot.links.order.index(i)]
+    for k, body in robot.links.chain:
         pose = pose @ pose_of(body.translation, body.rotation)
-        bodies[joint] = spec.body(joint + LINK), pose
+        bodies[joints[k]] = spec.body(joints[k] + LINK), pose
     for link, found in seen["links"].items():
         joint, place = _placed(tree, link, joints, locked)
         owner, frame = bodies[joint]

@@ -20,6 +20,7 @@ from fjr_core.errors import RobotError
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import MOTOR, Array
+from fjr_plant.engine import gravity_and_chain
 
 LINK, SPRING = "_link", "_spring"
 """Endings of the names of links and springs after that of the joint; rotors have MOTOR, as in the states."""
@@ -33,27 +34,21 @@ def specification(robot: Robot, joints: Sequence[str]) -> mujoco.MjSpec:
     The integrator is MuJoCo's Runge-Kutta of order 4. Contacts, limits and actuators are added by the caller. Of
     matrices that couple joints, K, D_l and D_m have their diagonals only.
     """
-    links, n = robot.links, robot.n
-    if len(links.bodies) != n or links.end_effector is None:
-        raise RobotError(f"the bodies of the {n} links are not known; expected a serial chain, as from a URDF")
-    if np.any(robot.M_m - np.diag(np.diag(robot.M_m))):
-        raise RobotError(f"M_m is {robot.M_m.tolist()}; expected a diagonal matrix: MuJoCo couples no rotors")
-    spec = mujoco.MjSpec()
+    (gravity, chain), spec = gravity_and_chain(robot, "MuJoCo"), mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    spec.option.gravity = links.end_effector.gravity
+    spec.option.gravity = gravity
     spec.compiler.autolimits = True
     parent = spec.worldbody
-    for i, body in enumerate(links.bodies):
-        k = links.order.index(i)
+    for k, body in chain:
         parent = parent.add_body(
             name=joints[k] + LINK, pos=np.asarray(body.translation), quat=quaternion(np.asarray(body.rotation))
         )
         _add_inertia(parent, body)
         _add_joint(parent, joints[k], body.prismatic, damping=robot.D_l[k, k])
-    for k, joint in enumerate(joints):
-        rotor, slides = spec.worldbody.add_body(name=joint + MOTOR), links.bodies[links.order[k]].prismatic
+    for k, body in sorted(chain):
+        joint, rotor = joints[k], spec.worldbody.add_body(name=joints[k] + MOTOR)
         rotor.mass, rotor.inertia, rotor.explicitinertial = LEAST, [LEAST] * 3, True
-        _add_joint(rotor, joint + MOTOR, slides, damping=robot.D_m[k, k]).armature = robot.M_m[k, k]
+        _add_joint(rotor, joint + MOTOR, body.prismatic, damping=robot.D_m[k, k]).armature = robot.M_m[k, k]
         spring = spec.add_tendon(name=joint + SPRING)
         spring.stiffness, spring.springlength = with_degree_0(robot.K[k, k], spring.stiffness), [0.0, 0.0]
         spring.wrap_joint(joint + MOTOR, 1.0)
@@ -67,10 +62,9 @@ def exact_inertia(model: mujoco.MjModel, robot: Robot, joints: Sequence[str]) ->
     It compiles moments that are positive and the sides of a triangle; those of public URDFs often are not. Rotors have
     their armature alone.
     """
-    for joint in joints:
-        model.body(joint + MOTOR).inertia = np.zeros(3)
-    for i, body in enumerate(robot.links.bodies):
-        model.body(joints[robot.links.order.index(i)] + LINK).inertia = np.linalg.eigvalsh(np.asarray(body.inertia))
+    for k, body in robot.links.chain:
+        model.body(joints[k] + MOTOR).inertia = np.zeros(3)
+        model.body(joints[k] + LINK).inertia = np.linalg.eigvalsh(np.asarray(body.inertia))
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
