@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.parameter import number as parameter
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.extensions.python_code import own_law
@@ -188,7 +187,7 @@ def _study(
 ) -> TuningStudy:
     """Return the study of a law: its draws vary as stated, its imperfections have fixed levels."""
     scenario = parse_scenario("tuned", text)
-    step = scenario.sample_period / parameter(scenario.plant_values, "inner_steps")
+    step = scenario.sample_period / scenario.inner_steps
     fixed = {"effort_limit": effort_limit, **fields_of(wanted["imperfections"], demand, step)}
     vary = {name: distributions.read(name, given) for name, given in wanted["vary"].items()}
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
