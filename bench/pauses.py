@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from bench.figures import Figure
 from bench.nodes import controller, plant, process, scenario_file
 from bench.tap import DEPTH, Heard, Tap
-from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.events import STOPS
 from fjr_msgs_py import names
@@ -129,7 +128,7 @@ def _judged(robot: str, heard: Heard, begin: int, woken: int) -> tuple[bool, flo
 
 def _outside(scenario: Scenario, states: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which positions and velocities (k, 4n) violate a limit of position, velocity or deflection."""
-    limits, n = safety(scenario.controller_values, scenario.robot), scenario.robot.n
+    limits, n = scenario.settings, scenario.robot.n
     q_l, q_m, dq_l, dq_m = np.split(states, [n, 2 * n, 3 * n], axis=1)
     found = np.zeros(len(states), dtype=bool)
     for value, lower, upper in (

@@ -63,7 +63,7 @@ def differences(motions: Mapping[str, Motion]) -> dict[str, float]:
 
 def compared(scenario: str, duration: float = DURATION) -> dict[str, Any]:
     """Compare the engines with as many inner steps as they need to agree, and with twice as many."""
-    inner_steps = int(library.load(scenario).plant_values["inner_steps"])  # type: ignore[arg-type]
+    inner_steps = library.load(scenario).inner_steps
     motions = {engine: motion(scenario, engine, inner_steps, duration) for engine in KINDS}
     while True:
         finer = {engine: motion(scenario, engine, 2 * inner_steps, duration) for engine in KINDS}

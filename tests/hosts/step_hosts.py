@@ -13,16 +13,13 @@ from numpy.typing import NDArray
 
 from design.exports.c_program import C99, built
 from design.exports.ros2_control import exported_package
-from fjr_core.config.controller import measurement, observer, safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.jit import CLibrary
-from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.library import Model, settings_struct, step_library
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_design.batch.program import BatchProgram
 from fjr_design.exports.project import export, write
-from fjr_design.exports.step_code import loop_of
 from hosts.inputs import Kind, Sequence
 from time_limits import HANG
 
@@ -42,11 +39,7 @@ class Replay(NamedTuple):
 
 def reference_replay(sequence: Sequence, repeats: bool = True) -> Replay:
     """Replay the inputs in the control step in Python; repeats: states with the stamp of the last one arrive."""
-    s = sequence.scenario
-    made = loop_of(s)
-    step = ControlStep(
-        s.law, made.reference, made.settings, made.observer, sequence.simulated, made.robust, made.measurement
-    )
+    step = sequence.scenario.control_step(sequence.simulated)
     first = bytes(step.ffi.buffer(step.controller))
 
     def restart() -> None:
@@ -59,8 +52,7 @@ def reference_replay(sequence: Sequence, repeats: bool = True) -> Replay:
 def campaign_efforts(sequence: Sequence) -> Efforts:
     """Return all efforts (k, n) that the step of the compiled loop of a study sends."""
     s = sequence.scenario
-    values, robot, law = s.controller_values, s.robot, s.sampled_law
-    settings, measured, seen = safety(values, robot), measurement(values, robot), observer(values, robot)
+    law, settings, measured, seen = s.sampled_law, s.settings, s.measurement, s.observer
     program = BatchProgram(s.plant.robot, law, s.plant, settings, seen, measured)
     ffi, lib, _ = program.library
     model = Model(program.library, law, program.model_functions, seen, measured, sequence.simulated)
@@ -87,7 +79,7 @@ class Changes(NamedTuple):
 def changes(library: CLibrary, sequence: Sequence) -> Changes:
     """Return settings and gains of the changed scenario."""
     s = sequence.changed_scenario
-    settings = settings_struct(library, safety(s.controller_values, s.robot), s.law)
+    settings = settings_struct(library, s.settings, s.law)
     numbers = (np.ascontiguousarray(each, dtype=float) for each in (s.sampled_law.gain_values, s.law.hold_damping))
     return Changes(settings, *numbers)
 
@@ -150,7 +142,7 @@ class _Host:
 
 def c_program(scenario: Scenario, folder: Path) -> Path:
     """Export a scenario as C, compile it with the host replay.c and return the program."""
-    write(export(loop_of(scenario), "fjr", SAMPLES), folder)
+    write(export(scenario, "fjr", SAMPLES), folder)
     sources = [*folder.glob("fjr*.c"), HERE / "replay.c"]
     return built([*C99, "-O2"], sources, folder / "replay", f"-I{folder}", f"-I{HERE}")
 

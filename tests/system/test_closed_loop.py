@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_core.config.controller import safety
 from fjr_core.config.scenario import load_scenario
 from fjr_core.runtime.events import State
 from system.executables import scenario
@@ -112,7 +111,7 @@ MORE = [pytest.param(*each, marks=pytest.mark.full) for each in ((3.62, 0.24), (
 def test_a_fall_within_the_limits_does_not_end_in_a_stop(at: float, lost: float) -> None:
     """Up to 0.99 of a velocity limit, towards a position limit that no transition of join_time or longer respects."""
     made = load_scenario(scenario("arm7"))
-    loop = Loop(made.law, made.reference, safety(made.controller_values, made.robot), made.x0)
+    loop = Loop(made.law, made.reference, made.settings, made.x0)
     loop.run(at)
     largest = np.abs(loop.efforts[2000:]).max()
     loop.run(0.1, answered=False)

@@ -17,8 +17,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from fjr_design.studies.study import ClusterError, cluster, open_store
+from fjr_design.studies.sweep import run_part
 from fjr_design.studies.sweep_file import Options, planned
-from fjr_design.studies.sweep_run import complete, run_missing
+from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
 from system.documented import documented_keys
 from system.executables import Start, fjr_here, wait_for
@@ -80,8 +81,8 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
     plan = planned(name, Options(1, None, Path(), {}, {}))
     with open_store(tmp_path / "cluster", plan.text, "program") as store, cluster(address) as workers:
         assert workers.count == 2
-        assert run_missing(plan, store, workers, lose_one, threading.Event())
-        assert complete(plan, store).read_bytes() == table(tmp_path)
+        store.run(workers, run_part, jobs_of(plan), threading.Event(), lose_one)
+        assert carry_out(plan, store, workers, threading.Event()).read_bytes() == table(tmp_path)
     assert killed
     assert not Path(f"/proc/{killed[0]}/stat").exists() or "Z" in Path(f"/proc/{killed[0]}/stat").read_text()
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from fjr_core.config.scenario import load_scenario
 from fjr_design.studies.study import open_store, threads
 from fjr_design.studies.sweep_file import Options
 from fjr_design.studies.tune import search
-from fjr_design.studies.tune_run import Evaluator, pareto, planned
+from fjr_design.studies.tune_run import kept_figures, pareto, planned
 from fjr_msgs_py.console.ending import Exit, Interrupted
 from system.documented import documented_keys
 from system.executables import fjr_here
@@ -131,7 +132,7 @@ def test_a_search_that_is_interrupted_names_its_folder(folder: Path, study: Path
     place = folder / "stopped"
     with threads(1) as workers, open_store(place, plan.text, "program") as store:
         with pytest.raises(Interrupted) as ended:
-            search(plan, Evaluator(plan, store, workers, stop, lambda runs: stop.set()))
+            search(plan, partial(kept_figures, plan, store, workers, stop, lambda runs: stop.set()))
         assert ended.value.kept == place
         assert 0 < len(list(place.glob("parts/*.parquet"))) < 5
 

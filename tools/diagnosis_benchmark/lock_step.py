@@ -15,11 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core import StateError
-from fjr_core.config.controller import measurement, observer, safety
-from fjr_core.config.law import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_monitor.diagnosis.record import Record
 from fjr_plant.lock_step import START
@@ -62,10 +59,7 @@ class LockStepLoop:
     def __init__(self, scenario: Scenario, fault: Fault = NONE) -> None:
         self.scenario, self._fault, self._n = scenario, fault, scenario.robot.n
         self._robot, self._transport = simulated(scenario.plant_values, scenario.plant, scenario.x0)
-        values, law, robot = scenario.controller_values, scenario.law, scenario.robot
-        self._limits = safety(values, robot)
-        options = observer(values, robot), True, robust_action(values, law), measurement(values, robot)
-        self.tracker = ControlStep(law, scenario.reference, self._limits, *options)
+        self.tracker = scenario.control_step(simulated=True)
         self._arrived: deque[Sample] = deque()
         self._velocities: deque[Array] = deque(maxlen=fault.delay + 1)  # the latest ones
         self._newest = self.found_after = 0
@@ -107,7 +101,7 @@ class LockStepLoop:
             sent=None,
             answered=None,
             sample_period=self.scenario.sample_period,
-            effort_limit=np.asarray(self._limits.effort),
+            effort_limit=np.asarray(self.scenario.settings.effort),
         )
 
     def _sample(self) -> Sample:
@@ -170,7 +164,7 @@ class LockStepLoop:
         if self._fault.spring is None:
             self._robot.advance_to(time)
             return
-        u, steps = self._robot.u, int(self.scenario.plant_values["inner_steps"])  # type: ignore[arg-type]
+        u, steps = self._robot.u, self.scenario.inner_steps
         while self._robot.time < time:
             q_l, q_m = np.split(self._robot.x[: 2 * self._n], 2)
             torque = self._robot.external = self._fault.spring(q_m - q_l)

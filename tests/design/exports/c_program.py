@@ -6,14 +6,13 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from fjr_core.config.scenario import load_scenario
+from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_design.exports.c_code import prefix_of
 from fjr_design.exports.project import export, write
-from fjr_design.exports.step_code import ExportedLoop, loop_of
+from fjr_msgs_py.scenarios import library
 from program_cache import built
 from time_limits import HANG
 
@@ -24,19 +23,19 @@ C99, CPP = ("cc", "-std=c99", *STRICT), ("c++", "-std=c++17", *STRICT)
 
 
 @cache
-def loop(name: str) -> ExportedLoop:
-    """Return the loop of a shipped scenario."""
-    return loop_of(load_scenario(SCENARIOS / f"{name}.yaml"))
+def scenario(name: str) -> Scenario:
+    """Return a shipped scenario."""
+    return load_scenario(SCENARIOS / f"{name}.yaml")
 
 
-def changed(scenario: str, **fields: object) -> ExportedLoop:
-    """Return the loop of a shipped scenario with other fields, e.g. another reference."""
-    return replace(loop(scenario), **fields)  # type: ignore[arg-type]
+def changed(name: str, values: Mapping[str, object]) -> Scenario:
+    """Return a shipped scenario with other parameters."""
+    return library.as_run(SCENARIOS / f"{name}.yaml", values)[1]
 
 
-def exported(loop: ExportedLoop, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
-    """Export a loop to a folder and return the folder."""
-    write(export(loop, prefix or prefix_of(loop.name), samples), folder)
+def exported(scenario: Scenario, folder: Path, samples: int = 100, prefix: str | None = None) -> Path:
+    """Export a scenario to a folder and return the folder."""
+    write(export(scenario, prefix or prefix_of(scenario.name), samples), folder)
     return folder
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -12,7 +13,6 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-import own_code
 from design.exports.c_program import (
     C99,
     CPP,
@@ -21,38 +21,38 @@ from design.exports.c_program import (
     changed,
     compared,
     exported,
-    loop,
     program_output,
     replayed,
+    scenario,
 )
-from fjr_core.config.scenario import parse_scenario
-from fjr_core.robust.law import Robust
-from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_design.exports.c_code import casadi_code, checked_prefix, numbers, prefix_of, quoted
 from fjr_design.exports.project import export
-from fjr_design.exports.step_code import ExportedLoop, loop_of
 
 EFFORTS, LOOP = "efforts that are not equal", "closed loop: worst difference"
 EQUAL = 1e-12
-ROBUST = Robust(residual_gain=20.0, integral_gain=2.0, delay=0.001)
 
 
-def replays(loop: ExportedLoop, folder: Path) -> None:
-    """Export the loop and replay it: efforts equal bit by bit, the closed loop to rounding."""
-    worst = replayed(exported(loop, folder))
+def robust(n: int) -> dict[str, object]:
+    """Return parameters of a law with a controller state and prediction over a sample."""
+    return {"robust.residual_gain": [20.0] * n, "robust.integral_gain": [2.0] * n, "robust.delay": 0.001}
+
+
+def replays(scenario: Scenario, folder: Path) -> None:
+    """Export the scenario and replay it: efforts equal bit by bit, the closed loop to rounding."""
+    worst = replayed(exported(scenario, folder))
     assert worst[EFFORTS] == 0
     assert worst.get(LOOP, 0.0) <= 1e-9
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_shipped_scenario_replays_without_warnings(name: str, tmp_path: Path) -> None:
-    replays(loop(name), tmp_path)
+    replays(scenario(name), tmp_path)
 
 
 def test_law_with_controller_state_lead_and_geared_motors_on_an_implicit_plant_replays(tmp_path: Path) -> None:
-    geared = Measurement(2, gear_ratio=np.array([100.0, -50.0]))
-    plant = fjr.Plant(loop("two_link").plant.robot, "implicit_midpoint")
-    replays(changed("two_link", robust=ROBUST, measurement=geared, plant=plant), tmp_path)
+    geared = {"measurement.gear_ratio": [100.0, -50.0], "integrator": "implicit_midpoint"}
+    replays(changed("two_link", robust(2) | geared), tmp_path)
     assert ".lead = 1500000" in (tmp_path / "two_link.c").read_text()
 
 
@@ -61,7 +61,7 @@ def test_plant_that_differs_from_the_model_replays(tmp_path: Path) -> None:
         "/**: {ros__parameters: {realtime_priority: 0}}",
         "/**/fjr_plant: {ros__parameters: {robot.link_inertia: [0.04]}}",
     )
-    made = loop_of(parse_scenario("other", "\n".join(text)))
+    made = parse_scenario("other", "\n".join(text))
     assert not np.allclose(made.plant.robot.M_l([0.0]), made.law.robot.M_l([0.0]))
     replays(made, tmp_path)
 
@@ -69,7 +69,7 @@ def test_plant_that_differs_from_the_model_replays(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the replay program of paper_k31, next to its recorded case."""
-    folder = exported(loop("paper_k31"), tmp_path_factory.mktemp("replay"))
+    folder = exported(scenario("paper_k31"), tmp_path_factory.mktemp("replay"))
     return built(C99, sorted(folder.glob("*.c")), folder / "replay")
 
 
@@ -130,24 +130,24 @@ int main()
 
 
 def test_two_exports_run_in_one_threaded_cpp_program(tmp_path: Path) -> None:
-    other = changed("two_link", reference=fjr.Circle((0.2, -0.1), 0.3, 2.0))
-    a, b = exported(loop("two_link"), tmp_path / "a"), exported(other, tmp_path / "b", prefix="other")
+    other = changed("two_link", {"reference.type": "circle", "reference.circle.radius": 0.3})
+    a, b = exported(scenario("two_link"), tmp_path / "a"), exported(other, tmp_path / "b", prefix="other")
     objects = [
         built(C99, [source], source.with_suffix(".o"), "-c") for source in (*a.glob("two_link*.c"), *b.glob("other*.c"))
     ]
     (tmp_path / "main.cpp").write_text(TWO)
     program = built(CPP, [tmp_path / "main.cpp", *objects], tmp_path / "main", f"-I{a}", f"-I{b}", "-pthread")
-    scenario, joint, *values = program_output(program).split()
-    assert (scenario, joint) == ("two_link", "elbow")
-    for value, each in zip(values, (loop("two_link"), other), strict=True):
-        step = each.step()
+    name, joint, *values = program_output(program).split()
+    assert (name, joint) == ("two_link", "elbow")
+    for value, each in zip(values, (scenario("two_link"), other), strict=True):
+        step = each.control_step()
         step.step(0, 0, np.array([0.1 + 1e-5, 0.2]), np.array([0.15, 0.25]), np.array([0.0, 0.1]), np.array([0.2, 0.3]))
         assert float.fromhex(value) == step.u[0]
 
 
 def test_exported_library_has_no_writable_data(tmp_path: Path) -> None:
     name = "paper_k31"
-    folder = exported(changed(name, robust=ROBUST), tmp_path)
+    folder = exported(changed(name, robust(1)), tmp_path)
     for source in folder.glob(f"{name}*.c"):
         made = built(C99, [source], source.with_suffix(".o"), "-c", "-fno-pic")
         symbols = subprocess.run(["nm", str(made)], capture_output=True, text=True, check=True).stdout
@@ -174,7 +174,8 @@ ODD = """a"b c\\d grün *//* */ int evil; %s what??/"""
 
 
 def test_any_scenario_or_joint_name_compiles(tmp_path: Path) -> None:
-    folder = exported(changed("paper_k31", name=ODD, joints=(ODD,)), tmp_path, samples=3)
+    odd = replace(changed("paper_k31", {"joints": [ODD]}), name=ODD)
+    folder = exported(odd, tmp_path, samples=3)
     program = built(C99, sorted(folder.glob("*.c")), folder / "replay")
     assert program_output(program, str(folder / "case.txt")).startswith(ODD)
 
@@ -217,7 +218,6 @@ def test_other_prefixes_are_refused(prefixes: tuple[str, ...], words: str) -> No
 
 def test_unsupported_loops_are_refused_with_the_reason() -> None:
     with pytest.raises(fjr.StateError, match="diverged at t = "):
-        export(changed("paper_k3p1", sample_period=0.05, inner_steps=1), "p")
-    own = fjr.PythonLaw(own_code.Pd(fjr.single_link()), fjr.single_link())
+        export(changed("paper_k3p1", {"publish_rate": 20.0, "inner_steps": 1}), "p")
     with pytest.raises(fjr.StateError, match="the law is written in Python; expected one made of expressions"):
-        changed("paper_k31", law=own)
+        export(changed("paper_k31", {"law.type": "own_code:Pd"}), "p")

@@ -20,8 +20,9 @@ from fjr_core.errors import MissingPackageError
 from fjr_design.studies import sensitivity, study, sweep, sweep_file, sweep_run
 from fjr_design.studies.study import StoreError, Workers, threads
 from fjr_design.studies.sweep import Columns, Sweep, from_text
-from fjr_design.studies.sweep_run import run_missing
+from fjr_design.studies.sweep_run import carry_out, jobs_of
 from fjr_design.uncertainty import distributions
+from fjr_msgs_py.console.ending import Interrupted
 from time_limits import HANG
 
 SCENARIO = """
@@ -52,10 +53,9 @@ def opened(folder: Path, plan: Sweep | None = None, program: str = "program") ->
     return study.open_store(folder, (plan or sweep_of()).text, program)
 
 
-def done(folder: Path, plan: Sweep, cores: int = 1, stop: threading.Event | None = None) -> bytes:
+def done(folder: Path, plan: Sweep, cores: int = 1) -> bytes:
     with opened(folder, plan) as kept, threads(cores) as workers:
-        assert run_missing(plan, kept, workers, lambda runs: None, stop or threading.Event())
-        return sweep_run.complete(plan, kept).read_bytes()
+        return carry_out(plan, kept, workers, threading.Event()).read_bytes()
 
 
 class LogNormal:
@@ -146,9 +146,9 @@ def test_table_is_byte_identical_for_any_number_of_cores_and_any_order(tmp_path:
     one = done(tmp_path / "one", plan)
     assert done(tmp_path / "more", plan, cores=4) == one
     with opened(tmp_path / "backwards", plan) as kept:
-        for begin, end in reversed(sweep_run.missing_parts(plan, kept)):
-            kept.keep(f"{begin:09d}-{end:09d}", plan.part(begin, end))
-        assert sweep_run.complete(plan, kept).read_bytes() == one
+        for key, (_, begin, end) in reversed(jobs_of(plan).items()):
+            kept.keep(key, plan.part(begin, end))
+    assert done(tmp_path / "backwards", plan) == one
 
 
 def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,8 +160,10 @@ def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(sweep_run, "run_part", counted)
     with opened(tmp_path / "a", plan) as kept, threads(1) as workers:
-        assert not run_missing(plan, kept, workers, lambda runs: stop.set(), stop)
-        there = 5 - len(sweep_run.missing_parts(plan, kept))
+        with pytest.raises(Interrupted) as ended:
+            kept.run(workers, counted, jobs_of(plan), stop, lambda runs: stop.set())
+        assert ended.value.kept == tmp_path / "a"
+        there = sum(map(kept.holds, jobs_of(plan)))
         assert 0 < there < 5
     first = set(asked)
     asked.clear()
@@ -239,7 +241,7 @@ def test_number_of_pending_parts_is_bounded(tmp_path: Path) -> None:
     with opened(tmp_path, plan) as kept, threads(1) as workers:
         inner: Any = workers.executor
         watched = Workers(Watching(), 1)  # type: ignore[arg-type]
-        assert run_missing(plan, kept, watched, lambda runs: None, threading.Event())
+        carry_out(plan, kept, watched, threading.Event())
     assert most[0] <= study.AHEAD
 
 
@@ -257,7 +259,7 @@ def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
         opened(tmp_path, plan) as kept,
         pytest.raises(study.ClusterError, match="No module named 'fjr_core'.*; expected this version of fjr_core"),
     ):
-        run_missing(plan, kept, workers, lambda runs: None, threading.Event())
+        carry_out(plan, kept, workers, threading.Event())
 
 
 @pytest.mark.parametrize(

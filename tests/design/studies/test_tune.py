@@ -28,7 +28,6 @@ from fjr_design.studies.tune import (
     Figures,
     Goal,
     Point,
-    Range,
     Score,
     TuningStudy,
     search,
@@ -235,17 +234,14 @@ class Bowl:
         self.search_runs, self.selection_runs = (0, 8), (8, 40)
         self.sweep = SimpleNamespace(seed=5)
 
-    def evaluate(self, points: Sequence[Point], _runs: Range) -> list[Score]:
-        return [self.score(np.array(point)) for point in points]
-
-    def score(self, z: np.ndarray) -> Score:
+    def score(self, z: Point, _: Figures) -> Score:
         violation = max(0.0, float(z[0]) - self.most)
         distance = float(np.sum(np.square(z - self.bottom) * np.arange(1, 1 + len(z)) ** 2))
         return Score({}, 1.0, violation, INFEASIBLE * (1 + violation) if violation else distance)
 
 
 def found(bowl: Bowl) -> np.ndarray:
-    return np.array(search(bowl, bowl.evaluate).chosen)  # type: ignore[arg-type]
+    return np.array(search(bowl, lambda points, _: [{}] * len(points)).chosen)  # type: ignore[arg-type]
 
 
 def test_search_finds_the_minimum_of_a_bowl_and_leaves_the_global_generator_alone() -> None:

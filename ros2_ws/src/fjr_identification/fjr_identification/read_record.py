@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.config.controller import measurement
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import RecordError
 from fjr_core.model.robot import Robot
@@ -68,7 +67,7 @@ def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot
     scenario = load_scenario(run / SCENARIO, user_code=False)
     if scenario.joints != joints:
         raise RecordError(f"{path} was recorded with the joints {scenario.joints}; expected {joints}, as the robot")
-    measured = measurement(scenario.controller_values, scenario.robot)
+    measured = scenario.measurement
     return BagMap(np.asarray(measured.gear_ratio, dtype=float), by_torque=measured.by_torque)
 
 

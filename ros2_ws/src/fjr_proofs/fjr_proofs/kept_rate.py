@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, RobotError
 from fjr_core.files.text_file import write_text
@@ -57,7 +56,7 @@ class CertifiedRate:
 
 def near_reference(scenario: Scenario) -> tuple[Domain, Array]:
     """Return the tube around the reference with the largest tracking error (n,) that the controller accepts."""
-    limit = np.asarray(safety(scenario.controller_values, scenario.robot).tracking_error)
+    limit = np.asarray(scenario.settings.tracking_error)
     radius = np.where(np.isfinite(limit), limit, DEFAULT_RADIUS)
     return tube(scenario.reference, radius), radius
 

@@ -5,22 +5,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 
-from design.exports.c_program import C99, CPP, SCENARIOS, built, program_output
-from fjr_core.config.scenario import Scenario, load_scenario
+from design.exports.c_program import C99, CPP, built, program_output
+from fjr_core.config.scenario import Scenario
 from fjr_design.exports.project import write
 from fjr_design.exports.ros2_control.package import export_package, package_name_of
 
 HERE = Path(__file__).parent
 SOURCES = ("tracking_controller", "reports", "parameters", "elastic_arm")
-
-
-@cache
-def scenario(name: str) -> Scenario:
-    """Return a shipped scenario."""
-    return load_scenario(SCENARIOS / f"{name}.yaml")
 
 
 def exported(scenario: Scenario, folder: Path, samples: int = 200) -> Path:

@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 import fjr_core as fjr
-from design.exports.ros2_control.exported_package import exported, replayed, scenario
+from design.exports.c_program import scenario
+from design.exports.ros2_control.exported_package import exported, replayed
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.runtime.events import ERRORS, KINDS, WARNINGS
 from fjr_core.runtime.library import HEADER, text

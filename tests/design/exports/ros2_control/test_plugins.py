@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from design.exports.c_program import program_output
-from design.exports.ros2_control.exported_package import driver, exported, scenario, values
+from design.exports.c_program import program_output, scenario
+from design.exports.ros2_control.exported_package import driver, exported, values
 from fjr_core.config.law import gains as build_gains
 from fjr_core.config.scenario import parse_scenario
-from fjr_design.exports.step_code import loop_of
 
 PACKAGE = "two_link_ros2_control"
 
@@ -34,7 +33,7 @@ def tracked(drive: Path) -> dict[str, float]:
     "imperfections", [[], ["link_position_noise=1e-5", "command_delay=0.0005", "motor_encoder_bits=18"]]
 )
 def test_efforts_of_the_controller_equal_those_of_python(drive: Path, imperfections: list[str]) -> None:
-    n, step = 2, loop_of(scenario("two_link")).step()
+    n, step = 2, scenario("two_link").control_step()
     for line in program_output(drive, "record", *imperfections).splitlines():
         row = np.array([float.fromhex(word) for word in line.split()])
         link, motor, dq_l, dq_m, stamp, u = np.split(row, [n, 2 * n, 3 * n, 4 * n, 4 * n + 1])
@@ -47,7 +46,7 @@ def test_controller_without_velocities_and_certificate_gives_the_efforts_of_pyth
         "{law.type: pd_gravity, measurement.velocity: observer, measurement.motor: torque, on_stop: gravity_hold}"
     )
     made = parse_scenario("torque", f"/**: {{ros__parameters: {parameters}}}")
-    program, step = driver(exported(made, tmp_path / "p"), "torque_ros2_control"), loop_of(made).step()
+    program, step = driver(exported(made, tmp_path / "p"), "torque_ros2_control"), made.control_step()
     for line in program_output(program, "record").splitlines():
         link, torque, stamp, u = (float.fromhex(word) for word in line.split())
         assert step.step(int(stamp), int(stamp), np.array([link]), np.array([torque]), None, None)

@@ -24,16 +24,20 @@ from ..monitoring.certificate import Certificate, Prediction
 from ..motions.reference import Reference
 from ..numerics.checks import Array
 from ..robust.law import RobustLaw, sampled_law
-from ..runtime.measurement_model import OBSERVER, TORQUE
+from ..runtime.control_step import ControlStep
+from ..runtime.measurement_model import OBSERVER, TORQUE, Measurement
+from ..runtime.safety_settings import Settings
+from ..runtime.velocity_observer import VelocityObserver
 from ..simulation.closed_loop import Trajectory, simulate
 from ..stability.linear_controller import Sensing
 from ..urdf.typical_joints import joints_without_inertia
+from . import controller as controller_parameters
 from . import law as law_parameters
 from . import parameter, ros_yaml
 from . import plant as plant_parameters
 from . import reference as reference_parameters
 from . import robot as robot_parameters
-from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement, measurement_parameters
+from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement_parameters
 from .nodes import CONTROLLER, PLANT, checked_values
 from .obstacle import KIND, NONE
 
@@ -113,6 +117,21 @@ class Scenario:
         return sampled_law(self.law, law_parameters.robust_action(self.controller_values, self.law))
 
     @cached_property
+    def settings(self) -> Settings:
+        """Limits, start and stop policy of the controller."""
+        return controller_parameters.safety(self.controller_values, self.robot)
+
+    @cached_property
+    def measurement(self) -> Measurement:
+        """What the sensors measure."""
+        return controller_parameters.measurement(self.controller_values, self.robot)
+
+    @property
+    def observer(self) -> VelocityObserver | None:
+        """A new velocity observer; None if velocities are measured."""
+        return controller_parameters.observer(self.controller_values, self.robot)
+
+    @cached_property
     def reference(self) -> Reference:
         """The reference trajectory; time 0 is the stamp of the first state that the controller answers."""
         return reference_parameters.reference(self.controller_values, self.robot.n)
@@ -143,6 +162,17 @@ class Scenario:
         """The plant's initial state (4n,)."""
         return plant_parameters.initial_state(self.plant_values, self.plant.robot)
 
+    @property
+    def inner_steps(self) -> int:
+        """Integrator steps of the plant per sample."""
+        return int(parameter.number(self.plant_values, "inner_steps"))
+
+    def control_step(self, simulated: bool = False, compile: bool = False) -> ControlStep:
+        """Return the control step of the controller, waiting for its first sample; see ControlStep."""
+        robust = law_parameters.robust_action(self.controller_values, self.law)
+        parts = self.law, self.reference, self.settings, self.observer
+        return ControlStep(*parts, simulated, robust, self.measurement, compile)
+
     def configurations(self, k: int = 64) -> Array:
         """Return link positions (k + 1, n) [rad]: the initial ones and k of the reference."""
         return np.vstack([self.x0[: self.robot.n], self.reference.configurations(k)])
@@ -161,7 +191,7 @@ class Scenario:
 
         The plant is ideal: imperfections.* are not simulated, so there is no delay either.
         """
-        inner = self.sample_period / int(parameter.number(self.plant_values, "inner_steps"))
+        inner = self.sample_period / self.inner_steps
         return simulate(self.plant, self.sampled_law, self.reference, self.x0, duration, self.sample_period, inner)
 
 
@@ -196,7 +226,7 @@ def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) ->
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.reference, measurement(scenario.controller_values, scenario.robot)
+    _ = scenario.reference, scenario.measurement
     _ = robot_parameters.stated_errors(scenario.controller_values)
     own_law, own_plant = (is_named(values[kind.name]) for kind, values in types)
     if user_code or not own_law:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.controller import safety
 from fjr_core.config.law import TYPE
 from fjr_core.config.parameter import options
 from fjr_core.config.scenario import Scenario
@@ -328,8 +327,7 @@ def _limits(scenario: Scenario) -> dict[str, str]:
 
 def _start(scenario: Scenario) -> dict[str, str]:
     """Compare the initial position with the ranges; no row if there are none."""
-    settings = safety(scenario.controller_values, scenario.robot)
-    if not any(np.isfinite(limit).any() for pair in ranges(settings).values() for limit in pair):
+    if not any(np.isfinite(limit).any() for pair in ranges(scenario.settings).values() for limit in pair):
         return {}
     found = start_outside(scenario)
     return {"initial position": f"BEYOND {'; '.join(found)}" if found else "within the ranges of the joints"}

@@ -23,7 +23,6 @@ from fjr_core.urdf.tree import parse_xml
 from fjr_design.exports.c_code import prefix_of
 from fjr_design.exports.project import export, write
 from fjr_design.exports.ros2_control.package import export_package, not_exported, package_name_of
-from fjr_design.exports.step_code import loop_of
 from fjr_design.scaffold.arm import Arm, arm_of, described
 from fjr_design.scaffold.files import locked_joints, origin_of, robot_text, scenario_text
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
@@ -118,7 +117,7 @@ def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, pre
     missing = [name for name in left_out(loaded) if name in loaded.plant_values]
     names = ", ".join(f"`{name}`" for name in missing)
     notes = f"\nThe scenario also sets {names}: not in this C.\n" if missing else ""
-    texts = export(loop_of(loaded), prefix or prefix_of(loaded.name), notes=notes)
+    texts = export(loaded, prefix or prefix_of(loaded.name), notes=notes)
     write(texts, folder, force)
     text = (
         f"{folder}: {', '.join(texts)}\n"

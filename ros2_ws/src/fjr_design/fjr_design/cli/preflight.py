@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fjr_core.config.controller import safety
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError
 from fjr_core.law.linearized import equilibria_at
@@ -35,9 +34,9 @@ def checked(scenario: Scenario, elsewhere: bool = False, lowest_rate: bool = Tru
 
 def refuse_coarse_steps(scenario: Scenario) -> None:
     """Raise UnstableError if the plant's explicit integrator is unstable for its fastest mode."""
-    values, plant = scenario.plant_values, scenario.plant
+    plant, steps = scenario.plant, scenario.inner_steps
     fastest = fastest_mode(plant.robot, scenario.configurations())
-    steps, least = int(values["inner_steps"]), least_steps(fastest, scenario.sample_period)  # type: ignore[arg-type]
+    least = least_steps(fastest, scenario.sample_period)
     if plant.integrator == "rk4" and steps < least:
         raise UnstableError(
             f"scenario {scenario.name}: inner_steps is {steps}, too few for rk4 and the plant's fastest mode of "
@@ -85,10 +84,9 @@ def start_outside(scenario: Scenario) -> list[str]:
     """Return a sentence for each initial position outside its range."""
     q_l, q_m = np.split(scenario.x0[: 2 * scenario.robot.n], 2)
     values = {"q_l": q_l, "q_m": q_m, "q_m - q_l": q_m - q_l}
-    settings = safety(scenario.controller_values, scenario.robot)
     return [
         f"{joint}: {symbol} is {value:.4g} {unit.position}; expected {low:.4g} to {high:.4g} {unit.position}"
-        for symbol, limits in ranges(settings).items()
+        for symbol, limits in ranges(scenario.settings).items()
         for joint, unit, value, low, high in zip(
             scenario.joints, scenario.robot.units, values[symbol], *limits, strict=True
         )

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, StateError
 from fjr_core.runtime.library import SOURCES
 
 from .c_code import checked_prefix, comment, filled, number, numbers
-from .step_code import PREFIX, ExportedLoop, step_code
+from .step_code import PREFIX, exportable, plant_functions, step_code
 
 SAMPLES = 200
 
@@ -22,25 +23,25 @@ class ExportError(FjrError):
     """Folder to which an export cannot be written."""
 
 
-def export(loop: ExportedLoop, prefix: str, samples: int = SAMPLES, notes: str = "") -> dict[str, str]:
+def export(scenario: Scenario, prefix: str, samples: int = SAMPLES, notes: str = "") -> dict[str, str]:
     """Return the texts of all files by name; notes: Markdown at the end of the README.
 
-    Raises ParameterError for an invalid prefix, TrajectoryError for a reference that is not built in, StateError if the
-    loop diverges within the samples of the case, CompilerError without a C compiler.
+    Raises ParameterError for an invalid prefix, TrajectoryError for a reference that is not built in, StateError for a
+    law or plant in Python and if the loop diverges within the samples of the case, CompilerError without a C compiler.
     """
-    prefix = checked_prefix(prefix)
+    prefix, scenario = checked_prefix(prefix), exportable(scenario)
     values = {
         "prefix": prefix,
-        "title": comment(loop.name),
-        "joint_list": comment(", ".join(loop.joints)),
-        "x0_numbers": numbers(loop.x0),
-        "sample_period": number(loop.sample_period),
-        "inner_steps": str(loop.inner_steps),
-        "integrator": loop.plant.integrator,
+        "title": comment(scenario.name),
+        "joint_list": comment(", ".join(scenario.joints)),
+        "x0_numbers": numbers(scenario.x0),
+        "sample_period": number(scenario.sample_period),
+        "inner_steps": str(scenario.inner_steps),
+        "integrator": scenario.plant.integrator,
         "samples": str(samples),
         "notes": notes,
     }
-    step = step_code(loop, loop.plant_functions)
+    step = step_code(scenario, plant_functions(scenario.plant))
     texts = {
         f"{prefix}.h": step["model.h"],
         f"{prefix}.c": step["model.c"],
@@ -50,7 +51,7 @@ def export(loop: ExportedLoop, prefix: str, samples: int = SAMPLES, notes: str =
         **filled("templates", values),
     }
     texts = {name: _renamed(text, prefix) for name, text in texts.items()}
-    return texts | {"case.txt": recorded_case(loop, samples)}
+    return texts | {"case.txt": recorded_case(scenario, samples)}
 
 
 def _renamed(text: str, prefix: str) -> str:
@@ -61,25 +62,26 @@ def _renamed(text: str, prefix: str) -> str:
     return re.sub(rf"\b{PREFIX.upper()}_", f"{prefix.upper()}_", text)
 
 
-def recorded_case(loop: ExportedLoop, samples: int) -> str:
+def recorded_case(scenario: Scenario, samples: int) -> str:
     """Run the closed loop and return what the control step reads and the effort it gives.
 
     A line for each sample: stamp and arrival [ns], then in hexadecimal, which is exact, link positions [rad], motor
     angles [rad] or joint torques [N m], velocities [rad/s] and effort [N m]. Raises StateError if the loop diverges.
     """
-    step, plant, n, period = loop.step(), loop.plant, loop.n, loop.sample_period
-    ratio = np.asarray(loop.measurement.gear_ratio)
-    x, lines = np.asarray(loop.x0, dtype=float), []
+    step, plant, measured = scenario.control_step(compile=True), scenario.plant, scenario.measurement
+    n, period = plant.robot.n, scenario.sample_period
+    ratio = np.asarray(measured.gear_ratio)
+    x, lines = np.asarray(scenario.x0, dtype=float), []
     for k in range(samples):
         stamp = round(k * period * 1e9)
         q_l, q_m, (dq_l, dq_m) = x[:n].copy(), x[n : 2 * n], plant.robot.velocities(x)
-        motor = plant.robot.K @ (q_m - q_l) if loop.measurement.by_torque else q_m * ratio
+        motor = plant.robot.K @ (q_m - q_l) if measured.by_torque else q_m * ratio
         step.step(stamp, stamp, q_l, motor, dq_l, dq_m * ratio)
         sample = np.concatenate([q_l, motor, dq_l, dq_m * ratio, step.u]).tolist()
         lines.append(" ".join([str(stamp), str(stamp), *map(float.hex, sample)]))
         u = step.u.copy()
-        for _ in range(loop.inner_steps):
-            x = plant.step(x, u, period / loop.inner_steps)
+        for _ in range(scenario.inner_steps):
+            x = plant.step(x, u, period / scenario.inner_steps)
         if step.controller.journal.not_finite or not np.isfinite(x).all():
             raise StateError(
                 f"the loop diverged at t = {k * period:.6g} s; "

@@ -8,33 +8,24 @@ control_step.c             includes them     casadi.c           law, gravity, ob
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from fjr_core.config.controller import measurement, observer, safety
-from fjr_core.config.law import robust_action
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError, TrajectoryError
-from fjr_core.law.interfaces import ARGUMENTS, SampledLaw, StaticLaw
+from fjr_core.law.interfaces import ARGUMENTS, StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.monitoring.certificate import OUTPUTS
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics import integrators
-from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import dense_function
-from fjr_core.robust.law import Robust, sampled_law
-from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.library import HEADER, SOURCES, model_functions, text
-from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.reference import ReferenceTable, reference_table
-from fjr_core.runtime.safety_settings import Settings
-from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from .c_code import casadi_code, comment, filled, number, numbers, quoted, work_sizes
 
@@ -46,126 +37,67 @@ CALLED = {"arg": len(ARGUMENTS), "res": len(OUTPUTS), "iw": 1, "w": 1}
 KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, SampledMotion, joined or shifted"
 
 
-@dataclass(frozen=True, eq=False)
-class ExportedLoop:
-    """Sampled closed loop to export: all between a measured state and an effort, without ROS, and a plant.
+def exportable(scenario: Scenario) -> Scenario:
+    """Return the scenario with functions that are not compiled, so that C can be generated from them.
 
-    law: not compiled, so that C can be generated from it. x0 (4n,): initial state. inner_steps: of the plant per
-    sample. All parts are those of a scenario. Raises StateError for a law or plant in Python.
+    Raises StateError for a law or plant in Python.
     """
-
-    name: str
-    joints: tuple[str, ...]
-    law: StaticLaw
-    reference: Reference
-    settings: Settings
-    sample_period: float
-    measurement: Measurement
-    plant: Plant
-    x0: Array
-    inner_steps: int
-    observer: VelocityObserver | None = None
-    robust: Robust | None = None
-
-    def __post_init__(self) -> None:
-        for name, part in (("law", self.law), ("plant", self.plant)):
-            if part.in_python:
-                raise StateError(
-                    f"the {name} is written in Python; expected one made of expressions, to export it to C"
-                )
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.joints)
-
-    @cached_property
-    def sampled_law(self) -> SampledLaw:
-        """The law with its robust action."""
-        return sampled_law(self.law, self.robust)
-
-    @property
-    def certified_law(self) -> TrackingLaw | None:
-        """The law if it is v-dPBC, which has a certificate, else None."""
-        return self.law if isinstance(self.law, TrackingLaw) else None
-
-    @property
-    def functions(self) -> dict[str, ca.Function]:
-        """Return the functions of struct fjr_model by name."""
-        return model_functions(self.sampled_law, self.observer)
-
-    @property
-    def plant_functions(self) -> dict[str, ca.Function]:
-        """Return the functions of the plant by their names in C, not compiled.
-
-        plant_measure: x (4n,) -> position (q_l, q_m), velocity (dq_l, dq_m), each (2n,).
-        """
-        x = ca.SX.sym("x", 4 * self.n)
-        signals = {"position": x[: 2 * self.n], "velocity": ca.vertcat(*self.plant.robot.velocity_expressions(x))}
-        return {
-            "plant_measure": dense_function("measure", {"x": x}, signals, cse=True),
-            "plant_step": integrators.step(self.plant.integrator, self.plant.dynamics, as_c=True),
-        }
-
-    def step(self) -> ControlStep:
-        """Return the control step of this loop in memory, compiled, waiting for its first sample."""
-        given = self.law, self.reference, self.settings, self.observer
-        return ControlStep(*given, robust=self.robust, measurement=self.measurement, compile=True)
+    made = replace(scenario, controller_values={**scenario.controller_values, "compile": False})
+    for name, part in (("law", made.law), ("plant", made.plant)):
+        if part.in_python:
+            raise StateError(f"the {name} is written in Python; expected one made of expressions, to export it to C")
+    return made
 
 
-def loop_of(scenario: Scenario) -> ExportedLoop:
-    """Return the closed loop of a scenario with an ideal plant; raises FjrError."""
-    values = {**scenario.controller_values, "compile": False}
-    s = replace(scenario, controller_values=values)
-    return ExportedLoop(
-        s.name,
-        s.joints,
-        s.law,
-        s.reference,
-        safety(values, s.robot),
-        s.sample_period,
-        measurement(values, s.robot),
-        s.plant,
-        np.asarray(s.x0),
-        int(s.plant_values["inner_steps"]),  # type: ignore[arg-type]
-        observer(values, s.robot),
-        robust_action(values, s.law),
-    )
+def plant_functions(plant: Plant) -> dict[str, ca.Function]:
+    """Return the functions of a plant by their names in C, not compiled.
 
-
-def step_code(loop: ExportedLoop, more: Mapping[str, ca.Function] | None = None) -> dict[str, str]:
-    """Return the texts of the step by file name; `more` functions are written as fjr_casadi_<name>, too.
-
-    Raises TrajectoryError for a reference that is not built in, CompilerError without a C compiler.
+    plant_measure: x (4n,) -> position (q_l, q_m), velocity (dq_l, dq_m), each (2n,).
     """
-    functions = {**loop.functions, **(more or {})}
+    n = plant.robot.n
+    x = ca.SX.sym("x", 4 * n)
+    signals = {"position": x[: 2 * n], "velocity": ca.vertcat(*plant.robot.velocity_expressions(x))}
+    return {
+        "plant_measure": dense_function("measure", {"x": x}, signals, cse=True),
+        "plant_step": integrators.step(plant.integrator, plant.dynamics, as_c=True),
+    }
+
+
+def step_code(scenario: Scenario, more: Mapping[str, ca.Function]) -> dict[str, str]:
+    """Return the texts of the step of an `exportable` scenario by file name, without ROS.
+
+    more: functions that are written as fjr_casadi_<name>, too. Raises TrajectoryError for a reference that is not built
+    in, CompilerError without a C compiler.
+    """
+    own = model_functions(scenario.sampled_law, scenario.observer)
+    functions = {**own, **more}
     sizes = work_sizes(PREFIX, functions)
     sizes = {size: max(sizes[size], least) for size, least in CALLED.items()}
-    values = _values(loop) | {size: str(length) for size, length in sizes.items()}
+    values = _values(scenario, list(own)) | {size: str(length) for size, length in sizes.items()}
     texts = filled("step_templates", values) | {name: text(name) for name in (HEADER, *SOURCES)}
     return texts | {"casadi.c": casadi_code(PREFIX, functions)}
 
 
-def _values(loop: ExportedLoop) -> dict[str, str]:
-    """Return the values of the names in the templates."""
-    law, step = loop.sampled_law, loop.step()
-    names = {name: f"{PREFIX}_casadi_{name}" for name in loop.functions}
+def _values(scenario: Scenario, functions: Sequence[str]) -> dict[str, str]:
+    """Return the values of the names in the templates; functions: names of those of struct fjr_model."""
+    law, step = scenario.sampled_law, scenario.control_step(compile=True)
+    names = {name: f"{PREFIX}_casadi_{name}" for name in functions}
     arguments = "const double** arg, double** res, long long int* iw, double* w, int mem"
     return {
-        "title": comment(loop.name),
-        "title_literal": quoted(loop.name),
-        "joint_list": comment(", ".join(loop.joints)),
-        "joint_literals": ", ".join(map(quoted, loop.joints)),
-        "n": str(loop.n),
+        "title": comment(scenario.name),
+        "title_literal": quoted(scenario.name),
+        "joint_list": comment(", ".join(scenario.joints)),
+        "joint_literals": ", ".join(map(quoted, scenario.joints)),
+        "n": str(scenario.robot.n),
         "memory_length": str(max(1, len(law.memory))),
         "gains": str(len(law.gain_values)),
-        "gain_words": _gain_words(loop.law),
+        "gain_words": _gain_words(scenario.law),
         "gain_numbers": numbers(law.gain_values),
-        "sample_period": number(loop.sample_period),
+        "sample_period": number(scenario.sample_period),
         "functions": "\n".join(f"int {name}({arguments});" for name in names.values()),
         "settings": _initialisers(step.ffi, step.controller.settings, {}),
         "model": _initialisers(step.ffi, step.model, names),
-        "reference": reference_code(loop.reference, "reference"),
+        "reference": reference_code(scenario.reference, "reference"),
         "includes": "\n".join(f'#include "{name}"' for name in SOURCES),
     }
 

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fjr_core.config.controller import safety
-from fjr_core.config.parameter import number
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import StateError
 from fjr_core.law.linearized import equilibria_at
@@ -57,7 +55,7 @@ class HardStart:
 def hard_start(scenario: Scenario) -> HardStart | None:
     """Return the start under v-dPBC; None with straight springs, another law, or a transition to the reference."""
     error = scenario.x0[: scenario.robot.n] - scenario.reference.jets(0.0)[0]
-    most = np.asarray(safety(scenario.controller_values, scenario.robot).start_error)
+    most = np.asarray(scenario.settings.start_error)
     hard = any(robot.curve for robot in (scenario.robot, scenario.plant.robot))
     if np.any(np.abs(error) > most) or not hard or not isinstance(scenario.law, TrackingLaw):
         return None
@@ -88,10 +86,10 @@ def _deflection(scenario: Scenario, share: float, along: Array) -> Array:
     on = np.array([jets[0], q_m, jets[1], dq_m])
     own = np.array([*np.split(scenario.x0[: 2 * n], 2), *robot.velocities(scenario.x0)])
     x = robot.state(*(on + share * (own - on)))
-    if safety(scenario.controller_values, scenario.robot).ramp_time:
+    if scenario.settings.ramp_time:
         states = _ramped(scenario, x)
     else:
-        inner = T / int(number(scenario.plant_values, "inner_steps"))
+        inner = T / scenario.inner_steps
         law, reference = scenario.sampled_law, scenario.reference
         try:
             states = simulate(scenario.plant, law, reference, x, LASTING, T, inner, delay=scenario.loop_delay).x
@@ -102,7 +100,7 @@ def _deflection(scenario: Scenario, share: float, along: Array) -> Array:
 
 def _ramped(scenario: Scenario, x: Array) -> Array:
     """Return the states (k, 4n) from x (4n,) under the control step, which ramps the effort; zero and inf if lost."""
-    own, n = safety(scenario.controller_values, scenario.robot), scenario.robot.n
+    own, n = scenario.settings, scenario.robot.n
     loop = ClosedLoop(
         scenario.plant.robot,
         scenario.sampled_law,
@@ -110,7 +108,7 @@ def _ramped(scenario: Scenario, x: Array) -> Array:
         x,
         own.ramp_time + LASTING,
         scenario.sample_period,
-        inner_steps=int(number(scenario.plant_values, "inner_steps")),
+        inner_steps=scenario.inner_steps,
         settle_after=0.0,
         lost=FAR,
         plant=scenario.plant,

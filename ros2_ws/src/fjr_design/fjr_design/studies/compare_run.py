@@ -145,8 +145,7 @@ def _compute(missing: Sequence[Job], kept: Path, workers: Processes, stop: threa
     line = f"compare: {plural(len(missing), 'law on a robot', 'laws on robots')} to run"
     with progress_bar(line, PROGRESS, total=len(missing), desc="compare", delay=QUIET) as bar:
 
-        def keep(job: tuple[Job], result: Values) -> None:
-            key = job[0].key
+        def keep(key: str, result: Values) -> None:
             write_text(kept / f"{key}.json", json.dumps(result, allow_nan=False), sealed=True)
             results[key] = result
 
@@ -155,7 +154,7 @@ def _compute(missing: Sequence[Job], kept: Path, workers: Processes, stop: threa
             shares.update(dict.fromkeys(results, 1.0))
             bar.update(sum(shares.values()) - bar.n)
 
-        if not workers.run(work, [(job,) for job in missing], keep, stop, look):
+        if not workers.run(work, {job.key: (job,) for job in missing}, keep, stop, look):
             raise Interrupted(kept if any(kept.glob("*.json")) else None)
     return results
 

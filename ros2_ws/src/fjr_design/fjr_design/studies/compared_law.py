@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.parameter import number as parameter
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.extensions.python_code import own_law
@@ -30,15 +29,13 @@ from .sweep import Sweep
 from .sweep_file import check_keys, mapping, number, whole
 from .tune import (
     FEW,
-    FINALISTS,
     GOAL,
     HERE,
-    SELECTION,
     SIZE,
+    Figures,
     Goal,
     Point,
     Range,
-    Score,
     TuningStudy,
     given_goal,
     quantile,
@@ -158,28 +155,27 @@ def law_for(
     error is at most this fraction of the motion, at every joint. on_progress: called with the share done, 0 to 1.
     """
     study = with_better_start(_study(text, wanted, demand, effort_limit, tracks))
-    total = study.draws * (study.candidates + (FINALISTS + 1) * SELECTION)
     done = 0
 
-    def evaluate(points: Sequence[Point], runs: Range) -> list[Score]:
+    def figures(points: Sequence[Point], runs: Range) -> list[Figures]:
         nonlocal done
         done += len(points) * (runs[1] - runs[0])
-        scores = [study.score(point, study.run(point, *runs)) for point in points]
-        on_progress(min(1.0, done / total))
-        return scores
+        found = [study.run(point, *runs) for point in points]
+        on_progress(min(1.0, done / study.searched))
+        return found
 
-    found = search(study, evaluate)
+    found = search(study, figures)
     fresh = study.run(found.chosen, *study.fresh_runs)
     score = study.score(found.chosen, fresh)
-    figures = {"rms": score.figures["rms"], "rms_outer": quantile(fresh["rms"], OUTER), "success": score.success}
-    figures |= {name: score.figures[name] for name in ("effort_noise", "effort_peak")}
+    summary = {"rms": score.figures["rms"], "rms_outer": quantile(fresh["rms"], OUTER), "success": score.success}
+    summary |= {name: score.figures[name] for name in ("effort_noise", "effort_peak")}
     tracking = f"on {study.fresh} fresh draws {100 * score.success:.3g} % track"
     return TunedLaw(
         study.coordinates.controller(found.chosen)[0],
         effort_limit,
         study.coordinates.values(found.chosen),
         f"best of {len(found.candidates)} candidates; {tracking}",
-        {name: value if np.isfinite(value) else None for name, value in figures.items()},
+        {name: value if np.isfinite(value) else None for name, value in summary.items()},
     )
 
 
@@ -188,7 +184,7 @@ def _study(
 ) -> TuningStudy:
     """Return the study of a law: its draws vary as stated, its imperfections have fixed levels."""
     scenario = parse_scenario("tuned", text)
-    step = scenario.sample_period / parameter(scenario.plant_values, "inner_steps")
+    step = scenario.sample_period / scenario.inner_steps
     fixed = {"effort_limit": effort_limit, **fields_of(wanted["imperfections"], demand, step)}
     vary = {name: distributions.read(name, given) for name, given in wanted["vary"].items()}
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}

@@ -20,7 +20,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from fjr_core.errors import FjrError, MissingPackageError
 from fjr_core.files.text_file import is_sealed, read_json, whole_file, write_text
+from fjr_msgs_py.console.ending import Interrupted
 
 AHEAD = 3
 """Jobs submitted per worker; no more results than these are in memory."""
@@ -41,7 +42,8 @@ LOOK = 0.2  # s between checks of `stop`
 DESCRIPTION = "study.json"
 Columns = dict[str, NDArray[Any]]
 """Values of the runs of a job by name, (runs,) each."""
-Job = TypeVar("Job", bound=tuple[Any, ...])
+Job = tuple[Any, ...]
+"""Arguments of the function that computes the result of a job."""
 Result = TypeVar("Result")
 
 
@@ -78,6 +80,26 @@ class Store:
     def holds(self, key: str) -> bool:
         """Return whether a job is finished and its file is as it was written."""
         return is_sealed(self._file(key))
+
+    def run(
+        self,
+        workers: Workers,
+        work: Callable[..., Columns],
+        jobs: Mapping[str, Job],
+        stop: threading.Event,
+        on_kept: Callable[[int], object] = lambda runs: None,
+    ) -> None:
+        """Run work(*job) for the jobs by their keys that are not finished, and keep the columns of each.
+
+        on_kept: called with the number of runs of each. Raise Interrupted if `stop` was set, and what Workers.run does.
+        """
+
+        def keep(key: str, columns: Columns) -> None:
+            self.keep(key, columns)
+            on_kept(len(next(iter(columns.values()))))
+
+        if not workers.run(work, {key: job for key, job in jobs.items() if not self.holds(key)}, keep, stop):
+            raise Interrupted(self.folder)
 
     def keep(self, key: str, columns: Columns) -> None:
         """Write the columns of a finished job atomically."""
@@ -199,21 +221,21 @@ class Workers:
     def run(
         self,
         work: Callable[..., Result],
-        jobs: Iterable[Job],
-        keep: Callable[[Job, Result], object],
+        jobs: Mapping[str, Job],
+        keep: Callable[[str, Result], object],
         stop: threading.Event,
         on_look: Callable[[], object] = lambda: None,
     ) -> bool:
-        """Run work(*job) for all jobs and keep(job, result) each in this thread; return whether all are kept.
+        """Run work(*job) for all jobs by their keys, keep(key, result) in this thread; return whether all are kept.
 
         They are not if `stop` was set. on_look: called at least every LOOK. Raise the error of the first job that
         fails, without waiting for the others; ClusterError for an error on another machine.
         """
-        waiting, pending = iter(jobs), dict[Future[Result], Job]()
+        waiting, pending = iter(jobs.items()), dict[Future[Result], str]()
         try:
             while not stop.is_set():
-                for job in islice(waiting, AHEAD * self.count - len(pending)):
-                    pending[self.executor.submit(work, *job)] = job
+                for key, job in islice(waiting, AHEAD * self.count - len(pending)):
+                    pending[self.executor.submit(work, *job)] = key
                 if not pending:
                     return True
                 done, _ = wait(pending, timeout=LOOK, return_when=FIRST_COMPLETED)

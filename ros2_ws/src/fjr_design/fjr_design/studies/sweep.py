@@ -12,12 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.controller import measurement, observer, safety
-from fjr_core.config.parameter import number
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import SampledLaw
-from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws
 from fjr_design.batch.closed_loop import FIELDS, PER_JOINT
@@ -55,7 +52,6 @@ def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **option
 
     options: of ClosedLoop.
     """
-    values, robot = scenario.controller_values, scenario.robot
     return ClosedLoop(
         scenario.plant.robot,
         law,
@@ -63,11 +59,11 @@ def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **option
         scenario.x0,
         duration,
         scenario.sample_period,
-        inner_steps=int(number(scenario.plant_values, "inner_steps")),
+        inner_steps=scenario.inner_steps,
         plant=scenario.plant,
-        settings=safety(values, robot),
-        observer=observer(values, robot),
-        measurement=measurement(values, robot),
+        settings=scenario.settings,
+        observer=scenario.observer,
+        measurement=scenario.measurement,
         **options,
     )
 
@@ -140,7 +136,7 @@ class Sweep:
         """Closed loop of all runs; the effort limit is that of the draws."""
         bounds = {"settle_after": self.settle_after, "band": self.band, "lost": self.lost}
         loop = scenario_loop(self.scenario, self.scenario.sampled_law, self.duration, **bounds)
-        return replace(loop, settings=replace(self._settings, effort=np.inf))
+        return replace(loop, settings=replace(self.scenario.settings, effort=np.inf))
 
     def refuse_stiff_friction(self) -> None:
         """Raise ParameterError if friction or hysteresis that can be drawn is too stiff for the steps of the plant."""
@@ -169,7 +165,7 @@ class Sweep:
     def draws(self, begin: int, end: int) -> Draws:
         """Return the draws of the runs begin .. end - 1, which depend only on the numbers of the runs."""
         n, count = self.scenario.robot.n, end - begin
-        limit = np.asarray(self._settings.effort)
+        limit = np.asarray(self.scenario.settings.effort)
         fixed: dict[str, Any] = {"effort_limit": np.tile(limit, (count, 1))}
         for name, distribution in self.vary.items():
             values = distribution.drawn(name, self.seed, begin, count, n)
@@ -200,10 +196,6 @@ class Sweep:
         kept = [np.asarray(getattr(outcomes, name)) <= limit for name, limit in self.success.items()]
         each = [one.all(axis=1) if one.ndim > 1 else one for one in kept]
         return np.asarray(np.logical_and.reduce([outcomes.stable, outcomes.cause == "", *each]))
-
-    @cached_property
-    def _settings(self) -> Settings:
-        return safety(self.scenario.controller_values, self.scenario.robot)
 
     @cached_property
     def identified(self) -> PosteriorDraws | None:

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 from fjr_core.files.text_file import write_text
-from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
 
 from .sensitivity import Summary, summarised
-from .study import Columns, Store, Workers, divided, open_store
+from .study import Store, Workers, divided, open_store
 from .sweep import OUTCOMES, Sweep, run_part
 from .sweep_file import Options, planned
 from .sweep_page import sweep_plots, write_overview, write_page
@@ -38,7 +36,7 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
         print(f"fjr: {IN_PYTHON}", file=sys.stderr)
     with open_store(options.output / plan.name, plan.text, plan.loop.fingerprint) as store:
         with options.workers(plan) as workers:
-            _carry_out(plan, store, workers, stop)
+            carry_out(plan, store, workers, stop)
         return _shown(plan, store)
 
 
@@ -49,55 +47,30 @@ def check_and_warn(plan: Sweep) -> None:
         print(f"fjr: identified, but not drawn: {', '.join(plan.identified.left_out)}", file=sys.stderr)
 
 
-def _carry_out(plan: Sweep, store: Store, workers: Workers, stop: threading.Event) -> None:
-    left = sum(end - begin for begin, end in missing_parts(plan, store))
-    if left < plan.runs:
-        print(f"{plan.name}: {plan.runs - left} of {plan.runs} runs are finished already", file=sys.stderr, flush=True)
+def jobs_of(plan: Sweep) -> dict[str, tuple[str, int, int]]:
+    """Return the jobs of a sweep by their keys: its text, and (begin, end) of a part of its runs."""
+    parts = divided(0, plan.runs, min(LARGEST_PART, max(SMALLEST_PART, plan.runs // PARTS)))
+    return {f"{begin:09d}-{end:09d}": (plan.text, begin, end) for begin, end in parts}
+
+
+def carry_out(plan: Sweep, store: Store, workers: Workers, stop: threading.Event) -> Path:
+    """Run the jobs of a sweep that are not finished and merge all into its table; return its path.
+
+    Raise Interrupted if `stop` is set.
+    """
+    jobs = {} if store.table.exists() else jobs_of(plan)
+    left = sum(end - begin for key, (_, begin, end) in jobs.items() if not store.holds(key))
+    done = plan.runs - left
+    if done:
+        print(f"{plan.name}: {done} of {plan.runs} runs are finished already", file=sys.stderr, flush=True)
     if left:
         line = f"{plan.name}: {plural(left, 'run')} on {plural(workers.count, 'core')}"
-        done = plan.runs - left
         with progress_bar(line, PROGRESS, total=plan.runs, initial=done, desc=plan.name, unit=" runs") as bar:
-            if not run_missing(plan, store, workers, bar.update, stop):
-                raise Interrupted(store.folder)
-    complete(plan, store)
-
-
-def parts_of(plan: Sweep) -> list[tuple[int, int]]:
-    """Return (begin, end) of the parts into which a sweep is divided."""
-    return divided(0, plan.runs, min(LARGEST_PART, max(SMALLEST_PART, plan.runs // PARTS)))
-
-
-def missing_parts(plan: Sweep, store: Store) -> list[tuple[int, int]]:
-    """Return the parts that are not finished, in their order."""
-    return [] if store.table.exists() else [part for part in parts_of(plan) if not store.holds(_key(*part))]
-
-
-def run_missing(
-    plan: Sweep, store: Store, workers: Workers, on_progress: Callable[[int], object], stop: threading.Event
-) -> bool:
-    """Run the missing parts and store each when finished; return whether all are stored (not if `stop` was set).
-
-    on_progress: called with the number of runs of each stored part.
-    """
-
-    def keep(job: tuple[str, int, int], columns: Columns) -> None:
-        _, begin, end = job
-        store.keep(_key(begin, end), columns)
-        on_progress(end - begin)
-
-    return workers.run(run_part, [(plan.text, *part) for part in missing_parts(plan, store)], keep, stop)
-
-
-def complete(plan: Sweep, store: Store) -> Path:
-    """Merge the parts of a finished sweep into its table and remove them; return its path."""
-    if not store.table.exists():
-        store.write_table([_key(*part) for part in parts_of(plan)])
+            store.run(workers, run_part, jobs, stop, bar.update)
+    if jobs:
+        store.write_table(list(jobs))
     store.remove_parts()
     return store.table
-
-
-def _key(begin: int, end: int) -> str:
-    return f"{begin:09d}-{end:09d}"
 
 
 def _shown(plan: Sweep, store: Store) -> Result:

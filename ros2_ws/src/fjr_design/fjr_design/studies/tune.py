@@ -26,7 +26,7 @@ from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.linearization import spectral_radius
 
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates, starts
-from .study import once
+from .study import Columns, once
 from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures, from_text
 from .sweep_file import number, whole
 
@@ -190,6 +190,17 @@ class TuningStudy:
         begin = self.selection_runs[1]
         return begin, begin + self.fresh
 
+    @property
+    def searched(self) -> int:
+        """Largest number of runs of search and selection."""
+        return self.draws * (self.candidates + (FINALISTS + 1) * SELECTION)
+
+    def part(self, point: Point, begin: int, end: int) -> Columns:
+        """Run begin .. end - 1 at a point; return number, coordinates (NaN at OF_SCENARIO) and figures by name."""
+        axes = self.coordinates.axes
+        at = {axis.name: np.full(end - begin, z) for axis, z in zip(axes, point or [np.nan] * len(axes), strict=True)}
+        return {"run": np.arange(begin, end), **at, **self.run(point, begin, end)}
+
     def run(self, point: Sequence[float], begin: int, end: int) -> Figures:
         """Return the figures of the runs begin .. end - 1 with the gains at a point; NaN if no such gains exist."""
         first = self.sweep.loop
@@ -251,9 +262,9 @@ def study_of(text: str) -> TuningStudy:
     return TuningStudy(from_text(json.dumps(values)), goal, **numbers, start=start)
 
 
-def run_candidate(text: str, point: Point, begin: int, end: int) -> Figures:
-    """Run a part of the runs of a point of a study given as text, in a local or remote worker; see TuningStudy.run."""
-    return once(_built, text).run(point, begin, end)
+def run_candidate(text: str, point: Point, begin: int, end: int) -> Columns:
+    """Run a part of the runs of a point of a study given as text, in a local or remote worker; see TuningStudy.part."""
+    return once(_built, text).part(point, begin, end)
 
 
 def _built(text: str) -> TuningStudy:
@@ -284,12 +295,15 @@ class Found:
         return self.candidates[0]
 
 
-Evaluate = Callable[[Sequence[Point], Range], list[Score]]
-"""(points, range of runs) -> their scores."""
+def search(study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[Figures]]) -> Found:
+    """Search the gains of a study; the results depend only on the study. Raises ParameterError without `cma`.
 
+    figures: returns those of each of the points over a range of runs.
+    """
 
-def search(study: TuningStudy, evaluate: Evaluate) -> Found:
-    """Search the gains of a study; the results depend only on the study. Raises ParameterError without `cma`."""
+    def evaluate(points: Sequence[Point], runs: Range) -> list[Score]:
+        return [study.score(*each) for each in zip(points, figures(points, runs), strict=True)]
+
     start = study.origin
     kept = [Candidate(start, evaluate([start], study.search_runs)[0])]
     strategy = _strategy(len(start), study.sweep.seed)

@@ -36,11 +36,9 @@ from .sweep import OUTCOMES
 from .sweep_file import Options, check_keys, described, file_of
 from .sweep_run import PROGRESS, check_and_warn
 from .tune import (
-    FINALISTS,
     GOAL,
     HERE,
     OF_SCENARIO,
-    SELECTION,
     SIZE,
     Figures,
     Found,
@@ -82,40 +80,25 @@ def law_of(document: object) -> str | None:
     return name
 
 
-@dataclass(frozen=True)
-class Evaluator:
-    """Evaluates points of a study, and keeps each finished part in its folder.
+def kept_figures(
+    study: TuningStudy,
+    store: Store,
+    workers: Workers,
+    stop: threading.Event,
+    on_progress: Callable[[int], object],
+    points: Sequence[Point],
+    runs: Range,
+) -> list[Figures]:
+    """Return the figures of points of a study over a range of runs; keep each finished part in its folder.
 
-    on_progress: called with the number of runs of each part, also of a kept one. Raises Interrupted when `stop` is set.
+    on_progress: called with the number of runs of each part, also of a kept one. Raise Interrupted when `stop` is set.
     """
-
-    study: TuningStudy
-    store: Store
-    workers: Workers
-    stop: threading.Event
-    on_progress: Callable[[int], object] = lambda runs: None
-
-    def __call__(self, points: Sequence[Point], runs: Range) -> list[Score]:
-        """Return the scores of points over a range of runs."""
-        return [self.study.score(*each) for each in zip(points, self.figures(points, runs), strict=True)]
-
-    def figures(self, points: Sequence[Point], runs: Range) -> list[Figures]:
-        """Return the figures of points over a range of runs."""
-        parts = divided(*runs, LARGE if runs[1] - runs[0] >= MANY else SMALL)
-        jobs = [(self.study.text, point, *part) for point in dict.fromkeys(points) for part in parts]
-        missing = [job for job in jobs if not self.store.holds(_key(*job[1:]))]
-        if not self.workers.run(run_candidate, missing, self._keep, self.stop):
-            raise Interrupted(self.store.folder)
-        for _, _, begin, end in jobs:
-            self.on_progress(end - begin)
-        return [joined([self.store.read(_key(point, *part)) for part in parts]) for point in points]
-
-    def _keep(self, job: tuple[str, Point, int, int], figures: Figures) -> None:
-        """Write the figures of a finished part, with the numbers of its runs and the coordinates of its point."""
-        _, point, begin, end = job
-        names = [axis.name for axis in self.study.coordinates.axes]
-        at = {name: np.full(end - begin, z) for name, z in zip(names, point or [np.nan] * len(names), strict=True)}
-        self.store.keep(_key(point, begin, end), {"run": np.arange(begin, end), **at, **figures})
+    parts = divided(*runs, LARGE if runs[1] - runs[0] >= MANY else SMALL)
+    jobs = {_key(point, *part): (study.text, point, *part) for point in points for part in parts}
+    store.run(workers, run_candidate, jobs, stop)
+    for _, _, begin, end in jobs.values():
+        on_progress(end - begin)
+    return [joined([store.read(_key(point, *part)) for part in parts]) for point in points]
 
 
 def _key(point: Point, begin: int, end: int) -> str:
@@ -158,18 +141,18 @@ def tune(
         def run(one: TuningStudy, point: Point, begin: int, end: int) -> Figures:
             found: list[Figures] = []
             job = (one.text, point, begin, end)
-            if not workers.run(run_candidate, [job], lambda _, figures: found.append(figures), stop):
+            if not workers.run(run_candidate, {"start": job}, lambda _, figures: found.append(figures), stop):
                 raise Interrupted(None)
             return found[0]
 
         study = with_better_start(study, run)
         with open_store(folder, study.text, study.sweep.loop.fingerprint) as store:
-            total = study.draws * study.candidates + (FINALISTS + 1) * SELECTION * study.draws + 2 * study.fresh
+            total = study.searched + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
-                evaluate = Evaluator(study, store, workers, stop, bar.update)
-                found = search(study, evaluate)
-                scenario, chosen = evaluate.figures([OF_SCENARIO, found.chosen], study.fresh_runs)
+                figures = partial(kept_figures, study, store, workers, stop, bar.update)
+                found = search(study, figures)
+                scenario, chosen = figures([OF_SCENARIO, found.chosen], study.fresh_runs)
             store.write_table(sorted(path.stem for path in store.folder.glob("parts/*.parquet")))
     scores = study.score(OF_SCENARIO, scenario), study.score(found.chosen, chosen)
     return _shown(Tuned(study, found, scenario, chosen, scores), folder)

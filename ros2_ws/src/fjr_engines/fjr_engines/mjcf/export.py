@@ -18,7 +18,6 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from fjr_core.config.parameter import number
 from fjr_core.config.robot import description, locked_positions
 from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import RobotError
@@ -45,7 +44,7 @@ def mjcf(scenario: Scenario, name: str) -> tuple[dict[str, bytes], list[str]]:
     _refuse(scenario)
     spec = specification(robot, joints)
     spec.modelname, spec.meshdir, spec.compiler.degree = scenario.name, f"{Path(name).stem}_meshes", False
-    spec.option.timestep = scenario.sample_period / number(scenario.plant_values, "inner_steps")
+    spec.option.timestep = scenario.sample_period / scenario.inner_steps
     for k, joint in enumerate(joints):
         spec.body(joint + MOTOR).ipos = np.zeros(3)  # else the XML has no <inertial>
         _add_limits(spec, robot, k, joint)

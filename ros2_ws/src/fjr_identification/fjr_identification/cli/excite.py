@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.controller import safety
 from fjr_core.config.parameter import vector
 from fjr_core.config.plant import sensor_errors
 from fjr_core.config.scenario import Scenario
@@ -77,7 +76,7 @@ def _designed(scenario: Scenario, duration: float, least: float, seed: int) -> E
     """
     robot, reference = scenario.robot, scenario.reference
     acceleration = vector(scenario.controller_values, "limits.acceleration", robot.n)
-    limits = motion_envelope(robot, safety(scenario.controller_values, robot), acceleration, reference, SHARE, duration)
+    limits = motion_envelope(robot, scenario.settings, acceleration, reference, SHARE, duration)
     sensors = sensor_errors(scenario.plant_values, robot.n)
     link = encoder_noise(np.asarray(sensors.bits_l), np.asarray(sensors.position_l), least)
     motor = encoder_noise(np.asarray(sensors.bits_m), np.asarray(sensors.position_m), least)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.config.controller import measurement
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Rows
@@ -54,7 +53,7 @@ class RecordedStates:
 
     def __init__(self, bag: Bag, scenario: Scenario) -> None:
         self._joints, self._n = scenario.joints, len(scenario.joints)
-        self._measured = measurement(scenario.controller_values, scenario.robot)
+        self._measured = scenario.measurement
         self._ratio = np.concatenate([np.ones(self._n), np.asarray(self._measured.gear_ratio)])  # of links, motors
         self.left_out = 0
         self.known_torque = False

@@ -29,7 +29,6 @@ from rich.live import Live
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from fjr_core.config.controller import safety
 from fjr_core.config.robot import description, locked_positions
 from fjr_monitor.recording.bag import header_stamp
 from fjr_monitor.recording.topics import ELSEWHERE, TopicError, nodes_seen
@@ -93,7 +92,7 @@ def watch(
 def _known(scenario: str) -> tuple[dict[str, float], str, Mapping[str, float]]:
     """Return the effort limits [N m] by joint, the URDF and the positions of locked joints [rad, m] of a scenario."""
     loaded = library.load(scenario, robot_only=True)
-    values, efforts = loaded.controller_values, safety(loaded.controller_values, loaded.robot).effort
+    values, efforts = loaded.controller_values, loaded.settings.effort
     limits = zip(loaded.joints, np.asarray(efforts).tolist(), strict=True)
     return (
         {joint: limit for joint, limit in limits if np.isfinite(limit)},

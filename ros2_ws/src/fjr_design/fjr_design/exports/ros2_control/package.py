@@ -38,7 +38,7 @@ from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 
 from ..c_code import comment, filled, number, numbers, quoted
 from ..project import recorded_case
-from ..step_code import ExportedLoop, loop_of, step_code
+from ..step_code import exportable, step_code
 
 TAG = "ros2_control"
 _GROUP = "imperfections."
@@ -75,15 +75,15 @@ def export_package(scenario: Scenario, package: str, samples: int = SAMPLES) -> 
             f"package is '{package}'; expected a lower-case letter, then letters, digits or single '_', "
             f"at most {LONGEST_NAME}"
         )
-    loop = loop_of(scenario)
-    arm = NonidealPlant(Plant(loop.plant.robot, loop.plant.integrator)).functions_as_c
-    functions = {**_certificate(loop.certified_law), **{f"plant_{name}": each for name, each in arm.items()}}
-    texts = {f"step/{name}": text for name, text in step_code(loop, functions).items()}
-    values = _values(scenario, loop, package) | {"samples": str(samples)}
+    scenario = exportable(scenario)
+    arm = NonidealPlant(Plant(scenario.plant.robot, scenario.plant.integrator)).functions_as_c
+    functions = {**_certificate(scenario.certified_law), **{f"plant_{name}": each for name, each in arm.items()}}
+    texts = {f"step/{name}": text for name, text in step_code(scenario, functions).items()}
+    values = _values(scenario, package) | {"samples": str(samples)}
     texts |= filled("ros2_control/templates", values)
     urdf, parameters = description(scenario.plant_values), parameters_of(scenario)
-    texts[f"urdf/{package}.urdf"] = with_hardware(urdf, package, loop.joints, values["clock"], parameters)
-    return texts | {"test/case.txt": recorded_case(loop, samples)}
+    texts[f"urdf/{package}.urdf"] = with_hardware(urdf, package, scenario.joints, values["clock"], parameters)
+    return texts | {"test/case.txt": recorded_case(scenario, samples)}
 
 
 def _certificate(law: TrackingLaw | None) -> dict[str, ca.Function]:
@@ -95,23 +95,23 @@ def _certificate(law: TrackingLaw | None) -> dict[str, ca.Function]:
     return {"certificate": function.slice("certificate", list(range(function.n_in())), outputs)}
 
 
-def _values(scenario: Scenario, loop: ExportedLoop, package: str) -> dict[str, str]:
+def _values(scenario: Scenario, package: str) -> dict[str, str]:
     """Return the values of the names in the templates."""
-    joints, missing = loop.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
+    joints, missing = scenario.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
     return {
         "package": package,
         "PACKAGE": package.upper(),
         "title": comment(scenario.name),
         "title_xml": escape(scenario.name),
         "version": __version__,
-        "rate": str(round(1 / loop.sample_period)),
+        "rate": str(round(1 / scenario.sample_period)),
         "clock": f"{package}_clock",
         "joint_yaml": _yaml(joints),
         "motor_yaml": _yaml([f"{joint}{MOTOR}" for joint in joints]),
         "chained_yaml": _yaml([f"tracking_controller/{joint}" for joint in joints]),
-        **_certificate_values(scenario, loop),
-        **_arm_values(loop),
-        **_gain_values(loop.certified_law, loop.n),
+        **_certificate_values(scenario),
+        **_arm_values(scenario),
+        **_gain_values(scenario.certified_law, scenario.robot.n),
         **_readme_rows(),
         "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{level_of(name)}}}" for name in KINDS),
         "wiring_sentences": ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values()),
@@ -124,13 +124,13 @@ def _yaml(names: Sequence[str]) -> str:
     return str(yaml.safe_dump(list(names), default_flow_style=True, allow_unicode=True, width=math.inf)).strip()
 
 
-def _certificate_values(scenario: Scenario, loop: ExportedLoop) -> dict[str, str]:
+def _certificate_values(scenario: Scenario) -> dict[str, str]:
     """Return the values of certificate.hpp; without a certificate its function is never called.
 
     The rate is that of the whole range where a closed form proves one, else of the scenario's configurations.
     """
-    law, name = loop.certified_law, "fjr_casadi_certificate"
-    values = {"longest": number(LONGEST_JUDGED), "B_numbers": numbers(loop.law.robot.B_m)}
+    law, name = scenario.certified_law, "fjr_casadi_certificate"
+    values = {"longest": number(LONGEST_JUDGED), "B_numbers": numbers(scenario.robot.B_m)}
     if law is None:
         absent = {"certificate_declaration": "", "certificate_function": "nullptr", "certified": "false"}
         return {**values, **absent, "bounded": "0", "beta": number(0.0)}
@@ -141,26 +141,26 @@ def _certificate_values(scenario: Scenario, loop: ExportedLoop) -> dict[str, str
         "certificate_declaration": declaration,
         "certificate_function": name,
         "certified": "true",
-        "bounded": "1" if isinstance(loop.sampled_law, StaticLaw) else "0",
+        "bounded": "1" if isinstance(scenario.sampled_law, StaticLaw) else "0",
         "beta": number(law.rate(where).beta),
     }
 
 
-def _arm_values(loop: ExportedLoop) -> dict[str, str]:
+def _arm_values(scenario: Scenario) -> dict[str, str]:
     """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag.
 
     plant_table: name, place, length and least value of each parameter of the plant.
     """
-    ideal, rows = Imperfections(loop.n).vector, []
-    for name, first, length, least in table_of(loop.plant.robot):
+    ideal, rows = Imperfections(scenario.robot.n).vector, []
+    for name, first, length, least in table_of(scenario.plant.robot):
         bound = number(float(least)) if np.isfinite(least) else "-std::numeric_limits<double>::infinity()"
         rows.append(f"  {{{quoted(name)}, {first}, {length}, {bound}}}")  # INFINITY is a float in C++
     return {
-        "inner_step": number(loop.sample_period / loop.inner_steps * 1e9),
+        "inner_step": number(scenario.sample_period / scenario.inner_steps * 1e9),
         "parameters": str(len(ideal)),
         "plant_table": ",\n".join(rows),
         "plant_numbers": numbers(ideal).replace("INFINITY", "HUGE_VAL"),
-        "start_numbers": numbers(loop.x0[: 2 * loop.n]),
+        "start_numbers": numbers(scenario.x0[: 2 * scenario.robot.n]),
     }
 
 
