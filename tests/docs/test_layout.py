@@ -68,7 +68,7 @@ LAYERS = {
     "fjr_identification": (
         "estimation",
         "rigid_motion elastic_motion record_map page robot_file",
-        "motion_checks scale_checks excitation bag_record table_record",
+        "motion_checks scale_checks excitation",
         "record_checks sensors",
         "read_record",
         "cli",
