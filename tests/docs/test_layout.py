@@ -68,8 +68,8 @@ LAYERS = {
     "fjr_identification": (
         "estimation",
         "rigid_motion elastic_motion record_map page robot_file",
-        "motion_checks scale_checks excitation bag_record table_record",
-        "record_checks sensors",
+        "motion_checks missing_sensors excitation",
+        "record_checks",
         "read_record",
         "cli",
     ),

@@ -40,15 +40,15 @@ def wrong_start(problem: Problem, z: Array) -> Array:
 
 def test_the_optimum_fits_as_well_as_the_truth_and_with_residuals_below_the_steps_of_the_encoders_too() -> None:
     problem, z = problem_at_truth()
-    found, converged = optimise(problem, wrong_start(problem, z), problem.filtered)
+    found = optimise(problem, wrong_start(problem, z), problem.filtered)
     true = problem.evaluate(z, problem.filtered, problem.rough_noise)
     assert true is not None
-    assert converged
+    assert found.converged
     assert found.cost < true.cost
     assert np.all(found.noise < 1.5 * NOISE)
     coarse = replace(problem, floor=np.full(2, 3 * NOISE))
-    found, converged = optimise(coarse, wrong_start(problem, z), problem.filtered)
-    assert converged
+    found = optimise(coarse, wrong_start(problem, z), problem.filtered)
+    assert found.converged
     assert np.all(found.noise < 1.1 * coarse.floor)
     stiffness = [name for name, _ in problem.coordinates.free].index("joint_stiffness")
     assert abs(found.z[stiffness] - z[stiffness]) < 1e-3

@@ -189,7 +189,7 @@ def _ratio_place(value: float, middle: float) -> float:
 
 def fit_plots(fit: Fit, joints: tuple[str, ...], place: str) -> list[Plot]:
     """Return the plots of one record: a fit for each joint, residuals and autocorrelations of each signal."""
-    drawn = [*_fits(fit, joints, place), *_residuals(fit, joints, place), *_autocorrelations(fit, joints, place)]
+    drawn = [*_fits(fit, joints, place), *_residuals(fit, joints, place)]
     return [plot for plot in drawn if not plot.is_empty]
 
 
@@ -221,41 +221,36 @@ def _compared(fit: Fit, j: int) -> tuple[str, Array, Array]:
     return f"{name} [{unit}]", fit.measured[name][:, j], fit.predicted[name][:, j]
 
 
-def _scaled_residuals(fit: Fit, name: str) -> tuple[Array, list[int]]:
-    """Return the residuals (k, n) of a signal in standard deviations of its noise, and which joints have some."""
-    residuals = np.asarray((fit.measured[name] - fit.predicted[name]) / fit.noise[name])
-    return residuals, np.flatnonzero(np.isfinite(residuals).any(axis=0)).tolist()
-
-
 def _residuals(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
+    """Yield the residuals of each signal in standard deviations of its noise, then their autocorrelations."""
+    dt = float(fit.t[1] - fit.t[0])
+    lags = min(MOST_LAGS, int(LONGEST_LAG / dt), len(fit.t) // 4)
+    later: list[Plot] = []
     for name in fit.measured:
-        values, measured = _scaled_residuals(fit, name)
+        values = np.asarray((fit.measured[name] - fit.predicted[name]) / fit.noise[name])
+        known = np.isfinite(values).sum(axis=0)
+        measured = np.flatnonzero(known).tolist()
         lines = [Line(joints[j], values[:, j], colour(j), 1.0) for j in measured]
         caption = "Measured minus predicted, in standard deviations of the noise."
         title = f"Residuals of the {TITLES[name]}"
         yield Plot(f"{place}-residual-{name}", title, caption, fit.t, lines, y_label="residual [1]", place=place)
-
-
-def _autocorrelations(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
-    dt = float(fit.t[1] - fit.t[0])
-    lags = min(MOST_LAGS, int(LONGEST_LAG / dt), len(fit.t) // 4)
-    for name in fit.measured:
-        values, measured = _scaled_residuals(fit, name)
-        lines = [Line(joints[j], autocorrelation(values[:, j], lags), colour(j), 1.3) for j in measured]
-        fewest = int(np.isfinite(values[:, measured]).sum(axis=0).min(initial=len(values)))
-        band = np.full(lags + 1, 1.96 / np.sqrt(max(1, fewest)))
+        coloured = [Line(joints[j], autocorrelation(values[:, j], lags), colour(j), 1.3) for j in measured]
+        band = np.full(lags + 1, 1.96 / np.sqrt(max(1, int(known[measured].min(initial=len(values))))))
         bounds = [Line("95 % of white noise", band, "grey", 1.0, (4, 4)), Line("", -band, "grey", 1.0, (4, 4))]
-        yield Plot(
-            f"{place}-autocorrelation-{name}",
-            f"Autocorrelation of the residuals of the {TITLES[name]}",
-            "Far outside the dashed band residuals are coloured: the intervals take this into account.",
-            dt * np.arange(lags + 1, dtype=float),
-            [*lines, *bounds],
-            x_label="lag [s]",
-            y_label="autocorrelation [1]",
-            time=False,
-            place=place,
+        later.append(
+            Plot(
+                f"{place}-autocorrelation-{name}",
+                f"Autocorrelation of the residuals of the {TITLES[name]}",
+                "Far outside the dashed band residuals are coloured: the intervals take this into account.",
+                dt * np.arange(lags + 1, dtype=float),
+                [*coloured, *bounds],
+                x_label="lag [s]",
+                y_label="autocorrelation [1]",
+                time=False,
+                place=place,
+            )
         )
+    yield from later
 
 
 def autocorrelation(values: Array, lags: int) -> Array:

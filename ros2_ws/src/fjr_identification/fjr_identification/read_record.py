@@ -1,26 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a record of motion of any kind and check it against the robot."""
+"""Read a record of motion from a table or a bag, in blocks, and check it against the robot.
+
+Tables are CSV (also compressed) or Parquet. Memory grows with the numbers that are used only.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import csv
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fjr_core.config.scenario import load_scenario
-from fjr_core.errors import RecordError
+from fjr_core.errors import LONGEST, RecordError
 from fjr_core.model.robot import Robot
+from fjr_core.numerics.checks import Array
+from fjr_monitor.recording.bag import FLOATS, Bag, read_bag
+from fjr_monitor.recording.files import BagError, Times
+from fjr_monitor.recording.signals import ANSWERS, EFFORTS, STATES, first_of_each_stamp, match_stamps
+from fjr_msgs_py import names
 
-from .bag_record import record_of_bag
-from .estimation.motion_record import MotionRecord, TimeWindow
+from .estimation.motion_record import LARGEST, MotionRecord, TimeWindow, record_of_samples
 from .record_checks import findings
-from .record_map import BagMap, TableMap
-from .table_record import PARQUET, record_of_table
+from .record_map import (
+    BY_COMMANDS,
+    BY_STATES,
+    EFFORT,
+    LINK,
+    MOTOR,
+    PARQUET,
+    TORQUE,
+    UNITS,
+    BagMap,
+    TableMap,
+    arrow,
+    header_of,
+)
 
 TABLES = (".csv", ".csv.gz", ".txt", ".tsv", PARQUET)
 SCENARIO = "scenario.yaml"
+BYTES, MESSAGES = 2**22, 4096  # of a CSV file, of states in a bag, that are read together
+Rows = tuple[Times, Times, Array]
+"""Stamps and send times (k,) [ns] of k messages, and their numbers (k, width): positions, then efforts."""
 
 
 @dataclass(frozen=True)
@@ -81,3 +104,167 @@ def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collectio
     rest = [f"standing still: {', '.join(record.still)}"] if record.still else []
     sentences = [*(finding.sentence for finding in contradictions), *rest]
     return tuple(f"{path}: {sentence}" for sentence in sentences)
+
+
+def record_of_table(
+    path: Path, mapping: TableMap, joints: tuple[str, ...], window: TimeWindow
+) -> tuple[MotionRecord, tuple[str, ...]]:
+    """Return the record of a table within the window, and notes on it.
+
+    Raises RecordError, which names the file, row and column, and MissingPackageError.
+    """
+    names, rows, pa = mapping.columns, 0, arrow()
+    blocks: list[Array] = []
+    try:
+        for block in _blocks(path, names, mapping.delimiter):
+            _check_finite(path, names, block, rows)
+            rows += len(block)
+            block[:, 0] *= mapping.time.factor
+            blocks += [kept] if len(kept := window.of(block[:, 0], block)) else []
+            if window.ended:
+                break
+    except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
+        text = " ".join(str(error).split())[: LONGEST // 4]
+        raise RecordError(f"{path} is not a table of numbers ({text}); expected CSV or Parquet") from None
+    if not blocks:
+        raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
+    values = np.concatenate(blocks)
+    signals = {name: np.full((len(values), len(joints)), np.nan) for name in UNITS}
+    for name, columns in mapping.signals.items():
+        for joint, column in columns.items():
+            signals[name][:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
+    q_l, q_m, u, torque = (signals[name] for name in (LINK, MOTOR, EFFORT, TORQUE))
+    return record_of_samples(path.name, joints, values[:, 0], q_l, q_m, u, torque)
+
+
+def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
+    """Yield the named columns (rows, columns) of a table block by block."""
+    pa = arrow()
+    if path.name.endswith(PARQUET):
+        file = pa.parquet.ParquetFile(path)
+        _check_header(path, file.schema_arrow.names, names)
+        batches = file.iter_batches(columns=names, batch_size=2**16)
+    else:
+        skipped, header = header_of(path, delimiter)
+        _check_header(path, header, names)
+        batches = pa.csv.open_csv(
+            pa.input_stream(str(path), compression="detect"),
+            pa.csv.ReadOptions(block_size=BYTES, skip_rows=skipped + 1, column_names=header),
+            pa.csv.ParseOptions(delimiter=delimiter),
+            pa.csv.ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, pa.float64())),
+        )
+    for batch in batches:
+        yield np.column_stack([np.asarray(batch[name].to_numpy(zero_copy_only=False), dtype=float) for name in names])
+
+
+def _check_header(path: Path, header: list[str], names: list[str]) -> None:
+    """Raise RecordError if a column is missing or there twice."""
+    for name in names:
+        if header.count(name) != 1:
+            count = "more than once" if name in header else "missing"
+            seen = ", ".join(header)[: LONGEST // 4]
+            raise RecordError(f"{path}: column {name} is {count}; expected it once (the header is {seen})")
+
+
+def _check_finite(path: Path, names: list[str], block: Array, before: int) -> None:
+    """Raise RecordError for the first number of a block that is not finite."""
+    wrong = np.argwhere(~np.isfinite(block))
+    if len(wrong):
+        row, column = wrong[0]
+        count = len(np.unique(wrong[:, 0]))
+        raise RecordError(
+            f"{path}, row {before + row + 1}, column {names[column]}: {block[row, column]}; expected a finite number "
+            f"({count} such rows from there on)"
+        )
+
+
+def record_of_bag(
+    path: Path, mapping: BagMap, joints: tuple[str, ...], window: TimeWindow
+) -> tuple[MotionRecord, tuple[str, ...]]:
+    """Return the record of a bag from the first commanded state on, within the window, and notes on it.
+
+    Effort: the command that answers each state by its stamp, else the last one sent before the next state, else the
+    torque of the motors in the states. Raises BagError, RecordError.
+    """
+    bag = read_bag(path, mapping.namespace)
+    commands = None if mapping.effort == BY_STATES else next(filter(bag.holds, (ANSWERS, EFFORTS)), None)
+    if mapping.effort == BY_COMMANDS and commands is None:
+        bag.held(ANSWERS)
+    columns = {STATES: names.state_names(joints)} | ({commands: joints} if commands else {})
+    read = _messages(bag, columns, window)
+    n, (stamps, sent, rows) = len(joints), read[STATES]
+    if not len(stamps):
+        raise RecordError(f"{path} holds no state; expected a record of motion")
+    q_l, q_m, tau, u = (rows[:, i * n : (i + 1) * n] for i in range(4))
+    notes: tuple[str, ...] = ()
+    if commands is None:
+        notes = (f"no commands: the effort of {names.motor_name(joints[0])} and so on in the states is the torque",)
+    else:
+        topic = bag.held(commands)
+        u, notes = _answers(stamps, sent, read[commands], topic.name, topic.type_name == FLOATS)
+    unknown = np.full_like(q_l, np.nan)
+    q_m, tau = (unknown, tau) if mapping.by_torque else (q_m / mapping.gear_ratio, unknown)
+    driven = np.flatnonzero(np.isfinite(u).all(axis=1))
+    if not len(driven):
+        raise RecordError(f"{path} holds no effort of all joints; expected commands, or efforts in the states")
+    begin, end = int(driven[0]), int(driven[-1]) + 1
+    kept = begin + np.flatnonzero(np.append(True, np.diff(stamps[begin:end]) != 0))  # a waiting plant repeats its state
+    u = u[kept]
+    answered = np.isfinite(u).all(axis=1)
+    u = u[np.maximum.accumulate(np.where(answered, np.arange(len(u)), 0))]  # the last command holds
+    t = (stamps[kept] - stamps[kept[0]]) * 1e-9
+    table = window.of(t, np.column_stack([t, q_l[kept], q_m[kept], u, tau[kept]]))
+    if not len(table):
+        raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
+    q_l, q_m, u, tau = (table[:, 1 + i * n : 1 + (i + 1) * n] for i in range(4))
+    _check_complete(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
+    return record_of_samples(path.name, joints, table[:, 0], q_l, q_m, u, tau, notes)
+
+
+def _messages(bag: Bag, columns: Mapping[str, Sequence[str]], window: TimeWindow) -> dict[str, Rows]:
+    """Return the messages of topics, with the joints of each, until the window ends; raise BagError, RecordError."""
+    blocks: dict[str, list[Rows]] = {name: [] for name in columns}
+    first, count = -1, 0
+    for batch in bag.batches(columns, STATES, MESSAGES):
+        for name, joints in columns.items():
+            table = bag.table(batch[name], joints)
+            if len(table.stamp) < len(batch[name].messages):
+                raise BagError(f"{batch[name].name} holds messages of another length; expected {len(joints)} efforts")
+            blocks[name].append((table.stamp, table.publish_time, np.hstack([table.position, table.effort])))
+        stamps, _, rows = blocks[STATES][-1]
+        count += rows.size
+        if count > LARGEST:
+            raise RecordError(f"{STATES} holds more than {LARGEST:,} numbers; expected fewer: choose a --duration")
+        first = int(stamps[0]) if first < 0 and len(stamps) else first
+        if len(stamps) and (stamps[-1] - first) * 1e-9 > window.start + window.duration + 1.0:  # 1 s for late commands
+            break
+    return {name: tuple(map(np.concatenate, zip(*of, strict=True))) for name, of in blocks.items()}  # type: ignore[misc]
+
+
+def _answers(stamps: Times, sent: Times, commands: Rows, topic: str, unstamped: bool) -> tuple[Array, tuple[str, ...]]:
+    """Return the command (k, n) of each state, NaN without one, and a note if some are missing."""
+    times, published, rows = commands
+    efforts = rows[:, rows.shape[1] // 2 :]
+    if not len(times):
+        raise RecordError(f"{topic} holds no command; expected one for each state")
+    if unstamped:
+        last = np.searchsorted(published, np.append(sent[1:], np.iinfo(np.int64).max)) - 1
+        u = np.where(last[:, None] >= 0, efforts[np.maximum(last, 0)], np.nan)
+        return u, (f"a command of {topic} is taken to answer the last state sent before it",)
+    first = first_of_each_stamp(times)
+    place, answered = match_stamps(stamps, times[first])
+    u = np.where(answered[:, None], efforts[first][place], np.nan)
+    ends = np.flatnonzero(answered)
+    missing = int((~answered[ends[0] : ends[-1]]).sum()) if len(ends) else 0
+    return u, (f"{missing} states have no command: the one before is taken to hold",) if missing else ()
+
+
+def _check_complete(path: Path, signals: dict[str, Array], joints: Sequence[str]) -> None:
+    """Raise RecordError for a signal that is there at some samples only."""
+    for what, values in signals.items():
+        known = np.isfinite(values)
+        for j in np.flatnonzero(known.any(axis=0) & ~known.all(axis=0)):
+            row = int(np.argmin(known[:, j]))
+            raise RecordError(f"{path}: {what} of {joints[j]} are missing or not finite at sample {row}; expected all")
+    if not np.isfinite(values := np.hstack(list(signals.values())[:2])).any():
+        raise RecordError(f"{path}: no position of {', '.join(joints)} in its {values.shape[0]} states; expected some")

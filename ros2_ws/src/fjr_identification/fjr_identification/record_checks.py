@@ -2,7 +2,7 @@
 """Find what contradicts a record, the most fundamental first: here what its signals show by themselves.
 
 Length, motion, constant columns, jumps, sensors that are stuck, clipped efforts. `motion_checks` compares signals with
-each other and with the robot, `scale_checks` those of joints with one measured side.
+each other and with the robot, `missing_sensors` those of joints with one measured side.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
-from . import motion_checks, scale_checks
+from . import missing_sensors, motion_checks
 from .estimation.motion_record import LEAST_MOTION, MotionRecord
 from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, rigid_motion
 
@@ -54,7 +54,7 @@ def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Finding]]:
     motion = rigid_motion(record, robot)
     yield from (check(motion) for check in motion_checks.IN_ORDER)
     yield clipped(record)
-    yield scale_checks.scales(record, robot)
+    yield missing_sensors.scales(record, robot)
 
 
 def short(record: MotionRecord) -> Iterator[Finding]:

@@ -10,11 +10,21 @@ For tables, with one column per joint; `{joint}` stands for the joint's name, li
     joint_torque: {column: "{joint}_sensor", unit: N m}                     # a torque sensor between gear and link
 
 For bags: `bag: {namespace: /left, motor: position, gear_ratio: [100, 100, 80], effort: commands}`.
+
+`fjr identify LOG --write-map` proposes a mapping file of a table. It splits the name of a column into words:
+
+    a1_motor_torque_nm = joint a1, signal effort, unit N m
+
+Words of UNIT, SIGNAL and SIDE give unit and signal; the words that remain are the joint. What no word gives is marked
+FILL_IN, which the reader of mapping files refuses until it is replaced.
 """
 
 from __future__ import annotations
 
+import csv
+import gzip
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config import ros_yaml
-from fjr_core.errors import ParameterError
+from fjr_core.errors import LONGEST, MissingPackageError, ParameterError, RecordError
 from fjr_core.numerics.checks import Array
 
 ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi, "m": 1.0, "mm": 1e-3}
@@ -34,6 +44,24 @@ UNITS = {LINK: ANGLES, MOTOR: ANGLES, EFFORT: TORQUES, TORQUE: TORQUES}
 KEYS = ("column", "unit", "joints", "gear_ratio", "sign")
 BY_COMMANDS, BY_STATES = "commands", "states"
 BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, list), "effort": (str,)}
+
+PARQUET = ".parquet"
+HEADER_LINES = 1000  # empty lines and comments before the header, at most
+FILL_IN = "FILL_IN"
+TIME, POSITION = "time", "position"
+UNIT = {
+    **{word: word for word in ("rad", "mrad", "deg", "turn", "mm", "s", "ms", "us", "ns", "kn")},
+    **{"degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "rev": "turn", "turns": "turn"},
+    **{"nm": "N m", "mnm": "mN m", "knm": "kN m", "kn": "kN", "sec": "s", "seconds": "s"},
+}
+"""Unit of a word; m and n alone are units only at the end of a name, where N m may be two words."""
+TIME_WORDS = {"time", "timestamp", "stamp", "t"}
+IGNORED = {"reference", "ref", "desired", "des", "setpoint", "target", "velocity", "vel", "speed", "dq", "qd"}
+IGNORED |= {"acceleration", "acc", "ddq", "current", "temperature", "temp", "error", "err", "state", "status"}
+EFFORTS = {"torque", "effort", "tau", "trq", "u", "force", "moment"}
+POSITIONS = {"position", "pos", "angle", "q", "theta", "encoder", "enc"}
+SIDES = {MOTOR: {"motor", "rotor", "qm", "m"}, LINK: {"link", "load", "output", "secondary", "ql", "l"}}
+SENSORS = {"sensor", "measured", "ext", "jts"}
 
 
 @dataclass(frozen=True)
@@ -171,3 +199,165 @@ def _numbers(name: str, value: Any, n: int) -> Array:
     if len(listed) != n or not all(good):
         raise ParameterError(f"{name} is {value!r}; expected a number other than 0, or {n} of them")
     return np.array(listed, dtype=float)
+
+
+def arrow() -> Any:
+    """Return pyarrow with its readers, loaded on use: a bag needs none of them. Raises MissingPackageError."""
+    try:
+        import pyarrow.csv
+        import pyarrow.parquet
+    except ModuleNotFoundError:
+        raise MissingPackageError("pyarrow is not installed; expected it for tables: pip install pyarrow") from None
+    return pyarrow
+
+
+def header_of(path: Path, delimiter: str) -> tuple[int, list[str]]:
+    """Return the number of lines before the header of a CSV file, and the names in it; raises RecordError, OSError."""
+    opened = gzip.open if path.suffix == ".gz" else open
+    with opened(path, "rt", encoding="utf-8-sig", newline="") as stream:
+        for number in range(HEADER_LINES):
+            line = stream.readline(2**20)
+            if line.strip() and not line.lstrip().startswith("#"):
+                return number, [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
+    raise RecordError(f"{path} has no header; expected the names of the columns in the first line")
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What the name of a column says; "" where it says nothing. signal: also POSITION, of an unknown side."""
+
+    column: str
+    signal: str = ""
+    joint: str = ""
+    unit: str = ""
+
+
+def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the text of a mapping file for a table, and a line for each thing to fill in or to check.
+
+    joints: of the robot file, empty without one. Raises RecordError for a table without header or without positions.
+    """
+    delimiter, header = _delimiter_and_names(table)
+    meanings = [_meaning(column, joints) for column in header]
+    if joints and {meaning.joint for meaning in meanings} & set(joints):  # columns of other joints are of no use
+        meanings = [m if m.joint in ("", *joints) else Meaning(m.column) for m in meanings]
+    by_signal = {name: [m for m in meanings if m.signal == name] for name in (*UNITS, POSITION)}
+    if not any(by_signal.values()):
+        raise RecordError(
+            f"{table}: no name of a column says position or torque ({', '.join(header)[: LONGEST // 4]}); expected "
+            "names such as a1_motor_rad and a1_motor_torque_nm, or a mapping file written by hand"
+        )
+    time = next((m for m in meanings if m.signal == TIME), Meaning(FILL_IN))
+    todo = [] if time.signal else ["fill in  time.column: no column was recognised"]
+    todo += [] if time.unit else ["fill in  time.unit: s, ms, us or ns"]
+    document: dict[str, Any] = {} if delimiter == "," else {"delimiter": delimiter}
+    document["time"] = {"column": time.column, "unit": time.unit or FILL_IN}
+    if by_signal[POSITION]:
+        todo.append(
+            f"fill in  whether {_few(by_signal[POSITION])} are {MOTOR} or {LINK}: replace {FILL_IN} by one of them"
+        )
+    for signal, columns in by_signal.items():
+        if columns:
+            name = FILL_IN if signal == POSITION else signal
+            document[name] = _proposed(name, columns, joints, todo)
+    if not by_signal[EFFORT]:
+        document[EFFORT] = {"column": FILL_IN, "unit": FILL_IN}
+        todo.append(f"fill in  {EFFORT}: no column was recognised")
+    unused = [m.column for m in meanings if not m.signal or (m.signal == TIME and m != time)]
+    head = (
+        f"# Columns of {table.name}, by `fjr identify --write-map`; docs/from_csv.md explains the keys.\n"
+        "# gear_ratio: motor turns per joint turn, if the columns count at the motor's shaft.\n"
+    )
+    return head + ros_yaml.dump(document) + (f"# not used: {', '.join(unused)}\n" if unused else ""), todo
+
+
+def _proposed(signal: str, columns: Sequence[Meaning], joints: Sequence[str], todo: list[str]) -> dict[str, Any]:
+    """Return the entry of a signal and add what is missing to `todo`."""
+    units = {meaning.unit for meaning in columns}
+    unit = units.pop() if len(units) == 1 else ""
+    if not unit:
+        possible = ANGLES if signal in (FILL_IN, LINK, MOTOR) else UNITS[EFFORT]
+        todo.append(f"fill in  {signal}.unit of {_few(columns)}: {', '.join(possible)}")
+    said = [meaning.joint for meaning in columns]
+    distinct = all(said) and len(set(said)) == len(said)
+    named = said if distinct and set(said) <= set(joints or said) else []
+    if not named and joints and len(said) == len(joints):
+        named = list(joints)
+        todo.append(f"check    {signal}: {_few(columns)} are taken for {', '.join(joints)} in this order")
+    if not named:
+        todo.append(
+            f"fill in  {signal}.joints of {_few(columns)}: one joint of the robot file for each, in their order"
+        )
+    patterns = {m.column.replace(joint, "{joint}", 1) for m, joint in zip(columns, named, strict=False)}
+    entry: dict[str, Any] = {"column": patterns.pop() if len(patterns) == 1 else [m.column for m in columns]}
+    if not named or named != list(joints):
+        entry["joints"] = named or FILL_IN
+    entry["unit"] = unit or FILL_IN
+    if signal in (FILL_IN, MOTOR, EFFORT):
+        entry["gear_ratio"] = 1.0
+        todo.append(f"check    {signal}.gear_ratio is 1: {_few(columns)} count at the joint's side")
+    return entry
+
+
+def _meaning(column: str, joints: Sequence[str]) -> Meaning:
+    """Return what the name of a column says."""
+    words, joint = _words(column), ""
+    for name in sorted(joints, key=len, reverse=True):
+        part = _words(name)
+        starts = [i for i in range(len(words) - len(part) + 1) if words[i : i + len(part)] == part]
+        if starts:
+            joint, words = name, [*words[: starts[0]], *words[starts[0] + len(part) :]]
+            break
+    unit, words = _unit_of(words)
+    said = set(words)
+    if said & IGNORED:
+        return Meaning(column)
+    if said & TIME_WORDS and not said & (EFFORTS | POSITIONS):
+        return Meaning(column, TIME, "", unit)
+    side = next((side for side, names in SIDES.items() if said & names), "")
+    if said & EFFORTS or unit in UNITS[EFFORT]:
+        signal = TORQUE if said & SENSORS or side == LINK else EFFORT
+    elif said & POSITIONS or side or unit in ANGLES:
+        signal = side or POSITION
+    else:
+        return Meaning(column)
+    kept = [word for word in words if word not in EFFORTS | POSITIONS | SENSORS | SIDES[MOTOR] | SIDES[LINK]]
+    return Meaning(column, signal, joint or "_".join(kept), unit)
+
+
+def _words(text: str) -> list[str]:
+    """Split a name at everything but letters and digits and before capitals, and letters of symbols from numbers."""
+    symbols = EFFORTS | POSITIONS | SIDES[MOTOR] | SIDES[LINK] | IGNORED
+    words: list[str] = []
+    for part in re.split(r"[^A-Za-z0-9]+", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)):
+        numbered = re.fullmatch(r"([a-z]+)(\d+)", part.lower())
+        words += numbered.groups() if numbered and numbered[1] in symbols else [part.lower()] if part else []
+    return words
+
+
+def _unit_of(words: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the unit at the end of the words, "" if there is none, and the words before it."""
+    units = {**UNIT, "m": "m", "n": "N"}
+    for count in (2, 1):
+        end = "".join(words[-count:])
+        if len(words) > count and (count == 1 or words[-2:] == ["n", "m"]) and end in units:
+            return units[end], list(words[:-count])
+    return "", list(words)
+
+
+def _delimiter_and_names(table: Path) -> tuple[str, list[str]]:
+    """Return delimiter and names of the columns; raises RecordError, MissingPackageError."""
+    pa = arrow()
+    try:
+        if table.name.endswith(PARQUET):
+            return ",", list(pa.parquet.read_schema(table).names)
+        headers: Mapping[str, list[str]] = {mark: header_of(table, mark)[1] for mark in ",;\t"}
+    except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
+        raise RecordError(f"{table} is not a table ({' '.join(str(error).split())}); expected CSV or Parquet") from None
+    delimiter = max(headers, key=lambda mark: len(headers[mark]))
+    return delimiter, headers[delimiter]
+
+
+def _few(columns: Sequence[Meaning], most: int = 3) -> str:
+    names = [meaning.column for meaning in columns]
+    return ", ".join(names) if len(names) <= most else f"{names[0]} to {names[-1]}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -221,7 +221,7 @@ class IdentifiedRobot:
         return float(values[j] if values.size == n else np.diag(values.reshape(n, -1))[j])
 
     def _robot_lines(self, values: Mapping[str, object]) -> Iterator[str]:
-        yield f"    joints: {_list(values['joints'])}"
+        yield f"    joints: {_value(values['joints'])}"
         yield "    robot:"
         tree = ros_yaml.tree_of({name: value for name, value in values.items() if name != "joints"})["robot"]
         for key, value in tree.items():
@@ -235,23 +235,22 @@ class IdentifiedRobot:
     def _imperfection_lines(self, robot: Robot) -> list[str]:
         """Return friction, payload and delay for the simulated arm."""
         lines: list[str] = []
-        for name in FRICTION:
+        for name, field in FRICTION.items():
             if self._of(name):
-                levels = [significant(max(0.0, level)) for level in self._of_joints(name, 0.0)]
-                lines += [*self._comments(name), f"      {name}: {_list(levels)}"]
+                lines += [*self._comments(name), f"      {name}: {_numbers(self._levels[field])}"]
         if self._of(STRIBECK):
-            falling = _list(map(significant, self._of_joints(STRIBECK, USUAL_STRIBECK)))
+            falling = _numbers(self._of_joints(STRIBECK, USUAL_STRIBECK))
             lines += [
                 *self._comments(STRIBECK),
                 *(f"      {side}_stribeck_velocity: {falling}" for side in ("link", "motor")),
             ]
         if lines:
-            written = _list(map(significant, self._smoothing(robot)))
+            written = _numbers(self._smoothing(robot))
             lines += [*self._comments(SMOOTHING), f"      {SMOOTHING}: {written}   # enough to be integrated"]
         if self._of(PAYLOAD[0]):
             mass, *place = (significant(self._of(name)[0].value) for name in PAYLOAD)
             lines += [line for name in PAYLOAD for line in self._comments(name)]
-            lines += [f"      payload_mass: {significant(max(0.0, mass))}", f"      payload_position: {_list(place)}"]
+            lines += [f"      payload_mass: {significant(max(0.0, mass))}", f"      payload_position: {_value(place)}"]
         if self._of("effort_delay"):
             delay = significant(max(0.0, self.effort_delay))
             lines += self._comments("effort_delay")
@@ -291,13 +290,13 @@ class IdentifiedRobot:
         return LOOP.format(
             rate=RATE,
             steps=min(MOST_STEPS, max(proposal.inner_steps, math.ceil(rate / RATE / STABLE_STEP))),
-            q_l=_list(map(significant, proposal.q_l)),
-            q_m=_list(map(significant, proposal.q_m)),
+            q_l=_numbers(proposal.q_l),
+            q_m=_numbers(proposal.q_m),
             beta=gains.beta,
             where=gains.where,
             file=file,
             gains="\n".join(gain_lines(entries, n, indent=6)),
-            **{name: _list(map(significant, np.atleast_1d(getattr(motion, name)))) for name in MOTION},
+            **{name: _numbers(np.atleast_1d(getattr(motion, name))) for name in MOTION},
         )
 
 
@@ -320,8 +319,8 @@ def significant(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _list(values: object) -> str:
-    return ros_yaml.dump(list(values)).strip()  # type: ignore[call-overload]
+def _numbers(values: Iterable[float]) -> str:
+    return _value([significant(value) for value in values])
 
 
 def _value(value: object) -> str:

@@ -55,13 +55,15 @@ class Side:
     """Errors r (k,) of an equation of a joint, and -dr/dp of each column (k,) by (name, index) of p.
 
     p of positive parameters is the logarithm. torque (k,) [N m]: of the spring. used (k,): samples that
-    count. Every `stride`-th one is independent. measured: standard deviation of the deflection or the effort.
+    count. Every `stride`-th one, stride dt apart, is independent. measured: standard deviation of the deflection or the
+    effort.
     """
 
     errors: Array
     columns: Columns
     torque: Array
     used: Array
+    dt: float
     stride: int
     measured: float
 
@@ -138,7 +140,7 @@ def _spring_torque(
 def _side(m: FilteredMotion, measured: Array, errors: Array, columns: Columns, torque: Array, used: Array) -> Side:
     inside = {name: inner(column, m.dt) for name, column in columns.items()}
     errors, torque, used = (inner(values, m.dt) for values in (errors, torque, used))
-    return Side(errors, inside, torque, used, m.stride, float(np.std(measured)))
+    return Side(errors, inside, torque, used, m.dt, m.stride, float(np.std(measured)))
 
 
 def equation_error(setup: Estimation, z: Array) -> list[NormalEquations]:

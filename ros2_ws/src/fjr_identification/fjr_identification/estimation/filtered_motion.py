@@ -63,7 +63,8 @@ def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array])
     q_l, q_m = _filled(record.q_l), _filled(record.q_m)
     no_link, no_motor = (np.all(np.isnan(q), axis=0) for q in (record.q_l, record.q_m))
     q_l[:, no_link], q_m[:, no_motor] = q_m[:, no_link], q_l[:, no_motor]
-    rigid = rigid_torque(arm, values, *(smoothed(q_l, record.dt, order) for order in range(3)))
+    motion = (smoothed(q_l, record.dt, order).T for order in range(3))
+    rigid = np.asarray(arm.link_torque(*motion, packed(arm, values)).full().T)
     sensed = np.isfinite(record.torque).any(axis=0)
     torque = np.where(sensed, _filled(record.torque), rigid)
     stiffness = zip(values["joint_stiffness"], values[HARDENING], torque.T, strict=True)
@@ -73,11 +74,6 @@ def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array])
     q_m[:, no_motor] = (q_l + deflection)[:, no_motor]
     (q_l, v_l, a_l), (q_m, v_m, a_m) = ([smoothed(q, record.dt, order) for order in range(3)] for q in (q_l, q_m))
     return FilteredMotion(record.dt, q_l, v_l, a_l, q_m, v_m, a_m, smoothed(record.u, record.dt), rigid)
-
-
-def rigid_torque(arm: ElasticArm, values: Mapping[str, Array], q: Array, v: Array, a: Array) -> Array:
-    """Return M_l a + C v + grad P_l (k, n) [N m] along a motion."""
-    return np.asarray(arm.link_torque(q.T, v.T, a.T, packed(arm, values)).full().T)
 
 
 def _filled(signal: Array) -> Array:

@@ -125,7 +125,7 @@ def _check(records: Sequence[MotionRecord], robot: Robot) -> None:
 class Simulation:
     """Estimates by simulation and the fit of each record; best: the prediction with all parameters free.
 
-    setup: whose friction may have more parameters than that of the start.
+    setup: whose friction may have more parameters than that of the start. converged: as of the last prediction.
     """
 
     setup: Estimation
@@ -137,16 +137,15 @@ class Simulation:
 
 def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
-    best, converged = _optimum(setup, start, progress)
+    best = _optimum(setup, start, progress)
     if coloured(best) >= COLOURED and not setup.options.static_friction:
-        setup, start, best, converged = _falling_with_speed(setup, start, best, converged, progress)
-    best, converged = with_reversals(best, converged, lambda share: progress("friction of another shape", share))
+        setup, best = _falling_with_speed(setup, best, progress)
+    best = with_reversals(best, lambda share: progress("friction of another shape", share))
     progress("intervals", 0.0)
     spurious, held = spurious_information(best), best.problem.coordinates.held
     parts = best.projected
     if held:  # what they change acts on the intervals of the others
-        problem = replace(setup.problem(start), reversals=best.problem.reversals)
-        whole = problem.evaluate(best.z, best.x0, best.noise)
+        whole = best.problem.holding(()).evaluate(best.z, best.x0, best.noise)
         parts = whole.projected if whole else parts
     unknown = not_identifiable(parts, spurious, setup.coordinates.width, tuple(held))
     fixed = tuple(k for k in unknown if k in held or fitted_at_prior(best, (k,)) is not None)
@@ -155,18 +154,17 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
         near = fitted_at_prior(best, fixed) or best
         z = np.where(np.isin(np.arange(len(near.z)), fixed), setup.coordinates.mean, near.z)
         again = lambda share: progress("prediction error again", share)  # noqa: E731
-        problem = replace(setup.problem(start, fixed), reversals=best.problem.reversals)
-        last, converged = refine(problem, z, near.x0, best.noise, again)
-    doubt = "" if converged else NOT_CONVERGED
-    step = None if converged else parameter_step(last, 0.0)
+        last = refine(best.problem.holding(fixed), z, near.x0, best.noise, again)
+    doubt = "" if last.converged else NOT_CONVERGED
+    step = None if last.converged else parameter_step(last, 0.0)
     estimates = estimates_at(setup, parts, spurious, fixed, last.z, doubt, step)
-    return Simulation(setup, best, estimates, simulated_fits(last, last.noise), converged)
+    return Simulation(setup, best, estimates, simulated_fits(last, last.noise), last.converged)
 
 
 def _falling_with_speed(
-    setup: Estimation, start: Mapping[str, Array], best: PredictedSegments, converged: bool, progress: Progress
-) -> tuple[Estimation, Mapping[str, Array], PredictedSegments, bool]:
-    """Return what is given, or the most likely parameters with static friction, and their start, if records show it.
+    setup: Estimation, best: PredictedSegments, progress: Progress
+) -> tuple[Estimation, PredictedSegments]:
+    """Return what is given, or the most likely parameters with static friction, if records show it.
 
     The search starts from two velocities over which friction turns over, because it seldom finds one that is far off.
     """
@@ -175,16 +173,16 @@ def _falling_with_speed(
     for factor in SMOOTHER:
         smoother = {SMOOTHING: factor * values[SMOOTHING]}
         richer = replace(setup, options=options, prior=replace(setup.prior, values={**values, **smoother}))
-        static, reached = _optimum(richer, {**near, **smoother}, progress)
+        static = _optimum(richer, {**near, **smoother}, progress)
         if static.cost < best.cost - LIKELIER:
-            setup, start, best, converged = richer, {**near, **smoother}, static, reached
+            setup, best = richer, static
         if coloured(best) < COLOURED:
             break
-    return setup, start, best, converged
+    return setup, best
 
 
-def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> tuple[PredictedSegments, bool]:
-    """Return the most likely parameters, and whether the search has converged.
+def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> PredictedSegments:
+    """Return the most likely parameters.
 
     The velocity over which the friction of a joint turns over is free once all others are near, and if that friction
     is not 0 by chance: else it only changes what is within the noise, and keeps its prior. It does so, too, if the
@@ -194,7 +192,7 @@ def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) 
     turning = [k for k, (name, _) in enumerate(free) if name == SMOOTHING]
     problem = setup.problem(start, turning)
     z = problem.coordinates.of_values(start)
-    near, converged = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
+    near = optimise(problem, z, problem.filtered, lambda share: progress("prediction error", share))
     levels, covariance = problem.coordinates.parameters(near.z), np.linalg.inv(near.normal_equations[0])
     still = []
     for k in turning:
@@ -203,10 +201,10 @@ def _optimum(setup: Estimation, start: Mapping[str, Array], progress: Progress) 
         if sum(levels[name][free[k][1]] for name in COULOMB) <= RUBS * deviation:
             still.append(k)
     if len(still) == len(turning):
-        return near, converged
+        return near
     step = lambda share: progress("friction at reversals", share)  # noqa: E731
-    turned, reached = refine(setup.problem(start, still), near.z, near.x0, near.noise, step)
-    return (near, converged) if converged and not reached else (turned, reached)
+    turned = refine(problem.holding(still), near.z, near.x0, near.noise, step)
+    return near if near.converged and not turned.converged else turned
 
 
 def _start_of_simulation(setup: Estimation, z: Array) -> Array | None:

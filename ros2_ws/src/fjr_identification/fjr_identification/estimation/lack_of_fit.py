@@ -28,8 +28,8 @@ from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Estimate
 
 from .estimation_problem import Estimation
-from .filtered_fit import BLOCK, FEWEST_BLOCKS, Side, link_side, motor_side, rigid_along
-from .filtered_motion import decimated, inner, shifted
+from .filtered_fit import BLOCK, FEWEST_BLOCKS, RigidTorque, Side, link_side, motor_side, rigid_along
+from .filtered_motion import FilteredMotion, decimated, inner, shifted
 from .intervals import CONFIDENCE
 from .parameters import HARDENING, LOAD
 from .verdicts import Estimates
@@ -50,6 +50,10 @@ LIGHT, MOST = 0.05, 4.0  # least error of the links that is named, and largest f
 CURVED = 0.1  # least relative change of a stiffness that is named
 OUTLYING = 4.0  # median errors, beyond which they are cut where a kinematic error is sought: friction at reversals
 FAINT, SURER = 0.1, 8.0  # as SHARE and SURE, of a kinematic error, whose band has more noise
+
+
+Parameter = tuple[str, int]
+"""Name and index of a parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +113,20 @@ class Seen:
 def seen(setup: Estimation, z: Array) -> dict[str, Seen]:
     """Return what the records show of each joint whose both sides are measured, at a fit z (p,) to filtered motions."""
     rigid, joints = [rigid_along(setup, motion, z) for motion in setup.motions], {}
+    p, free = setup.coordinates.parameters(z), setup.coordinates.free
     for j, joint in enumerate(setup.records[0].joints):
         used = [k for k, record in enumerate(setup.records) if record.both_sides(j)]
         if not used:
             continue
-        wrong = _of_links(setup, rigid, z, j) or _of_spring(setup, rigid, z, j, used)
-        wrong = wrong or _of_records(setup, rigid, z, j, used)
-        c, deviation, blocks = _compliance(setup, rigid, z, j, used)
+        sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
+        K, cubic = float(p["joint_stiffness"][j]), float(p[HARDENING][j])
+        wrong = (
+            _of_links(setup, rigid, z, j)
+            or _of_spring(sides, [setup.motions[k] for k in used], free, j, K, cubic)
+            or _of_records(sides, [setup.records[k].name for k in used], free, j, K)
+        )
+        c, deviation, blocks = _compliance(sides, free, j)
         reach = float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
-        K = float(setup.coordinates.parameters(z)["joint_stiffness"][j])
         joints[joint] = Seen(wrong, K / (c + reach) if abs(c) < reach else 0.0)
     return joints
 
@@ -143,13 +152,12 @@ def rubs_with_load(setup: Estimation, z: Array) -> bool:
 
 def _of_effort(setup: Estimation, sides: Sequence[Side], torques: Sequence[Array]) -> Term:
     """Return what one more torque explains of the equations of a motor, one in each record."""
-    free = [key for key in sides[0].columns if key in setup.coordinates.free]
-    rows = _rows(sides, free, [motion.dt for motion in setup.motions], [side.stride for side in sides])
     pairs = zip(sides, torques, strict=True)
-    return rows.term(np.concatenate([decimated(torque * side.used, side.stride) for side, torque in pairs])[:, None])
+    added = np.concatenate([decimated(torque * side.used, side.stride) for side, torque in pairs])
+    return _rows(sides, _columns(sides, setup.coordinates.free)).term(added[:, None])
 
 
-def _of_links(setup: Estimation, rigid: Sequence, z: Array, j: int) -> str:
+def _of_links(setup: Estimation, rigid: Sequence[RigidTorque], z: Array, j: int) -> str:
     """Return a sentence if the effort of joint j needs other links than those of the robot file."""
     sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
     loads = [inner(along.torque[:, j], motion.dt) for motion, along in zip(setup.motions, rigid, strict=True)]
@@ -160,20 +168,17 @@ def _of_links(setup: Estimation, rigid: Sequence, z: Array, j: int) -> str:
     return f"the links of the robot file do not fit: a factor of {factor:.2f} on their inertia and weight explains it"
 
 
-def _of_spring(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> str:
+def _of_spring(
+    sides: Sequence[Side], motions: Sequence[FilteredMotion], free: Sequence[Parameter], j: int, K: float, cubic: float
+) -> str:
     """Return a sentence if the deflection of joint j is no straight line of its torque."""
-    p = setup.coordinates.parameters(z)
-    K, cubic = float(p["joint_stiffness"][j]), float(p[HARDENING][j])
-    motions = [setup.motions[k] for k in used]
-    sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
     torques = [side.torque for side in sides]
     usual = float(np.sqrt(np.mean(np.concatenate(torques) ** 2))) / K
     if not usual:
         return ""
     first = [("joint_stiffness", j), ("offset", j)]
-    free = [*first, *(key for key in sides[0].columns if key in setup.coordinates.free and key not in first)]
-    periods = [motion.dt for motion in motions]
-    rows = _rows(sides, free, periods, [side.stride for side in sides])
+    columns = [*first, *_columns(sides, free, first)]
+    rows = _rows(sides, columns)
     pairs = list(zip(torques, sides, strict=True))
     slow = np.concatenate([decimated(torque / K, side.stride) for torque, side in pairs])
     zeta = [decimated(side.errors + springs.root(K, cubic, torque, np), side.stride) for torque, side in pairs]
@@ -192,9 +197,7 @@ def _of_spring(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Seque
         if stiffens and curved.share > dead.share - APART:
             return "the spring is not linear: it is softer at small deflections, by backlash or because it stiffens"
         return f"backlash of about {2e3 * dead.c[0]:.2g} mrad: the deflection jumps where the torque changes sign"
-    return _curved(rows, deflection, curved, K) or _of_gear(
-        sides, [inner(m.q_m[:, j], m.dt) for m in motions], [inner(m.v_m[:, j], m.dt) for m in motions], free, periods
-    )
+    return _curved(rows, deflection, curved, K) or _of_gear(sides, motions, columns, j)
 
 
 def _curved(rows: Rows, zeta: Array, cubic: Term, K: float) -> str:
@@ -213,15 +216,13 @@ def _curved(rows: Rows, zeta: Array, cubic: Term, K: float) -> str:
     return f"the spring is not linear: {seen[0]}, {seen[1]}"
 
 
-def _of_gear(
-    sides: Sequence[Side], positions: Sequence[Array], velocities: Sequence[Array], free: Sequence, periods: Sequence
-) -> str:
+def _of_gear(sides: Sequence[Side], motions: Sequence[FilteredMotion], columns: Sequence[Parameter], j: int) -> str:
     """Return a sentence if the deflection has a part that is periodic in the motor's position."""
-    strides = [max(1, int(0.4 / (WIDE * dt))) for dt in periods]
-    rows = _rows(sides, free, periods, strides)
+    sides = [replace(side, stride=max(1, int(0.4 / (WIDE * side.dt)))) for side in sides]
+    rows, pairs = _rows(sides, columns), list(zip(motions, sides, strict=True))
     q, v = (
-        np.concatenate([decimated(each, stride) for each, stride in zip(signals, strides, strict=True)])
-        for signals in (positions, velocities)
+        np.concatenate([decimated(inner(getattr(m, name)[:, j], m.dt), side.stride) for m, side in pairs])
+        for name in ("q_m", "v_m")
     )
     passed = PERIODS[:, None] * np.abs(v) < np.pi * WIDE
     waves = np.stack([np.sin(PERIODS[:, None] * q), np.cos(PERIODS[:, None] * q)], axis=-1) * passed[..., None]
@@ -239,36 +240,38 @@ def _of_gear(
     return f"kinematic error of about {1e3 * size:.2g} mrad, {turns:.0f} times in a turn of the joint"
 
 
-def _of_records(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> str:
+def _of_records(sides: Sequence[Side], names: Sequence[str], free: Sequence[Parameter], j: int, K: float) -> str:
     """Return a sentence if records give the spring of joint j different compliances."""
-    K = float(setup.coordinates.parameters(z)["joint_stiffness"][j])
-    seen = [(*_compliance(setup, rigid, z, j, [k])[:2], setup.records[k].name) for k in used]
-    (low, s_low, soft), (high, s_high, stiff) = max(seen), min(seen)
+    found = [(*_compliance([side], free, j)[:2], name) for side, name in zip(sides, names, strict=True)]
+    (low, s_low, soft), (high, s_high, stiff) = max(found), min(found)
     if low - high < SURE * np.hypot(s_low, s_high) or low - high < UNLIKE * low:
         return ""
     of_stiff = f"{K / high:.3g} N m/rad" if high > 0 else "no spring"
     return f"the records do not agree: {K / low:.3g} N m/rad from {soft}, {of_stiff} from {stiff}"
 
 
-def _compliance(setup: Estimation, rigid: Sequence, z: Array, j: int, used: Sequence[int]) -> tuple[float, float, int]:
-    """Return 1/K of joint j, relative to that at z (p,), its deviation over blocks of records, and their number."""
-    sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
-    stiffness, strides = ("joint_stiffness", j), [side.stride for side in sides]
-    free = [key for key in sides[0].columns if key in setup.coordinates.free and key != stiffness]
-    rows = _rows(sides, free, [setup.motions[k].dt for k in used], strides)
+def _compliance(sides: Sequence[Side], free: Sequence[Parameter], j: int) -> tuple[float, float, int]:
+    """Return 1/K of joint j, relative to that of the equations, its deviation over their blocks, and their number."""
+    stiffness = ("joint_stiffness", j)
+    rows = _rows(sides, _columns(sides, free, [stiffness]))
     column = np.concatenate([decimated(side.columns[stiffness], side.stride) for side in sides])
     term = rows.term(column[:, None])
     return 1 - float(term.c[0]), abs(float(term.c[0])) / max(term.ratio, 1e-300), len(np.unique(rows.block))
 
 
-def _rows(sides: Sequence[Side], free: Sequence, periods: Sequence[float], strides: Sequence[int]) -> Rows:
-    """Return the independent samples of an equation in all records; free: the parameters of the columns."""
+def _columns(sides: Sequence[Side], free: Sequence[Parameter], without: Sequence[Parameter] = ()) -> list[Parameter]:
+    """Return the free parameters of an equation but some."""
+    return [key for key in sides[0].columns if key in free and key not in without]
+
+
+def _rows(sides: Sequence[Side], columns: Sequence[Parameter]) -> Rows:
+    """Return the independent samples of an equation in all records, with the columns of some parameters."""
     tables: list[Array] = []
     block: list[Any] = []
-    for side, dt, stride in zip(sides, periods, strides, strict=True):
-        table = np.column_stack([*(side.columns[key] for key in free), side.errors]) * side.used[:, None]
-        tables.append(decimated(table, stride))
-        count = max(FEWEST_BLOCKS, round(dt * len(table) / BLOCK))
+    for side in sides:
+        table = np.column_stack([*(side.columns[key] for key in columns), side.errors]) * side.used[:, None]
+        tables.append(decimated(table, side.stride))
+        count = max(FEWEST_BLOCKS, round(side.dt * len(table) / BLOCK))
         past = len(np.unique(np.concatenate(block))) if block else 0
         block.append(past + np.arange(len(tables[-1])) * count // len(tables[-1]))
     rows = np.vstack(tables)

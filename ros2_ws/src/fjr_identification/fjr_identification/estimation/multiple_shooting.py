@@ -13,7 +13,7 @@ Schur complement, dx = a - B dz (variable projection; G. H. Golub, V. Pereyra, S
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -205,6 +205,12 @@ class Problem:
         ]
         return replace(self, segments=segments, filtered=self.filtered[::stride])
 
+    def holding(self, held: Collection[int]) -> Problem:
+        """Return the same problem with other entries of z held."""
+        coordinates = replace(self.coordinates, held=frozenset(held))
+        arm = replace(self.shooting.arm, free=coordinates.dynamic)
+        return replace(self, coordinates=coordinates, shooting=Shooting(arm, coordinates.delays))
+
     def of_each(self, work: Callable[[int], Result]) -> list[Result]:
         """Return the results of work(k) for each segment k, some of which are computed at the same time."""
         _ = self.shooting.library, self.shooting.function  # compiled in this thread
@@ -295,13 +301,17 @@ def _weighted(compared: Comparison, noise: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PredictedSegments:
-    """All segments predicted at z (p,) from settled initial states x0 (segments, 4n), compared in units of noise."""
+    """All segments predicted at z (p,) from settled initial states x0 (segments, 4n), compared in units of noise.
+
+    converged: whether a search has ended here, at a minimum.
+    """
 
     problem: Problem
     z: Array
     x0: Array
     noise: Array
     compared: Sequence[Comparison]
+    converged: bool = False
 
     @cached_property
     def residual(self) -> Array:

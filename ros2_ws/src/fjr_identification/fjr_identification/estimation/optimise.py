@@ -8,6 +8,7 @@ held so (bounded-variable least squares); the initial states follow it and are s
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -30,10 +31,8 @@ HARDEST = 1e3  # damping at which no step is found
 Progress = Callable[[float], None]
 
 
-def optimise(
-    problem: Problem, z: Array, x0: Array, progress: Progress = lambda share: None
-) -> tuple[PredictedSegments, bool]:
-    """Return the prediction at the most likely z and initial states, and whether the search has converged.
+def optimise(problem: Problem, z: Array, x0: Array, progress: Progress = lambda share: None) -> PredictedSegments:
+    """Return the prediction at the most likely z and initial states.
 
     First on the beginnings of some segments, which are nearly linear in z and in the initial states, then on longer
     parts of them, at last on all. Raises StateError if the prediction of the start is not finite.
@@ -57,7 +56,7 @@ def _of_stage(progress: Progress, stage: int) -> Progress:
 
 def refine(
     problem: Problem, z: Array, x0: Array, noise: Array, progress: Progress = lambda share: None
-) -> tuple[PredictedSegments, bool]:
+) -> PredictedSegments:
     """Return the prediction at the most likely z and initial states, from start values near them; see `optimise`.
 
     noise (signals,): near theirs. The prediction is in units of the noise there, unbiased by the estimated numbers.
@@ -67,7 +66,7 @@ def refine(
     unbiased = at.residual * np.sqrt(count / max(count - at.x0.size - len(at.z), 1))
     best = problem.evaluate(at.z, at.x0, unbiased)
     assert best is not None
-    return best, converged
+    return replace(best, converged=converged)
 
 
 def descended(

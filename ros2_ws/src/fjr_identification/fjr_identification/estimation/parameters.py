@@ -100,7 +100,16 @@ TIMING = ("effort_delay", "link_skew", "torque_skew")
 DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
 """Parameters of the equations of motion."""
 HARDENING = "cubic_stiffness"
-USUAL = tuple(name for name in KINDS if name not in (*OF_LINKS, *POSITION_TORQUE, *STATIC, *LOAD, HARDENING))
+FREED = {
+    "static_friction": STATIC,
+    "load_friction": LOAD,
+    "payload": PAYLOAD,
+    "cubic_stiffness": (HARDENING,),
+    "link_inertia": PSEUDO_INERTIA,
+    "position_torque": POSITION_TORQUE,
+}
+"""Parameters that options free, by the field of IdentifyOptions."""
+USUAL = tuple(name for name in KINDS if not any(name in names for names in FREED.values()))
 """Parameters that are free by default."""
 LARGEST_SKEW = 8e-3  # s
 
@@ -138,11 +147,7 @@ class IdentifyOptions:
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of all free parameters."""
-        chosen = [*self.free, *(STATIC if self.static_friction else ()), *(PAYLOAD if self.payload else ())]
-        chosen += LOAD if self.load_friction else ()
-        chosen += [HARDENING] if self.cubic_stiffness else []
-        chosen += PSEUDO_INERTIA if self.link_inertia else ()
-        chosen += POSITION_TORQUE if self.position_torque else ()
+        chosen = {name for option, names in FREED.items() if getattr(self, option) for name in names} | {*self.free}
         return tuple(name for name in KINDS if name in chosen)
 
 

@@ -116,15 +116,15 @@ def coloured(best: PredictedSegments) -> float:
     return float(np.max(shares))
 
 
-def with_reversals(best: PredictedSegments, converged: bool, progress: Progress) -> tuple[PredictedSegments, bool]:
+def with_reversals(best: PredictedSegments, progress: Progress) -> PredictedSegments:
     """Return the most likely parameters with jumps at reversals, if residuals at `best` are coloured; else `best`."""
     if coloured(best) < COLOURED:
-        return best, converged
+        return best
     width = first = np.full(len(LAGS) * best.x0.shape[1] // 2, FIRST)
     for _ in range(ROUNDS):
         problem = replace(best.problem, reversals=Reversals(best.problem.shooting, width))
-        best, converged = refine(problem, best.z, best.x0, best.noise, progress)
+        best = refine(problem, best.z, best.x0, best.noise, progress)
         jumps = [segment.whitening for segment in best.compared if segment.whitening is not None]
         squares, counts = (np.asarray(sum(getattr(jump, name) for jump in jumps)) for name in ("squares", "counts"))
         width = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), LEAST * first)
-    return best, converged
+    return best

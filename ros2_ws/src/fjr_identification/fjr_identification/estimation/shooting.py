@@ -14,6 +14,7 @@ import numpy as np
 from fjr_core.numerics import jit
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import c_library_of
+from fjr_core.runtime.library import CFunction, WorkSpace
 
 from .elastic_arm import ElasticArm, packed
 from .parameters import SMOOTHING
@@ -154,20 +155,14 @@ class _Memory:
 
     def __init__(self, shooting: Shooting) -> None:
         ffi, _ = shooting.library
-        f = shooting.function
-        self.arm = ffi.new("struct fjr_arm *")
-        self.held = {
-            "arg": ffi.new("const double*[]", max(3, f.sz_arg())),
-            "res": ffi.new("double*[]", max(2, f.sz_res())),
-            "iw": ffi.new("long long[]", max(1, f.sz_iw())),
-            "w": ffi.new("double[]", max(1, f.sz_w())),
-            "nonzeros": ffi.new("double[]", 4 * len(shooting.arm.pattern[0])),
-            **{name: ffi.new("int32_t[]", list(map(int, places))) for name, places in _indices(shooting).items()},
-        }
-        for name, value in self.held.items():
+        self.arm, count = ffi.new("struct fjr_arm *"), len(shooting.arm.pattern[0])
+        self._function, self._work = CFunction(ffi, shooting.function), WorkSpace(ffi, [shooting.function])
+        self._work.lend(self.arm)
+        self._held = {name: ffi.new("int32_t[]", list(map(int, at))) for name, at in _indices(shooting).items()}
+        self._held |= {"f": self._function.pointer, "nonzeros": ffi.new("double[]", 4 * count)}
+        for name, value in self._held.items():
             setattr(self.arm, name, value)
-        self.arm.f = ffi.cast("fjr_function", jit.machine_code(f))
-        self.arm.count = len(shooting.arm.pattern[0])
+        self.arm.count = count
 
 
 def _indices(shooting: Shooting) -> dict[str, Any]:

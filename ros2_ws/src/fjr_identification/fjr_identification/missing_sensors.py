@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check gear ratio and time of joints of which one side only is measured: no second side contradicts them there.
+"""Say which sensors the joints of records lack and what stays unknown; check gear ratio and time of one side alone.
+
+docs/from_csv.md has the same sentences. If one side only is measured, no second side contradicts it:
 
     u / e = tau(g q, g dq / s, g ddq / s^2) + B g ddq / s^2 + D dq + F tanh(dq / v0) + constant
 
@@ -11,7 +13,7 @@ the variance that is unexplained without it, by five standard deviations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -43,6 +45,17 @@ WORDS = {
     RATIO: "positions {0:.3g} times and efforts {1:.3g} times as large",
     SECONDS: "a time {0:.3g} times as long",
 }
+BY_RESONANCE = "only motion near its resonance reveals its stiffness"
+LINK, MOTOR, TORQUE = "link encoder", "motor encoder", "torque sensor"
+LACKING: Mapping[tuple[str, ...], str] = {
+    (LINK,): "the torque sensor reveals the stiffness; the control law needs the link encoder",
+    (LINK, TORQUE): f"{BY_RESONANCE}, only gravity the offset of its spring; the control law needs the link encoder",
+    (MOTOR,): "the torque sensor replaces it; nothing reveals the offset of the spring",
+    (MOTOR, TORQUE): f"{BY_RESONANCE}, nothing the offset of its spring; the control law needs one of the two",
+}
+"""What it means that a joint has none of these sensors."""
+NOT_SEEN = "would not be noticed and would bias motor inertia, stiffness and friction"
+"""What it means that one side only of a joint is measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,3 +178,44 @@ def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -
     sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
     links, inertia, v, sign, u = (sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms)
     return Terms(links, inertia, v, sign, u, min(2 * CUTOFF * dt, 1.0) * len(u))
+
+
+def lacking(records: Sequence[MotionRecord], robot: Robot) -> list[str]:
+    """Return a sentence for each set of sensors that joints lack in all records, and one on gear ratios and times."""
+    of_sensors: dict[tuple[str, ...], list[str]] = {}
+    for j, joint in enumerate(records[0].joints):
+        signals = {LINK: "q_l", MOTOR: "q_m", TORQUE: "torque"}
+        there = {
+            sensor: any(np.isfinite(getattr(record, name)[:, j]).any() for record in records)
+            for sensor, name in signals.items()
+        }
+        absent = tuple(sensor for sensor in signals if not there[sensor])
+        if absent in LACKING:
+            of_sensors.setdefault(absent, []).append(joint)
+    sentences = [
+        f"{', '.join(joints)}: no {' and no '.join(absent)}: {LACKING[absent]}" for absent, joints in of_sensors.items()
+    ]
+    return [*sentences, *_not_seen(records, robot)]
+
+
+def _not_seen(records: Sequence[MotionRecord], robot: Robot) -> list[str]:
+    """Return a sentence on errors of gear ratios and times that no record shows; none if both sides are measured."""
+    least: dict[str, list[tuple[float, float]]] = {}
+    for record in records:
+        for joint, factors in least_seen(record, robot).items():
+            least.setdefault(joint, []).append(factors)
+    if not least:
+        return []
+    ratios, times = zip(*(map(min, zip(*found, strict=True)) for found in least.values()), strict=True)
+    return [
+        f"{', '.join(least)}: one side only is measured: a wrong gear ratio ({_factors(ratios)}) or time scale "
+        f"({_factors(times)}) {NOT_SEEN}"
+    ]
+
+
+def _factors(values: Sequence[float]) -> str:
+    """Return the factors of the joints, in their order, from which on an error is seen, equal ones once."""
+    texts = [f"{value:.3g}" if np.isfinite(value) else "any" for value in dict.fromkeys(values)]
+    if "any" in texts:
+        return ", ".join("any" if text == "any" else f"up to {text} times" for text in texts)
+    return f"up to {', '.join(texts)} times"
