@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 from unittest.mock import patch
 
 import casadi as ca
@@ -25,6 +23,7 @@ from fjr_core.numerics.jit import compiled
 JOINTS = (2, 4, 6, 7, 8, 10, 12)
 GAINS = Gains(Lambda_l=8.0, Pi_l=20.0, K_ld=10.0, Lambda_m=20.0, Pi_m=200.0, K_md=2.0)
 BOUND = 10.0  # s, law of 12 joints
+DERIVED, COMPILED, OPERATIONS = "derivation [s]", "C and compiler [s]", "operations"
 LARGEST_RATIO = 2.5  # operations of the certificate, which contains the law, relative to those of the law
 LINK = """<link name="link{i}"><inertial><origin xyz="{com}"/><mass value="2.0"/>
   <inertia ixx="0.03" iyy="0.025" izz="0.02" ixy="0.002" ixz="-0.001" iyz="0.003"/></inertial></link>
@@ -34,31 +33,13 @@ JOINT = """<joint name="joint{i}" type="continuous"><origin xyz="{xyz}" rpy="{rp
 """
 
 
-class Build(NamedTuple):
-    """Processor time [s] to derive a function and to compile it, and its number of operations."""
-
-    derive: float
-    compile: float
-    operations: int
-
-    @property
-    def seconds(self) -> float:
-        """Total processor time [s]."""
-        return self.derive + self.compile
-
-    @property
-    def parts(self) -> dict[str, float]:
-        """The values of a figure."""
-        return {"derivation [s]": self.derive, "C and compiler [s]": self.compile, "operations": self.operations}
-
-
 def arms() -> list[Figure]:
     """Measure arms of all sizes."""
     return [figure for n in JOINTS for figure in _arm(n)]
 
 
 def _arm(n: int) -> Iterator[Figure]:
-    with one_core(), _empty_cache():
+    with one_core(), TemporaryDirectory() as cache, patch.dict(os.environ, {"XDG_CACHE_HOME": cache}):
         start = _processor_time()
         robot = robot_from_urdf(chain_urdf(n), joint_names(n), stiffness=5000.0, motor_inertia=0.3)
         law = TrackingLaw(robot, GAINS)
@@ -70,36 +51,31 @@ def _arm(n: int) -> Iterator[Figure]:
             "prediction": lambda: Prediction(law).function,
             "plant": lambda: plant.step_function,
         }
-        builds = {name: _built(build) for name, build in functions.items()}
-    of_law, certificate = builds["law"], builds["certificate"]
-    total = loaded + sum(build.seconds for build in builds.values())
-    bound = BOUND if n == max(JOINTS) else None
-    yield Figure(f"{n} joints, URDF to law, nothing cached", loaded + of_law.seconds, "s", bound, parts=of_law.parts)
-    yield Figure(f"{n} joints, certificate, nothing cached", certificate.seconds, "s", parts=certificate.parts)
-    yield Figure(f"{n} joints, law, certificate, prediction and plant", total, "s")
-    ratio = certificate.operations / of_law.operations
+        parts = {name: _built(build) for name, build in functions.items()}
+    seconds = {name: part[DERIVED] + part[COMPILED] for name, part in parts.items()}
+    to_law, bound = loaded + seconds["law"], BOUND if n == max(JOINTS) else None
+    yield Figure(f"{n} joints, URDF to law, nothing cached", to_law, "s", bound, parts=parts["law"])
+    certificate = parts["certificate"]
+    yield Figure(f"{n} joints, certificate, nothing cached", seconds["certificate"], "s", parts=certificate)
+    yield Figure(f"{n} joints, law, certificate, prediction and plant", loaded + sum(seconds.values()), "s")
+    ratio = certificate[OPERATIONS] / parts["law"][OPERATIONS]
     yield Figure(f"{n} joints, operations of the certificate / law", ratio, "", bound=LARGEST_RATIO)
 
 
-def _built(build: Callable[[], ca.Function]) -> Build:
+def _built(build: Callable[[], ca.Function]) -> dict[str, float]:
+    """Return the processor time to derive a function and to compile it, and its number of operations."""
     start = _processor_time()
     function = build()
     derived = _processor_time()
     if function.class_name() != "External" and compiled(function).class_name() != "External":
         raise RuntimeError(f"{function.name()} was not compiled; expected a C compiler")
     operations = function.n_instructions() if function.is_a("SXFunction") else 0
-    return Build(derived - start, _processor_time() - derived, operations)
+    return {DERIVED: derived - start, COMPILED: _processor_time() - derived, OPERATIONS: operations}
 
 
 def _processor_time() -> float:
     used = os.times()
     return used.user + used.system + used.children_user + used.children_system
-
-
-@contextmanager
-def _empty_cache() -> Iterator[None]:
-    with TemporaryDirectory(prefix="fjr-bench-") as folder, patch.dict(os.environ, {"XDG_CACHE_HOME": folder}):
-        yield
 
 
 def joint_names(n: int) -> list[str]:
@@ -112,10 +88,7 @@ def chain_urdf(n: int) -> str:
     random = np.random.default_rng(12)
     parts = ['<robot name="chain">\n<link name="link0"/>\n']
     for i in range(1, n + 1):
-        com, xyz, rpy = (_text(random.uniform(-size, size, 3)) for size in (0.05, 0.2, 1.5))
+        vectors = (random.uniform(-size, size, 3) for size in (0.05, 0.2, 1.5))
+        com, xyz, rpy = (" ".join(f"{value:.4f}" for value in vector) for vector in vectors)
         parts += [LINK.format(i=i, com=com), JOINT.format(i=i, parent=i - 1, xyz=xyz, rpy=rpy)]
     return "".join([*parts, "</robot>\n"])
-
-
-def _text(vector: np.ndarray) -> str:
-    return " ".join(f"{value:.4f}" for value in vector)

@@ -35,6 +35,7 @@ OLD = 5_000_000  # ns; an effort for a state older than the newest one by more i
 ON_ITS_WAY = 1_000_000  # ns; a state that left later before the effort may not have arrived
 PEAK_BOUND = 1.5  # of the peak effort of the undisturbed run
 LIMIT = 60.0  # s; of each wait
+load = cache(library.load)
 TOPICS, EVENTS = [names.JOINT_STATES, names.JOINT_COMMANDS], f"{names.CONTROLLER}/events"
 
 
@@ -122,7 +123,7 @@ def _judged(robot: str, heard: Heard, begin: int, woken: int) -> tuple[bool, flo
     old = int(np.sum(at_sending - times[answers, 0] > OLD))
     first = int(times[answers, 1][0]) if answers.any() else woken
     meanwhile = (seen[:, 1] >= begin) & (seen[:, 1] <= first + REACTION)
-    left = bool((_outside(_scenario(robot), heard.values(0, "position", "velocity")) & meanwhile).any())
+    left = bool((_outside(load(robot), heard.values(0, "position", "velocity")) & meanwhile).any())
     return left, float(np.abs(heard.values(1, "effort")[after]).max()), old
 
 
@@ -152,8 +153,3 @@ def _own_peak(robot: str, skipped: float) -> float:
         heard.collect(UNDISTURBED)
     sent = heard.messages()[1][:, 1]
     return float(np.abs(heard.values(1, "effort")[sent >= sent[0] + skipped * 1e9]).max())
-
-
-@cache
-def _scenario(robot: str) -> Scenario:
-    return library.load(robot)

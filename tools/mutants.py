@@ -21,8 +21,9 @@ from ast import literal_eval
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from math import sqrt
 from pathlib import Path
+
+from scipy.stats import binomtest
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES, LOG = ROOT / "ros2_ws" / "src", ROOT / "build" / "mutants.tsv"
@@ -88,9 +89,10 @@ def main() -> None:
                 copy.write_text(text[:place] + new + text[place + len(old) :], encoding="utf-8")
                 results[mutant] = outcome(Path(folder), tests, longest)
                 print(mutant, results[mutant], sep="\t", file=log, flush=True)
-    n, k, z = len(results), Counter(results.values())["killed"], 1.96
-    middle, half = (k + z * z / 2) / (n + z * z), z * sqrt(k * (n - k) / n + z * z / 4) / (n + z * z)
-    print(f"{k} of {n} killed: {k / n:.1%} ({middle - half:.1%} to {middle + half:.1%}); {len(every)} mutants in all")
+    test = binomtest(Counter(results.values())["killed"], len(results))
+    low, high = test.proportion_ci(method="wilson")
+    share = f"{test.k} of {test.n} killed: {test.statistic:.1%} ({low:.1%} to {high:.1%})"
+    print(f"{share}; {len(every)} mutants in all")
 
 
 if __name__ == "__main__":

@@ -10,15 +10,15 @@ ended, and several processes, each in an order of its own, share the work. Once 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.figures import markdown, put
+from bench.figures import kept, markdown, put
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.thresholds import JointTolerances
@@ -177,14 +177,8 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--count", type=int, default=COUNT)
     options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    files = [options.folder / f"{number:04d}.json" for number in range(options.count)]
-    for number in np.random.default_rng(os.getpid()).permutation(options.count).tolist():
-        file = files[number]
-        if not file.exists():
-            part = file.with_suffix(f".{os.getpid()}")
-            part.write_text(json.dumps(result(number)), encoding="utf-8")
-            part.replace(file)
+    order = np.random.default_rng(os.getpid()).permutation(options.count).tolist()
+    found = {number: kept(options.folder / f"{number:04d}.json", partial(result, number)) for number in order}
     head = (
         "fault",
         "runs",
@@ -193,7 +187,7 @@ def main() -> None:
         "holding",
         "of these beyond the tolerance",
     )
-    table = markdown(head, rows([json.loads(file.read_text(encoding="utf-8")) for file in files]))
+    table = markdown(head, rows([found[number] for number in range(options.count)]))
     put("diagnosis.md", "foreign", table)
 
 

@@ -99,17 +99,12 @@ def quote_paths(install: Path) -> None:
         quoted = CALL.sub('$("$_colcon_python_executable" ', UNQUOTED.sub(_quoted, text))
         if quoted != text:
             script.write_text(quoted, encoding="utf-8")
-    for executable in _executables(install):
+    executables = [path for path in install.glob("*/lib*/*/*") if path.parent.name == path.parents[2].name]
+    for executable in filter(Path.is_file, executables):  # <package>/lib/<package>, <package>/libexec/<package>
         content = executable.read_bytes()
         started = FIRST_LINE.sub(_by_the_shell, content)
         if started != content:
             executable.write_bytes(started)
-
-
-def _executables(install: Path) -> list[Path]:
-    """Return the executables in <package>/lib/<package> and <package>/libexec/<package>."""
-    found = install.glob("*/lib*/*/*")
-    return [path for path in found if path.is_file() and path.parent.name == path.parents[2].name]
 
 
 def _quoted(line: re.Match[str]) -> str:
