@@ -6,38 +6,17 @@ Eq. (49) is tested in stability/test_contraction.py, next to the corrected one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
-import casadi as ca
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import fjr_core as fjr
-from core.oracles.cases import FULL, Arm, GainSet, Point, full, linear, planar, random_point, single
+from core.oracles.cases import FULL, Arm, GainSet, full, linear, planar, random_point, single
 from core.oracles.oracle import LiteralLaw, inverse
 from core.oracles.properties import TOLERANCE, Loop, error_dynamics, storage_rate, structure_as_printed
-from fjr_core.law import vdpbc
 
 FAILS = 1e-4
 """Residual that a printed equation exceeds; that of the corrected one is below 1e-10."""
-
-
-def printed_coupling_velocity(Pi_m_inverse: ca.DM, K: np.ndarray, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
-    """Return the last term of (40) as printed: Pi_m^-1 K' M_l' sigma_l."""
-    return Pi_m_inverse @ K.T @ M_l.T @ M_l @ s_l
-
-
-@pytest.fixture(params=["right", "printed"])
-def coupling(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Build the laws of the test with the coupling of (40) corrected or as printed."""
-    if request.param == "printed":
-        monkeypatch.setattr(vdpbc, "coupling_velocity", printed_coupling_velocity)
-    return request.param
-
-
-def fresh_loop(arm: Arm, gains: GainSet) -> Loop:
-    """Return a loop with a newly built law, so that the monkeypatch applies."""
-    return Loop(arm, gains, fjr.TrackingLaw(arm.robot, gains.gains))
 
 
 CASES = [(single(31.0), linear(1)), (single(3.1), linear(1)), (planar("31", 31.0), linear(2))]
@@ -47,33 +26,35 @@ cases = pytest.mark.parametrize(("arm", "gains"), CASES, ids=["single-31", "sing
 
 @cases
 @pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
-def test_exact_rate_of_the_storage_detects_the_printed_coupling(
-    arm: Arm, gains: GainSet, same: bool, coupling: str
+def test_exact_rate_of_the_storage_detects_the_printed_coupling(arm: Arm, gains: GainSet, same: bool) -> None:
+    """The law of tests/core/law/test_law.py, with (40) as printed and with x_v = x and x_v != x."""
+    law = LiteralLaw(arm, gains, printed=("coupling",))
+    assert storage_rate(Loop(arm, gains, law), random_point(arm, 0, same)) > FAILS
+
+
+@pytest.mark.parametrize(("printed", "slowest"), [((), -10.003), (("coupling",), -9.535)], ids=["right", "printed"])
+def test_slowest_decay_of_V_detects_the_printed_coupling_but_convergence_does_not(
+    printed: tuple[str, ...], slowest: float
 ) -> None:
-    """Repeat the test of tests/core/law/test_law.py for (40), with x_v = x and x_v != x."""
-    residual = storage_rate(fresh_loop(arm, gains), random_point(arm, 0, same))
-    assert residual <= TOLERANCE if coupling == "right" else residual > FAILS
-
-
-def along(loop: Loop, run: fjr.Trajectory, i: int) -> Point:
-    """Return the i-th instant of a closed-loop run."""
-    x, jets = run.x[i], run.jets[i]
-    return Point(x, x, jets, np.vstack([jets[1:], -jets[3:4]]), np.zeros(loop.arm.n), run.u[i])
-
-
-def test_slowest_decay_of_V_detects_the_printed_coupling_but_convergence_does_not(coupling: str) -> None:
     """dV/(2V) stays below -beta = -10 with the corrected (40) and exceeds it with the printed one; both converge.
 
-    The values are suprema on a fine grid; a grid of 10 ms gives -10.02 and -10.09.
+    One joint with linear phi has errors e(t) = exp(A t) e(0) and V = e' W e / 2 with constant A and W. The values are
+    suprema before 0.3 s on a fine grid; a grid of 10 ms gives -10.02 and -10.09.
     """
     arm, gains = single(31.0), linear(1)
-    loop = fresh_loop(arm, gains)
-    run = fjr.simulate(loop.plant, loop.law, fjr.Sine(1.0, 1.0), arm.robot.state(0.5, 0.5, 0, 0), 1.5, inner_step=2e-4)
-    assert abs(run.x[-1, 0] - run.jets[-1, 0, 0]) < 1e-8
-    assert run.V[-1] < 1e-12 * run.V[0]
-    instants = (along(loop, run, i) for i in range(np.searchsorted(run.t, 0.3)))
-    worst = max(loop.rate_of(loop.storage, p) / (2 * loop.storage(p.x_v, p.x, p.jets)) for p in instants)
-    assert worst == pytest.approx({"right": -10.003, "printed": -9.535}[coupling], abs=0.002)
+    M, m, k, Pi_m = 0.031, 0.004, 31.0, 60.0
+    A = np.array([
+        [-10, 0, 1 / M, 0],
+        [0, -15, -k / Pi_m * (M if printed else 1 / M), 1 / m],
+        [-20, k, -(0.2 + 0.6) / M, 0],
+        [0, -Pi_m, 0, -(0.007 + 0.3) / m],
+    ])  # fmt: skip
+    W, x = np.diag([20, Pi_m, 1 / M, 1 / m]), arm.robot.state(0.5, 0.5, 0, 0)
+    start = Loop(arm, gains, LiteralLaw(arm, gains, printed)).errors(x, x, fjr.Sine(1.0, 1.0).jets(0.0))
+    errors = np.array([expm(A * t) @ start for t in np.arange(0, 0.3, 2e-4)])
+    V, dV = (np.einsum("ki,ij,kj->k", errors, form, errors) for form in (W / 2, W @ A))
+    assert np.max(dV / (2 * V)) == pytest.approx(slowest, abs=0.002)
+    assert np.max(np.abs(expm(A * 1.5) @ start)) < 1e-6
 
 
 PRINTED = {

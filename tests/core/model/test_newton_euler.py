@@ -57,16 +57,6 @@ def test_the_recursions_agree_with_pinocchio(chain: tuple[int, int]) -> None:
     assert relative(columns(lambda e: workless(q, v, e), c.n), -C.T) < 1e-10
 
 
-@all_chains
-def test_inertia_rate_minus_twice_coriolis_is_skew_and_workless_forces_sum_to_minus_it(chain: tuple[int, int]) -> None:
-    c = random_chain(*chain)
-    q, v = numbers(c, 2)
-    dM, C = (columns(lambda e, f=f: f(q, v, e), c.n) for f in (c.links.dM, c.links.C))
-    S, E = dM - 2 * C, C - dM
-    assert relative(S + S.T, 0 * S, float(np.max(np.abs(dM)))) < 1e-12
-    assert relative(E + E.T, -dM) < 1e-12
-
-
 @pytest.mark.parametrize("robot", [fjr.single_link(), fjr.planar_two_link(**PLANAR)], ids=["single", "planar"])
 def test_the_bodies_of_a_closed_form_arm_have_its_inertia_and_coriolis_product(robot: fjr.Robot) -> None:
     q, v, w = np.random.default_rng(1).uniform(-2, 2, (3, robot.n))

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trees of URDFs: transforms between links, which agree with Pinocchio's placements, and serial chains."""
+"""Trees of URDFs: poses of sliding and mimic joints, and serial chains."""
 
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from core.oracles.cases import Array
-from core.oracles.chains import ARM7, random_urdf
 from fjr_core.urdf.tree import read_urdf
 from fjr_design.scaffold.arm import chains
 
@@ -30,26 +28,6 @@ def placed(xml: str, positions: dict[str, float]) -> dict[str, Array]:
         return placement(above[link].parent) @ above[link].pose(tree.position(above[link], positions))
 
     return {link: placement(link) for link in above}
-
-
-def agree(xml: str, positions: dict[str, float]) -> None:
-    model = pin.buildModelFromXML(xml)
-    data, q = model.createData(), pin.neutral(model)
-    for name, value in positions.items():
-        joint = model.joints[model.getJointId(name)]
-        q[joint.idx_q : joint.idx_q + joint.nq] = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
-    pin.framesForwardKinematics(model, data, q)
-    links = placed(xml, positions)
-    assert links
-    for link, found in links.items():
-        expected = data.oMf[model.getFrameId(link, pin.FrameType.BODY)].homogeneous
-        np.testing.assert_allclose(found, expected, atol=1e-12, err_msg=link)
-
-
-@pytest.mark.parametrize("xml", [*(random_urdf(5, seed).xml for seed in range(3)), ARM7.read_text()])
-def test_placements_agree_with_pinocchio(xml: str) -> None:
-    names = list(pin.buildModelFromXML(xml).names)[1:]
-    agree(xml, dict(zip(names, np.random.default_rng(1).uniform(-2, 2, len(names)), strict=True)))
 
 
 def test_a_sliding_joint_moves_along_its_unit_axis_and_a_mimic_joint_follows() -> None:

@@ -144,22 +144,19 @@ def safety(values: Values, robot: Robot) -> Settings:
     Raises ParameterError, also if limits.from_robot is true for a robot without limits.
     """
     own = Settings(names(values, "joints"), **read(_SAFETY, values, robot.n), units=robot.units)
-    if not values[FROM_ROBOT.name]:
-        return own
-    if robot.limits is None:
+    if values[FROM_ROBOT.name] and robot.limits is None:
         raise ParameterError(f"parameter '{FROM_ROBOT.name}' is true; expected false for a robot without limits")
-    return own.tightened(robot.limits)
+    return own.tightened(robot.limits) if values[FROM_ROBOT.name] else own
 
 
 def effort_limits(values: Values, robot: Robot) -> Array:
     """Return the effort limits (n,) [N m]: the tighter of limits.effort and those of the robot, infinite for none."""
-    limit = np.asarray(safety(values, robot).effort)
-    return limit if robot.limits is None else np.minimum(limit, robot.limits.effort)
+    return np.asarray(safety(values, robot).tightened(robot.limits).effort)
 
 
 def motion_limits(settings: Settings, robot: Robot) -> MotionLimits:
     """Return the limits of trajectories: the tighter of settings and robot; raises ParameterError."""
-    held = settings if robot.limits is None else settings.tightened(robot.limits)
+    held = settings.tightened(robot.limits)
     return MotionLimits(
         held.link_position_lower,
         held.link_position_upper,

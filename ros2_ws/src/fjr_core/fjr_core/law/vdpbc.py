@@ -32,7 +32,8 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     v_mr = M_m^-1 p_mr, the first two terms of eq. (33) are
     dp_lr + E_l v_lr = M_l dv_lr + (dM_l + E_l) v_lr = M_l dv_lr + C_l v_lr.
     phi(zeta) = K zeta is the torque of the springs; where they harden (model.springs), q_md takes its inverse, and the
-    coupling its secant between q_mv - q_lv and q_md - q_lv, so that phi(q_mv - q_lv) = u_l + S qt_m.
+    coupling Pi_m^-1 S' s_l of (40), with s_l = M_l^-1 sigma_l, its secant S between q_mv - q_lv and q_md - q_lv, so
+    that phi(q_mv - q_lv) = u_l + S qt_m.
     omega (n,) [N m]: external input. The load torque on the links (Flow.load) is subtracted from u_l.
 
     Integral action against a disturbance torque d on the links (Flow.load, at x_v = x only) has the storage
@@ -63,7 +64,7 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     q_tilde_m = q_mv - q_md  # (39)
     port_l = s_l if action is None else s_l - flow.momentum_vjp(q_md, gains.Pi_m @ q_tilde_m)
     (dq_md,) = flow.d(q_md, integral=None if action is None else action.gain @ port_l)
-    v_mr = dq_md - gains.phi_m(q_tilde_m) - coupling_velocity(gains.Pi_m_inverse, S, flow.M_l, s_l)  # (40)
+    v_mr = dq_md - gains.phi_m(q_tilde_m) - gains.Pi_m_inverse @ S.T @ s_l  # (40)
     s_m = dq_mv - v_mr  # (39)
     sigma_m = M_m @ s_m
     port_l = port_l if action is None else port_l - flow.momentum_vjp(v_mr, sigma_m)
@@ -95,14 +96,6 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
         "dissipation": dissipation,
         "dV": -dissipation + ca.dot(s_m, omega),
     }
-
-
-def coupling_velocity(Pi_m_inverse: ca.SX, S: Array | ca.SX, M_l: ca.SX, s_l: ca.SX) -> ca.SX:
-    """Return Pi_m^-1 S' M_l^-1 sigma_l (n,) [rad/s], the last term of (40); M_l^-1 sigma_l is s_l.
-
-    S: stiffness K, or the secant stiffness of springs that harden. M_l: for tests of the misprint M_l' only.
-    """
-    return Pi_m_inverse @ S.T @ s_l
 
 
 @dataclass(frozen=True)

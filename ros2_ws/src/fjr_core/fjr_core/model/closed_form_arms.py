@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..numerics import checks
-from .rigid_arm import ArmDynamics, Body, EndEffector, closed_form
+from .rigid_arm import Body, EndEffector, closed_form
 from .robot import Robot
 
 STANDARD_GRAVITY = 9.81  # m/s^2, acts on the payload of a model without gravity parameter
@@ -42,7 +42,7 @@ def single_link(
         end_effector=end_effector,
         bodies=(_pendulum(inertia, load / STANDARD_GRAVITY),),
     )
-    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+    return Robot(links, motor_inertia, stiffness, link_damping, motor_damping, input_gain)  # type: ignore[arg-type]
 
 
 def planar_two_link(
@@ -85,7 +85,7 @@ def planar_two_link(
         end_effector=_planar_end_effector((l1,), g),
         bodies=(_planar_body(None, m1, c1, I1), _planar_body(l1, m2, c2, I2)),
     )
-    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+    return Robot(links, motor_inertia, stiffness, link_damping, motor_damping, input_gain)  # type: ignore[arg-type]
 
 
 def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> EndEffector:
@@ -127,13 +127,6 @@ def _planar_body(joint: float | None, mass: float, com: float, inertia: float) -
 def _along(angle: ca.SX) -> ca.SX:
     """Return the direction of a link at an angle [rad] from straight down; x forward, z up."""
     return ca.vertcat(ca.sin(angle), 0, -ca.cos(angle))
-
-
-def _robot(links: ArmDynamics, **constants: ArrayLike) -> Robot:
-    M_m, K, D_l, D_m, B_m = (
-        checks.matrix(name, constants[name], links.n, RobotError) for name in ("M_m", "K", "D_l", "D_m", "B_m")
-    )
-    return Robot(links, M_m, K, D_l, D_m, B_m)
 
 
 def _positive(name: str, value: ArrayLike, n: int) -> checks.Array:

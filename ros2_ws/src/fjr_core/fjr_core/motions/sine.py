@@ -60,17 +60,34 @@ class Sines(Reference):
         jets[..., 0, :] += np.asarray(self.offset)
         return np.asarray(jets)
 
+    @cached_property
+    def period(self) -> float | None:
+        """Common period [s] of several rows; None without one of at most MOST_CYCLES cycles, and for one row."""
+        _, frequency, _ = self.rows
+        return common_period(frequency) if len(frequency) > 1 else None
+
     def configurations(self, k: int) -> Array:
-        """Return k configurations (k, n) [rad]; joints of different frequencies take all relative phases."""
+        """Return k configurations (k, n) [rad], over the common period if there is one, else over all relative phases.
+
+        Sines of equal frequency have one phase.
+        """
+        if self.period is not None:
+            return np.asarray(self.jets(self.period * _turns(k, 2)[:, 1])[:, 0])
         amplitude, frequency, phase = self.rows
         angles = phases(k, frequency) + phase
         return np.asarray(self.offset) + (amplitude * np.sin(angles)).sum(axis=1)
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; exact for one row.
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s].
 
-        For several rows they are the sums of the bounds of the rows, which is conservative, and their times are NaN.
+        They are exact for one row and for rows with a common period. For other rows they are the sums of the bounds of
+        the rows, which is conservative, and their times are NaN.
         """
+        if self.period is not None:
+            end = min(t1, t0 + self.period)
+            cycles = (end - t0) * np.abs(np.asarray(self.frequency)).max() / (2 * np.pi)
+            grid = np.linspace(t0, end, POINTS_PER_CYCLE * (int(cycles) + 1) + 1)
+            return motion_bounds_on(self.jets, np.asarray(grid, dtype=float))
         each = [
             np.stack([_sine_bounds(a * w**order, w, p + order * np.pi / 2, t0, t1) for order in range(ROWS)], axis=1)
             for a, w, p in zip(*self.rows, strict=True)
@@ -128,27 +145,6 @@ class MultiSine(Sines):
         for name in ("frequency", "phase"):
             freeze(self, name, _table(name, getattr(self, name), amplitude.shape))
         freeze(self, "offset", checks.vector("offset", self.offset, amplitude.shape[1], TrajectoryError))
-
-    @cached_property
-    def period(self) -> float | None:
-        """Common period [s] of several sines; None without one of at most MOST_CYCLES cycles, and for one sine."""
-        _, frequency, _ = self.rows
-        return common_period(frequency) if len(frequency) > 1 else None
-
-    def configurations(self, k: int) -> Array:
-        """Return k configurations (k, n) [rad] over the common period if there is one; see Sines.configurations."""
-        if self.period is None:
-            return super().configurations(k)
-        return np.asarray(self.jets(self.period * _turns(k, 2)[:, 1])[:, 0])
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds from t0 to t1 [s], exact for sines with a common period; see Sines.motion_bounds."""
-        if self.period is None:
-            return super().motion_bounds(t0, t1)
-        end = min(t1, t0 + self.period)
-        cycles = (end - t0) * np.abs(np.asarray(self.frequency)).max() / (2 * np.pi)
-        grid = np.linspace(t0, end, POINTS_PER_CYCLE * (int(cycles) + 1) + 1)
-        return motion_bounds_on(self.jets, np.asarray(grid, dtype=float))
 
 
 def _table(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -53,7 +53,11 @@ class Robust:
 
     def checked(self, n: int) -> Robust:
         """Return the options with gains (n,). Raises GainsError for a wrong range or shape, or a non-finite value."""
-        gains = {name: _checked_gain(name, getattr(self, name), n) for name in GAINS}
+        gains = {name: checks.vector(name, getattr(self, name), n, GainsError) for name in GAINS}
+        for name, array in gains.items():
+            if not np.all((array >= 0) & (array <= FASTEST)):
+                raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 to {FASTEST:g}")
+            array.setflags(write=False)
         for name, value in (("delay", self.delay), ("hold", self.hold)):
             if not (np.isfinite(value) and value >= 0):
                 raise GainsError(f"{name} is {value} s; expected a finite number of 0 or more")
@@ -90,14 +94,6 @@ class Robust:
     def lead(self) -> float:
         """Prediction horizon [s]: the delay plus half of the hold period."""
         return self.delay + self.hold / 2 if self.predicts else 0.0
-
-
-def _checked_gain(name: str, value: ArrayLike, n: int) -> Array:
-    array = checks.vector(name, value, n, GainsError)
-    if not np.all((array >= 0) & (array <= FASTEST)):
-        raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 to {FASTEST:g}")
-    array.setflags(write=False)
-    return array
 
 
 def loaded_expression(law: TrackingLaw, integrates: bool = True) -> ca.Function:

@@ -61,10 +61,8 @@ class Measurement:
         if not np.all(ratio):
             raise ParameterError(f"measurement.gear_ratio is {ratio.tolist()}; expected no zeros")
         checks.freeze(self, "gear_ratio", ratio)
-        if self.motor == TORQUE:
-            self._check_torque()
-
-    def _check_torque(self) -> None:
+        if self.motor != TORQUE:
+            return
         if not self.observed:
             raise ParameterError(
                 f"measurement.velocity is '{self.velocity}' with measurement.motor 'torque'; expected '{OBSERVER}', "

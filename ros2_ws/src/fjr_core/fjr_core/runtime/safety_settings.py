@@ -155,8 +155,10 @@ class Settings:
         """Number of joints."""
         return len(self.joints)
 
-    def tightened(self, robot: JointLimits) -> Settings:
+    def tightened(self, robot: JointLimits | None) -> Settings:
         """Return these settings with the tighter of both limits: range and speed of the links, effort of the motors."""
+        if robot is None:
+            return self
         return replace(
             self,
             effort=np.minimum(self.effort, robot.effort),
