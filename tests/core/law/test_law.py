@@ -6,6 +6,7 @@ The identities hold for closed-form arms and, with the matrices of Pinocchio, fo
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -188,6 +189,8 @@ def test_changed_gains_give_the_law_built_with_them_from_the_same_function(first
     (u, V), (wanted_u, wanted_V) = (measured(each, p.x, p.jets) for each in (other, wanted))
     np.testing.assert_allclose(u, wanted_u, rtol=1e-10)
     assert pytest.approx(wanted_V, rel=1e-10) == V
+    again = fjr.TrackingLaw(SOFT.robot, replace(wanted.gains, Lambda_l=5.0))  # checked gains are checked again
+    assert again.gains.beta_l == pytest.approx(5.0)
 
 
 def test_law_built_for_diagonal_gains_refuses_matrices_and_every_law_refuses_invalid_gains() -> None:

@@ -62,7 +62,7 @@ class Gains:
         Raises GainsError for a wrong shape, a non-finite entry, Pi or K_d that is not symmetric positive definite,
         or a violation of condition (32) or (41).
         """
-        arrays = {f.name: checks.matrix(f.name, getattr(self, f.name), n, GainsError) for f in fields(self)}
+        arrays = {f.name: checks.matrix(f.name, getattr(self, f.name), n, GainsError) for f in fields(Gains)}
         for name in ("Pi_l", "K_ld", "Pi_m", "K_md"):
             arrays[name] = checks.positive_definite(name, arrays[name], GainsError)
         for array in arrays.values():
