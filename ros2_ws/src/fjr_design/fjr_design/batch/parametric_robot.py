@@ -74,8 +74,7 @@ class ScaledRobot:
     n: int
     links: RigidArm
     K: ca.SX
-    cubic: ca.SX | None
-    curves: tuple[springs.TorsionCurve, ...]
+    curves: tuple[springs.CubicCurve | springs.TorsionCurve, ...]
     D_l: ca.SX
     D_m: ca.SX
     B_m: ca.SX
@@ -183,7 +182,6 @@ class ParametricPlant:
             n=own.n,
             links=links,
             K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
-            cubic=None if own.cubic is None else p.stiffness**2 * ca.DM(own.cubic),
             curves=tuple(of.scaled(p.stiffness[j] ** 2) for j, of in enumerate(own.curves)),
             D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
             D_m=_both_sides(p.motor_damping, symbolic.sparse(own.D_m)),
