@@ -37,7 +37,6 @@ class AtWall(Manager):
         super().__init__(ros)
         self.control = ros.start(ControllerNode, [*file, "-p", "use_sim_time:=true"])._control
         self.plant = ros.start(PlantNode, file)
-        ros.until(lambda: self.heard("joint_states") and self.heard("joint_commands"), "the nodes")
 
     def present(self, value: bool) -> tuple[bool, str]:
         """Put the wall there or take it away."""

@@ -83,10 +83,11 @@ class NodeHost:
             self._executor.add_node(self._node)
         else:
             self._loop._host.stop()  # the loop serves requests and messages of the caller
-        topic = self._states.topic_name
-        heard = [each for each in subscriptions(self._node) if each.topic_name == topic]  # of the command loop
-        assert self._until(lambda: self._states.get_subscription_count() and self._listener.get_publisher_count())
-        assert self._until(lambda: all(each.get_publisher_count() for each in heard))
+        states, answers = self._states, self._listener
+        heard = [each for each in subscriptions(self._node) if each.topic_name == states.topic_name]  # by the loop
+        sent = [each for each in self._node.publishers if each.topic_name == answers.topic_name]
+        assert self._until(lambda: states.get_subscription_count() and all(one.get_publisher_count() for one in heard))
+        assert self._until(lambda: answers.get_publisher_count() and all(one.get_subscription_count() for one in sent))
 
     def _end(self) -> None:
         self._executor.shutdown()

@@ -23,16 +23,17 @@ def in_real_time(counter: Any) -> None:
     """
     with Ros() as ros:
         manager = Manager(ros)
-        node = ros.controller(limits__tracking_error=[3.0])
+        node = ros.controller(limits__tracking_error=[3.0], autostart=False)
+        node.trigger_configure()
+        node.trigger_activate()
         before = set(sys.modules)
-        manager.meet_controller()
+        ros.meet()
         ros.plant(imperfections__motor_coulomb_friction=[0.05])
         loaded_by_plant = set(sys.modules) - before
         loop = node._control._command_loop._struct
         ros.until(lambda: loop.answered > FIRST, "the first states")
         counter.allocations_count(1)
         ros.until(lambda: any("mismatch" in s.message for m in manager.diagnostics for s in m.status), "the diagnosis")
-        ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
         manager.trajectories.publish(trajectory((0.5, 0.3), (1.0, -0.2)))
         ros.until(lambda: "references changed" in manager.kinds(), "the trajectory")
         changed, _ = manager.set(gains__K_ld=[0.7], limits__tracking_error=[2.5])

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import threading
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,7 +18,6 @@ from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -73,9 +73,11 @@ class Ros:
         return node
 
     def start(self, kind: type[Node], arguments: list[str] | None = None, **parameters: Any) -> Any:
-        """Create a node; parameters by name, with `__` for a dot."""
+        """Create a node that is connected with the others; parameters by name, with `__` for a dot."""
         overrides = [Parameter(name.replace("__", "."), value=value) for name, value in parameters.items()]
-        return self.add(kind(context=self.context, parameter_overrides=overrides, cli_args=arguments))
+        node = self.add(kind(context=self.context, parameter_overrides=overrides, cli_args=arguments))
+        self.meet()
+        return node
 
     def plant(self, **parameters: Any) -> PlantNode:
         given = {"executor": self.host, "compile": self.host == "native"}
@@ -92,15 +94,20 @@ class Ros:
         assert not unknown, f"{node.get_name()} does not know {', '.join(sorted(unknown))}"
         return node
 
-    def matched(self, publisher: Publisher, least: int = 1) -> bool:
-        """Return whether a publisher and the subscriptions of this test to its topic, at least so many, are connected.
+    def meet(self) -> None:
+        """Wait until the nodes of this test are connected: publishers with all subscriptions to their topics, and back.
 
         Of two endpoints of one process either may know the other first; what is sent before both do is lost.
         """
-        topic = publisher.topic_name
-        found = [each for node in self._nodes for each in subscriptions(node) if each.topic_name == topic]
-        heard = [each.get_publisher_count() for each in found]
-        return all(heard) and publisher.get_subscription_count() >= max(least, len(heard))
+        self.until(self._met, "the connection of all publishers and subscriptions")
+
+    def _met(self) -> bool:
+        senders = [each for node in self._nodes for each in node.publishers]
+        readers = [each for node in self._nodes for each in subscriptions(node)]
+        sent, heard = (Counter(each.topic_name for each in ends) for ends in (senders, readers))
+        return all(each.get_subscription_count() >= heard[each.topic_name] for each in senders) and all(
+            each.get_publisher_count() >= sent[each.topic_name] for each in readers
+        )
 
     def until(self, happened: Callable[[], Any], what: str = "the event") -> None:
         """Spin until `happened()` is true; fail after the time limit."""
@@ -176,18 +183,12 @@ class Listener(Node):
             "diagnostics": (DiagnosticArray, self.diagnostics),
         }
         deep = QoSProfile(depth=1000)
-        self.subscriptions_by_topic = {
-            topic: self.create_subscription(
-                kind, "/" + topic if topic == "diagnostics" else prefix + topic, keep.append, deep
-            )
-            for topic, (kind, keep) in heard.items()
-            if only is None or topic in only
-        }
+        for topic, (kind, keep) in heard.items():
+            if only is None or topic in only:
+                self.create_subscription(
+                    kind, "/" + topic if topic == "diagnostics" else prefix + topic, keep.append, deep
+                )
         ros.add(self)
-
-    def heard(self, topic: str) -> int:
-        """Return the number of publishers of a topic that are connected to this listener."""
-        return int(self.subscriptions_by_topic[topic].get_publisher_count())
 
     def request(self, kind: Any, name: str, **fields: Any) -> Future:
         """Call a service without waiting for its response."""
@@ -236,44 +237,11 @@ class Peer(Listener):
         self.effort_publisher = self.create_publisher(Float64MultiArray, prefix + "effort_controller/commands", LATEST)
         self.command_publisher = self.create_publisher(JointState, prefix + "joint_commands", LATEST)
 
-    def controller(self, **parameters: Any) -> ControllerNode:
-        """Start a controller; return it once it is connected with this peer."""
-        node = self._ros.controller(**parameters)
-        self.meet_controller()
-        return node
-
     def plant(self, **parameters: Any) -> PlantNode:
-        """Start a plant; return it once it is connected with this peer and its states are heard."""
+        """Start a plant; return it once its states are heard."""
         node = self._ros.plant(**parameters)
-        self.meet_plant(parameters.get("lockstep", False))
+        self._ros.until(lambda: self.states, "a state")
         return node
-
-    def meet_controller(self) -> None:
-        """Wait until controller and peer are connected in both directions."""
-        heard = (
-            "effort_controller/commands",
-            "joint_commands",
-            "fjr_controller/reference",
-            "fjr_controller/tracking_error",
-            "diagnostics",
-        )
-        topics = {self.subscriptions_by_topic[topic].topic_name for topic in heard}
-        publishers = [each for node in self._ros._nodes for each in node.publishers if each.topic_name in topics]
-        self._ros.until(
-            lambda: (
-                self._ros.matched(self.state_publisher, 2)
-                and all(self.heard(topic) for topic in heard)
-                and all(self._ros.matched(publisher) for publisher in publishers)
-            ),
-            "the controller",
-        )
-
-    def meet_plant(self, lockstep: bool = False) -> None:
-        """Wait until plant and peer are connected in both directions."""
-        publisher = self.command_publisher if lockstep else self.effort_publisher
-        self._ros.until(
-            lambda: self._ros.matched(publisher, 2) and self.states and self.heard("diagnostics"), "the plant"
-        )
 
     def started(self, q: Any = 0.5, **parameters: Any) -> ControllerNode:
         """Start a controller; return it once it has answered the first state, at rest at q."""
@@ -282,8 +250,8 @@ class Peer(Listener):
         return node
 
     def lone_controller(self, **parameters: Any) -> ControllerNode:
-        """Start a controller; return it once it is connected and the publishers of earlier tests have left."""
-        node = self.controller(**parameters)
+        """Start a controller; return it once the publishers of earlier tests have left."""
+        node = self._ros.controller(**parameters)
         topics = node._control._command_loop._topics
         self._ros.until(lambda: not topics.others_appeared(), "publishers of an earlier test to leave")
         return node

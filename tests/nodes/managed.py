@@ -37,9 +37,11 @@ class Manager(Peer):
         return str(self.call(GetState, f"{CONTROLLER}/get_state").current_state.label)
 
     def change(self, transition: str) -> bool:
-        """Request a transition by its id; return whether it succeeds."""
+        """Request a transition by its id; return whether it succeeds, and what it made is connected."""
         asked = Transition(id=TRANSITIONS[transition])
-        return bool(self.call(ChangeState, f"{CONTROLLER}/change_state", transition=asked).success)
+        success = bool(self.call(ChangeState, f"{CONTROLLER}/change_state", transition=asked).success)
+        self._ros.meet()
+        return success
 
     def labels(self) -> list[str]:
         answer = self.call(GetAvailableStates, f"{CONTROLLER}/get_available_states")
@@ -69,7 +71,6 @@ class Manager(Peer):
 
     def send(self, message: JointTrajectory) -> DiagnosticStatus:
         """Publish a trajectory; return the event that reports its outcome."""
-        self._ros.until(lambda: self._ros.matched(self.trajectories), "the trajectory's subscription")
         before = len(self.answers())
         self.trajectories.publish(message)
         self._ros.until(lambda: len(self.answers()) > before, "an event")

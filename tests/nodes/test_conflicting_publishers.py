@@ -79,7 +79,6 @@ def test_a_conflict_found_with_the_first_state_ends_the_node_or_leaves_a_managed
     if managed:
         assert manager.change("configure")
         assert manager.change("activate")
-    manager.meet_controller()
     other = appear(EFFORTS, MANAGER_AND_CONTROLLER)
     with other.talking():
         manager.state_publisher.publish(stamped(0.0))
@@ -92,7 +91,6 @@ def test_a_conflict_found_with_the_first_state_ends_the_node_or_leaves_a_managed
     assert not manager.references, "nothing must be sent"
     if managed:
         assert manager.change("activate")
-        manager.meet_controller()
         manager.ask(stamped(0.2))
 
 

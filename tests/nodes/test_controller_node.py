@@ -21,7 +21,7 @@ def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: floa
 
 
 def test_every_state_is_answered_with_effort_reference_and_tracking_error(ros: Ros, peer: Peer) -> None:
-    node = peer.controller()
+    node = ros.controller()
     for k in range(20):
         t, q_l, q_m, dq_l, dq_m = 0.001 * k, 0.5 - 0.01 * k, 0.5 + 0.02 * k, 0.1 * k, -0.1 * k
         state = stamped(t, [q_l, q_m], [dq_l, dq_m])
@@ -84,7 +84,6 @@ def test_namespace_and_remap(ros: Ros) -> None:
     peer = Peer(ros, prefix="arm/")
     arguments = ["--ros-args", "-r", "__ns:=/arm", "-r", "fjr_controller:joint_states:=joint_states"]
     ros.start(ControllerNode, arguments)
-    peer.meet_controller()
     np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
 
 
@@ -98,7 +97,6 @@ def test_use_sim_time_changes_only_while_unconfigured(ros: Ros, manager: Manager
     assert manager.set(use_sim_time=False) == (False, refusal)
     assert manager.set_one("use_sim_time", False) == (False, refusal)
     assert manager.set(use_sim_time=True)[0]
-    manager.meet_controller()
     manager.ask(stamped(0.0))
     manager.answer(stamped(0.6))  # a stop comes with it
     ros.until(lambda: "silences" in manager.kinds(), "the silence by the stamps")
@@ -118,10 +116,8 @@ def answers_across_a_silence(clock_first: bool) -> list[float]:
     """Return the efforts after the first, with the clock before or after the state that ends the silence."""
     with Ros() as ros:
         manager = Manager(ros)
-        node = ros.controller(state_timeout=0.5, use_sim_time=True)
         clock = manager.create_publisher(Clock, "/clock", 1)
-        manager.meet_controller()
-        ros.until(lambda: ros.matched(clock), "the clock's reader")
+        node = ros.controller(state_timeout=0.5, use_sim_time=True)
         manager.ask(stamped(0.0))
         for k, t in enumerate((0.6, 0.601, 0.602, 0.7)):
             if clock_first:

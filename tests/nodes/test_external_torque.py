@@ -33,7 +33,6 @@ def test_torque_on_the_plant_is_published_through_the_low_pass(
     ros.controller(use_sim_time=True, external_torque_bandwidth=L, **more)
     start = {"initial_link_position": [0.5], "initial_motor_position": [0.5]}
     node = ros.plant(lockstep=True, start_paused=True, advance_samples=SAMPLES, **start)
-    ros.until(lambda: ros.matched(publisher))
 
     def advanced(to: int) -> np.ndarray:
         """Advance the plant; return the estimates at the present state, which it repeats, and at the next SAMPLES."""

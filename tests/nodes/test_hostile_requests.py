@@ -114,9 +114,8 @@ def test_an_unknown_type_refuses_its_parameter_and_those_after_it(ros: Ros, mana
 
 @each_node
 def test_a_clock_before_1970_is_refused(ros: Ros, manager: Manager, name: str) -> None:
-    node = ros.controller(use_sim_time=True) if name == "fjr_controller" else ros.plant(use_sim_time=True)
     publisher, message = manager.create_publisher(Clock, "/clock", 10), Clock()
-    ros.until(lambda: ros.matched(publisher), "the node")
+    node = ros.controller(use_sim_time=True) if name == "fjr_controller" else ros.plant(use_sim_time=True)
     message.clock.sec = -5
     publisher.publish(message)
     ros.until(lambda: node.unexpected, "the refusal")

@@ -44,12 +44,10 @@ LIFE = {
 
 
 def test_transitions_are_those_of_a_managed_node_and_each_is_logged_once(ros: Ros, manager: Manager, capfd) -> None:
-    node = ros.controller(autostart=False)
-    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
+    ros.controller(autostart=False)
     assert manager.state() == "unconfigured"
     for transition, (state, *_) in LIFE.items():
         if transition == "ask":
-            manager.meet_controller()
             for k in range(3):
                 manager.ask(stamped(0.001 * k))
         else:
@@ -67,7 +65,6 @@ def test_transitions_are_those_of_a_managed_node_and_each_is_logged_once(ros: Ro
 def test_states_are_answered_only_once_other_controllers_are_discovered(ros: Ros, manager: Manager) -> None:
     since = time.monotonic() + 0.5
     node = ros.start(partial(ControllerNode, since), executor=ros.host, compile=ros.host == "native")
-    manager.meet_controller()
     assert node.state == "active"
     while not manager.commands:
         manager.state_publisher.publish(stamped(time.monotonic() - since + 1.0))
@@ -79,14 +76,12 @@ def test_nothing_is_computed_or_sent_unless_active(ros: Ros, manager: Manager) -
     node = ros.controller(autostart=False)
     manager.ask(stamped(0.0), answered=False)
     assert manager.change("configure")
-    ros.until(lambda: ros.matched(manager.state_publisher, 2), "the controller")
     for _ in range(3):
         manager.ask(stamped(0.0), answered=False)
     assert node._control.step.last_stamp is None
     assert not manager.efforts
     for transition in ("activate", "deactivate", "activate"):  # without a command there is no last one either
         assert manager.change(transition)
-    manager.meet_controller()
     assert not manager.efforts
     manager.ask(stamped(0.1))
     assert manager.change("deactivate")
@@ -120,7 +115,6 @@ def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, ma
     assert manager.set(reference__amplitude=[0.4], reference__offset=[0.1], gains__K_ld=[0.9])[0]
     assert manager.change("activate")
     wanted = effort(0.0, fjr.Gains(10.0, 20.0, 0.9, 15.0, 60.0, 0.3), fjr.Sine(0.4, 1.0, 0.1))
-    manager.meet_controller()
     np.testing.assert_allclose(manager.answer(stamped(5.0)).effort, [wanted], rtol=1e-9)
     manager.answer(stamped(5.5))
     np.testing.assert_allclose(manager.references[-1].position, [0.1 + 0.4 * np.sin(0.5)], rtol=1e-9)
@@ -132,7 +126,6 @@ def test_a_reference_and_gains_set_while_inactive_apply_when_active(ros: Ros, ma
 
 def test_invalid_parameters_are_refused_by_configure_and_can_be_corrected(ros: Ros, manager: Manager, capfd) -> None:
     node = ros.controller(autostart=False, gains__K_ld="much", robot__joint_stiffness=[3.1])
-    ros.until(lambda: node._events._publisher.get_subscription_count(), "a reader of the events")
 
     def parts() -> list[int]:
         return [len(list(each)) for each in (node.publishers, node.subscriptions, node.services, node.timers)]
@@ -162,7 +155,6 @@ def test_invalid_parameters_are_refused_by_configure_and_can_be_corrected(ros: R
     assert manager.change("configure")
     assert node.trouble is None
     assert manager.change("activate")
-    manager.meet_controller()
     np.testing.assert_allclose(manager.ask(stamped(0.0)).effort, [effort(0.0)], rtol=1e-9)
 
 
@@ -205,7 +197,7 @@ def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> Non
 
 
 def test_a_destroyed_node_leaves_the_graph_without_the_garbage_collector(ros: Ros) -> None:
-    looking = ros.add(Listener(ros))
+    looking = Listener(ros)
     collecting = gc.isenabled()
     gc.disable()
     try:
@@ -232,7 +224,7 @@ def at(t: float = 0.0) -> Any:
 
 
 def test_a_violated_limit_of_the_state_stops_until_a_resume(ros: Ros, manager: Manager) -> None:
-    manager.controller(on_stop="gravity_hold")
+    ros.controller(on_stop="gravity_hold")
     assert manager.set(limits__motor_velocity=[0.21]) == (True, "")
     law = float(manager.ask(at()).effort[0])
     assert abs(law) > 5.0
@@ -248,7 +240,7 @@ def test_a_violated_limit_of_the_state_stops_until_a_resume(ros: Ros, manager: M
 
 
 def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> None:
-    node = peer.controller(limits__effort_rate=[100.0])
+    node = ros.controller(limits__effort_rate=[100.0])
     efforts = [float(peer.ask(at(0.001 * k)).effort[0]) for k in range(4)]
     np.testing.assert_allclose(efforts, [0.0, -0.1, -0.2, -0.3])
     peer.reported(node, "efforts rate limited", 4)
@@ -256,11 +248,9 @@ def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> Non
     assert status.level == DiagnosticStatus.OK, "a limited rate is what its setting asks for"
 
 
-def test_positions_of_links_and_joint_torques_suffice_with_an_observer(peer: Peer) -> None:
+def test_positions_of_links_and_joint_torques_suffice_with_an_observer(ros: Ros, peer: Peer) -> None:
     """The effort is zero while the observer settles, then the law's with the observer's velocities."""
-    peer.controller(
-        measurement__motor="torque", measurement__velocity="observer", measurement__observer_bandwidth=200.0
-    )
+    ros.controller(measurement__motor="torque", measurement__velocity="observer", measurement__observer_bandwidth=200.0)
     state = stamped(0.0, 0.5, names=["joint1"])
     state.velocity, state.effort = [], [31.0 * 0.02]
     law, observer = fjr.TrackingLaw(ROBOT, fjr.PAPER_GAINS), fjr.VelocityObserver(ROBOT, 200.0)

@@ -92,9 +92,9 @@ def run_with_losses() -> tuple[list[tuple[int, bytes]], int]:
         listener = Listener(ros)
         controller = ros.controller(use_sim_time=True, state_timeout=0.02, autostart=False)
         node = ros.plant(lockstep=True, start_paused=True, advance_samples=600, imperfections__state_loss=0.9)
-        ros.until(lambda: listener.heard("joint_states"), "the plant")
         controller.trigger_configure()
         controller.trigger_activate()
+        ros.meet()
         assert listener.advance().success
         assert node._robot.time == 600 * PERIOD
         ros.settle()

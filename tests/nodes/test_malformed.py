@@ -100,9 +100,7 @@ TWO_LINK = {
 
 @pytest.fixture
 def node(ros: Ros, manager: Manager) -> ControllerNode:
-    made = manager.controller(**TWO_LINK)
-    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
-    return made
+    return ros.controller(**TWO_LINK)
 
 
 @fuzzed(EXAMPLES)

@@ -59,7 +59,7 @@ def test_trajectories_arrive_in_a_participant_of_their_own_beside_the_native_loo
 def test_listeners_have_every_answered_state_and_topics_for_observers_a_rate_of_their_own(ros: Ros, peer: Peer) -> None:
     certificates: list[Float64MultiArray] = []
     peer.create_subscription(Float64MultiArray, "fjr_controller/certificate", certificates.append, 10)
-    node, heard = peer.controller(auxiliary_rate=100.0), []
+    node, heard = ros.controller(auxiliary_rate=100.0), []
     loop_of(node).add_listener(lambda sample, command: heard.append((sample.stamp, command.u[0])))
     for k in range(101):
         peer.state_publisher.publish(stamped(0.001 * k))
@@ -71,7 +71,7 @@ def test_listeners_have_every_answered_state_and_topics_for_observers_a_rate_of_
 
 
 def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_sentence(ros: Ros, peer: Peer) -> None:
-    node = peer.controller(on_stop="zero")
+    node = ros.controller(on_stop="zero")
     assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
     loop = loop_of(node)
     ffi = loop.program.ffi
@@ -97,12 +97,11 @@ def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, peer: Peer, m
         controller_program.cache_clear()
     assert not loop_of(node).native
     assert "in rclpy's executor instead of a native thread: rcl.h is missing\n" in capfd.readouterr().err
-    peer.meet_controller()
     assert peer.ask(stamped(0.0, [0.5, 0.4])).effort[0] != 0
 
 
 def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros, peer: Peer) -> None:
-    peer.controller(executor="events")
+    ros.controller(executor="events")
     names, numbers = (b"joint1\0", b"joint1_motor\0"), (0.5, 0.4)
     data = struct.pack(">iiI4xI", 100, 0, 1, 2)  # stamp, an empty frame with its padding, two names
     for name in names:
@@ -116,13 +115,13 @@ def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros, peer: Peer) -> N
 
 
 def test_a_node_restarts_its_thread_with_each_activation(ros: Ros, peer: Peer) -> None:
-    node = peer.controller()
+    node = ros.controller()
     for k in (1, 2):
         peer.answer(stamped(k))
         node.trigger_deactivate()
         ros.until(lambda k=k: len(peer.commands) == 2 * k, "the stop effort")
         node.trigger_activate()
-        peer.meet_controller()
+        ros.meet()
     assert loop_of(node)._host.runs
     ros.executor.remove_node(node)
     node.destroy_node()
@@ -137,7 +136,8 @@ def test_the_thread_has_short_slices_though_python_steps_back(ros: Ros) -> None:
         before = set(os.listdir("/proc/self/task"))
         node.trigger_activate()
         (thread,) = (int(each) for each in set(os.listdir("/proc/self/task")) - before)
-        Peer(ros).meet_controller()  # the thread runs
+        Peer(ros)
+        ros.meet()  # the thread runs
     finally:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     assert os.sched_getscheduler(thread) == os.SCHED_OTHER
@@ -185,8 +185,8 @@ def test_every_state_is_answered_while_the_lock_is_held(ros: Ros, hold: Hold, lo
     assert loop._struct.received - loop._struct.answered - stale in (0, 1)  # the newest may be on its way
 
 
-def test_the_first_state_is_answered_while_the_lock_is_held(peer: Peer, hold: Hold) -> None:
-    node = peer.controller()
+def test_the_first_state_is_answered_while_the_lock_is_held(ros: Ros, peer: Peer, hold: Hold) -> None:
+    node = ros.controller()
     peer.state_publisher.publish(stamped(0.0))
     assert hold(loop_of(node), 1)
 
@@ -284,8 +284,7 @@ def test_the_native_plant_keeps_its_time_while_the_executor_is_blocked(ros: Ros,
 
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_a_fault_in_the_thread_ends_the_node_with_one_sentence(ros: Ros, peer: Peer, lockstep: bool, capfd) -> None:
-    node = ros.plant(lockstep=lockstep)
-    peer.meet_plant(lockstep=lockstep)
+    node = peer.plant(lockstep=lockstep)
     host = node._time_base.host
     assert isinstance(host, NativePlantHost)
     host._addresses[0] = plant_program().ffi.cast("void*", host.subscriptions[0].address)  # no publisher

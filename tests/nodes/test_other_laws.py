@@ -21,7 +21,6 @@ def test_publishes_the_effort_of_the_selected_law_without_a_certificate(ros: Ros
     node = ros.controller(law__type=name, law__start_error=[0.5])
     law = control_law(node.values, fjr.single_link()).sampled
     memory, sent = law.memory, 0.0
-    peer.meet_controller()
     for k in range(5):
         t, position, velocity = 0.001 * k, [0.5 - 0.01 * k, 0.5 + 0.02 * k], [0.1 * k, -0.1 * k]
         command = peer.ask(stamped(t, position, velocity))
@@ -42,7 +41,6 @@ def test_gravity_hold_uses_the_motor_damping_of_the_law(ros: Ros, peer: Peer) ->
         law__type="pd_gravity", on_stop="gravity_hold", limits__tracking_error=[0.1], recovery__join_time=0.0
     )
     law = control_law(node.values, fjr.single_link())
-    peer.meet_controller()
     command = peer.ask(stamped(0.0, 0.5, [0.0, 0.3]))
     wanted = 0.8 * np.sin(0.5) - law.hold_damping[0, 0] * 0.3
     assert command.effort[0] == pytest.approx(wanted)

@@ -19,7 +19,6 @@ def test_publishes_the_effort_of_the_law_with_its_options(ros: Ros, peer: Peer) 
     law = own_code.Pd(fjr.single_link(), K_p=30.0, weights=(2.0,))
     assert node.get_parameter("law.options.K_d").value == 2.0
     assert "or module:Class of your own" in node.describe_parameter("law.type").additional_constraints
-    peer.meet_controller()
     for k in range(3):
         t, position, velocity = 0.001 * k, [0.5, 0.5 + 0.02 * k], [0.1 * k, -0.1 * k]
         command = peer.ask(stamped(t, position, velocity))
@@ -28,7 +27,7 @@ def test_publishes_the_effort_of_the_law_with_its_options(ros: Ros, peer: Peer) 
 
 
 def test_an_exception_in_the_law_stops_the_arm_and_the_node_continues(ros: Ros, peer: Peer) -> None:
-    node = peer.controller(law__type="own_code:FailsAtSpeed")
+    node = ros.controller(law__type="own_code:FailsAtSpeed")
     assert peer.ask(stamped(0.0, 0.2)).effort[0] != 0.0
     for k in range(1, 4):
         assert peer.ask(stamped(0.001 * k, 0.2, [0.0, -0.1])).effort[0] == 0.0

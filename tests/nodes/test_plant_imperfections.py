@@ -208,9 +208,8 @@ def pushed(x: np.ndarray, torque: float, seconds: float) -> np.ndarray:
 
 
 def test_external_torque_acts_until_the_next_message_or_a_reset(ros: Ros, peer: Peer) -> None:
-    node = ros.plant(start_paused=True, advance_samples=100)
     publisher = peer.create_publisher(JointState, "fjr_plant/external_torque", 1)
-    ros.until(lambda: ros.matched(publisher))
+    node = ros.plant(start_paused=True, advance_samples=100)
     publisher.publish(JointState(name=["elbow"], effort=[0.8]))
     ros.until(lambda: node._health.count["external torque refused: unknown joints"] == 1)
     assert not node._robot.external.any()

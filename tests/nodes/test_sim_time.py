@@ -25,9 +25,8 @@ class Player:
 
     def __init__(self, ros: Ros, peer: Peer, **parameters: object) -> None:
         self._ros, self._peer = ros, peer
-        self.node = ros.plant(use_sim_time=True, **parameters)
         self._publisher = peer.create_publisher(Clock, "/clock", 1)
-        ros.until(lambda: ros.matched(self._publisher) and ros.matched(peer.effort_publisher, 2))
+        self.node = ros.plant(use_sim_time=True, **parameters)
 
     def play(self, time: int) -> None:
         """Publish a time [ns] and wait until the plant has processed it."""

@@ -18,6 +18,7 @@ from fjr_msgs_py.messages.trajectories import TrajectoryReader, trajectory_messa
 from fjr_msgs_py.names import state_names
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager, trajectory
+from time_limits import HANG
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
 NAN, INF = float("nan"), float("inf")
@@ -135,7 +136,7 @@ def test_omitted_joints_hold_if_allowed_and_the_limits_of_the_robot_apply(ros: R
     shoulder, elbow = JOINTS
     robot = {"model": "urdf", "urdf": two_link_urdf(), "joint_stiffness": STIFFNESS, "motor_inertia": MOTOR_INERTIA}
     offset = {"reference__amplitude": [0.0, 0.0], "reference__offset": [0.1, 0.2]}
-    manager.controller(joints=JOINTS, **{f"robot__{name}": value for name, value in robot.items()}, **offset)
+    ros.controller(joints=JOINTS, **{f"robot__{name}": value for name, value in robot.items()}, **offset)
     names = state_names(JOINTS)
     manager.ask(stamped(0.0, 0.1, names=names))
     message = trajectory((1.0, 0.4), joints=(elbow,))
@@ -155,7 +156,7 @@ def test_omitted_joints_hold_if_allowed_and_the_limits_of_the_robot_apply(ros: R
 
 
 def test_requests_are_refused_before_a_state_while_stopped_and_while_inactive(ros: Ros, manager: Manager) -> None:
-    manager.controller(limits__tracking_error=[0.1])
+    ros.controller(limits__tracking_error=[0.1])
     assert manager.send(move()).name == "trajectory refused: no state"
     manager.ask(stamped(0.0, 0.0))
     manager.ask(stamped(0.001, 0.5))
@@ -184,7 +185,7 @@ class Gate:
     def _pass(self, problem: PlanningProblem) -> Any:
         self.threads.add(threading.current_thread())
         self.waiting += 1
-        assert self._open.wait(30.0)
+        assert self._open.wait(HANG)
         return self._solve(problem)
 
 
@@ -198,7 +199,6 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
 def planned(ros: Ros, manager: Manager, gate: Gate, *messages: JointTrajectory, **parameters: Any) -> Any:
     """Return a controller with a first command, whose planning of the first message waits at the gate."""
     node = manager.started(0.0, **parameters)
-    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     for message in messages:
         manager.trajectories.publish(message)
     ros.until(lambda: gate.waiting, "the planning")
@@ -277,9 +277,7 @@ def test_a_long_message_is_read_beside_the_executor_and_replaced_by_a_newer_one(
     times = np.arange(1, LONG // 20) * 0.01
     long = trajectory_message(("joint1",), times, *(np.zeros((len(times), 1)) for _ in range(3)))
     node, reading = ros.controller(), threading.Event()
-    manager.meet_controller()
     manager.ask(stamped(0.0, 0.0))
-    ros.until(lambda: ros.matched(manager.trajectories), "the trajectory's subscription")
     planner = node._control._interface.planner
     planner._worker.submit(reading.wait)
     manager.trajectories.publish(long)
@@ -305,7 +303,6 @@ def test_deactivation_discards_the_trajectory_being_planned(ros: Ros, manager: M
     assert manager.change("deactivate")
     ros.until(lambda: "trajectories given up" in manager.kinds(), "the event")
     assert manager.change("activate")
-    manager.meet_controller()
     gate.open()
     manager.answer(stamped(1.0, 0.0))
     ros.settle()

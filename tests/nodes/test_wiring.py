@@ -154,8 +154,7 @@ def test_the_controller_has_gains_and_reference_of_the_parameters(ros: Ros) -> N
 def lockstep_state(ros: Ros, model: str = "single_link", samples: int = 20, **parameters: Any) -> JointState:
     """Return the state of a plant node with these parameters after some samples of a constant effort."""
     peer = Peer(ros)
-    ros.plant(**{"lockstep": True, **model_parameters(model), **parameters})
-    peer.meet_plant(lockstep=True)
+    peer.plant(**{"lockstep": True, **model_parameters(model), **parameters})
     names = joints(model)
     for _ in range(samples):
         state, count = peer.states[-1], len(peer.states)

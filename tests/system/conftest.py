@@ -1,16 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures: the started programs of a test, one real browser for a process, a real Dask cluster."""
+"""Fixtures: a ROS domain for each file, the started programs of a test, a real browser, a real Dask cluster."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from itertools import cycle
 from typing import Any
+from unittest import mock
 
 import pytest
 
-from isolation import without_proofs
+from isolation import leased_domain, without_proofs
 from system.browser import Browser
 from system.executables import PROGRAMS, Executable, Start
+
+
+@pytest.fixture(scope="session")
+def domains() -> Iterator[str]:
+    """ROS domains to take in turn: nodes that were killed stay in the graph for 5 s, longer on a busy machine."""
+    return cycle([leased_domain() for _ in range(3)])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def another_domain(domains: Iterator[str]) -> Iterator[None]:
+    """Use another ROS domain than the last file."""
+    with mock.patch.dict(os.environ, ROS_DOMAIN_ID=next(domains)):
+        yield
 
 
 @pytest.fixture

@@ -24,10 +24,13 @@ pytestmark = pytest.mark.system
 def test_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, start: Start, number: int) -> None:
     peer = Peer(ros)
     controller = start("controller")
-    peer.meet_controller()
-    while not peer.commands:  # the controller first listens for other publishers and does not answer
+
+    def answered() -> bool:
+        """Send the state again: before it knows this peer, and other publishers, the controller does not answer."""
         peer.state_publisher.publish(stamped(0.0))
-        ros.settle(1)
+        return bool(peer.commands and peer.efforts)
+
+    ros.until(answered, "an answer")
     np.testing.assert_allclose(peer.commands[-1].effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
     controller.signal(number)
     ros.until(

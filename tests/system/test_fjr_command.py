@@ -8,7 +8,6 @@ import os
 import re
 import signal
 from collections.abc import Iterator
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from ament_index_python.packages import get_package_share_directory
 from sensor_msgs.msg import JointState
 
 from fjr_msgs_py.console.ending import Exit
-from isolation import leased_domain
 from nodes.harness import Listener, Ros
 from system.executables import NODES, Executable, Start, children, fjr_here, wait_for
 from system.recorded import messages
@@ -98,14 +96,9 @@ def test_neither_recorder_nor_node_outlives_a_command_that_is_killed(ros: Ros, s
     wait_for(lambda: not any(is_alive(pid) for pid in nodes.values()), "the end of recorder and nodes")
 
 
-@pytest.fixture(scope="module")
-def domains() -> Iterator[str]:
-    return cycle([leased_domain() for _ in range(3)])
-
-
 @pytest.fixture(autouse=True)
 def fresh_domain(domains: Iterator[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Use another ROS domain than the last test, whose killed nodes stay in the graph for 5 s."""
+    """Use another ROS domain than the last test, which killed nodes."""
     monkeypatch.setenv("ROS_DOMAIN_ID", next(domains))
 
 
@@ -124,7 +117,7 @@ def test_another_plant_in_the_domain_is_refused_before_anything_is_published(
     ros.until(lambda: listener.states, "the other plant")
     said = fjr_here("run", "paper_k31", "--no-report", "--output", str(tmp_path), code=Exit.FAILED)
     assert re.search(r"^fjr: /joint_states has other publishers in .*other_plant.*: stop it or set", said, re.MULTILINE)
-    assert listener.heard("joint_states") == 1
+    assert listener.count_publishers("joint_states") == 1
     assert not list(tmp_path.iterdir())
 
 

@@ -314,7 +314,7 @@ def test_topics_in_a_namespace_are_found_and_two_are_ambiguous(run: Path, tmp_pa
             for raw in read_bag(bag).topic(STATES).messages[:100]:
                 writer.write(added, raw.log_time, raw.data)
     arguments = ("report", str(tmp_path / "two"), "--scenario", str(run / "scenario.yaml"))
-    assert "/left/joint_states and /right/joint_states: name one" in fjr_here(*arguments, code=2)
+    assert "/left/joint_states and /right/joint_states; expected one, or its namespace" in fjr_here(*arguments, code=2)
     assert "two_report/report.html" in fjr_here(*arguments, "--namespace", "left")
 
 

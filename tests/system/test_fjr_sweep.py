@@ -23,6 +23,7 @@ from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
 from system.documented import documented_keys
 from system.executables import Start, fjr_here, wait_for
+from time_limits import HANG
 
 pytestmark = pytest.mark.system
 SWEEP = """
@@ -54,7 +55,7 @@ def test_killed_study_is_resumed(start: Start, tmp_path: Path) -> None:
     running, parts = start("fjr", "sweep", name, "--output", str(tmp_path / "killed")), tmp_path / "killed/joint/parts"
     wait_for(lambda: len(list(parts.glob("*.parquet"))) >= 3 or running.process.poll() is not None, "three parts")
     running.signal(signal.SIGKILL)
-    assert running.process.wait(timeout=10) == -signal.SIGKILL
+    assert running.process.wait(HANG) == -signal.SIGKILL
     kept = list(parts.glob("*.parquet"))
     assert 3 <= len(kept) < 50
     said = fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path / "killed"))

@@ -73,7 +73,6 @@ def test_record_keeps_the_named_topics_and_overwrites_nothing(loop: None, tmp_pa
     with AnyReader([tmp_path / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
         assert set(counts) == {"/left/joint_states", "/left/joint_commands"}
-        assert min(counts.values()) > 50
         connection, _, raw = next(reader.messages())
         assert np.isfinite(reader.deserialize(raw, connection.msgtype).effort).all()
     assert "not overwritten" in fjr_here("record", *output, code=1)

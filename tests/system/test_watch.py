@@ -70,7 +70,7 @@ class Terminal:
         while self.process.poll() is None and not limit.passed():
             self._read(0.1)
         self._read(0.1)
-        return self.process.wait(TIME_LIMIT)
+        return self.process.wait(HANG)
 
     def close(self) -> None:
         if self.process.poll() is None:
