@@ -84,9 +84,9 @@ class Arm:
         """Return dx/dt (..., d, rows, n) of states x of the same shape under efforts u (d, n)."""
         q_l, q_m, v_l, v_m = (x[..., i, :] for i in range(4))
         w_l, w_m, w_s = (x[..., i, :] if self.rows == 7 else np.zeros_like(q_l) for i in (4, 5, 6))
-        tau, tau_m, dw_s = self.spring(self.stiffness, q_l, q_m - self.offset, v_l, v_m, w_s)
-        F_l, dw_l = self.friction(v_l, self.link_friction, w_l, tau)
-        F_m, dw_m = self.friction(v_m, self.motor_friction, w_m, tau)
+        tau, tau_m, dw_s = self.spring.law(self.stiffness, q_l, q_m - self.offset, v_l, v_m, w_s)
+        F_l, dw_l = self.friction.law(v_l, self.link_friction, w_l, tau)
+        F_m, dw_m = self.friction.law(v_m, self.motor_friction, w_m, tau)
         on_links = tau - self.link_damping * v_l - F_l - self.cable * np.sin(q_l) - self.link_torque(q_l, v_l)
         a_l = np.linalg.solve(self.link_inertia(q_l), on_links[..., None])[..., 0]
         a_m = (u - tau_m - self.motor_damping * v_m - F_m) / self.motor_inertia

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Friction:
-    """torque, dw/dt = law(v, level, w, load): of velocities [rad/s], levels, the state, and the load [N m].
+    """torque [N m], dw/dt = law(v, level, w, load): of velocities [rad/s], levels, the state, and the load [N m].
 
     turning: the velocity v_0 [rad/s] of level tanh(v / v_0); None for other shapes. excess: by which the level near
     rest is higher; stribeck: the velocity [rad/s] over which it falls. share: of the load, by which the level grows.
@@ -27,10 +27,6 @@ class Friction:
     excess: float = 0.0
     stribeck: float = 0.0
     share: float = 0.0
-
-    def __call__(self, v: Array, level: Array, w: Array, load: Array) -> tuple[Array, Array]:
-        """Return the friction torque [N m] and the rate of its state."""
-        return self.law(v, level, w, load)
 
 
 def coulomb(turning: Any) -> Friction:
@@ -85,10 +81,6 @@ class Spring:
     has_state: bool = False
     torque: Callable[[Array, Array], Array] = lambda K, zeta: K * zeta
     stiffest: float = 1.0
-
-    def __call__(self, K: Array, q_l: Array, q_m: Array, v_l: Array, v_m: Array, w: Array) -> tuple[Array, ...]:
-        """Return tau and tau_m [N m], and the rate of the state."""
-        return self.law(K, q_l, q_m, v_l, v_m, w)
 
 
 def of_deflection(torque: Callable[[Array, Array], Array]) -> Spring:

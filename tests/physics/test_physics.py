@@ -121,7 +121,7 @@ def test_a_spring_in_a_closed_cycle_gives_back_at_most_its_work(spring: laws.Spr
     q_m = 5e-3 * np.sin(np.linspace(0, 4 * np.pi, 2 * steps + 1))
     w, torques = 0.0, []
     for before, after in pairwise(q_m):
-        tau, tau_m, dw = spring(np.float64(200.0), 0.0, (before + after) / 2, 0.0, after - before, np.float64(w))
+        tau, tau_m, dw = spring.law(np.float64(200.0), 0.0, (before + after) / 2, 0.0, after - before, np.float64(w))
         torques.append(tau_m)
         w += float(dw)
     work = float(np.sum(np.array(torques[steps:]) * np.diff(q_m[steps:])))
@@ -132,16 +132,16 @@ def test_a_spring_in_a_closed_cycle_gives_back_at_most_its_work(spring: laws.Spr
 def test_breakaway_levels_and_secants_are_as_named() -> None:
     one, rest = np.ones(1), np.zeros(1)
     for friction in (laws.coulomb(1e-3), laws.root(1e-5), laws.stribeck(1e-3)):
-        assert friction(one, 0.3 * one, rest, rest)[0] == pytest.approx(0.3, rel=1e-3)
-    assert laws.loaded(1e-3, 0.1)(one, 0.3 * one, rest, -2 * one)[0] == pytest.approx(0.5)
+        assert friction.law(one, 0.3 * one, rest, rest)[0] == pytest.approx(0.3, rel=1e-3)
+    assert laws.loaded(1e-3, 0.1).law(one, 0.3 * one, rest, -2 * one)[0] == pytest.approx(0.5)
     for friction in (laws.dahl(1e-4), laws.lugre(1e-4)):
         sliding = np.full(1, 1e-4)
-        torque, dw = friction(one, 0.3 * one, sliding, rest)
+        torque, dw = friction.law(one, 0.3 * one, sliding, rest)
         assert (torque, dw) == (pytest.approx(0.3, rel=1e-3), pytest.approx(0.0, abs=1e-3))
     K = 200 * one
-    assert laws.cubic(0.3, 5e-3)(K, rest, 5e-3 * one, rest, rest, rest)[0] == pytest.approx(1.3)
-    assert laws.backlash(5e-4)(K, rest, 2e-4 * one, rest, rest, rest)[0] == 0.0
-    assert laws.backlash(5e-4)(K, rest, 5e-3 * one, rest, rest, rest)[0] == pytest.approx(200 * 4.75e-3)
+    assert laws.cubic(0.3, 5e-3).law(K, rest, 5e-3 * one, rest, rest, rest)[0] == pytest.approx(1.3)
+    assert laws.backlash(5e-4).law(K, rest, 2e-4 * one, rest, rest, rest)[0] == 0.0
+    assert laws.backlash(5e-4).law(K, rest, 5e-3 * one, rest, rest, rest)[0] == pytest.approx(200 * 4.75e-3)
 
 
 def test_samples_are_read_late_lost_and_rounded() -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 
@@ -151,10 +150,8 @@ def test_correlated_scores_widen_the_intervals_and_white_ones_do_not() -> None:
     assert np.all(inflation(slow, posterior) > 1.4)
 
 
-def test_an_identification_is_read_back_and_draws_respect_signs() -> None:
+def test_draws_of_an_identification_respect_signs() -> None:
     found = usual_identification()
-    again = Identification.from_dict(json.loads(json.dumps(found.as_dict())))
-    np.testing.assert_array_equal(again.draws(50, 1), found.draws(50, 1))
     names = [each.name for each in found.estimates]
     draws = found.draws(500, 2)
     assert np.all(draws[:, [names.index(name) for name in ("joint_stiffness", "motor_inertia", "link_damping")]] >= 0)

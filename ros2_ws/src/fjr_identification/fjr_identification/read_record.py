@@ -20,7 +20,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.bag import FLOATS, Bag, read_bag
 from fjr_monitor.recording.files import BagError, Times
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, STATES, first_of_each_stamp, match_stamps
-from fjr_msgs_py import names
+from fjr_msgs_py.names import motor_name, state_names
 
 from .estimation.motion_record import LARGEST, MotionRecord, TimeWindow, record_of_samples
 from .record_checks import findings
@@ -190,7 +190,7 @@ def record_of_bag(
     commands = None if mapping.effort == BY_STATES else next(filter(bag.holds, (ANSWERS, EFFORTS)), None)
     if mapping.effort == BY_COMMANDS and commands is None:
         bag.held(ANSWERS)
-    columns = {STATES: names.state_names(joints)} | ({commands: joints} if commands else {})
+    columns = {STATES: state_names(joints)} | ({commands: joints} if commands else {})
     read = _messages(bag, columns, window)
     n, (stamps, sent, rows) = len(joints), read[STATES]
     if not len(stamps):
@@ -198,7 +198,7 @@ def record_of_bag(
     q_l, q_m, tau, u = (rows[:, i * n : (i + 1) * n] for i in range(4))
     notes: tuple[str, ...] = ()
     if commands is None:
-        notes = (f"no commands: the effort of {names.motor_name(joints[0])} and so on in the states is the torque",)
+        notes = (f"no commands: the effort of {motor_name(joints[0])} and so on in the states is the torque",)
     else:
         topic = bag.held(commands)
         u, notes = _answers(stamps, sent, read[commands], topic.name, topic.type_name == FLOATS)

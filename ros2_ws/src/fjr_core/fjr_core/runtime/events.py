@@ -69,18 +69,16 @@ SENTENCES = {
     "velocity of another joint": "the {side} velocity of {first} is that of {last}",
 }
 """Sentence of each kind of wiring fault, in the order of enum fjr_wiring_kind in step.h."""
-SIDES = ("link", "motor")
 
 
 @dataclass(frozen=True)
 class Finding:
     """Fault of a robot, its signals or a record of them.
 
-    kind: of the wiring one of SENTENCES, of a diagnosis e.g. "Coulomb friction", of a record e.g. "gear_ratio";
-    "unknown". joint: its name ("a and b" if two are exchanged), empty if unknown or of all. side: "link", "motor",
-    "joint" (the spring between the two) or empty. size, unit: magnitude, NaN: not known. share: part of the residual
-    torque that the fault explains. kind "a or b": these fit equally well, size is that of a. sentence: what was seen,
-    and of a record what was expected. since [s]: when it began, 0: it acts all the time.
+    kind: of SENTENCES (wiring), or e.g. "Coulomb friction" (diagnosis), "gear_ratio" (record); "a or b": these fit
+    equally well, size is that of a. joint: its name, "a and b" if two are exchanged, "": unknown or all. side: "link",
+    "motor", "joint" (the spring between the two) or empty. size, unit: magnitude, NaN: not known. share: part of the
+    residual torque that it explains. sentence: what was seen. since [s]: when it began, 0: it acts all the time.
     """
 
     kind: str
@@ -98,7 +96,7 @@ class Finding:
         joints = [names[j] for j in found.joint[0 : found.count]]
         if not joints:
             return None
-        kind, side, both = list(SENTENCES)[found.kind], SIDES[found.side], " and ".join(joints)
+        kind, side, both = list(SENTENCES)[found.kind], ("link", "motor")[found.side], " and ".join(joints)
         sentence = SENTENCES[kind].format(joints=both, side=side, first=joints[0], last=joints[-1])
         return cls(kind, joints[0] if kind == "velocity of another joint" else both, side, sentence=sentence)
 
@@ -113,8 +111,7 @@ SIMPLE = {
     "holds": "hold: the motion comes to a standstill",
 }
 """Sentence of the events without values."""
-AFTER_GAP = 5_000_000_000
-"""A stop within this time [ns] after a gap of the states names the gap."""
+AFTER_GAP = 5_000_000_000  # ns; a stop within this time after a gap of the states names the gap
 LIMITED = {
     "link position": ("q_l", "position"),
     "motor position": ("q_m", "position"),

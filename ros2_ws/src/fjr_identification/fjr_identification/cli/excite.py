@@ -89,14 +89,14 @@ def _text(path: Path, scenario: Scenario, excitation: Excitation, changes: Mappi
     """Return the scenario of the file with the changes, the reference, and the plant at rest at its start."""
     motion, robot = excitation.reference, scenario.plant.robot
     position = rest_position(robot, np.asarray(motion.jets(0.0))[0])
-    rows = {name: _numbers(getattr(motion, name)) for name in ("amplitude", "frequency", "phase")}
+    rows = {name: np.ravel(getattr(motion, name)).tolist() for name in ("amplitude", "frequency", "phase")}
     values = {
         **changes,
         "reference.type": "multi_sine",
         **{f"reference.multi_sine.{name}": entries for name, entries in rows.items()},
-        "reference.offset": _numbers(motion.offset),
-        "initial_link_position": _numbers(position[: robot.n]),
-        "initial_motor_position": _numbers(position[robot.n :]),
+        "reference.offset": np.ravel(motion.offset).tolist(),
+        "initial_link_position": np.ravel(position[: robot.n]).tolist(),
+        "initial_motor_position": np.ravel(position[robot.n :]).tolist(),
         "initial_link_velocity": [0.0] * robot.n,
         "initial_motor_velocity": [0.0] * robot.n,
     }
@@ -107,10 +107,6 @@ def _text(path: Path, scenario: Scenario, excitation: Excitation, changes: Mappi
         f"its\n# joints, at rest at 0 s and every {excitation.period:g} s. Run and record it:\n"
         f"#   fjr run THIS_FILE --duration {excitation.duration:g}\n{settings}"
     )
-
-
-def _numbers(array: Any) -> list[float]:
-    return [float(value) for value in np.ravel(array)]
 
 
 def _table(

@@ -29,9 +29,10 @@ STIFF = 1e12  # times the identified stiffness
 
 
 def motion_fits(setup: Estimation, z: Array) -> list[Fit]:
-    """Return the fit of each record that is not simulated: its deflections within the bandwidth of the motion.
+    """Return the fit of each record that is not simulated: the deflection is predicted from the filtered motion.
 
-    Less their means; predicted at z (p,); NaN where a side is not measured.
+    z (p,): parameters. Deflections are those within the bandwidth of the motion, less their means; NaN where a side is
+    not measured.
     """
     fits = []
     for record, motion in zip(setup.records, setup.motions, strict=True):

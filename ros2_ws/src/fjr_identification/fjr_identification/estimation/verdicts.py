@@ -40,13 +40,11 @@ PRISMATIC_UNITS = {
     "rad": "m",
     "rad/s": "m/s",
 }
-_RESONANCE = "without a link encoder only the resonance determines it; excite the joint near its resonance"
 WITHOUT_LINK = {
-    "joint_stiffness": _RESONANCE,
-    HARDENING: _RESONANCE,
-    "link_damping": _RESONANCE,
-    "link_coulomb_friction": _RESONANCE,
-    "link_static_friction": _RESONANCE,
+    **dict.fromkeys(
+        ("joint_stiffness", HARDENING, "link_damping", "link_coulomb_friction", "link_static_friction"),
+        "without a link encoder only the resonance determines it; excite the joint near its resonance",
+    ),
     "offset": "without a link encoder the offset shifts the link alone; measure the link, or a gravity torque",
 }
 WITHOUT_MOTOR = {"offset": "without a motor position the offset shifts the motor alone; measure the motor"}
