@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -43,23 +42,19 @@ REACHES = (0.3, 0.5, 0.7)  # m, of the tip from the axis of joint 1, between the
 PEERS = {"equal": "fixed, no alarm in these hours", "hourly": "fixed, an alarm an hour"}
 
 
-@dataclass(frozen=True)
-class Minute:
-    """What a minute shows. alarms: without contact. largest (n,) [N m]: estimates without contact.
+class Minute(NamedTuple):
+    """What a minute shows, or with one more axis what several show. alarms: without contact.
 
-    pose (n,) [rad]: at each time of AT. threshold (3, n) [N m]: there. delay (3,) [samples]: until the alarm.
-    torque (3, TRIAL, n) [N m]: estimates under the push.
+    largest (n,) [N m]: estimates without contact. pose (3, n) [rad]: at the times AT. threshold (3, n) [N m]: there.
+    delay (3,) [samples]: until the alarm. torque (3, TRIAL, n) [N m]: estimates under the push.
     """
 
-    alarms: int
+    alarms: Any
     largest: Array
     pose: Array
     threshold: Array
     delay: Array
     torque: Array
-
-
-FIELDS = tuple(field.name for field in fields(Minute))
 
 
 class Study:
@@ -176,7 +171,7 @@ def simulate(folder: Path, hours: int, seed: int) -> None:
         if file.exists():
             continue
         minutes = [study.minute(np.random.default_rng([seed, hour, k])) for k in range(60)]
-        columns: dict[str, Any] = {name: np.array([getattr(each, name) for each in minutes]) for name in FIELDS}
+        columns: dict[str, Any] = dict(zip(Minute._fields, map(np.array, zip(*minutes, strict=True)), strict=True))
         np.savez_compressed(file, **columns)
         print(f"{file.name}: {sum(each.alarms for each in minutes)} alarms", flush=True)
 
@@ -184,11 +179,11 @@ def simulate(folder: Path, hours: int, seed: int) -> None:
 def tables(folder: Path) -> Iterator[str]:
     """Yield the lines of the tables of all hours in the folder."""
     files = [np.load(file) for file in sorted(folder.glob("*.npz"))]
-    found = {name: np.concatenate([each[name] for each in files]) for name in FIELDS}
-    hours, alarms, own, largest = len(files), int(found["alarms"].sum()), found["delay"], found["largest"]
+    found = Minute(*(np.concatenate([each[name] for each in files]) for name in Minute._fields))
+    hours, alarms, own, largest = len(files), int(found.alarms.sum()), found.delay, found.largest
     n = largest.shape[1]
     fixed = {"equal": largest.max(axis=0), "hourly": np.quantile(largest, 1 - 1 / (60 * n), axis=0)}
-    late = {name: _first(np.abs(found["torque"]) > thresholds) for name, thresholds in fixed.items()}
+    late = {name: _first(np.abs(found.torque) > thresholds) for name, thresholds in fixed.items()}
     most = stats.chi2.ppf(0.95, 2 * alarms + 2) / 2 / hours * 24
     counted = f"**{alarms} false alarms in {hours} h** ({len(own)} robots)"
     yield f"{counted}: at most {most:.2g} in 24 h with 95 % confidence."
@@ -203,10 +198,10 @@ def tables(folder: Path) -> Iterator[str]:
     columns = ["s after the start", "thresholds", "median", "95 %", "missed", "at least twice as late"]
     yield from markdown(columns, delays, right={*columns} - {"thresholds"})
 
-    reach, by_reach = _reach(found["pose"][:, -1]), []
+    reach, by_reach = _reach(found.pose[:, -1]), []
     for low, high in pairwise((0.0, *REACHES, np.inf)):
         rows = (reach >= low) & (reach < high)
-        thresholds = _row(np.median(found["threshold"][rows, -1], axis=0))
+        thresholds = _row(np.median(found.threshold[rows, -1], axis=0))
         medians = (_ms(np.median(each[rows, -1])) for each in (own, *late.values()))
         place = f"{low:g} to {high:g} m" if high < np.inf else f"{low:g} m and more"
         by_reach.append((place, str(rows.sum()), *thresholds, *medians))

@@ -109,7 +109,7 @@ def put(page: str, name: str, lines: Iterable[str]) -> None:
 
 def _parted(page: str, name: str) -> tuple[str, str, str]:
     """Return a page up to the first mark, between both, and from the second on."""
-    pattern = rf"(.*<!-- {re.escape(name)}: [^\n]*-->)\n(.*)\n(<!-- end of {re.escape(name)} -->.*)"
+    pattern = rf"(.*<!-- {re.escape(name)}: [^\n]*-->)\n(.*)(<!-- end of {re.escape(name)} -->.*)"
     found = re.fullmatch(pattern, (TABLES / page).read_text(encoding="utf-8"), re.DOTALL)
     if found is None:
         raise ValueError(f"{page} lacks '<!-- {name}: ... -->' and '<!-- end of {name} -->'; expected both")

@@ -181,7 +181,7 @@ def test_tables_stand_between_the_marks_of_their_names(tmp_path: Path, monkeypat
     page.write_text("".join(f"{name}\n\n<!-- {name}: by x -->\nold\n<!-- end of {name} -->\n" for name in "ab"))
     for _ in range(2):
         put("page.md", "b", ["new", "| row |"])
-    assert (placed("page.md", "a"), placed("page.md", "b")) == ("old", "\nnew\n| row |\n")
+    assert (placed("page.md", "a"), placed("page.md", "b")) == ("old\n", "\nnew\n| row |\n\n")
     assert page.read_text().endswith("<!-- b: by x -->\n\nnew\n| row |\n\n<!-- end of b -->\n")
     with pytest.raises(ValueError, match="lacks '<!-- c: "):
         put("page.md", "c", [])
