@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.errors import CompareError, FjrError
+from fjr_core.errors import CompareError, FjrError, ParameterError
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.numerics import jit as jit_cache
 from fjr_design.batch import Draws
@@ -285,7 +285,7 @@ WRONG: list[tuple[Any, str]] = [
 
 @pytest.mark.parametrize(("document", "words"), WRONG, ids=[words for _, words in WRONG])
 def test_invalid_suite_is_refused_in_one_sentence(document: Any, words: str) -> None:
-    with pytest.raises(CompareError, match=words):
+    with pytest.raises(ParameterError, match=words):
         suite.read("mine", document)
 
 

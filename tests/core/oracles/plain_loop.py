@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import fjr_core as fjr
-from core.oracles.cases import Arm, Array
+from core.oracles.cases import ARMS, Arm, Array
 from core.oracles.oracle import stencil
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import StaticLaw
@@ -21,6 +21,8 @@ Function = Callable[[Array, Array], Any]
 """A function of a state x (4n,) and jets (5, n)."""
 
 OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
+STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")
+"""Arms whose springs can hold them upright."""
 
 
 def standard_law(name: str, arm: Arm, omega: float = 20.0, zeta: float = 0.8) -> StaticLaw:

@@ -14,7 +14,7 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, Array, Point, random_point
 from core.oracles.chains import arm7
 from core.oracles.oracle import jacobian, stencil
-from core.oracles.plain_loop import PlainLoop, constant_jets, standard_law
+from core.oracles.plain_loop import STIFF, PlainLoop, constant_jets, standard_law
 from core.oracles.properties import residual
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import relative_eigenvalues
@@ -23,7 +23,6 @@ from fjr_design.baselines.backstepping import BacksteppingGains
 from fjr_design.baselines.torque_feedback import TorqueFeedbackGains
 
 TOLERANCE = 1e-8
-STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")
 arms = pytest.mark.parametrize(
     "make", [*(lambda arm=arm: arm for arm in STIFF), arm7], ids=[*(a.name for a in STIFF), "arm7"]
 )

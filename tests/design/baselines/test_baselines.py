@@ -10,7 +10,7 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, random_point
-from core.oracles.plain_loop import OTHERS, PlainLoop, constant_jets, standard_law
+from core.oracles.plain_loop import OTHERS, STIFF, PlainLoop, constant_jets, standard_law
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import StaticLaw
 from fjr_design.baselines.backstepping import BacksteppingGains
@@ -19,7 +19,6 @@ from fjr_design.baselines.lqr import LqrGains
 from fjr_design.baselines.pd_gravity import PdGains
 from fjr_design.baselines.torque_feedback import TorqueFeedbackGains
 
-STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")  # whose springs cannot hold the arm upright
 REGULATORS = ("pd_gravity", "torque_feedback")  # proven for constant references, without feedforward
 names = pytest.mark.parametrize("name", OTHERS)
 every_law = pytest.mark.parametrize("name", LAWS)

@@ -13,7 +13,7 @@ from scipy import signal
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm, Array, random_point
-from core.oracles.plain_loop import PlainLoop, standard_law
+from core.oracles.plain_loop import STIFF, PlainLoop, standard_law
 from core.oracles.properties import residual
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import SampledLaw
@@ -22,7 +22,6 @@ from fjr_core.robust.law import Robust, sampled_law
 from fjr_design.baselines.feedback_linearisation import companion
 from fjr_design.baselines.lqr import velocity_matrices
 
-STIFF = tuple(arm for arm in ARMS if arm.name != "planar-3.1")
 arms = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
 seeds = pytest.mark.parametrize("seed", range(3))
 OBSERVED = ("friction_observer", "active_disturbance")

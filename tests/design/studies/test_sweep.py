@@ -25,15 +25,8 @@ from fjr_design.uncertainty import distributions
 from fjr_msgs_py.console.ending import Interrupted
 from time_limits import HANG
 
-SCENARIO = """
-/**:
-  ros__parameters:
-    joints: [joint1]
-    robot: {model: single_link, link_inertia: [0.031], gravity_torque: [0.8], joint_stiffness: [31.0],
-            motor_inertia: [0.004], link_damping: [0.2], motor_damping: [0.007]}
-/**/fjr_plant:
-  ros__parameters: {initial_link_position: [0.5], initial_motor_position: [0.5]}
-"""
+SCENARIO = "/**: {ros__parameters: {}}"
+"""The stiff joint of the paper."""
 VARY: dict[str, Any] = {
     "stiffness": {"uniform": [0.5, 1.5]},
     "link_damping": {"log_uniform": [0.3, 3.0], "each_joint": True},
@@ -41,6 +34,10 @@ VARY: dict[str, Any] = {
     "delay": {"uniform": [0.0, 0.01]},
     "velocity_noise": 1e-3,
 }
+
+
+def with_values(values: str) -> str:
+    return SCENARIO.replace("{}", f"{{{values}}}")
 
 
 def sweep_of(runs: int = 45, vary: dict[str, Any] = VARY, **changes: Any) -> Sweep:
@@ -311,24 +308,23 @@ def test_invalid_study_is_refused_in_one_sentence(changes: dict[str, Any], words
 
 
 @pytest.mark.parametrize(
-    ("node", "given", "words"),
+    ("given", "words"),
     [
-        ("plant", "integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
-        ("plant", "imperfections.actuator_lag: [0.01]", "sets imperfections.actuator_lag; .* use 'vary'"),
+        ("integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
+        ("imperfections.actuator_lag: [0.01]", "sets imperfections.actuator_lag; .* use 'vary'"),
     ],
 )
-def test_scenario_with_features_that_a_sweep_omits_is_refused(node: str, given: str, words: str) -> None:
-    text = SCENARIO.replace("plant:", f"{node}:").replace("{initial", f"{{{given}, initial")
+def test_scenario_with_features_that_a_sweep_omits_is_refused(given: str, words: str) -> None:
     with pytest.raises(ParameterError, match=words):
-        Sweep("test", text, 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
+        Sweep("test", with_values(given), 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
 
 
 def test_limits_observer_and_ramp_of_the_scenario_act_in_a_study() -> None:
     own = "limits: {effort: [20.0], link_velocity: [3.0]}, measurement: {velocity: observer}, start: {ramp_time: 0.05}"
-    text = f"{SCENARIO}/**/fjr_controller:\n  ros__parameters: {{{own}}}\n"
     drawn = {"gravity": distributions.read("gravity", {"uniform": [0.9, 1.1]})}
     plain, limited = (
-        Sweep("test", given, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4) for given in (SCENARIO, text)
+        Sweep("test", given, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4)
+        for given in (SCENARIO, with_values(own))
     )
     assert limited["effort_peak.joint1"].max() <= 20.0 < plain["effort_peak.joint1"].min()
     assert list(limited["cause"]) == ["link velocity"] * 4
@@ -340,9 +336,9 @@ def test_limits_observer_and_ramp_of_the_scenario_act_in_a_study() -> None:
 
 
 def test_a_study_can_vary_the_effort_limit_beyond_that_of_the_scenario() -> None:
-    text = f"{SCENARIO}/**/fjr_controller:\n  ros__parameters: {{limits: {{effort: [20.0]}}}}\n"
+    limited = with_values("limits: {effort: [20.0]}")
     drawn = {"effort_limit": distributions.read("effort_limit", {"uniform": [22.0, 24.0]})}
-    found = Sweep("test", text, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4)
+    found = Sweep("test", limited, 4, drawn, duration=0.2, settle_after=0.1).part(0, 4)
     assert np.array_equal(found["effort_peak.joint1"], found["effort_limit"])
 
 
@@ -389,7 +385,8 @@ def test_summary_agrees_with_the_table(table: tuple[Sweep, Columns]) -> None:
 
 
 def test_a_study_cannot_vary_what_only_the_built_in_plant_has() -> None:
-    text = '/**: {ros__parameters: {joints: [joint1], plant: {type: "own_code:Ideal"}}}'
-    plan = Sweep("s", text, 1, {"stiffness": distributions.read("stiffness", 1.1)})
+    plan = Sweep(
+        "s", with_values('plant: {type: "own_code:Ideal"}'), 1, {"stiffness": distributions.read("stiffness", 1.1)}
+    )
     with pytest.raises(ParameterError, match="stiffness of a run is not nominal; expected the nominal value for a"):
         plan.part(0, 1)

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 import fjr_core as fjr
 from core.oracles.cases import Arm, planar
 from core.oracles.chains import arm7
+from core.oracles.plain_loop import OTHERS
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
@@ -23,18 +24,8 @@ from fjr_design.baselines import feedback_linearisation
 from fjr_design.batch import ClosedLoop
 from fjr_design.studies.imperfections import motion_demand
 from fjr_design.studies.trial import Trial
-from fjr_design.tuning.equal_bandwidth import BaselineTarget, Tuning, tune, tuning
-
-OTHERS = tuple(name for name in LAWS if name != "v_dpbc")
-TWO_LINK = fjr.Gains(
-    Lambda_l=16.0,
-    Pi_l=[[32.22, 4.272], [4.272, 4.229]],
-    K_ld=[[1.697, 0.225], [0.225, 0.2227]],
-    Lambda_m=16.0,
-    Pi_m=[40.0, 25.0],
-    K_md=[0.32, 0.16],
-)
-TWO = planar("tuned", (40.0, 25.0), motor_inertia=(0.02, 0.01))
+from fjr_design.tuning.equal_bandwidth import BaselineTarget, Tuning, baseline_target, tune, tuning
+from fjr_msgs_py.scenarios import library
 
 
 @cache
@@ -46,15 +37,12 @@ def joint(stiffness: float = 31.0) -> BaselineTarget:
 
 @cache
 def two_link() -> BaselineTarget:
-    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    return BaselineTarget(TWO.robot, reference, TWO_LINK, (np.zeros(4), np.zeros(4)))
+    return baseline_target(library.load("two_link", []))
 
 
 CASES = {"k = 31": joint, "two links": two_link}
 REACHED = {"pd_gravity", "pd_feedforward", "feedback_linearisation", "lqr", "friction_observer", "active_disturbance"}
-PEAK_IS_REACHED = {"k = 31": REACHED, "two links": REACHED}
 CUT = {"backstepping", "torque_feedback", "torque_feedback_feedforward"}
-PEAK_IS_CUT = {"k = 31": CUT, "two links": CUT}
 cases = pytest.mark.parametrize("case", CASES)
 names = pytest.mark.parametrize("name", OTHERS)
 
@@ -71,8 +59,8 @@ def test_bandwidths_are_equal_and_peak_efforts_equal_where_reachable(case: str, 
     assert t.same_bandwidth
     assert "the same bandwidth" in t.sentence
     assert t.bandwidth == pytest.approx(y.bandwidth, rel=0.01)
-    assert t.same_peak == (name in PEAK_IS_REACHED[case])
-    assert ("saturated" in t.sentence) == (name in PEAK_IS_CUT[case])
+    assert t.same_peak == (name in REACHED)
+    assert ("saturated" in t.sentence) == (name in CUT)
     if t.same_peak:
         assert t.peak == pytest.approx(y.peak, rel=0.1)
     low, high = t.kind.damping_range
@@ -83,10 +71,8 @@ def test_bandwidths_are_equal_and_peak_efforts_equal_where_reachable(case: str, 
 @names
 def test_peak_effort_of_the_run_is_the_first_effort(case: str, name: str) -> None:
     t, y = found(case, name), CASES[case]()
-    reference = fjr.Sine(1.0, 1.0) if case == "k = 31" else fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    robot = y.robot
-    x0 = robot.state(*np.split(y.start[0], 2), *np.split(y.start[1], 2))
-    run = fjr.simulate(fjr.Plant(robot), t.law, reference, x0, 2.0, 1e-3)
+    x0 = y.robot.state(*np.split(y.start[0], 2), *np.split(y.start[1], 2))
+    run = fjr.simulate(fjr.Plant(y.robot), t.law, y.reference, x0, 2.0, 1e-3)
     assert np.abs(run.u).max() == pytest.approx(t.peak, rel=0.02)
 
 
@@ -179,7 +165,7 @@ def test_law_slower_than_the_target_is_reported(name: str) -> None:
 
 def test_motor_side_laws_are_refused_if_springs_cannot_balance_gravity() -> None:
     arm: Arm = planar("soft", 3.1)
-    y = BaselineTarget(arm.robot, fjr.Sine([0.5, 0.5], 1.0), TWO_LINK)
+    y = BaselineTarget(arm.robot, fjr.Sine([0.5, 0.5], 1.0), two_link().gains)
     with pytest.raises(fjr.GainsError, match="pd_gravity is unstable for all natural frequencies"):
         tune("pd_gravity", y)
     assert tune("feedback_linearisation", y).same_bandwidth

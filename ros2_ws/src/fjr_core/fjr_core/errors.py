@@ -32,7 +32,7 @@ class ParameterError(FjrError):
     """Invalid scenario parameter: missing, unknown, of the wrong type or out of range."""
 
 
-class CompareError(FjrError):
+class CompareError(ParameterError):
     """Invalid comparison: unknown law or disturbance, or inconsistent specification."""
 
 

@@ -136,7 +136,7 @@ def _exit_code(error: Exception) -> Exit:
     """Print a user error as one sentence on stderr and return its exit code; re-raise any other error."""
     from rclpy.impl.implementation_singleton import rclpy_implementation
 
-    from fjr_core.errors import CompareError, FjrError, ParameterError, RecordError, RobotError
+    from fjr_core.errors import FjrError, ParameterError, RecordError, RobotError
     from fjr_monitor.recording.files import BagError
     from fjr_msgs_py.console.ending import Interrupted
     from fjr_msgs_py.scenarios.library import ScenarioError
@@ -145,7 +145,7 @@ def _exit_code(error: Exception) -> Exit:
         kept = f"what was recorded is in {error.kept}" if error.kept else "nothing was recorded"
         sentence, code = f"stopped; {kept}", Exit.INTERRUPTED
     elif isinstance(error, FjrError):
-        invalid = (ScenarioError, ParameterError, CompareError, RecordError, RobotError, BagError)
+        invalid = (ScenarioError, ParameterError, RecordError, RobotError, BagError)
         sentence, code = str(error), Exit.NOT_UNDERSTOOD if isinstance(error, invalid) else Exit.FAILED
     elif isinstance(error, (OSError, rclpy_implementation.RCLError)):
         sentence, code = " ".join(str(error).split()), Exit.FAILED

@@ -100,9 +100,7 @@ class Scenario:
     @property
     def certified_law(self) -> TrackingLaw | None:
         """The control law if it is v-dPBC, which has a certificate, else None; a law of the user is not imported."""
-        if self.controller_values[law_parameters.TYPE.name] != V_DPBC:
-            return None
-        return self.tracking_law
+        return self.tracking_law if self.controller_values[law_parameters.TYPE.name] == V_DPBC else None
 
     @property
     def tracking_law(self) -> TrackingLaw:
@@ -226,8 +224,7 @@ def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) ->
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.reference, scenario.measurement
-    _ = robot_parameters.stated_errors(scenario.controller_values)
+    _ = scenario.reference, scenario.measurement, robot_parameters.stated_errors(scenario.controller_values)
     own_law, own_plant = (is_named(values[kind.name]) for kind, values in types)
     if user_code or not own_law:
         _ = scenario.sampled_law

@@ -26,7 +26,7 @@ from ..tuning.equal_bandwidth import baseline_target, tune, tuning
 
 Entries = tuple[float, ...]
 SCENARIO, RULE = "scenario", "rule"
-"""Starts of a search: the gains of the scenario, those of the rule of equal bandwidth."""
+"""Starts of a search: the gains of the scenario, those of the rule of equal bandwidth, which v-dPBC can have."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +75,6 @@ class SearchCoordinates:
         values = {**self.scenario.controller_values, **own}
         law = control_law(values, self.scenario.robot)
         return sampled_law(law, robust_action(values, law)), observer(values, self.scenario.robot)
-
-
-def starts(scenario: Scenario) -> tuple[str, ...]:
-    """Return the gains from which a law can be searched: of v-dPBC those of the scenario and of the tuning rule.
-
-    Another law can be searched from those of the scenario only.
-    """
-    return (SCENARIO, RULE) if scenario.controller_values[law_parameters.TYPE.name] == V_DPBC else (SCENARIO,)
 
 
 def coordinates(scenario: Scenario, start: str = SCENARIO) -> SearchCoordinates:

@@ -79,22 +79,17 @@ class Suite:
 
 
 def load(path: Path) -> Suite:
-    """Read a suite from a file; raise CompareError."""
+    """Read a suite from a file; raise CompareError, which names the file."""
+    document = ros_yaml.read(path, "suite")
     try:
-        return read(path.stem, ros_yaml.read(path, "suite"))
-    except CompareError as error:
+        return read(path.stem, document)
+    except ParameterError as error:
         raise CompareError(f"suite {path}: {error}") from None
 
 
 def read(name: str, document: Any) -> Suite:
-    """Return the suite of a parsed document; raise CompareError."""
-    try:
-        return _read(name, _mapping("a suite", document))
-    except ParameterError as error:
-        raise CompareError(str(error)) from None
-
-
-def _read(name: str, given: Mapping[str, Any]) -> Suite:
+    """Return the suite of a parsed document; raise ParameterError."""
+    given = _mapping("a suite", document)
     check_keys(given, KEYS)
     for key in REQUIRED:
         if not given.get(key):

@@ -25,7 +25,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.linearization import spectral_radius
 
-from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates, starts
+from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
 from .study import Columns, once
 from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures, from_text
 from .sweep_file import number, whole
@@ -151,7 +151,7 @@ def quantile(values: Array, share: float) -> float:
 class TuningStudy:
     """A search of gains for a goal over the draws of a sweep.
 
-    start: of the search, see coordinates.starts. draws: runs of each candidate. candidates: number of them. fresh: runs
+    start: of the search, SCENARIO or RULE. draws: runs of each candidate. candidates: number of them. fresh: runs
     of the validation. Runs are numbered: the first `draws` are those of the search, the next ones those of the
     selection, then those of the validation, so that each stage sees draws that no earlier one has seen. The seed is
     that of the sweep.
@@ -248,7 +248,7 @@ def with_better_start(
     def cost(one: TuningStudy) -> float:
         return one.score(one.origin, run(one, one.origin, *one.search_runs)).cost
 
-    if RULE in starts(study.sweep.scenario):
+    if study.sweep.scenario.certified_law is not None:
         with suppress(FjrError):  # the rule may have no gains for this robot; another error comes again in the search
             return min(study, replace(study, start=RULE), key=cost)
     return study
