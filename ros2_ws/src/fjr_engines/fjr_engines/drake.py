@@ -137,10 +137,10 @@ class GeneralisedForces(LeafSystem):
 
 def multibody_plant(robot: Robot, joints: Sequence[str]) -> MultibodyPlant:
     """Return Drake's model of a robot of the n named joints; raise RobotError for one that it cannot express."""
-    (gravity, chain), arm = gravity_and_chain(robot, "Drake"), MultibodyPlant(time_step=0.0)
+    (gravity, bodies), arm = gravity_and_chain(robot, "Drake"), MultibodyPlant(time_step=0.0)
     arm.mutable_gravity_field().set_gravity_vector(gravity)
     frame = arm.world_frame()
-    for k, body in chain:
+    for k, body in bodies:
         pose = RigidTransform(RotationMatrix(np.asarray(body.rotation)), np.asarray(body.translation))
         base = arm.AddFrame(FixedOffsetFrame(joints[k], frame, pose))
         rotor = arm.AddRigidBody(joints[k] + ROTOR, SpatialInertia.Zero()).body_frame()

@@ -20,6 +20,7 @@ from fjr_core.numerics.jit import CLibrary, c_library
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
+from fjr_plant.engine import chain
 
 from .contact import ARM, OBSTACLE, InsideError, add_contact, check_outside
 from .mjcf.writing import LINK, exact_inertia, specification
@@ -41,7 +42,7 @@ class MujocoEngine:
             raise ParameterError("engine is 'mujoco'; expected plant.type: flexible_joint and integrator: rk4 with it")
         spec = specification(plant.robot, joints)
         spec.option.timestep, spec.option.disableflags = inner_step * 1e-9, DISABLED
-        spec.body(joints[plant.robot.links.chain[-1][0]] + LINK).add_body(
+        spec.body(joints[chain(plant.robot)[-1][0]] + LINK).add_body(
             name=PAYLOAD, mass=1.0, inertia=[1.0] * 3, explicitinertial=True
         )
         if obstacle:

@@ -55,14 +55,19 @@ class Engine(Protocol):
         """Put the obstacle to its place or take it away; raise ParameterError if the arm at q_l, q_m (2n,) is there."""
 
 
+def chain(robot: Robot) -> list[tuple[int, Body]]:
+    """Return the bodies from base to tip, each with its joint of the robot."""
+    return [(robot.links.order.index(i), body) for i, body in enumerate(robot.links.bodies)]
+
+
 def gravity_and_chain(robot: Robot, engine: str) -> tuple[Array, list[tuple[int, Body]]]:
-    """Return gravity (3,) [m/s^2] and `links.chain`; raise RobotError for a robot that the engine cannot express."""
+    """Return gravity (3,) [m/s^2] and the `chain`; raise RobotError for a robot that the engine cannot express."""
     links = robot.links
     if len(links.bodies) != robot.n or links.end_effector is None:
         raise RobotError(f"the bodies of the {robot.n} links are not known; expected a serial chain, as from a URDF")
     if np.any(robot.M_m - np.diag(np.diag(robot.M_m))):
         raise RobotError(f"M_m is {robot.M_m.tolist()}; expected a diagonal matrix: {engine} couples no rotors")
-    return links.end_effector.gravity, links.chain
+    return links.end_effector.gravity, chain(robot)
 
 
 def engine_kind(values: Values) -> type[Engine] | None:

@@ -67,11 +67,6 @@ class ArmDynamics:
     def __repr__(self) -> str:
         return f"ArmDynamics({joints(self.n)})"
 
-    @property
-    def chain(self) -> list[tuple[int, Body]]:
-        """The bodies from base to tip, each with its joint of the robot."""
-        return [(self.order.index(i), body) for i, body in enumerate(self.bodies)]
-
     @cached_property
     def dM(self) -> ca.Function:
         """(q_l, dq_l, w) -> (d/dt M_l) w (n,) along dq_l, w constant."""

@@ -25,6 +25,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.urdf.tree import UrdfTree, read_urdf
 from fjr_monitor.scene import shapes
+from fjr_plant.engine import chain
 
 from .writing import LINK, pose_of, quaternion, refusals, specification
 
@@ -72,7 +73,7 @@ def _notes(scenario: Scenario) -> list[str]:
         matrix = getattr(robot, name)
         if np.any(matrix - np.diag(np.diag(matrix))):
             notes.append(f"of {name} the diagonal only is in the file: dampers of MuJoCo couple no joints")
-    for k, body in robot.links.chain:
+    for k, body in chain(robot):
         moments = np.linalg.eigvalsh(np.asarray(body.inertia))
         if moments[2] > (1 + 1e-9) * (moments[0] + moments[1]):
             notes.append(
@@ -110,9 +111,9 @@ def _add_sensors(spec: mujoco.MjSpec, stiffness: float, joint: str) -> None:
 def _add_start(spec: mujoco.MjSpec, scenario: Scenario) -> None:
     """Add the initial state as keyframe `start`; MuJoCo counts links from base to tip, then rotors."""
     robot = scenario.plant.robot
-    chain = [*(k for k, _ in robot.links.chain), *range(robot.n, 2 * robot.n)]
+    order = [*(k for k, _ in chain(robot)), *range(robot.n, 2 * robot.n)]
     velocity = np.hstack(robot.velocities(scenario.x0))
-    spec.add_key(name="start", qpos=scenario.x0[: 2 * robot.n][chain], qvel=velocity[chain])
+    spec.add_key(name="start", qpos=scenario.x0[: 2 * robot.n][order], qvel=velocity[order])
 
 
 def add_looks(
@@ -128,7 +129,7 @@ def add_looks(
         stl = trimesh.Trimesh(each.vertices, each.triangles, process=False).export(file_type="stl")
         spec.assets |= {str(Path(spec.meshdir, mesh.file)): stl}
     bodies, pose = {"": (spec.worldbody, np.eye(4))}, np.eye(4)
-    for k, body in robot.links.chain:
+    for k, body in chain(robot):
         pose = pose @ pose_of(body.translation, body.rotation)
         bodies[joints[k]] = spec.body(joints[k] + LINK), pose
     for link, found in seen["links"].items():

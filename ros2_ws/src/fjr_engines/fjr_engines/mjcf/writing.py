@@ -20,7 +20,7 @@ from fjr_core.errors import RobotError
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import MOTOR, Array
-from fjr_plant.engine import gravity_and_chain
+from fjr_plant.engine import chain, gravity_and_chain
 
 LINK, SPRING = "_link", "_spring"
 """Endings of the names of links and springs after that of the joint; rotors have MOTOR, as in the states."""
@@ -34,18 +34,18 @@ def specification(robot: Robot, joints: Sequence[str]) -> mujoco.MjSpec:
     The integrator is MuJoCo's Runge-Kutta of order 4. Contacts, limits and actuators are added by the caller. Of
     matrices that couple joints, K, D_l and D_m have their diagonals only.
     """
-    (gravity, chain), spec = gravity_and_chain(robot, "MuJoCo"), mujoco.MjSpec()
+    (gravity, bodies), spec = gravity_and_chain(robot, "MuJoCo"), mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.gravity = gravity
     spec.compiler.autolimits = True
     parent = spec.worldbody
-    for k, body in chain:
+    for k, body in bodies:
         parent = parent.add_body(
             name=joints[k] + LINK, pos=np.asarray(body.translation), quat=quaternion(np.asarray(body.rotation))
         )
         _add_inertia(parent, body)
         _add_joint(parent, joints[k], body.prismatic, damping=robot.D_l[k, k])
-    for k, body in sorted(chain):
+    for k, body in sorted(bodies):
         joint, rotor = joints[k], spec.worldbody.add_body(name=joints[k] + MOTOR)
         rotor.mass, rotor.inertia, rotor.explicitinertial = LEAST, [LEAST] * 3, True
         _add_joint(rotor, joint + MOTOR, body.prismatic, damping=robot.D_m[k, k]).armature = robot.M_m[k, k]
@@ -62,7 +62,7 @@ def exact_inertia(model: mujoco.MjModel, robot: Robot, joints: Sequence[str]) ->
     It compiles moments that are positive and the sides of a triangle; those of public URDFs often are not. Rotors have
     their armature alone.
     """
-    for k, body in robot.links.chain:
+    for k, body in chain(robot):
         model.body(joints[k] + MOTOR).inertia = np.zeros(3)
         model.body(joints[k] + LINK).inertia = np.linalg.eigvalsh(np.asarray(body.inertia))
     mujoco.mj_setConst(model, mujoco.MjData(model))
