@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from fjr_core.errors import ParameterError
-from fjr_core.model import springs
 from fjr_core.model.port_hamiltonian import Elastic, Plant
 from fjr_core.model.rigid_arm import PayloadArm, RigidArm
 from fjr_core.model.robot import Robot
@@ -74,8 +74,7 @@ class ScaledRobot:
     n: int
     links: RigidArm
     K: ca.SX
-    cubic: ca.SX | None
-    curves: tuple[springs.TorsionCurve, ...]
+    curves: tuple[Any, ...]
     D_l: ca.SX
     D_m: ca.SX
     B_m: ca.SX
@@ -136,7 +135,6 @@ class ParametricPlant(NonidealPlant):
             n=own.n,
             links=self.links_of(p),
             K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
-            cubic=None if own.cubic is None else p.stiffness**2 * ca.DM(own.cubic),
             curves=tuple(of.scaled(p.stiffness[j] ** 2) for j, of in enumerate(own.curves)),
             D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
             D_m=_both_sides(p.motor_damping, symbolic.sparse(own.D_m)),
