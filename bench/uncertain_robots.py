@@ -29,7 +29,7 @@ from fjr_core.stability.linearization import split
 
 STEPS = 2  # of the integrator in each part of a sample
 WIDTHS = {"payload": 1, "payload_mass": 1, "payload_position": 3, "gravity": 1, "gravity_direction": 2}
-JOINTS = ("link_mass", "link_inertia", "stiffness", "motor_inertia", "link_damping", "motor_damping")
+JOINTS = ("link_mass", "link_central_inertia", "stiffness", "motor_inertia", "link_damping", "motor_damping")
 LEVELS = ("payload_mass", "payload_position", "gravity_direction")
 STEP_SIZE = 0.5  # of the search, as a share of the half widths
 
@@ -156,7 +156,7 @@ def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     turned = size * (ca.sin(b) * across[0] - ca.sin(a) * ca.cos(b) * across[1] + ca.cos(a) * ca.cos(b) * down)
     for body, of_inertia in product(range(robot.n), (False, True)):
         joint = robot.links.order.index(body)
-        factor = p["link_mass"][joint] * (p["link_inertia"][joint] if of_inertia else 1)
+        factor = p["link_mass"][joint] * (p["link_central_inertia"][joint] if of_inertia else 1)
         alone = partial(_alone, robot.links, body, of_inertia)
         M += factor * alone(gravity).M_l(q_l)
         torque += factor * alone(gravity).inertial_torque(q_l, dq_l, dq_l, zero)

@@ -83,7 +83,7 @@ def disturbed() -> list[Disturbed]:
     """Return the cases of the table."""
     joint, planar, arm = map(scenario, ("paper_k31", "two_link", "arm7"))
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=arm.reference.jets(0.5)[0])
-    pushed, heavier, late = Draws(1, external=0.3), Draws(1, link_inertia=1.2), Draws(1, delay=PERIOD)
+    pushed, heavier, late = Draws(1, link_torque=0.3), Draws(1, link_inertia=1.2), Draws(1, delay=PERIOD)
     return [
         Disturbed("`paper_k31` at standstill, 0.3 N m on the link", joint, fjr.Hold([0.5]), pushed, LOAD),
         Disturbed("`paper_k31` moving, 0.3 N m on the link", joint, joint.reference, pushed, LOAD),

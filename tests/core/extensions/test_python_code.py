@@ -60,7 +60,7 @@ def test_slopes_and_spectral_radius_are_those_of_the_same_law() -> None:
 
 @pytest.mark.parametrize(
     ("law", "plant", "changes"),
-    [(OWN, None, {"stiffness": [1.0, 0.8, 1.2]}), (VDPBC, PLANT, {"external": [0.0, 1.0, 0.5]})],
+    [(OWN, None, {"stiffness": [1.0, 0.8, 1.2]}), (VDPBC, PLANT, {"link_torque": [0.0, 1.0, 0.5]})],
     ids=["law", "plant"],
 )
 def test_runs_of_a_study_are_those_of_the_compiled_loop(

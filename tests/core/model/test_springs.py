@@ -169,7 +169,7 @@ def test_linearisation_has_the_tangents_under_the_weight(arm: Arm) -> None:
 
 @pytest.mark.parametrize("arm", [HARD[1], TORSION[1]], ids=lambda arm: arm.name)
 def test_a_factor_on_the_stiffness_of_a_drawn_robot_scales_the_curve(arm: Arm) -> None:
-    n, drawn, factors = 2, ParametricPlant(arm.robot, full=False).torque("torque"), np.array([1.2, 0.7])
+    n, drawn, factors = 2, ParametricPlant(arm.robot, "plain").functions_as_c["plain_torque"], np.array([1.2, 0.7])
     parts = layout(n)
     values = {name: np.ones(size) for name, size in parts.sizes.items()} | {"stiffness": np.sqrt(factors)}
     parameters = np.concatenate([values[name] for name in parts.sizes])

@@ -20,7 +20,7 @@ from fjr_core.runtime.library import step_library
 L = 40.0  # 1/s
 MASS, INERTIA, K, D = np.array([1.2, 0.8]), np.array([0.02, 0.01]), np.array([90.0, 60.0]), np.array([0.3, 0.2])
 NOISE = np.array([0.02, 0.01])
-STATED = {"link_mass": [0.1, 0.2], "joint_stiffness": 0.1, "link_damping": 0.5, "link_friction": [0.1, 0.05]}
+STATED = {"link_mass": [0.1, 0.2], "joint_stiffness": 0.1, "link_damping": 0.5, "link_coulomb_friction": [0.1, 0.05]}
 ERRORS = StatedErrors(2, **STATED, link_torque=[0.05, 0.02], torque_noise=NOISE)
 T = np.arange(120) * 1e-3
 

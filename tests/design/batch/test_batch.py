@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,7 @@ def test_nominal_draws_agree_with_simulate(arm: Arm, gains: fjr.Gains, delay: fl
 
 def test_final_error_settling_time_and_power_match_their_definitions() -> None:
     loop = paper_loop(duration=1.6, band=0.02)
-    result, recorded = loop.recorded(Draws(1, external=0.1))
+    result, recorded = loop.recorded(Draws(1, link_torque=0.1))
     error = np.abs(recorded.x[0, :, 0] - loop.reference.jets(recorded.t)[:, 0, 0])
     assert result.final[0, 0] == pytest.approx(error[-1001:].mean(), rel=1e-12)
     outside = np.flatnonzero(error > 0.02)
@@ -135,9 +136,22 @@ def test_parameter_factors_equal_simulate_with_another_plant() -> None:
     assert drawn.u[0] == pytest.approx(run.u, rel=AGREE, abs=AGREE)
 
 
+def test_more_mass_of_one_link_is_that_of_an_arm_with_another_link() -> None:
+    """The oracle is the arm built with the changed numbers, joint by joint in the order of the robot."""
+    believed, values = fjr.planar_two_link(), {"link_mass": (1.2, 0.8 * 1.2), "link_inertia": (0.010, 0.005 * 1.2)}
+    plant, gains = fjr.planar_two_link(**values), LOOPS[1][1]
+    drawn = loop_of(believed, gains).recorded(Draws(1, link_mass=[[1.0, 1.2]]))[1]
+    other = loop_of(plant, gains, believed=believed)
+    run = simulated(other)
+    assert drawn.x[0] == pytest.approx(run.x, rel=AGREE, abs=AGREE)
+    bare = replace(believed, links=replace(believed.links, bodies=()))
+    with pytest.raises(ParameterError, match="for an arm without bodies"):
+        loop_of(bare, gains).run(Draws(1, link_mass=1.2))
+
+
 FIELDS = {
-    "stiffness": 0.9, "link_inertia": 1.1, "gravity": 1.2, "motor_inertia": 1.1, "link_damping": 2.0,
-    "motor_damping": 2.0, "coulomb_l": 0.05, "coulomb_m": 0.05, "external": 0.1, "delay": 5e-4,
+    "stiffness": 0.9, "link_mass": 1.1, "link_inertia": 1.1, "gravity": 1.2, "motor_inertia": 1.1, "link_damping": 2.0,
+    "motor_damping": 2.0, "coulomb_l": 0.05, "coulomb_m": 0.05, "link_torque": 0.1, "delay": 5e-4,
     "cubic": 500.0, "hysteresis": 0.2,
     "position_noise": 1e-4, "velocity_noise": 1e-3, "resolution": 1e-3, "effort_limit": 5.0,
 }  # fmt: skip
@@ -196,7 +210,7 @@ def test_single_payload_position_applies_to_all_runs(runs: int) -> None:
         ({"stiffness": np.ones((3, 2))}, "stiffness has shape (3, 2)"),
         ({"delay": -1e-3}, "the minimum of delay is -0.001; expected 0 or more"),
         ({"delay": np.ones((3, 1))}, "delay has shape (3, 1)"),
-        ({"external": np.nan}, "external has entries that are not finite"),
+        ({"link_torque": np.nan}, "link_torque has entries that are not finite"),
         ({"gravity": "much"}, "gravity is 'much'; expected numbers"),
         ({"seed": [0.5, 1, 2]}, "seed is of float64"),
     ],

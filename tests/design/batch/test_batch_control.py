@@ -60,7 +60,7 @@ def random_loop(seed: int) -> tuple[ClosedLoop, Draws, Robust]:
         settings=random_settings(rng), observer=observer, measurement=measurement,
     )  # fmt: skip
     draws = Draws(
-        5, stiffness=rng.uniform(0.8, 1.2, 5), link_inertia=rng.uniform(0.8, 1.2, 5), external=rng.uniform(-1, 1, 5),
+        5, stiffness=rng.uniform(0.8, 1.2, 5), link_inertia=rng.uniform(0.8, 1.2, 5), link_torque=rng.uniform(-1, 1, 5),
         coulomb_m=rng.choice([0.0, 0.1], 5), smoothing=0.05,
         hysteresis=[0.0, 0.3, 0.0, 0.0, 0.0], slip=5e-3, payload_mass=rng.choice([0.0, 0.1], 5),
         payload_position=[0.1, 0, 0], delay=rng.choice([0.0, 0.4e-3, 1.7e-3], 5), effort_limit=rng.uniform(10, 50, 5),
@@ -123,8 +123,8 @@ def expected_samples(x: Any, velocity: Any, draws: Draws, i: int) -> Any:
 def check_motion(recorded: Recorded, draws: Draws, i: int) -> None:
     """Compare the motion with steps of the drawn plant in CasADi's virtual machine, and the samples with NumPy."""
     parts = {name: draws.columns(name, 2) for name in NAMES}
-    parameters, plant = vector(parts)[i], ParametricPlant(ARM, full=True)
-    step, velocity = NumericFunction(plant.step("step")), NumericFunction(plant.velocity("velocity"))
+    parameters, plant = vector(parts)[i], ParametricPlant(ARM, "full").functions_as_c
+    step, velocity = (NumericFunction(plant[f"full_{name}"]) for name in ("step", "velocity"))
     whole, late = divmod(draws.columns("delay", 2)[i, 0], PERIOD)
     sent = np.vstack([np.zeros((int(whole) + 1, 2)), recorded.u[i]])
     sliders = recorded.x[i, 0, 2:4] - recorded.x[i, 0, :2]

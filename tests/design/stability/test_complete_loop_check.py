@@ -175,8 +175,8 @@ def test_separation_principle_holds_without_model_error(by_torque: bool) -> None
 
 def test_radii_with_model_errors_are_those_of_the_changed_plant() -> None:
     rough = Joint.robot
-    plants = {"stiffness": replace(rough, K=1.3 * rough.K), "motor inertia": replace(rough, M_m=1.3 * rough.M_m)}
-    plants["link inertia"] = fjr.single_link(link_inertia=1.3 * 0.031)
+    plants = {"stiffness": replace(rough, K=1.3 * rough.K), "motor_inertia": replace(rough, M_m=1.3 * rough.M_m)}
+    plants["link_inertia"] = fjr.single_link(link_inertia=1.3 * 0.031)
     radii = radii_with_model_errors(Joint, 1e-3, 5e-3, [[0.3]])
     assert len(radii) == 12
     for quantity, plant in plants.items():

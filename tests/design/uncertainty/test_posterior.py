@@ -128,3 +128,10 @@ def test_a_sweep_file_names_the_posterior(tmp_path: Path) -> None:
 def test_a_file_that_is_no_identification_is_refused(values: object) -> None:
     with pytest.raises(ParameterError, match="expected"):
         parsed_identification(values)
+
+
+def test_a_deviation_under_its_former_name_is_reported_and_drawn_as_before(capsys: pytest.CaptureFixture[str]) -> None:
+    given = {"uniform": [0.0, 1.0]}
+    assert distributions.varied({"external": given}) == distributions.varied({"link_torque": given})
+    assert "'external' under 'vary' is deprecated; use 'link_torque'" in capsys.readouterr().err
+    assert distributions.stream("link_torque") == distributions.stream("external")

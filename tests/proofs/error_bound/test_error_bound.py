@@ -20,8 +20,12 @@ from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.motions.reference import Reference
+from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_design.baselines.feedback_linearisation import CompositeGains
 from fjr_design.batch import ClosedLoop, Draws
+from fjr_msgs_py.console.options import model_error
+from fjr_msgs_py.scenarios import library
+from fjr_proofs.check_rows import errors_bounded
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.cells import cells_of
 from fjr_proofs.error_bound.deviation_model import DeviationModel
@@ -41,7 +45,7 @@ EACH_SECOND = fjr.Sine(0.3, 2 * np.pi)  # a period of 1000 samples
 TWO_LINK_EACH_SECOND = fjr.Sine([0.2, 0.3], 2 * np.pi, [0.3, 0.0])
 
 
-FACTORS = [name for name, parameter in PARAMETERS.items() if not parameter.unit]
+FACTORS = [name for name in PARAMETERS if DEVIATIONS[name].is_factor]
 
 
 def joint(gravity: float = 0.8) -> fjr.TrackingLaw:
@@ -61,7 +65,12 @@ CASES = [
     (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
     (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
     (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
-    (joint, SWING, T, {"payload_mass": 0.1, "payload_position": 0.02, "gravity_direction": 0.05, "link_inertia": 0.2}),
+    (
+        joint,
+        SWING,
+        T,
+        {"payload_mass": 0.1, "payload_position": 0.02, "gravity_direction": 0.05, "link_central_inertia": 0.2},
+    ),
     (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.1, 0.1], "stiffness": [0.05, 0.02]}),
 ]
 """A joint and two links, samples beside the period and on it, delays below and above a sample."""
@@ -226,9 +235,24 @@ def test_a_robot_of_another_weight_rests_within_its_bound(factor: float) -> None
     assert error <= bound.position[0] <= 1.1 * error
 
 
+def test_stated_errors_are_those_of_the_robot_file_times_a_number_of_standard_deviations() -> None:
+    said = ("link_coulomb_friction:=0.01", "link_torque:=0.02", "link_mass:=0.04", "joint_stiffness:=0.03")
+    scenario = library.load("paper_k31", [f"robot.deviations.{each.replace(':=', ':=[')}]" for each in said])
+    found = errors_bounded(scenario, {"stated": 2.0, "link_damping": 0.1}, 1.0).values
+    expected = {"link_mass": [0.08], "stiffness": [0.06], "link_damping": 0.1, "link_torque": 0.06}
+    assert found["errors"] == {name: pytest.approx(size) for name, size in expected.items()}
+    bound = bound_errors(scenario.law, scenario.reference, T, T, expected)
+    assert found["position"]["joint1"] == pytest.approx(bound.position[0])
+
+
+def test_an_error_under_its_former_name_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
+    assert model_error("link_inertia=0.1") == model_error("link_central_inertia=0.1")
+    assert "--error link_inertia is deprecated; use link_central_inertia" in capsys.readouterr().err
+
+
 def test_delay_and_every_error_enlarge_the_bound() -> None:
     assert paper(0.0).position < paper(T).position
-    for name in {*PARAMETERS, *TORQUES} - {"payload_position", "link_inertia"}:
+    for name in {*PARAMETERS, *TORQUES} - {"payload_position", "link_central_inertia"}:
         assert paper(T, **{name: 0.05}).position > paper(T).position, name
 
 
@@ -252,7 +276,7 @@ def test_errors_too_large_for_a_tube_give_no_bound() -> None:
 
 @pytest.mark.parametrize(
     ("reference", "errors"),
-    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.45, "link_inertia": 0.45})],
+    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.45, "link_central_inertia": 0.45})],
     ids=["millions of parts", "a divisor whose interval contains zero"],
 )
 def test_several_large_errors_are_bounded_or_have_no_bound(reference: Reference, errors: dict[str, float]) -> None:

@@ -38,7 +38,7 @@ def check(found: list[np.ndarray], expected: list[np.ndarray]) -> None:
 
 
 def test_without_a_share_the_links_are_those_of_the_model() -> None:
-    none = {"link_mass": 0.2, "link_inertia": 0.1, "gravity_direction": 0.1}
+    none = {"link_mass": 0.2, "link_central_inertia": 0.1, "gravity_direction": 0.1}
     check(uncertain(none, [0.0] * 6), links_of(fjr.planar_two_link()))
 
 
@@ -46,7 +46,7 @@ def test_factors_of_mass_and_inertia_are_those_of_an_arm_with_changed_links() ->
     changed = fjr.planar_two_link(
         link_mass=(1.2 * 1.2, 0.8 * 0.8), link_inertia=(0.010 * 1.2 * 0.9, 0.005 * 0.8 * 1.05)
     )
-    errors = {"link_mass": 0.2, "link_inertia": [0.1, 0.1]}
+    errors = {"link_mass": 0.2, "link_central_inertia": [0.1, 0.1]}
     check(uncertain(errors, [1.0, -1.0, -1.0, 0.5]), links_of(changed))
 
 

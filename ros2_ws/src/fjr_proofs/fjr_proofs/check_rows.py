@@ -10,19 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fjr_core.config.robot import stated_errors
 from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, ParameterError
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.robust.law import Robust, RobustLaw
+from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_msgs_py.console.output import progress_bar
 
 from .error_bound.contraction import SampledContraction, sampled_contraction
 from .error_bound.search import DELAY, SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
-from .error_bound.uncertain_robot import PARAMETERS
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
+STATED = "stated"
+"""Error that stands for the stated errors of the robot, as a number of their standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,8 @@ def errors_bounded(
 ) -> ProofRows:
     """Return the bound for model errors and a delay [samples], by default that of the scenario.
 
-    prove: see `bound_errors`. Raises ParameterError for an unknown error, and for a scenario that the bound does not
-    cover.
+    errors: as of `bound_errors`, and STATED. prove: see `bound_errors`. Raises ParameterError for an unknown error, and
+    for a scenario that the bound does not cover.
     """
     reasons = {
         "robust.* is enabled": isinstance(scenario.sampled_law, RobustLaw),
@@ -56,7 +59,7 @@ def errors_bounded(
             )
     period = scenario.sample_period
     late = scenario.loop_delay if delay is None else delay * period
-    loop = scenario.law, scenario.reference, period, late, errors
+    loop = scenario.law, scenario.reference, period, late, _with_stated(scenario, errors)
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
         bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove, payload_position(scenario))
     tried = prove or scenario.robot.n <= SECONDS_TO_PROVE
@@ -71,6 +74,21 @@ def errors_bounded(
         "parts": bound.parts,
     }
     return ProofRows({"error bound": _sentence(scenario, bound, hint)}, values)
+
+
+def _with_stated(scenario: Scenario, errors: Mapping[str, ArrayLike]) -> Mapping[str, ArrayLike]:
+    """Return the errors with those of `robot.deviations` in place of STATED; the others go before.
+
+    Friction and constant torque of a link are a torque of any time course.
+    """
+    if STATED not in errors:
+        return errors
+    found, count = stated_errors(scenario.controller_values), np.asarray(errors[STATED])
+    names = {each.parameter: name for name, each in DEVIATIONS.items()}
+    own = {names[each]: count * getattr(found, each) for each in ("link_mass", "joint_stiffness", "link_damping")}
+    torque = np.max(count * (np.asarray(found.link_coulomb_friction) + found.link_torque))
+    others = {name: size for name, size in errors.items() if name != STATED}
+    return {**own, "link_torque": torque, **others}
 
 
 def payload_position(scenario: Scenario) -> Array:
@@ -100,12 +118,12 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
 def _error(name: str, size: ArrayLike) -> str:
     if name == DELAY:
         return f"a delay that changes by up to {float(np.asarray(size)):g} samples either way"
-    unit = "N m" if name in TORQUES else PARAMETERS[name].unit
-    sizes = " and ".join(f"{value if unit else 100 * value:g}" for value in np.atleast_1d(size))
+    unit = DEVIATIONS[name].unit
+    sizes = " and ".join(dict.fromkeys(f"{value if unit else 100 * value:g}" for value in np.atleast_1d(size)))
     if name in TORQUES:
-        return f"{name.replace('_', ' ')}s of up to {sizes} {unit}"
+        return f"{DEVIATIONS[name].of} of up to {sizes} {unit}"
     amount = "one common factor of up to" if name == "payload" else "up to"
-    return f"{PARAMETERS[name].of} off by {amount} {sizes} {unit or '%'}"
+    return f"{DEVIATIONS[name].of} off by {amount} {sizes} {unit or '%'}"
 
 
 def _by_joint(scenario: Scenario, sizes: Array) -> dict[str, float | None]:

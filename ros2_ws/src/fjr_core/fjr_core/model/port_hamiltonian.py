@@ -47,6 +47,11 @@ class Elastic(Springs, Protocol):
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """Return the velocities (dq_l, dq_m), (n,) each, at x (4n,)."""
 
+    def momentum_expressions(
+        self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX, links: RigidArm | None = None
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return the momenta (p_l, p_m), (n,) each."""
+
 
 def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return J, R and G of eq. (36) as expressions, for numeric or symbolic robot parameters."""

@@ -229,6 +229,11 @@ class PayloadArm:
         """d/dq_l (v' M_l v / 2) (n,) [N m] with the payload, v constant."""
         return self.links.grad_T(q_l, v) + self.mass * self._point_grad_T(q_l, v, self.position)
 
+    def inertial_torque_of_mass(self, q_l: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
+        """Part of the payload in M_l a + C v (n,) [N m]: m J' times the acceleration J a + (d^2 p / dq_l^2)(v, v)."""
+        point, J = self.end_effector.position(q_l, self.position), self._jacobian(q_l, self.position)
+        return self.mass * (J.T @ (J @ a + directional(directional(point, q_l, v), q_l, v)))
+
     @cached_property
     def _jacobian(self) -> ca.Function:
         """(q_l, r) -> dp/dq_l (3, n)."""

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..model import springs
-from ..model.newton_euler import ChainAt, Mass, mass_of
+from ..model.rigid_arm import RigidArm
 from ..model.robot import Robot
 from ..numerics.checks import Array, floats, freeze, positive
 from ..numerics.jit import compiled_from_inputs
@@ -39,6 +39,7 @@ from ..numerics.one_line import brief, one_line
 from ..numerics.parameter_field import VECTOR, declared, parameter_field
 from ..numerics.symbolic import dense_function, symbols
 from ..runtime.library import TorqueObserverStruct
+from ..simulation.deviations import ChangedLinks, has_bodies
 from .external_torque import observer_function
 
 DAY = 86_400_000
@@ -70,7 +71,7 @@ class StatedErrors:
     link_mass: ArrayLike = _stated(0.05, "mass and inertia of each link, as a share")
     joint_stiffness: ArrayLike = _stated(0.05, "joint_stiffness, as a share")
     link_damping: ArrayLike = _stated(0.3, "link_damping, as a share")
-    link_friction: ArrayLike = _stated(0.1, "the Coulomb friction of the links", "N m")
+    link_coulomb_friction: ArrayLike = _stated(0.1, "the Coulomb friction of the links", "N m")
     link_torque: ArrayLike = _stated(0.1, "a constant torque on each link, as by an offset of an encoder", "N m")
     torque_noise: ArrayLike = _stated(0.1, "~/external_torque at standstill", "N m", 1e-9)
 
@@ -151,30 +152,17 @@ class ContactObserver:
         s = symbols(position=2 * n, velocity=2 * n)
         q_l, dq_l, theta = s["position"][:n], s["velocity"][:n], ca.SX.sym("theta", len(self.errors.deviations))
         mass, stiffness, damping, friction, constant = ca.vertsplit(theta, n)
-        p, moving = self._rigid(q_l, dq_l, mass)
+        links: RigidArm = robot.links
+        common = 1 + mass[0]  # of links whose bodies are not known
+        if has_bodies(robot.links):
+            links, common = ChangedLinks(robot.links, {"link_mass": 1 + mass}), 1.0
+        p = common * (links.M_l(q_l) @ dq_l)
         spring = springs.torque(robot, s["position"][n:] - q_l)
-        f = moving + (1 + stiffness) * spring - (1 + damping) * (ca.DM(robot.D_l) @ dq_l)
+        f = common * (links.grad_T(q_l, dq_l) - links.grad_P_l(q_l))
+        f += (1 + stiffness) * spring - (1 + damping) * (ca.DM(robot.D_l) @ dq_l)
         f += constant - friction * ca.tanh(dq_l / STICKING)
         by = ca.substitute(ca.jacobian(ca.vertcat(p, f), theta), theta, 0)
         by = by @ ca.diag(ca.DM(self.errors.deviations))
         nominal = ca.substitute(ca.vertcat(p, f), theta, 0)
-        whole = {"p": ca.horzcat(nominal[:n], by[:n, :]), "f": ca.horzcat(nominal[n:], by[n:, :])}
-        return dense_function("contact_momenta", s, {name: ca.vec(each) for name, each in whole.items()}, cse=True)
-
-    def _rigid(self, q_l: ca.SX, dq_l: ca.SX, mass: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return M_l dq_l and C' dq_l - grad P_l (n,) with the bodies' masses and inertias times 1 + mass (n,).
-
-        Links whose bodies are not known are one body, of the first mass.
-        """
-        links = self.robot.links
-        if not links.bodies or links.end_effector is None:
-            whole = 1 + mass[0]
-            return whole * links.M_l(q_l) @ dq_l, whole * (links.grad_T(q_l, dq_l) - links.grad_P_l(q_l))
-        order, along = list(links.order), [links.order.index(i) for i in range(links.n)]
-        masses = [
-            Mass((1 + factor) * of.m, (1 + factor) * of.h, (1 + factor) * of.J)
-            for factor, of in zip(ca.vertsplit(mass), map(mass_of, links.bodies), strict=True)
-        ]
-        chain = ChainAt(links.bodies, masses, links.end_effector.gravity, q_l[along])
-        moving = chain.kinetic_gradient(dq_l[along]) - chain.gravity_torque()
-        return (chain.inertia() @ dq_l[along])[order], moving[order]
+        outputs = {"p": ca.horzcat(nominal[:n], by[:n, :]), "f": ca.horzcat(nominal[n:], by[n:, :])}
+        return dense_function("contact_momenta", s, {name: ca.vec(each) for name, each in outputs.items()}, cse=True)

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..model import springs
-from ..model.port_hamiltonian import Plant, derivative_expression, gradient_expression
-from ..model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
+from ..model.port_hamiltonian import Elastic, Plant, derivative_expression, gradient_expression
+from ..model.rigid_arm import PayloadArm, RigidArm
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.jit import compiled
@@ -45,6 +45,7 @@ class NonidealPlant:
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
         self.robot = plant.robot
+        self.layout = layout(plant.robot.n)
 
     def check(self, imperfections: Imperfections) -> None:
         """Raise ParameterError for imperfections that do not fit this robot."""
@@ -87,10 +88,10 @@ class NonidealPlant:
         inputs: actuator outputs, external torques and sliders (n,) each, parameters.
         """
         n = self.robot.n
-        s = symbols(ca.MX if self.plant.in_python else ca.SX, x=4 * n, inputs=3 * n + layout(n).size)
+        s = symbols(ca.MX if self.plant.in_python else ca.SX, x=4 * n, inputs=3 * n + self.layout.size)
         x, inputs = s.values()
         applied, external, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, 3 * n, inputs.numel()])
-        p = layout(n).named(parameters)
+        p = self.named(parameters)
         dx, *velocities = self._motion(x, applied, p)
         dx += ca.vertcat(ca.DM.zeros(2 * n), *self._imperfect_torques(x[: 2 * n], velocities, external, sliders, p))
         return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
@@ -100,9 +101,10 @@ class NonidealPlant:
         n = self.robot.n
         if self.plant.in_python:
             return self.plant.dynamics(x, applied), *ca.vertsplit(self.robot.to_velocity(x), n)
-        dH = gradient_expression(self.robot, x, self._links(p), p.cubic)
+        robot = self.robot_of(p)
+        dH = gradient_expression(robot, x, self.links_of(p), p.cubic)
         _, _, dq_l, dq_m = blocks(dH, n)
-        return derivative_expression(self.robot, x, applied, dH), dq_l, dq_m
+        return derivative_expression(robot, x, applied, dH), dq_l, dq_m
 
     def _imperfect_torques(
         self, q: ca.SX, velocities: Sequence[ca.SX], external: ca.SX, sliders: ca.SX, p: SimpleNamespace
@@ -113,7 +115,7 @@ class NonidealPlant:
         """
         q_l, q_m = ca.vertsplit(q, self.robot.n)
         h = hysteresis(q_m - q_l, sliders, p)
-        load = ca.fabs(springs.torque(self.robot, q_m - q_l, p.cubic) + h)
+        load = ca.fabs(springs.torque(self.robot_of(p), q_m - q_l, p.cubic) + h)
         dq_l, dq_m = velocities
         F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing, p.load_l * load)
         F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing, p.load_m * load)
@@ -126,9 +128,9 @@ class NonidealPlant:
         q, dq (2n,): of links and motors; t [s]: since the actuator outputs a. They are all torques on links and motors
         beside inertia, weight, straight springs diag(K) and damping diag(D_l), diag(D_m).
         """
-        n, robot, parts = self.robot.n, self.robot, layout(self.robot.n)
-        s = symbols(q=2 * n, dq=2 * n, a=n, u=n, external=n, sliders=n, parameters=parts.size, t=1)
-        p, velocities = parts.named(s["parameters"]), ca.vertsplit(s["dq"], n)
+        n, robot = self.robot.n, self.robot
+        s = symbols(q=2 * n, dq=2 * n, a=n, u=n, external=n, sliders=n, parameters=self.layout.size, t=1)
+        p, velocities = self.named(s["parameters"]), ca.vertsplit(s["dq"], n)
         on_l, on_m = self._imperfect_torques(s["q"], velocities, s["external"], s["sliders"], p)
         zeta = s["q"][n:] - s["q"][:n]
         bend = springs.torque(robot, zeta, p.cubic) - ca.DM(np.diag(robot.K)) * zeta
@@ -144,9 +146,9 @@ class NonidealPlant:
     def memory_step(self) -> ca.Function:
         """Return the function (q, a, u, sliders, parameters, dt) -> a, sliders after a step that ended at q (2n,)."""
         n = self.robot.n
-        s = symbols(q=2 * n, a=n, u=n, sliders=n, parameters=layout(n).size, dt=1)
+        s = symbols(q=2 * n, a=n, u=n, sliders=n, parameters=self.layout.size, dt=1)
         a = self._actuators(s["a"], s["u"], s["parameters"], s["dt"])
-        sliders = dragged(s["sliders"], s["q"][n:] - s["q"][:n], layout(n).named(s["parameters"]).slip)
+        sliders = dragged(s["sliders"], s["q"][n:] - s["q"][:n], self.named(s["parameters"]).slip)
         function = dense_function("memory_step", s, {"applied": a, "dragged": sliders})
         return compiled(function) if self.plant.compiles else function
 
@@ -174,13 +176,13 @@ class NonidealPlant:
 
     def _step_function(self, as_c: bool) -> ca.Function:
         n = self.robot.n
-        s = symbols(ca.MX, state=6 * n, u=n, external=n, parameters=layout(n).size, dt=1)
+        s = symbols(ca.MX, state=6 * n, u=n, external=n, parameters=self.layout.size, dt=1)
         state, u, external, parameters, dt = s.values()
         x, a, sliders = ca.vertsplit(state, [0, 4 * n, 5 * n, 6 * n])
         applied = [self._actuators(a, u, parameters, t) for t in (0, dt / 2, dt)]
         start, middle, end = (ca.vertcat(b, external, sliders, parameters) for b in applied)
         x_next = step_expression(self.plant.integrator, self.dynamics, x, (start, middle, end), dt, as_c)
-        sliders_next = dragged(sliders, x_next[n : 2 * n] - x_next[:n], layout(n).named(parameters).slip)
+        sliders_next = dragged(sliders, x_next[n : 2 * n] - x_next[:n], self.named(parameters).slip)
         return dense_function("nonideal_step", s, {"next": ca.vertcat(x_next, applied[-1], sliders_next)})
 
     @cached_property
@@ -198,10 +200,20 @@ class NonidealPlant:
         """Return velocities (2n,) and joint torques (n,) at a state (6n,) as expressions."""
         n = self.robot.n
         zeta, sliders = state[n : 2 * n] - state[:n], state[5 * n :]
-        velocities = ca.vertcat(*self.robot.velocity_expressions(state[: 4 * n], self._links(p)))
-        return velocities, springs.torque(self.robot, zeta, p.cubic) + hysteresis(zeta, sliders, p)
+        robot = self.robot_of(p)
+        velocities = ca.vertcat(*robot.velocity_expressions(state[: 4 * n], self.links_of(p)))
+        return velocities, springs.torque(robot, zeta, p.cubic) + hysteresis(zeta, sliders, p)
 
-    def _links(self, p: SimpleNamespace) -> ArmDynamics | RigidArm:
+    def named(self, parameters: ca.SX) -> SimpleNamespace:
+        """Return the imperfections by name."""
+        return self.layout.named(parameters)
+
+    def robot_of(self, p: SimpleNamespace) -> Elastic:
+        """Return the robot with the parameters p, without imperfections."""
+        return self.robot
+
+    def links_of(self, p: SimpleNamespace) -> RigidArm:
+        """Return the links of the robot with the payload."""
         links = self.robot.links
         end_effector = links.end_effector
         return links if end_effector is None else PayloadArm(links, end_effector, p.payload_mass, p.payload_position)
@@ -209,18 +221,17 @@ class NonidealPlant:
     @cached_property
     def _actuators(self) -> ca.Function:
         """Build (a, u, parameters, t) -> actuator outputs after t [s]: the saturated command behind the lag."""
-        n, parts = self.robot.n, layout(self.robot.n)
-        s = symbols(a=n, u=n, parameters=parts.size, t=1)
-        a, u, p, t = s["a"], s["u"], parts.named(s["parameters"]), s["t"]
+        n = self.robot.n
+        s = symbols(a=n, u=n, parameters=self.layout.size, t=1)
+        a, u, p, t = s["a"], s["u"], self.named(s["parameters"]), s["t"]
         saturated = ca.fmin(ca.fmax(u, -p.effort_limit), p.effort_limit)
         lagged = saturated + (a - saturated) * ca.exp(-t / ca.fmax(p.lag, SHORTEST_LAG))
         return dense_function("actuators", s, {"applied": ca.if_else(p.lag > 0, lagged, saturated)})
 
     def _symbols(self, **rows: int) -> tuple[dict[str, ca.SX], SimpleNamespace]:
         """Return symbols with these numbers of rows and `parameters`, and the entries of `parameters`, each by name."""
-        parts = layout(self.robot.n)
-        s = symbols(ca.SX, **rows, parameters=parts.size)
-        return s, parts.named(s["parameters"])
+        s = symbols(ca.SX, **rows, parameters=self.layout.size)
+        return s, self.named(s["parameters"])
 
     @cached_property
     def _measure(self) -> ca.Function:
@@ -232,7 +243,7 @@ class NonidealPlant:
     def _hamiltonian(self) -> ca.Function:
         s, p = self._symbols(x=4 * self.robot.n)
         q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
-        H = self.robot.hamiltonian_expression(s["x"], self._links(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
+        H = self.robot.hamiltonian_expression(s["x"], self.links_of(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
         return dense_function("nonideal_hamiltonian", s, {"H": H})
 
     @cached_property
@@ -240,7 +251,7 @@ class NonidealPlant:
         n = self.robot.n
         s, p = self._symbols(position=2 * n, velocity=2 * n)
         position, velocity = s["position"], s["velocity"]
-        momenta = self.robot.momentum_expressions(position[:n], velocity[:n], velocity[n:], self._links(p))
+        momenta = self.robot_of(p).momentum_expressions(position[:n], velocity[:n], velocity[n:], self.links_of(p))
         return dense_function("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
 
 

@@ -24,7 +24,7 @@ from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.simulation.closed_loop import check_joints
 
 from . import parametric_robot
-from .draws import Draws
+from .draws import PARAMETERS, Draws
 from .program import BatchProgram
 
 LAST = 1.0  # s; averaging time of Outcomes.final
@@ -199,9 +199,8 @@ class ClosedLoop:
     def _drawn(self, draws: Draws) -> dict[str, Any]:
         n = self.robot.n
         parts = {name: draws.columns(name, n) for name in parametric_robot.NAMES}
-        if self.plant is not None and self.plant.in_python:
-            parametric_robot.refuse(parts)
-        full = np.hstack([parts[name] != 0 for name in parametric_robot.FULL]).any(axis=1)
+        parametric_robot.refuse(self.robot, self.plant is not None and self.plant.in_python, parts)
+        full = np.hstack([parts[name] != PARAMETERS[name].nominal for name in parametric_robot.FULL]).any(axis=1)
         sensing = [draws.columns(name, n) for name in ("position_noise", "velocity_noise", "resolution")]
         segments, dt = _segments(draws.columns("delay", n)[:, 0], self.sample_period, self.inner_steps)
         return {

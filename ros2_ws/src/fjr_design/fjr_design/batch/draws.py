@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a robot, its sensors and its loop may deviate from the nominal ones: a glossary, and drawn values of k runs.
+"""Drawn deviations of robot, sensors and loop in k runs, by their names in the glossary.
 
 Random numbers are counter-based, so that any run of a study can be drawn on its own: NumPy's Philox4x64-10 (J. Salmon,
 M. Moraes, R. Dror, D. Shaw, SC 2011); noise.c implements the same generator.
@@ -8,71 +8,28 @@ M. Moraes, R. Dror, D. Shaw, SC 2011); noise.c implements the same generator.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import ParameterError
 from fjr_core.numerics.checks import Array, floats, freeze
+from fjr_core.simulation.deviations import DEVIATIONS, NONNEGATIVE, POINT, POSITIVE, Deviation
 
-POSITIVE, NONNEGATIVE, SIGNED = "positive", "non-negative", "signed"
-JOINT, RUN, POINT = "joint", "run", "point"
-SMOOTHING = 0.01  # rad/s
-SLIP = 1e-3  # rad
 WORDS = 4
 """Random words per counter."""
-
-
-@dataclass(frozen=True)
-class Deviation:
-    """One way in which a robot, its sensors or its loop deviate from the nominal ones.
-
-    unit: of a level; "" for a factor on the values of the model. sign: which values are allowed. per: JOINT if the
-    value may differ between joints, RUN for one number, POINT for x, y, z. matrix: of a Robot whose diagonal the factor
-    scales. identified: its name in an identification, and in a robot file. "" for none.
-    """
-
-    name: str
-    unit: str = ""
-    sign: str = NONNEGATIVE
-    per: str = JOINT
-    matrix: str = ""
-    identified: str = ""
-
-    @property
-    def is_factor(self) -> bool:
-        """Return whether the value is a factor, not a level."""
-        return not self.unit
-
-    @property
-    def per_run(self) -> bool:
-        """Return whether a run has one number."""
-        return self.per == RUN
-
-    def width(self, n: int) -> int:
-        """Return the numbers of a run of n joints."""
-        return {JOINT: n, RUN: 1, POINT: 3}[self.per]
-
-
-def _factor(**given: str) -> Any:
-    return field(default=1.0, metadata=given)
-
-
-def _level(unit: str, default: float = 0.0, **given: str) -> Any:
-    return field(default=default, metadata={"unit": unit, **given})
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
     """Values of all PARAMETERS in k runs: each a scalar for all runs, (k,), or (k, n) per joint; nominal by default.
 
-    Factors on plant parameters: stiffness, link_inertia, gravity, motor_inertia, link_damping, motor_damping (see
-    parametric_robot for matrices; damping may be 0, gravity of either sign). Levels: coulomb_l, coulomb_m [N m]:
-    Coulomb friction of links and motors, times tanh(v / smoothing); smoothing [rad/s] (k,); external [N m]: constant
-    torque on the links; cubic [N m/rad^3]: stiffness beside the curve of the springs, also negative; hysteresis [N m]
-    and slip [rad]: of a Maxwell element beside each spring (nonideal_plant);
+    Factors on plant parameters: link_mass (mass and inertia of each link), stiffness, link_inertia, gravity,
+    motor_inertia, link_damping, motor_damping (see parametric_robot for matrices; damping may be 0, gravity of either
+    sign). Levels: coulomb_l, coulomb_m [N m]: Coulomb friction of links and motors, times tanh(v / smoothing);
+    smoothing [rad/s] (k,); link_torque [N m]: constant; cubic [N m/rad^3]: stiffness beside the curve of the springs,
+    also negative; hysteresis [N m] and slip [rad]: of a Maxwell element beside each spring (nonideal_plant);
     payload_mass [kg] (k,) at payload_position (3,) or (k, 3) [m] in the frame of the last link;
     delay [s] (k,) from a sample to its effort, any fraction of the sample period; position_noise [rad] and
     velocity_noise [rad/s] (k,): standard deviations of white noise; resolution [rad] (k,) of the encoders, 0: exact;
@@ -81,26 +38,27 @@ class Draws:
     """
 
     runs: int
-    stiffness: ArrayLike = _factor(sign=POSITIVE, matrix="K", identified="joint_stiffness")
-    link_inertia: ArrayLike = _factor(sign=POSITIVE)
-    gravity: ArrayLike = _factor(sign=SIGNED)
-    motor_inertia: ArrayLike = _factor(sign=POSITIVE, matrix="M_m", identified="motor_inertia")
-    link_damping: ArrayLike = _factor(matrix="D_l", identified="link_damping")
-    motor_damping: ArrayLike = _factor(matrix="D_m", identified="motor_damping")
-    coulomb_l: ArrayLike = _level("N m", identified="link_coulomb_friction")
-    coulomb_m: ArrayLike = _level("N m", identified="motor_coulomb_friction")
-    smoothing: ArrayLike = _level("rad/s", SMOOTHING, sign=POSITIVE, per=RUN)
-    external: ArrayLike = _level("N m", sign=SIGNED)
-    cubic: ArrayLike = _level("N m/rad^3", sign=SIGNED)
-    hysteresis: ArrayLike = _level("N m")
-    slip: ArrayLike = _level("rad", SLIP, sign=POSITIVE)
-    payload_mass: ArrayLike = _level("kg", per=RUN, identified="payload_mass")
-    payload_position: ArrayLike = _level("m", sign=SIGNED, per=POINT, identified="payload_position")
-    delay: ArrayLike = _level("s", per=RUN, identified="effort_delay")
-    position_noise: ArrayLike = _level("rad", per=RUN)
-    velocity_noise: ArrayLike = _level("rad/s", per=RUN)
-    resolution: ArrayLike = _level("rad", per=RUN)
-    effort_limit: ArrayLike = _level("N m", np.inf, sign=POSITIVE)
+    stiffness: ArrayLike = 1.0
+    link_mass: ArrayLike = 1.0
+    link_inertia: ArrayLike = 1.0
+    gravity: ArrayLike = 1.0
+    motor_inertia: ArrayLike = 1.0
+    link_damping: ArrayLike = 1.0
+    motor_damping: ArrayLike = 1.0
+    coulomb_l: ArrayLike = 0.0
+    coulomb_m: ArrayLike = 0.0
+    smoothing: ArrayLike = DEVIATIONS["smoothing"].nominal
+    link_torque: ArrayLike = 0.0
+    cubic: ArrayLike = 0.0
+    hysteresis: ArrayLike = 0.0
+    slip: ArrayLike = DEVIATIONS["slip"].nominal
+    payload_mass: ArrayLike = 0.0
+    payload_position: ArrayLike = 0.0
+    delay: ArrayLike = 0.0
+    position_noise: ArrayLike = 0.0
+    velocity_noise: ArrayLike = 0.0
+    resolution: ArrayLike = 0.0
+    effort_limit: ArrayLike = np.inf
     seed: ArrayLike | None = None
 
     def __post_init__(self) -> None:
@@ -152,10 +110,8 @@ class Draws:
         return array
 
 
-PARAMETERS = {
-    each.name: Deviation(each.name, **each.metadata) for each in fields(Draws) if each.name not in ("runs", "seed")
-}
-"""The glossary: all deviations by name."""
+PARAMETERS = {each.name: DEVIATIONS[each.name] for each in fields(Draws) if each.name in DEVIATIONS}
+"""The deviations that a study draws, by name."""
 
 
 def unit_of(column: str) -> str:

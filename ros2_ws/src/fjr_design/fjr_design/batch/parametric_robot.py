@@ -16,37 +16,37 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import ParameterError
-from fjr_core.model import springs
-from fjr_core.model.port_hamiltonian import Plant, derivative_expression, gradient_expression
-from fjr_core.model.rigid_arm import ArmDynamics, PayloadArm, RigidArm
+from fjr_core.model.port_hamiltonian import Elastic, Plant
+from fjr_core.model.rigid_arm import PayloadArm, RigidArm
 from fjr_core.model.robot import Robot
+from fjr_core.model.springs import CubicCurve, TorsionCurve
 from fjr_core.numerics import integrators, symbolic
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function
-from fjr_core.simulation.nonideal_plant import friction, hysteresis
+from fjr_core.simulation.deviations import ChangedLinks, has_bodies
+from fjr_core.simulation.imperfections import NAMES as IMPERFECTIONS
+from fjr_core.simulation.imperfections import Imperfections
+from fjr_core.simulation.nonideal_plant import NonidealPlant, dragged
 
 from .draws import PARAMETERS
 
-SCALED = tuple(each.name for each in PARAMETERS.values() if each.is_factor)
+SCALED = tuple(each.name for each in PARAMETERS.values() if each.is_factor and each.name != "link_mass")
 ROOTS = tuple(name for name in SCALED if name != "gravity")
 """Factors that enter as their square roots."""
 FRICTION = ("coulomb_l", "coulomb_m")
-FULL = (*FRICTION, "cubic", "hysteresis", "payload_mass")
-"""Levels of which one is not 0 only in runs of the full plant."""
-NAMES = (*SCALED, *FULL, "smoothing", "external", "slip", "payload_position")
+PLAIN, WHOLE = "plain", "full"
+"""Kinds of plants: without and with the deviations of FULL."""
+FULL = (*FRICTION, "cubic", "hysteresis", "payload_mass", "link_mass")
+"""Deviations of which one is not nominal only in runs of the full plant."""
+NAMES = (*SCALED, *FULL, "smoothing", "link_torque", "slip", "payload_position")
 """Parts of the argument `parameters` of all functions here, in this order."""
-
-
-def layout(n: int) -> PackedVector:
-    """Return the parts of the argument `parameters` for n joints."""
-    return PackedVector({name: PARAMETERS[name].width(n) for name in NAMES})
 
 
 @dataclass(frozen=True)
 class ScaledLinks:
     """Links with square roots of factors (n,) on their inertia and factors (n,) on their gravity torques."""
 
-    links: ArmDynamics
+    links: RigidArm
     root: ca.SX
     gravity: ca.SX
 
@@ -74,10 +74,11 @@ class ScaledRobot:
     n: int
     links: RigidArm
     K: ca.SX
-    curves: tuple[springs.CubicCurve | springs.TorsionCurve, ...]
+    curves: tuple[CubicCurve | TorsionCurve, ...]
     D_l: ca.SX
     D_m: ca.SX
     B_m: ca.SX
+    M_m: ca.SX
     M_m_inverse: ca.SX
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
@@ -85,120 +86,119 @@ class ScaledRobot:
         q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
         return symbolic.solve((links or self.links).M_l(q_l), p_l), self.M_m_inverse @ p_m
 
+    def momentum_expressions(
+        self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX, links: RigidArm | None = None
+    ) -> tuple[ca.SX, ca.SX]:
+        """(p_l, p_m) = (M_l dq_l, S M_m S dq_m)."""
+        return (links or self.links).M_l(q_l) @ dq_l, self.M_m @ dq_m
+
 
 def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
     """Return S A S with the entries r_i A_ij r_j."""
     return matrix * (root @ root.T)
 
 
-class ParametricPlant:
-    """Eq. (36) with drawn parameters as CasADi functions of (.., parameters), from which C can be generated.
+def layout(n: int) -> PackedVector:
+    """Return the parts of the argument `parameters` for n joints."""
+    return PackedVector({name: PARAMETERS[name].width(n) for name in NAMES})
 
-    full: false leaves the levels of FULL out and makes a step cheaper. own: a plant in Python, whose parameters are not
-    drawn (see `refuse`), with drawn friction, hysteresis and external torques. Momenta are those of the drawn inertia.
-    The sliders of hysteresis (n,) [rad] follow x (4n,) in the state, as in nonideal_plant.
+
+class ParametricPlant(NonidealPlant):
+    """NonidealPlant whose robot, too, follows from the parameters, as CasADi functions from which C can be generated.
+
+    kind: PLAIN leaves the deviations FULL out, which makes a step cheaper. own: a plant in Python, whose parameters are
+    not drawn (see `refuse`), with drawn friction, hysteresis and external torques. Momenta are those of the drawn
+    inertia. There is no lag: the state is (x, s) (5n,), with the sliders s of hysteresis.
     """
 
-    def __init__(self, robot: Robot, full: bool, own: Plant | None = None) -> None:
-        self.robot, self._full, self._own = robot, full, own
-        self._kind = ca.SX if own is None else ca.MX
+    def __init__(self, robot: Robot, kind: str, own: Plant | None = None) -> None:
+        super().__init__(own or Plant(robot))
+        self.robot, self._kind, self.layout = robot, kind, layout(robot.n)
 
-    @cached_property
-    def dynamics(self) -> ca.Function:
-        """Return the function (x, inputs) -> dx/dt (4n,); inputs: effort u and sliders (n,) each, parameters."""
-        n = self.robot.n
-        s = symbolic.symbols(self._kind, x=4 * n, inputs=2 * n + layout(n).size)
-        x, inputs = s.values()
-        u, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, inputs.numel()])
-        dx, dq_l, dq_m = self._motion(x, u, parameters)
-        p = layout(n).named(parameters)
-        links, motors = p.external, ca.DM(n, 1)
-        if self._full or self._own:
-            links -= friction(dq_l, p.coulomb_l, p.coulomb_l, ca.DM(1), p.smoothing)
-            motors = -friction(dq_m, p.coulomb_m, p.coulomb_m, ca.DM(1), p.smoothing)
-            element = hysteresis(x[n : 2 * n] - x[:n], sliders, p)
-            links, motors = links + element, motors - element
-        dx += ca.vertcat(ca.DM(2 * n, 1), links, motors)
-        return dense_function("parametric_dynamics", s, {"dx": dx}, cse=self._own is None)
+    def named(self, parameters: ca.SX) -> SimpleNamespace:
+        """Return the drawn parameters and the imperfections that are not drawn, by name."""
+        ideal = Imperfections(self.robot.n)
+        p = SimpleNamespace(**{name: ca.DM(getattr(ideal, name)) for name in IMPERFECTIONS})
+        for name, value in self.layout.unpack(parameters).items():
+            if self._kind == WHOLE or name not in FULL:
+                setattr(p, name, value)
+        p.static_l, p.static_m = p.coulomb_l, p.coulomb_m
+        return p
 
-    def _motion(self, x: ca.SX, u: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return dx/dt (4n,) without friction and external torques, and the velocities dq_l, dq_m (n,)."""
-        n = self.robot.n
-        if self._own:
-            return self._own.dynamics(x, u), *ca.vertsplit(self.robot.to_velocity(x), n)
-        p, robot = self._drawn(parameters)
-        dH = gradient_expression(robot, x, cubic=p.cubic if self._full else None)
-        _, _, dq_l, dq_m = symbolic.blocks(dH, n)
-        return derivative_expression(robot, x, u, dH), dq_l, dq_m
-
-    def step(self, name: str) -> ca.Function:
-        """Return the function (state, u, parameters, dt) -> state (5n,), a Runge-Kutta step of order 4 with u held."""
-        n = self.robot.n
-        s = symbolic.symbols(self._kind, state=5 * n, u=n, parameters=layout(n).size, dt=1)
-        state, u, parameters, dt = s.values()
-        x, sliders = ca.vertsplit(state, [0, 4 * n, 5 * n])
-        x_next = integrators.rk4_expression(self.dynamics, x, (ca.vertcat(u, sliders, parameters),) * 3, dt)
-        if self._full:
-            zeta, slip = x_next[n : 2 * n] - x_next[:n], layout(n).named(parameters).slip
-            sliders = ca.fmin(ca.fmax(sliders, zeta - slip), zeta + slip)
-        return dense_function(name, s, {"next": ca.vertcat(x_next, sliders)}, cse=self._own is None)
-
-    def velocity(self, name: str) -> ca.Function:
-        """Return the function (x, parameters) -> (dq_l, dq_m) (2n,)."""
-        n = self.robot.n
-        s = symbolic.symbols(x=4 * n, parameters=layout(n).size)
-        x, parameters = s.values()
-        _, robot = self._drawn(parameters)
-        velocity = ca.vertcat(*robot.velocity_expressions(x))
-        return dense_function(name, s, {"velocity": velocity}, cse=True)
-
-    def state(self, name: str) -> ca.Function:
-        """Return the function (position (2n,), velocity (2n,), parameters) -> x (4n,)."""
-        n = self.robot.n
-        s = symbolic.symbols(position=2 * n, velocity=2 * n, parameters=layout(n).size)
-        position, velocity, parameters = s.values()
-        p, robot = self._drawn(parameters)
-        p_l = robot.links.M_l(position[:n]) @ velocity[:n]
-        p_m = p.motor_inertia * (symbolic.sparse(self.robot.M_m) @ (p.motor_inertia * velocity[n:]))
-        return dense_function(name, s, {"x": ca.vertcat(position, p_l, p_m)})
-
-    def torque(self, name: str) -> ca.Function:
-        """Return the function (position with sliders (3n,), parameters) -> torque of the springs (n,)."""
-        n = self.robot.n
-        s = symbolic.symbols(position=3 * n, parameters=layout(n).size)
-        position, parameters = s.values()
-        p, robot = self._drawn(parameters)
-        zeta = position[n : 2 * n] - position[:n]
-        torque = springs.torque(robot, zeta, p.cubic if self._full else None)
-        torque += hysteresis(zeta, position[2 * n :], p) if self._full else 0
-        return dense_function(name, s, {"torque": torque})
-
-    def _drawn(self, parameters: ca.SX) -> tuple[SimpleNamespace, ScaledRobot]:
-        own, p = self.robot, layout(self.robot.n).named(parameters)
-        links: RigidArm = ScaledLinks(own.links, p.link_inertia, p.gravity)
-        if self._full and self._own is None and own.links.end_effector is not None:
-            links = PayloadArm(links, own.links.end_effector, p.payload_mass, p.payload_position)
-        return p, ScaledRobot(
+    def robot_of(self, p: SimpleNamespace) -> Elastic:
+        """Return the robot with the drawn factors."""
+        own = self.robot
+        if self.plant.in_python:
+            return own
+        M_m, inverse = symbolic.sparse(own.M_m), symbolic.sparse(np.linalg.inv(own.M_m))
+        return ScaledRobot(
             n=own.n,
-            links=links,
+            links=self.links_of(p),
             K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
             curves=tuple(of.scaled(p.stiffness[j] ** 2) for j, of in enumerate(own.curves)),
             D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
             D_m=_both_sides(p.motor_damping, symbolic.sparse(own.D_m)),
             B_m=symbolic.sparse(own.B_m),
-            M_m_inverse=_both_sides(1 / p.motor_inertia, symbolic.sparse(np.linalg.inv(own.M_m))),
+            M_m=_both_sides(p.motor_inertia, M_m),
+            M_m_inverse=_both_sides(1 / p.motor_inertia, inverse),
         )
 
+    def links_of(self, p: SimpleNamespace) -> RigidArm:
+        """Return the links with the drawn factors and the payload."""
+        links = self.robot.links
+        if self.plant.in_python:
+            return links
+        if self._kind == PLAIN or links.end_effector is None:
+            return ScaledLinks(links, p.link_inertia, p.gravity)
+        bodies = ChangedLinks(links, {"link_mass": p.link_mass}) if has_bodies(links) else links
+        scaled = ScaledLinks(bodies, p.link_inertia, p.gravity)
+        return PayloadArm(scaled, links.end_effector, p.payload_mass, p.payload_position)
 
-def refuse(parts: dict[str, Array]) -> None:
-    """Raise ParameterError if runs of a plant in Python change parameters that only eq. (36) has."""
-    nominal = {**dict.fromkeys(SCALED, 1.0), "payload_mass": 0.0, "cubic": 0.0}
-    changed = [name for name, value in nominal.items() if np.any(parts[name] != value)]
+    @cached_property
+    def functions_as_c(self) -> dict[str, ca.Function]:
+        """Return the functions of struct fjr_plant in loop.h, by kind and member."""
+        n = self.robot.n
+        s = symbolic.symbols(x=4 * n, position=2 * n, velocity=2 * n, deflected=3 * n, parameters=self.layout.size)
+        (q, sliders), none = ca.vertsplit(s["deflected"], [0, 2 * n, 3 * n]), ca.SX(2 * n, 1)
+        results = {
+            "velocity": (["x"], self._measure(ca.vertcat(s["x"], none), s["parameters"])[0]),
+            "state": (["position", "velocity"], self._state(s["position"], s["velocity"], s["parameters"])),
+            "torque": (["deflected"], self._measure(ca.vertcat(q, none, none[:n], sliders), s["parameters"])[1]),
+        }
+        functions = [self._held_step]
+        for name, (arguments, result) in results.items():
+            inputs = {each: s[each] for each in (*arguments, "parameters")}
+            functions.append(dense_function(f"{self._kind}_{name}", inputs, {"result": result}, cse=True))
+        return {each.name(): each for each in functions}
+
+    @property
+    def _held_step(self) -> ca.Function:
+        """The function (state, u, parameters, dt) -> state (5n,), a Runge-Kutta step of order 4 with u held."""
+        n, python = self.robot.n, self.plant.in_python
+        s = symbolic.symbols(ca.MX if python else ca.SX, state=5 * n, u=n, parameters=self.layout.size, dt=1)
+        state, u, parameters, dt = s.values()
+        (x, sliders), p = ca.vertsplit(state, [0, 4 * n, 5 * n]), self.named(parameters)
+        inputs = ca.vertcat(u, p.link_torque, sliders, parameters)
+        x_next = integrators.rk4_expression(self.dynamics, x, (inputs,) * 3, dt)
+        if self._kind == WHOLE:
+            sliders = dragged(sliders, x_next[n : 2 * n] - x_next[:n], p.slip)
+        return dense_function(f"{self._kind}_step", s, {"next": ca.vertcat(x_next, sliders)}, cse=not python)
+
+
+def refuse(robot: Robot, in_python: bool, parts: dict[str, Array]) -> None:
+    """Raise ParameterError for drawn parameters that the robot does not have.
+
+    Only eq. (36) has factors, payload and cubic springs, a plant in Python has not; link_mass is of known bodies.
+    """
+    own = (*SCALED, "link_mass", "payload_mass", "cubic") if in_python else ()
+    changed = [name for name in own if np.any(parts[name] != PARAMETERS[name].nominal)]
     if changed:
         raise ParameterError(
             f"{', '.join(changed)} of a run {'are' if len(changed) > 1 else 'is'} not nominal; expected the nominal "
             "value for a plant in Python, which has its own parameters plant.options.*"
         )
+    if np.any(parts["link_mass"] != 1.0) and not has_bodies(robot.links):
+        raise ParameterError("link_mass of a run is not 1 for an arm without bodies; expected a chain of bodies")
 
 
 def vector(parts: dict[str, Array]) -> Array:

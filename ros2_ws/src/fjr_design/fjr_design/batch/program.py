@@ -37,13 +37,11 @@ from fjr_core.runtime.reference import ReferenceStruct
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
-from .parametric_robot import ParametricPlant
+from .parametric_robot import PLAIN, WHOLE, ParametricPlant
 
 LANES = 4
 """Number of interleaved runs."""
 SOURCES = ("loop.h", "noise.c", "loop.c")
-PLANTS = ("plain", "full")
-"""Plants without and with the levels of parametric_robot.FULL."""
 
 
 @cache
@@ -171,13 +169,8 @@ class BatchProgram:
     def _plant_expressions(self) -> dict[str, ca.Function]:
         """Return the functions of the plants, named as the members of struct fjr_plant, not compiled."""
         own = self.plant if self._plant_in_python else None
-        plants = [ParametricPlant(self.robot, full, own) for full in (False, True)]
-        each = [
-            getattr(plant, what)(f"{kind}_{what}")
-            for kind, plant in zip(PLANTS, plants, strict=True)
-            for what in ("step", "velocity", "state", "torque")
-        ]
-        return {function.name(): function for function in each}
+        plain, whole = (ParametricPlant(self.robot, kind, own).functions_as_c for kind in (PLAIN, WHOLE))
+        return {**plain, **whole}
 
 
 def _form(law: SampledLaw) -> str:

@@ -292,12 +292,17 @@ def _model_errors(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
     radii = radii_with_model_errors(law, found.sample_period, found.delay, found.closely, plant, sensing)
     percent = {factor: f"{100 * (factor - 1):+.0f} %" for factor in FACTORS}
     rows = {
-        f"    {quantity}": ", ".join(f"{radii[quantity, factor]:.6f} at {percent[factor]}" for factor in FACTORS)
+        f"    {quantity.replace('_', ' ')}": ", ".join(
+            f"{radii[quantity, factor]:.6f} at {percent[factor]}" for factor in FACTORS
+        )
         for quantity in QUANTITIES
     }
     (quantity, factor), worst = max(radii.items(), key=lambda item: item[1])
     state = "stable" if worst < 1 else "UNSTABLE"
-    return {"with model errors": f"{state}; the worst is {quantity} {percent[factor]}: {worst:.6f}", **rows}
+    return {
+        "with model errors": f"{state}; the worst is {quantity.replace('_', ' ')} {percent[factor]}: {worst:.6f}",
+        **rows,
+    }
 
 
 def _limits(scenario: Scenario) -> dict[str, str]:

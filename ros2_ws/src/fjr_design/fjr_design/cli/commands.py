@@ -99,10 +99,11 @@ def check(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error, --delay or
     --prove-error a bound of the tracking error along the reference is computed. Relative errors, of each joint by
-    itself or a list of them: link_mass, link_inertia, stiffness, motor_inertia, link_damping, motor_damping; of all
-    together: payload (mass and inertia of the links), gravity. payload=1.4kg is a mass at the last link, up to
+    itself or a list of them: link_mass, link_central_inertia, stiffness, motor_inertia, link_damping, motor_damping; of
+    all together: payload (mass and inertia of the links), gravity. payload=1.4kg is a mass at the last link, up to
     payload_position [m] beside imperfections.payload_position; gravity_direction is in rad, link_torque and
-    motor_torque are in N m, delay (from sample to sample) in samples.
+    motor_torque are in N m, delay (from sample to sample) in samples. stated=2: the errors under robot.deviations, of
+    two standard deviations.
     """
     return implementation("fjr_design.cli.check").check_scenario(**given)
 

@@ -134,8 +134,7 @@ def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
                 f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "
                 f"than the duration, and this at most {LONGEST:g} s"
             )
-        for name, given in found["vary"].items():
-            distributions.read(name, given)
+        distributions.varied(found["vary"])
     except ParameterError as error:
         raise ParameterError(f"'tune': {error}") from None
     return found
@@ -186,7 +185,7 @@ def _study(
     scenario = parse_scenario("tuned", text)
     step = scenario.sample_period / scenario.inner_steps
     fixed = {"effort_limit": effort_limit, **fields_of(wanted["imperfections"], demand, step)}
-    vary = {name: distributions.read(name, given) for name, given in wanted["vary"].items()}
+    vary = distributions.varied(wanted["vary"])
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
     numbers, size = ({name: wanted[name] for name in names} for names in (NUMBERS, SIZE))
     sweep = Sweep("tuned", text, 1, vary, success={"rms": tracks * demand.motion}, **numbers)

@@ -18,8 +18,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
+from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
-from fjr_design.batch.draws import SMOOTHING
 
 from .sweep import REACH
 
@@ -135,11 +135,11 @@ def fields_of(levels: Mapping[str, float], demand: MotionDemand, step: float) ->
                 fields |= {"position_noise": np.array(level), "velocity_noise": np.array(level * NOISE_BANDWIDTH)}
             case "friction":
                 half = level / 2 * demand.torque
-                smoothing = max(SMOOTHING, level / 2 * demand.friction_rate * step / REACH)
+                smoothing = max(DEVIATIONS["smoothing"].nominal, level / 2 * demand.friction_rate * step / REACH)
                 smoothing /= min(1.0, levels.get("inertia", 1.0))
                 fields |= {"coulomb_l": half, "coulomb_m": half, "smoothing": np.array(smoothing)}
             case "load":
-                fields["external"] = level * demand.torque
+                fields["link_torque"] = level * demand.torque
             case "hardening":
                 fields["cubic"] = level * demand.torque / np.maximum(demand.deflection, RIGID) ** 3
             case "hysteresis":

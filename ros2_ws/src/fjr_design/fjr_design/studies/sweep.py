@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import SampledLaw
+from fjr_core.simulation.deviations import JOINT
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws
 from fjr_design.batch.closed_loop import FIELDS, PER_JOINT
-from fjr_design.batch.draws import JOINT, PARAMETERS, SLIP, SMOOTHING
+from fjr_design.batch.draws import PARAMETERS
 from fjr_design.batch.parametric_robot import FRICTION
 
 from ..uncertainty import distributions
@@ -143,14 +144,15 @@ class Sweep:
         ranges = {name: one.range for name, one in self.vary.items()}
         ranges |= {name: self.identified.range(name) for name in self.identified.columns} if self.identified else {}
         least, most = ({name: both[side] for name, both in ranges.items()} for side in (0, 1))
-        robot, inertia = self.scenario.plant.robot, [least.get(name, 1.0) for name in ("link_inertia", "motor_inertia")]
+        robot, inertia = self.scenario.plant.robot, least.get("link_inertia", 1.0) * least.get("link_mass", 1.0)
         levels = {name: most[name] for name in FRICTION if name in most}
-        levels |= {"hysteresis": most.get("hysteresis", 0.0), "slip": least.get("slip", SLIP)}
-        steepest = Imperfections(robot.n, **levels, smoothing=least.get("smoothing", SMOOTHING))
-        M_l, M_m = inertia[0] * robot.M_l(self.scenario.x0[: robot.n]), inertia[1] * robot.M_m
+        levels |= {"hysteresis": most.get("hysteresis", 0.0), "slip": least.get("slip", PARAMETERS["slip"].nominal)}
+        smoothing = least.get("smoothing", PARAMETERS["smoothing"].nominal)
+        steepest = Imperfections(robot.n, **levels, smoothing=smoothing)
+        M_l, M_m = inertia * robot.M_l(self.scenario.x0[: robot.n]), least.get("motor_inertia", 1.0) * robot.M_m
         rate, dt = friction_rate(steepest, M_l, M_m), self.loop.sample_period / self.loop.inner_steps
         if rate * dt > REACH:
-            enough = rate * dt / REACH * least.get("smoothing", SMOOTHING)
+            enough = rate * dt / REACH * smoothing
             raise ParameterError(
                 f"friction may damp at {rate:.3g} 1/s, too fast for steps of {1e3 * dt:.3g} ms; "
                 f"expected a smoothing of at least {enough:.2g} rad/s, or more inner_steps"
@@ -248,8 +250,7 @@ _PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "
 def from_text(text: str) -> Sweep:
     """Return the sweep described by Sweep.text."""
     values = json.loads(text)
-    vary = {name: distributions.read(name, given) for name, given in values.pop("vary").items()}
-    return Sweep(**values, vary=vary)
+    return Sweep(**values | {"vary": distributions.varied(values["vary"])})
 
 
 def run_part(text: str, begin: int, end: int) -> Columns:

@@ -40,7 +40,7 @@ def read(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of Sweep that a parsed document gives, but for scenario and posterior; raise ParameterError."""
     check_keys(document, KEYS)
     given = {key: mapping(key, document.get(key, {})) for key in MAPPINGS}
-    vary = {str(name): distributions.read(str(name), one) for name, one in given["vary"].items()}
+    vary = distributions.varied(given["vary"])
     posterior = document.get(POSTERIOR, "")
     if not isinstance(posterior, str):
         raise ParameterError(f"has {posterior!r} as '{POSTERIOR}'; expected the path of an identification.json")
@@ -63,7 +63,7 @@ def usual(sample_period: float) -> dict[str, Distribution]:
         "motor_damping": {"log_uniform": [0.5, 2.0], "each_joint": True},
         "delay": {"uniform": [0.0, sample_period]},
     }
-    return {name: distributions.read(name, given) for name, given in document.items()}
+    return distributions.varied(document)
 
 
 def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ LOG_NORMAL = "log_normal"
 WIDEST = 4.0
 """Standard deviations at which a normal distribution is truncated."""
 EACH_JOINT = "each_joint"
+COUNTED_AS = {"link_torque": "external"}
+"""Names that determine the random numbers of a deviation, where they differ from its own: its former ones."""
 FORM = (
     "{uniform: [low, high]}, {log_uniform: [low, high]}, {normal: [mean, deviation]}, "
     "{log_normal: [median, deviation of the logarithm]}, or a number"
@@ -106,7 +109,15 @@ def standard_normal(share: Array, widest: float = WIDEST) -> Array:
 
 def stream(name: str) -> int:
     """Return the second word of the random key of a parameter name; it is never 0, which the noise uses."""
-    return zlib.crc32(name.encode()) | 1 << 32
+    return zlib.crc32(COUNTED_AS.get(name, name).encode()) | 1 << 32
+
+
+def varied(given: Mapping[str, object]) -> dict[str, Distribution]:
+    """Return the distributions under `vary` by deviation; raises ParameterError. A former name is reported."""
+    former = {old: name for name, old in COUNTED_AS.items()}
+    for old in given.keys() & former:
+        print(f"fjr: '{old}' under 'vary' is deprecated; use '{former[old]}'", file=sys.stderr)
+    return {former.get(str(name), str(name)): read(str(name), one) for name, one in given.items()}
 
 
 def read(name: str, given: object) -> Distribution:

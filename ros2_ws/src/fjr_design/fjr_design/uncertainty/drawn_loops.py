@@ -20,14 +20,14 @@ from fjr_core.law.linearized import Equilibria, Indices, equilibria_at
 from fjr_core.model.configuration_sampling import checked_configurations
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.numerics.checks import Array
+from fjr_core.simulation.deviations import MATRICES
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
 from fjr_core.stability.linearization import held_maps, map_of_held, on_plant, split
-from fjr_design.batch.draws import PARAMETERS
 
 CONFIDENCE = 0.99
 SQUARINGS = 14
 MOST_MAPS = 512  # in memory at a time
-FIELDS = tuple(one.name for one in PARAMETERS.values() if one.matrix)
+FIELDS = tuple(MATRICES)
 SCREENED, CLOSELY = 16, 8  # draws that choose the worst configurations, and how many these are
 
 
@@ -201,16 +201,16 @@ FACTORS = (0.7, 0.8, 1.2, 1.3)
 """Ratios of a plant parameter to its value in the model."""
 
 
-QUANTITIES = ("stiffness", "link inertia", "motor inertia")
-"""Parameters that are changed, for all joints at once; the weight of the links stays."""
+QUANTITIES = ("stiffness", "link_inertia", "motor_inertia")
+"""Deviations that are changed, for all joints at once; the weight of the links stays."""
 
 
 def _changed(at: Equilibria, quantity: str, factor: float) -> Equilibria:
     """Return the equilibria of a robot one of whose QUANTITIES is multiplied by a factor."""
     robot = at.robot
-    if quantity == "link inertia":
+    if quantity == "link_inertia":
         return replace(at, M_l=factor * at.M_l)
-    if quantity == "motor inertia":
+    if quantity == "motor_inertia":
         return replace(at, robot=replace(robot, M_m=factor * robot.M_m))
     cubic = None if robot.cubic is None else factor * robot.cubic
     torsion = None if robot.torsion is None else robot.torsion * np.array([1.0, factor])[:, None, None]

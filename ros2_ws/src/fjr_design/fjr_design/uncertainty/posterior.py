@@ -21,8 +21,8 @@ from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
+from fjr_core.simulation.deviations import DEVIATIONS, POINT
 from fjr_design.batch import draws
-from fjr_design.batch.draws import PARAMETERS, POINT
 
 from . import distributions
 from .distributions import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
@@ -33,9 +33,9 @@ LOG, NONNEGATIVE, LINEAR = "log", "non-negative", "linear"
 """Coordinates of a parameter in the posterior: its logarithm, or the parameter, whose draws may be clipped at 0."""
 DEFLECTION = "deflection"
 """Signal q_m - q_l of a fit that follows from the motion."""
-MATRICES = {one.identified: one.matrix for one in PARAMETERS.values() if one.matrix}
+MATRICES = {one.parameter: one.matrix for one in DEVIATIONS.values() if one.matrix}
 """Matrices of a robot whose diagonals are drawn, by the name of their parameter in an identification."""
-NAMES = {one.identified: one for one in PARAMETERS.values() if one.identified}
+NAMES = {one.parameter: one for one in DEVIATIONS.values() if one.parameter}
 """The glossary of deviations, by their names in an identification."""
 DELAY = "effort_delay"
 LEAST = 1e-3  # of the robot's own value; smallest drawn stiffness and motor inertia

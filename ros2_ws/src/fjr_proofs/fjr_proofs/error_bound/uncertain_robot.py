@@ -4,58 +4,33 @@
     p (M(q_l) ddq_l + C dq_l + grad P_l) + D_l dq_l = K (q_m - q_l),   M_m ddq_m + D_m dq_m + K (q_m - q_l) = B_m u
 
 Every uncertain parameter, or its inverse, is a middle plus a share s_j, -1 to 1, of half its width; the shares (u,) are
-a box. Mass and inertia of a link enter through the bodies of its chain, a payload as a point mass at the last link.
+a box. The names are those of the glossary (`fjr_core.simulation.deviations`); p is the payload as a factor.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError
-from fjr_core.model.newton_euler import ChainAt, Mass
+from fjr_core.model.rigid_arm import ArmDynamics, PayloadArm
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array, floats
-from fjr_core.numerics.symbolic import PackedVector, directional, sparse
+from fjr_core.numerics.symbolic import PackedVector, sparse
+from fjr_core.simulation.deviations import CHAIN, DEVIATIONS, MATRICES, ChangedLinks, has_bodies, turned_gravity
 
 LARGEST = 0.9
 """Largest error: relative, of a factor; in rad, of the direction of gravity."""
-
-
-class Uncertainty(NamedTuple):
-    """An uncertain parameter: what it is of, the numbers of it (0: one for each joint), its unit; "" for a factor."""
-
-    of: str
-    numbers: int = 0
-    unit: str = ""
-
-
-PARAMETERS = {
-    "payload": Uncertainty("all link masses and inertias", numbers=1),
-    "payload_mass": Uncertainty("a mass at the last link", numbers=1, unit="kg"),
-    "payload_position": Uncertainty("its place", numbers=3, unit="m"),
-    "link_mass": Uncertainty("mass and inertia of each link"),
-    "link_inertia": Uncertainty("inertia of each link about its centre of mass"),
-    "gravity": Uncertainty("gravity", numbers=1),
-    "gravity_direction": Uncertainty("the direction of gravity", numbers=2, unit="rad"),
-    "stiffness": Uncertainty("each joint stiffness"),
-    "motor_inertia": Uncertainty("each motor inertia"),
-    "link_damping": Uncertainty("each link damping"),
-    "motor_damping": Uncertainty("each motor damping"),
-}
-"""Uncertain parameters; their errors are relative for factors, else in their units."""
-CHAIN = ("link_mass", "link_inertia", "gravity_direction")
-"""Parameters that need the bodies of the arm."""
+PARAMETERS = ("payload", "payload_mass", "payload_position", *CHAIN[:2], "gravity", CHAIN[2], *MATRICES)
+"""Deviations that are uncertain parameters, whose errors do not change with time."""
 INVERSE = ("payload", "motor_inertia")
 """Factors whose inverse is linear in the share: the equations are divided by them."""
-MATRICES = {"stiffness": "K", "motor_inertia": "M_m", "link_damping": "D_l", "motor_damping": "D_m"}
-"""Matrices of the robot whose diagonal entries the factors multiply."""
 
 
 class UncertainRobot:
@@ -69,26 +44,23 @@ class UncertainRobot:
     def __init__(
         self, robot: Robot, errors: Mapping[str, ArrayLike] = {}, payload_position: ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
-        self.robot, n = robot, robot.n
-        self._layout = PackedVector({name: kind.numbers or n for name, kind in PARAMETERS.items()})
-        sizes = {name: _checked(name, errors.get(name, 0.0), size) for name, size in self._layout.sizes.items()}
-        own: dict[str, Array] = {
-            name: np.full(size, 0.0 if PARAMETERS[name].unit else 1.0) for name, size in self._layout.sizes.items()
-        }
+        self.robot = robot
+        widths = {name: DEVIATIONS[name].width(robot.n) for name in PARAMETERS} | {"gravity": 1}
+        self._layout = PackedVector(widths)
+        sizes = {name: _checked(name, errors.get(name, 0.0), width) for name, width in widths.items()}
+        self._given = [name for name, size in sizes.items() if np.any(size)]
+        self._refuse()
+        own: dict[str, Array] = {name: np.full(width, DEVIATIONS[name].nominal) for name, width in widths.items()}
         own["payload_position"] = floats("payload_position", payload_position, ParameterError)
-        self._middle, half = (np.concatenate([part[name] for name in PARAMETERS]) for part in (own, sizes))
-        first, _ = self._place("payload_mass")
-        itself = self._middle.copy()
-        half[first] /= 2
-        self._middle[first] = half[first]
+        middle, half = own.copy(), sizes.copy()
+        middle["payload_mass"] = half["payload_mass"] = sizes["payload_mass"] / 2
         for name in INVERSE:
-            ends = slice(*self._place(name))
-            self._middle[ends] = 1 / (1 - half[ends] ** 2)
-            half[ends] *= self._middle[ends]
-        self._active = np.flatnonzero(half)
-        self._half: Array = half[self._active]
+            middle[name] = 1 / (1 - sizes[name] ** 2)
+            half[name] = sizes[name] * middle[name]
+        itself, self._middle, every = (np.concatenate([part[name] for name in widths]) for part in (own, middle, half))
+        self._active = np.flatnonzero(every)
+        self._half: Array = every[self._active]
         self.nominal: Array = (itself - self._middle)[self._active] / self._half
-        self._refuse(sizes)
 
     @property
     def count(self) -> int:
@@ -99,28 +71,25 @@ class UncertainRobot:
         """Return the factors (n,) of a parameter at shares (u,)."""
         values = self._middle.copy()
         values[self._active] += self._half * shares
-        at = values[slice(*self._place(name))]
+        ends = np.cumsum(list(self._layout.sizes.values()))[:-1]
+        at = np.split(values, ends)[PARAMETERS.index(name)]
         return np.asarray(1 / at if name in INVERSE else at)
 
     @cached_property
     def links(self) -> ca.Function:
         """(q, dq, ddq, shares) -> M ddq + C dq + grad P_l (n,) [N m], and M (n, n) [kg m^2]."""
         q, dq, ddq = motion = [ca.SX.sym(name, self.robot.n) for name in ("q", "dq", "ddq")]
-        shares = ca.SX.sym("shares", self.count)
-        p, own, order = self._values(shares), self.robot.links, list(self.robot.links.order)
-        if self._changes(*CHAIN):
-            chain = self._chain(p, q)
-            inertial = chain.inertial_torque(*(vector[self._along] for vector in (dq, dq, ddq)))
-            torque, M = (inertial + p.gravity * chain.gravity_torque())[order], chain.inertia()[order, order]
-        else:
-            torque, M = own.inertial_torque(q, dq, dq, ddq) + p.gravity * own.grad_P_l(q), own.M_l(q)
-        if self._changes("payload_mass") and own.end_effector is not None:
-            place = own.end_effector.position(q, p.payload_position)
-            J, states = ca.jacobian(place, q), ca.vertcat(q, dq)
-            acceleration = directional(directional(place, q, dq), states, ca.vertcat(dq, ddq))
-            torque += p.payload_mass * (J.T @ (acceleration - p.gravity * self._gravity(p)))
-            M += p.payload_mass * (J.T @ J)
-        return ca.Function("links", [*motion, shares], [torque, M])
+        shares, links = ca.SX.sym("shares", self.count), self.robot.links
+        p = self._values(shares)
+        given = {name: getattr(p, name) for name in self._given}
+        arm: ArmDynamics | ChangedLinks = ChangedLinks(links, given) if given.keys() & CHAIN else links
+        inertial, weight, M = arm.inertial_torque(q, dq, dq, ddq), arm.grad_P_l(q), arm.M_l(q)
+        if "payload_mass" in given and links.end_effector is not None:
+            end_effector = replace(links.end_effector, gravity=turned_gravity(links, given))
+            loaded = PayloadArm(arm, end_effector, p.payload_mass, p.payload_position)
+            inertial += loaded.inertial_torque_of_mass(q, dq, ddq)
+            weight, M = loaded.grad_P_l(q), loaded.M_l(q)
+        return ca.Function("links", [*motion, shares], [inertial + p.gravity * weight, M])
 
     def factor(self, name: str, shares: ca.SX) -> ca.SX:
         """Return the factors of a parameter: one of all joints, or (n,)."""
@@ -139,63 +108,25 @@ class UncertainRobot:
             setattr(named, name, 1 / getattr(named, name))
         return named
 
-    def _chain(self, p: SimpleNamespace, q: ca.SX) -> ChainAt:
-        """Return the chain of the changed bodies."""
-        masses = []
-        for i, body in enumerate(self.robot.links.bodies):
-            com, inertia = np.asarray(body.com), np.asarray(body.inertia)
-            second = np.trace(inertia) / 2 * np.eye(3) - inertia
-            a, b = p.link_mass[self._along[i]], p.link_inertia[self._along[i]]
-            J = a * (b * ca.SX(ca.DM(second)) + ca.SX(ca.DM(body.mass * np.outer(com, com))))
-            masses.append(Mass(a * body.mass, a * ca.SX(ca.DM(body.mass * com)), J))
-        return ChainAt(self.robot.links.bodies, masses, self._gravity(p), q[self._along])
-
-    @property
-    def _along(self) -> list[int]:
-        """Joint of the robot at each place of the chain."""
-        return [self.robot.links.order.index(i) for i in range(self.robot.n)]
-
-    def _gravity(self, p: SimpleNamespace) -> ca.SX:
-        """Return gravity (3,) [m/s^2] of the model, turned by two angles about horizontal axes."""
-        end_effector = self.robot.links.end_effector
-        if end_effector is None or not self._changes("gravity_direction"):
-            return ca.SX(ca.DM(np.zeros(3) if end_effector is None else end_effector.gravity))
-        size = np.linalg.norm(end_effector.gravity)
-        x, y = np.linalg.svd(end_effector.gravity[None, :])[2][1:]  # normal to gravity
-        (a, b), columns = ca.vertsplit(p.gravity_direction), (x, y, end_effector.gravity / size)
-        turned = ca.vertcat(ca.sin(b), -ca.sin(a) * ca.cos(b), ca.cos(a) * ca.cos(b))
-        return ca.DM(size * np.column_stack(columns)) @ turned
-
-    def _place(self, name: str) -> tuple[int, int]:
-        """Return the first place of a parameter among all values, and the one behind the last."""
-        before = list(self._layout.sizes)[: list(PARAMETERS).index(name)]
-        first = sum(self._layout.sizes[each] for each in before)
-        return first, first + self._layout.sizes[name]
-
-    def _changes(self, *names: str) -> bool:
-        """Return whether one of these parameters is uncertain."""
-        return any(np.isin(np.arange(*self._place(name)), self._active).any() for name in names)
-
-    def _refuse(self, sizes: Mapping[str, Array]) -> None:
+    def _refuse(self) -> None:
         """Raise ParameterError for an error that the robot cannot have."""
         links = self.robot.links
-        for name in CHAIN:
-            if np.any(sizes[name]) and (not links.bodies or links.end_effector is None):
+        for name in self._given:
+            matrix = getattr(self.robot, MATRICES[name]) if name in MATRICES else np.zeros((1, 1))
+            if name in CHAIN and not has_bodies(links):
                 raise ParameterError(f"error '{name}' is given for an arm without bodies; expected a chain of bodies")
-        if np.any(sizes["payload_mass"]) and links.end_effector is None:
-            raise ParameterError("error 'payload_mass' is given for an arm without an end effector; expected one")
-        if np.any(sizes["payload_position"]) and not np.any(sizes["payload_mass"]):
-            raise ParameterError("error 'payload_position' is given alone; expected one with payload_mass")
-        for name, matrix in MATRICES.items():
-            entries = getattr(self.robot, matrix)
-            if np.any(sizes[name]) and np.any(entries != np.diag(np.diag(entries))):
-                raise ParameterError(f"error '{name}' is given for a matrix {matrix} that is not diagonal")
+            if name == "payload_mass" and links.end_effector is None:
+                raise ParameterError("error 'payload_mass' is given for an arm without an end effector; expected one")
+            if name == "payload_position" and "payload_mass" not in self._given:
+                raise ParameterError("error 'payload_position' is given alone; expected one with payload_mass")
+            if np.any(matrix != np.diag(np.diag(matrix))):
+                raise ParameterError(f"error '{name}' is given for a matrix {MATRICES[name]} that is not diagonal")
 
 
 def _checked(name: str, error: ArrayLike, numbers: int) -> Array:
     """Return the errors (numbers,) of a parameter."""
     size = floats(f"error '{name}'", error, ParameterError)
-    limit = np.inf if PARAMETERS[name].unit in ("kg", "m") else LARGEST
+    limit = np.inf if DEVIATIONS[name].unit in ("kg", "m") else LARGEST
     if size.shape not in ((), (numbers,)):
         raise ParameterError(f"error '{name}' has shape {size.shape}; expected one number or {numbers}")
     if not np.all((size >= 0) & (size <= limit) & np.isfinite(size)):
