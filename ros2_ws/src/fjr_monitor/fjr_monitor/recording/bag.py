@@ -93,7 +93,7 @@ class Bag:
             return JointTable.empty(len(joints))
         (first,) = topic.decode(topic.messages[:1])
         arrays = joint_state_arrays([message.data for message in topic.messages], first)
-        if arrays is None:  # messages that differ in names or lengths
+        if arrays is None:
             found = topic.decoded
             stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
             return JointTable(stamps, topic.publish_time, *(_columns(found, what, joints) for what in FIELDS))
@@ -189,17 +189,8 @@ def _efforts(topic: Topic, n: int) -> JointTable:
 
 
 def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:
-    """Return the field `what` of the named joints, (k, n)."""
-    table = np.full((len(messages), len(joints)), np.nan)
-    places: dict[tuple[str, ...], list[int]] = {}
-    for row, message in enumerate(messages):
-        names, values = tuple(message.name), getattr(message, what)
-        if names not in places:
-            places[names] = [names.index(joint) if joint in names else -1 for joint in joints]
-        for column, place in enumerate(places[names]):
-            if 0 <= place < len(values):
-                table[row, column] = values[place]
-    return table
+    """Return the field `what` of the named joints, (k, n), of messages that differ in names or lengths."""
+    return np.concatenate([_named(np.atleast_2d(getattr(each, what)), each.name, joints) for each in messages])
 
 
 def header_stamp(data: bytes) -> int:
