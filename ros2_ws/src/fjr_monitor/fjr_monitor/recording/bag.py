@@ -33,12 +33,6 @@ class JointTable(Table):
     velocity: Array  # (k, n)
     effort: Array  # (k, n)
 
-    @classmethod
-    def empty(cls, n: int) -> JointTable:
-        """Return a table of no message of n joints."""
-        times, values = np.zeros(0, dtype=np.int64), np.zeros((0, n))
-        return cls(times, times, values, values, values)
-
 
 @dataclass(frozen=True)
 class Bag:
@@ -90,7 +84,8 @@ class Bag:
         if topic.type_name != JOINT_STATE:
             raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
         if not topic.messages:
-            return JointTable.empty(len(joints))
+            times, values = np.zeros(0, dtype=np.int64), np.zeros((0, len(joints)))
+            return JointTable(times, times, values, values, values)
         (first,) = topic.decode(topic.messages[:1])
         arrays = joint_state_arrays([message.data for message in topic.messages], first)
         if arrays is None:
