@@ -28,7 +28,7 @@ from .cases import JOINTS, SETTLED, Case, start_of
 from .faults import Draw, nominal
 from .lock_step import Fault
 
-SEED, COUNT, DURATION = 27, 200, 4.0
+SEED, COUNT, DURATION = 28, 200, 4.0
 ROBOTS = ("paper_k31", "two_link", "arm7")
 MARGINS = {"paper_k31": 5.45e-3, "two_link": 10.1e-3, "arm7": 2.38e-3}  # s
 Maker = Callable[[Draw, np.random.Generator], dict[str, Any]]
@@ -109,7 +109,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], Maker]] = {
     "encoder that drifts": (("link", "motor"), ("encoder drift",), _drift),
     "motor that weakens": (("motor",), ("torque constant",), _soft_later),
     "Stribeck friction": (("link", "motor"), ("Coulomb friction",), _stribeck),
-    "cubic spring": (("joint",), ("stiffness",), _cubic),
+    "cubic spring": (("joint",), ("cubic stiffness",), _cubic),
     "rippled spring": (("joint",), (), _kinematic),
     "delay": (("",), (), _late),
     "delay that varies": (("",), (), _varying),

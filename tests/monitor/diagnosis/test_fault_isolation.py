@@ -92,6 +92,12 @@ def test_friction_that_would_add_energy_is_not_named(change: float, named: bool)
     assert ("viscous friction" in kinds) is named
 
 
+def test_spring_that_hardens_has_its_cubic_stiffness() -> None:
+    (finding,) = verdict(replace(MODEL, cubic=(2e3, 0.0))).findings
+    assert (finding.kind, finding.joint, finding.unit) == ("cubic stiffness", "shoulder", "N m/rad^3")
+    assert finding.size == pytest.approx(2e3, rel=0.05)
+
+
 def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:
     (finding,) = verdict(fjr.planar_two_link(link_mass=(1.2, 0.9))).findings
     assert (finding.kind, finding.joint, finding.side, finding.unit) == ("gravity load", "elbow", "link", "N m")
@@ -170,6 +176,45 @@ def test_kinds_that_fit_equally_well_are_named_together(joints: tuple[int, ...],
     (finding,) = torque_fault(replace(seen, r=r, sigma=noise, noise=noise), NAMES)
     assert (finding.joint == "shoulder") is named
     assert ({"stiffness", "position offset"} <= {*finding.kind.split(" or ")}) is named or finding.kind == UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("channels", "joint", "side"),
+    [((0,), "shoulder", "link"), ((3,), "elbow", "motor"), ((1, 3), "elbow", "joint"), ((0, 3), "", "")],
+)
+def test_place_of_an_unknown_torque_is_named(channels: tuple[int, ...], joint: str, side: str) -> None:
+    """A torque that is drawn anew in each block fits no kind; on a link and another joint's motor it has no place."""
+    found = innovations(record(), law())
+    seen = residuals(found, np.zeros((len(found), 2)), law())
+    assert seen is not None
+    rng, noise = np.random.default_rng(2), np.full(4, 1e-3)
+    signs = sum(np.eye(4)[channel] * (-1) ** i for i, channel in enumerate(channels))
+    r = 0.1 * rng.standard_normal((len(seen.r), 1)) * signs + noise * rng.standard_normal(seen.r.shape)
+    (finding,) = torque_fault(replace(seen, r=r, sigma=noise, noise=noise), NAMES)
+    assert (finding.kind, finding.joint, finding.side) == (UNKNOWN, joint, side)
+
+
+@pytest.mark.parametrize("ripple", [0.0, 0.05])
+@pytest.mark.parametrize(("step", "white", "velocity"), [(0.0, 1e-5, 1e-3), (2e-5, 0.0, 1e-3), (0.0, 3e-5, 1e-4)])
+def test_noise_of_residuals_is_that_of_the_sensors_whatever_the_torque(
+    ripple: float, step: float, white: float, velocity: float
+) -> None:
+    """Oracle: the residuals with noise minus those without it. step [rad]: resolution of the encoders."""
+    clean, rng = record(), np.random.default_rng(3)
+    torque = ripple * np.repeat(rng.standard_normal((len(clean.t) // 20 + 1, 2)), 20, axis=0)[: len(clean.t)]
+    clean = replace(clean, u=clean.u + torque)
+    position = clean.position + white * rng.standard_normal(clean.position.shape)
+    position = step * np.round(position / step) if step else position
+    noisy = replace(
+        clean, position=position, velocity=clean.velocity + velocity * rng.standard_normal((len(torque), 4))
+    )
+    exact, seen = (
+        residuals(found, np.zeros((len(found), 2)), law())
+        for found in (innovations(each, law()) for each in (clean, noisy))
+    )
+    assert exact is not None
+    assert seen is not None
+    assert seen.noise == pytest.approx((seen.r - exact.r).std(axis=0), rel=0.25)
 
 
 @pytest.mark.parametrize(("kind", "size"), [("velocity scale", 5.0), ("velocity delay", 2e-3), ("velocity sign", -1.0)])

@@ -169,7 +169,7 @@ class PartwiseDiagnosis:
         with np.errstate(all="ignore"):
             none = unknown("no state with a command is followed by another state")
             diagnosis = self._second.result() if self._second else none
-            if not velocities_measured or SAMPLING in diagnosis.causes:
+            if not velocities_measured or diagnosis.figures.get("spectral radius", 0.0) >= 1:
                 return diagnosis  # the model needs measured velocities and close samples
             assert self._ends is not None  # a record has a part
             assert self._unsaturated is not None

@@ -94,15 +94,10 @@ def _of_encoder(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hy
     t = np.cumsum(seen.found.dt)[:, None] * one
     column = seen.of_encoder(channel)
     yield Hypothesis("position offset", j, side, "rad", column(one, 0 * one))
-    yield Hypothesis("encoder gain", j, side, "%", column(q, dq), _gain)
+    yield Hypothesis("encoder gain", j, side, "%", column(q, dq), lambda share: 100 * float(share[0] / (1 - share[0])))
     turn = np.concatenate([column(np.sin(q), np.cos(q) * dq), column(np.cos(q), -np.sin(q) * dq)], axis=2)
     yield Hypothesis("eccentricity", j, side, "rad", turn, lambda fitted: float(np.hypot(*fitted)))
     yield Hypothesis("encoder drift", j, side, "rad/s", column(t, one))
-
-
-def _gain(fitted: Array) -> float:
-    """Return the error of a gain in percent of the right one; fitted is that share of what is measured."""
-    return 100 * float(fitted[0] / (1 - fitted[0]))
 
 
 def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
@@ -112,6 +107,7 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     bent = springs.torques(seen.robot, seen.q[:, n:] - seen.q[:, :n])[:, j] / k if seen.robot.curve else zeta
     linear = seen.placed({j: bent, n + j: -bent})
     yield Hypothesis("stiffness", j, JOINT, "%", linear, lambda fitted: 100 * float(fitted[0]) / k)
+    yield Hypothesis("cubic stiffness", j, JOINT, "N m/rad^3", seen.placed({j: zeta**3, n + j: -(zeta**3)}))
     for half in FREEPLAYS * np.sqrt(np.mean(zeta**2)):
         torque = -np.clip(zeta, -half, half) * k
         columns, play = seen.placed({j: torque, n + j: -torque}), 2 * float(half)

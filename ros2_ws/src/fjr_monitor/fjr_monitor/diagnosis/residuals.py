@@ -109,9 +109,28 @@ def residuals(found: Innovations, late: Array, law: TrackingLaw) -> Residuals | 
     u, r = found.sent + late, block_means(raw, block)
     spring = np.abs(springs.torques(robot, q[:, n:] - q[:, :n]))
     scale = np.hstack([spring, spring + np.abs(u @ robot.B_m.T)])
-    noise = deviation(r)
+    noise = sensor_noise(found, raw, robot, block)
     sigma = np.hypot(noise, FLOOR * np.sqrt(np.mean(scale**2, axis=0)) + 1e-12)
     return Residuals(found, robot, Prediction(law), block, r, sigma, noise, q, dq, ddq, u)
+
+
+def sensor_noise(found: Innovations, raw: Array, robot: Robot, block: int) -> Array:
+    """Estimate the standard deviation (2n,) [N m] that noise of the sensors gives the block means of residual torques.
+
+    raw (k, 2n) [N m]: residual torques of the intervals. Noise of a velocity telescopes in a block; an encoder adds the
+    stiffness times its error, of variance s^2. The trapezoidal rule reveals s^2 from positions and velocities alone: an
+    unmodelled torque is no noise, however fast it changes. An encoder that moves by a step in a share p of the
+    intervals keeps an error for 1/p of them, and its steps reveal 4 p of s^2.
+    """
+    n, q = robot.n, found.states[:, :, : 2 * robot.n]
+    trapezoidal = found.error[:, : 2 * n] - found.dt[:, None] / 2 * found.error[:, 2 * n :]
+    s2 = np.mean(np.diff(trapezoidal, axis=0) ** 2, axis=0) / 6
+    p = np.maximum(np.mean(q[:, 0] != q[:, 1], axis=0), 1 / len(found))
+    of_mean = s2 * np.maximum(1 / (4 * p), 1) / np.clip(block * p, 1, block)
+    tangent = np.mean(springs.hardening(robot, q[:, 0, n:] - q[:, 0, :n]) ** 2, axis=0)[:, None] * robot.K**2
+    of_step, of_mean = (np.tile(tangent @ (each[:n] + each[n:]), 2) for each in (s2, of_mean))
+    of_velocity = np.maximum(6 * deviation(raw) ** 2 - 6 * of_step, 0.0) / 20  # third differences: 1 -3 3 -1
+    return np.asarray(np.sqrt(2 * of_velocity / block**2 + of_mean))
 
 
 def torques(robot: Robot, q: Array, change: Array, dt: Array) -> Array:
@@ -132,6 +151,11 @@ def block_means(values: Array, block: int) -> Array:
     count = len(values) // block
     means: Array = values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1)
     return means
+
+
+def explained(left: float, total: float) -> float:
+    """Return the share of a sum of squares that a fit explains; left: what it leaves. Both less what noise makes."""
+    return float(np.clip(1 - max(left, 0.0) / max(total, 1e-300), 0.0, 1.0))
 
 
 def deviation(r: Array) -> Array:

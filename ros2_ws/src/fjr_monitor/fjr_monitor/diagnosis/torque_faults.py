@@ -15,15 +15,15 @@ import numpy as np
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
-from .hypotheses import LINK, Hypothesis, hypotheses
-from .residuals import Residuals
+from .hypotheses import JOINT, LINK, MOTOR, Hypothesis, hypotheses
+from .residuals import Residuals, explained
 from .verdict import EXTERNAL
 
 UNKNOWN = "unknown"
 EXPLAINED = 0.8
 """Share of a residual (R^2 without noise) that a fault must explain to be reported."""
-SIGNIFICANT = 4.0
-"""Smallest residual torque of a fault, in standard deviations of noise and rounding."""
+PRESENT, SIGNIFICANT = 2.0, 4.0
+"""Smallest RMS of the residual torque of a fault, and smallest torque of a contact, in standard deviations of noise."""
 ADVANTAGE = 0.7
 """Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
 LIKELIER = 15.0
@@ -113,22 +113,23 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     """Return the single fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
 
     Kinds of one joint that fit equally well with as few unknowns are named together; of more than MOST_KINDS only the
-    joint is named. If no fault explains enough, torques on links alone, not all the time, are external.
+    joint is named. If no fault explains enough, torques on links alone, not all the time, are external; else the place
+    of the torques is named if there is one.
     """
     power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
-    if not np.isfinite(power).all() or power.max() < SIGNIFICANT**2:
+    if not np.isfinite(power).all() or power.max() < PRESENT**2:
         return ()
     total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
     fitted = fits(seen)
     best = fitted[0]
-    share = float(np.clip(1 - max(best.left - noise, 0.0) / max(total - noise, 1e-300), 0.0, 1.0))
+    share = explained(best.left - noise, total - noise)
     equal = [each for each in fitted if not _clearly(best.left, each.left, seen.r.size)]
     simplest = min(each.fault.unknowns for each in equal)
     kinds = {(each.kind, each.fault.joint): each for each in reversed(equal) if each.fault.unknowns == simplest}
     several = list(kinds.values())[::-1]
     joint, same = several[0].fault.joint, len({each.fault.joint for each in several}) == 1
     if share < EXPLAINED or not same:
-        return (external_torque(seen, names) or unexplained(best, share, names),)
+        return (external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names),)
     if len(several) > MOST_KINDS:
         what = f"{names[joint]}: no one kind of fault explains the residual torque better than others"
         return (Finding(UNKNOWN, names[joint], "", np.nan, "", share, what),)
@@ -139,6 +140,29 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     kind = " or ".join(each.kind for each in several)
     side = first.fault.side if len({each.fault.side for each in several}) == 1 else ""
     return (Finding(kind, names[joint], side, first.size, first.fault.unit, share, what, since),)
+
+
+def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:
+    """Return the finding that torques of no known kind act at one joint; None if no place explains the residual.
+
+    An unknown torque in each block acts on a link, on a motor, or on both with opposite signs, as a spring does. It
+    takes the residual along its direction, (sigma^-1 times the signs) of unit length, whatever the torque is.
+    """
+    n, y = seen.robot.n, seen.r / seen.sigma
+    signs = np.vstack([np.eye(2 * n), np.eye(n, 2 * n) - np.eye(n, 2 * n, n)])
+    directions = signs / seen.sigma / np.linalg.norm(signs / seen.sigma, axis=1, keepdims=True)
+    left = float((y**2).sum()) - ((y @ directions.T) ** 2).sum(axis=0)
+    of_noise = len(y) * (seen.noise / seen.sigma) ** 2
+    best, total, noise = int(np.argmin(left)), float((y**2).sum()), float(of_noise.sum())
+    share = explained(left[best] - noise + float(directions[best] ** 2 @ of_noise), total - noise)
+    others = left[np.arange(3 * n) % n != best % n]
+    if share < EXPLAINED or not all(_clearly(left[best], each, y.size) for each in others):
+        return None
+    joint, side = names[best % n], (LINK, MOTOR, JOINT)[best // n]
+    what = f"{joint if side == JOINT else f'{side} of {joint}'}: torques of no known kind of fault"
+    return Finding(
+        UNKNOWN, joint, side, np.nan, "", share, f"{what} explain {100 * share:.0f} % of the residual torque"
+    )
 
 
 def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:

@@ -33,12 +33,6 @@ class JointTable(Table):
     velocity: Array  # (k, n)
     effort: Array  # (k, n)
 
-    @classmethod
-    def empty(cls, n: int) -> JointTable:
-        """Return a table of no message of n joints."""
-        times, values = np.zeros(0, dtype=np.int64), np.zeros((0, n))
-        return cls(times, times, values, values, values)
-
 
 @dataclass(frozen=True)
 class Bag:
@@ -90,10 +84,11 @@ class Bag:
         if topic.type_name != JOINT_STATE:
             raise BagError(f"{topic.name} of {self.path} is a {topic.type_name}; expected {JOINT_STATE}")
         if not topic.messages:
-            return JointTable.empty(len(joints))
+            times, values = np.zeros(0, dtype=np.int64), np.zeros((0, len(joints)))
+            return JointTable(times, times, values, values, values)
         (first,) = topic.decode(topic.messages[:1])
         arrays = joint_state_arrays([message.data for message in topic.messages], first)
-        if arrays is None:  # messages that differ in names or lengths
+        if arrays is None:
             found = topic.decoded
             stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
             return JointTable(stamps, topic.publish_time, *(_columns(found, what, joints) for what in FIELDS))
@@ -189,17 +184,8 @@ def _efforts(topic: Topic, n: int) -> JointTable:
 
 
 def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:
-    """Return the field `what` of the named joints, (k, n)."""
-    table = np.full((len(messages), len(joints)), np.nan)
-    places: dict[tuple[str, ...], list[int]] = {}
-    for row, message in enumerate(messages):
-        names, values = tuple(message.name), getattr(message, what)
-        if names not in places:
-            places[names] = [names.index(joint) if joint in names else -1 for joint in joints]
-        for column, place in enumerate(places[names]):
-            if 0 <= place < len(values):
-                table[row, column] = values[place]
-    return table
+    """Return the field `what` of the named joints, (k, n), of messages that differ in names or lengths."""
+    return np.concatenate([_named(np.atleast_2d(getattr(each, what)), each.name, joints) for each in messages])
 
 
 def header_stamp(data: bytes) -> int:
