@@ -92,8 +92,8 @@ class Bag:
             found = topic.decoded
             stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
             return JointTable(stamps, topic.publish_time, *(_columns(found, what, joints) for what in FIELDS))
-        stamp, values = arrays
-        return JointTable(stamp, topic.publish_time, *(_named(values[what], first.name, joints) for what in FIELDS))
+        stamp, columns = arrays
+        return JointTable(stamp, topic.publish_time, *(_named(columns[what], first.name, joints) for what in FIELDS))
 
     def batches(self, names: Collection[str], leading: str, size: int) -> Iterator[dict[str, Topic]]:
         """Yield the messages of topics, as they were sent, in batches of `size` messages of the leading topic.
