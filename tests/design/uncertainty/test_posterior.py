@@ -135,3 +135,5 @@ def test_a_deviation_under_its_former_name_is_reported_and_drawn_as_before(capsy
     assert distributions.varied({"external": given}) == distributions.varied({"link_torque": given})
     assert "'external' under 'vary' is deprecated; use 'link_torque'" in capsys.readouterr().err
     assert distributions.stream("link_torque") == distributions.stream("external")
+    with pytest.raises(ParameterError, match="'external' beside its new name 'link_torque'"):
+        distributions.varied({"external": given, "link_torque": given})

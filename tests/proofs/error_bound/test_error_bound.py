@@ -243,6 +243,8 @@ def test_stated_errors_are_those_of_the_robot_file_times_a_number_of_standard_de
     assert found["errors"] == {name: pytest.approx(size) for name, size in expected.items()}
     bound = bound_errors(scenario.law, scenario.reference, T, T, expected)
     assert found["position"]["joint1"] == pytest.approx(bound.position[0])
+    with pytest.raises(fjr.ParameterError, match="'stated' has 3 numbers; expected one"):
+        errors_bounded(scenario, {"stated": [1.0, 2.0, 3.0]}, 1.0)
 
 
 def test_an_error_under_its_former_name_is_reported(capsys: pytest.CaptureFixture[str]) -> None:

@@ -84,6 +84,8 @@ def _with_stated(scenario: Scenario, errors: Mapping[str, ArrayLike]) -> Mapping
     if STATED not in errors:
         return errors
     found, count = stated_errors(scenario.controller_values), np.asarray(errors[STATED])
+    if count.ndim:
+        raise ParameterError(f"error '{STATED}' has {count.size} numbers; expected one, of standard deviations")
     names = {each.parameter: name for name, each in DEVIATIONS.items()}
     own = {names[each]: count * getattr(found, each) for each in ("link_mass", "joint_stiffness", "link_damping")}
     torque = np.max(count * (np.asarray(found.link_coulomb_friction) + found.link_torque))

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import GainsError
 from ..model.robot import Robot
@@ -31,26 +31,26 @@ class Gains:
     scalar, a vector (n,) (diagonal) or a matrix (n, n).
     """
 
-    Lambda_l: Any = _gain(
+    Lambda_l: ArrayLike = _gain(
         MISSING,
         "Linear part of phi_l, eq. (31)",
         "1/s",
         constraint="condition (32): Pi_l Lambda_l + Lambda_l' Pi_l positive definite",
     )
-    Pi_l: Any = _gain(MISSING, "Position metric of the links, eq. (32)", "N m/rad")
-    K_ld: Any = _gain(MISSING, "Damping injected at the links, eq. (33)", "N m s/rad")
-    Lambda_m: Any = _gain(
+    Pi_l: ArrayLike = _gain(MISSING, "Position metric of the links, eq. (32)", "N m/rad")
+    K_ld: ArrayLike = _gain(MISSING, "Damping injected at the links, eq. (33)", "N m s/rad")
+    Lambda_m: ArrayLike = _gain(
         MISSING,
         "Linear part of phi_m, eq. (40)",
         "1/s",
         constraint="condition (41): Pi_m Lambda_m + Lambda_m' Pi_m positive definite",
     )
-    Pi_m: Any = _gain(MISSING, "Position metric of the motors, eq. (41)", "N m/rad")
-    K_md: Any = _gain(MISSING, "Damping injected at the motors, eq. (42)", "N m s/rad")
-    Gamma_l: Any = _gain(
+    Pi_m: ArrayLike = _gain(MISSING, "Position metric of the motors, eq. (41)", "N m/rad")
+    K_md: ArrayLike = _gain(MISSING, "Damping injected at the motors, eq. (42)", "N m s/rad")
+    Gamma_l: ArrayLike = _gain(
         0.0, "Cubic part of phi_l", "1/(s rad^2)", constraint="condition (32): Pi_l Gamma_l diagonal and nonnegative"
     )
-    Gamma_m: Any = _gain(
+    Gamma_m: ArrayLike = _gain(
         0.0, "Cubic part of phi_m", "1/(s rad^2)", constraint="condition (41): Pi_m Gamma_m diagonal and nonnegative"
     )
 
@@ -78,6 +78,14 @@ class Gains:
 class CheckedGains(Gains):
     """Gains as (n, n) matrices that satisfy (32) and (41), with the resulting rates beta_l and beta_m [1/s]."""
 
+    Lambda_l: Array
+    Pi_l: Array
+    K_ld: Array
+    Lambda_m: Array
+    Pi_m: Array
+    K_md: Array
+    Gamma_l: Array
+    Gamma_m: Array
     beta_l: float
     beta_m: float
 

@@ -33,13 +33,12 @@ def single_link(
     (inertia,) = _positive("link_inertia", link_inertia, 1)
     (load,) = checks.vector("gravity_torque", gravity_torque, 1, RobotError)
     M_l = np.array([[inertia]])
-    end_effector = _planar_end_effector((), STANDARD_GRAVITY)
     links = closed_form(
         1,
         lambda q_l: ca.SX(M_l),
         lambda q_l: load * (1 - ca.cos(q_l)),
         vertices=(M_l,),
-        end_effector=end_effector,
+        end_effector=_planar_end_effector((), STANDARD_GRAVITY),
         bodies=(_pendulum(inertia, load / STANDARD_GRAVITY),),
     )
     return Robot(links, motor_inertia, stiffness, link_damping, motor_damping, input_gain)  # type: ignore[arg-type]

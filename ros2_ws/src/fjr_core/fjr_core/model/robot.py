@@ -102,8 +102,7 @@ class Robot:
         """CubicCurve or TorsionCurve of each joint (model.springs); none: straight springs."""
         K = np.diag(self.K)
         if self.torsion is not None:
-            points = np.moveaxis(self.torsion, 2, 0)
-            return tuple(springs.torsion_curve(stiffness, *of) for stiffness, of in zip(K, points, strict=True))
+            return tuple(springs.torsion_curve(k, *of) for k, of in zip(K, self.torsion.transpose(2, 0, 1), strict=True))
         return () if self.cubic is None else tuple(map(springs.CubicCurve, K.tolist(), self.cubic.tolist()))
 
     def M_l(self, q_l: ArrayLike) -> Array:

@@ -142,8 +142,8 @@ class ContactObserver:
         return TorqueObserverStruct(ffi, self.function, self.bandwidth, noise, self.limit, period, DRIFT)
 
     def _function(self) -> ca.Function:
-        n = self.robot.n
-        return observer_function("contact", n, n * (1 + len(self.errors.deviations)), self.momenta)
+        size = self.robot.n * (1 + len(self.errors.deviations))
+        return observer_function("contact", self.robot.n, size, self.momenta)
 
     @cached_property
     def momenta(self) -> ca.Function:

@@ -116,6 +116,8 @@ def varied(given: Mapping[str, object]) -> dict[str, Distribution]:
     """Return the distributions under `vary` by deviation; raises ParameterError. A former name is reported."""
     former = {old: name for name, old in COUNTED_AS.items()}
     for old in given.keys() & former:
+        if former[old] in given:
+            raise ParameterError(f"'vary' has '{old}' beside its new name '{former[old]}'; expected the latter alone")
         print(f"fjr: '{old}' under 'vary' is deprecated; use '{former[old]}'", file=sys.stderr)
     return {former.get(str(name), str(name)): read(str(name), one) for name, one in given.items()}
 
