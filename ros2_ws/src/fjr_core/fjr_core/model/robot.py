@@ -102,7 +102,7 @@ class Robot:
         """CubicCurve or TorsionCurve of each joint (model.springs); none: straight springs."""
         K = np.diag(self.K)
         if self.torsion is not None:
-            return tuple(springs.torsion_curve(k, *of) for k, of in zip(K, self.torsion.transpose(2, 0, 1), strict=True))
+            return tuple(springs.torsion_curve(k, *of.T) for k, of in zip(K, self.torsion.T, strict=True))
         return () if self.cubic is None else tuple(map(springs.CubicCurve, K.tolist(), self.cubic.tolist()))
 
     def M_l(self, q_l: ArrayLike) -> Array:
