@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""False alarms and delay of the contact alarm on arm7, beside a momentum observer with fixed thresholds.
+"""False alarms and delay of the contact alarm, beside a momentum observer with fixed thresholds.
 
-    python -m bench.contact_alarm --hours 1 --seed 1 FOLDER     simulate, a file an hour
+    python -m bench.contact_alarm --scenario arm7 --hours 1 --seed 1 FOLDER     simulate, a file an hour
     python -m bench.contact_alarm FOLDER                        write the tables of docs/tables/contact.md
 
 Every minute a robot is drawn that differs from the model by the stated errors, and a pose and sines about it. The links
 follow them; the springs carry what the drawn robot needs, by a recursion that the observer does not use. Encoders and
-velocities are noisy. At the times AT, 20 N in a random direction act on the tip for TRIAL. Fixed thresholds are the
-largest estimates of all minutes, the least that give no alarm in them, and those that give one alarm an hour.
+velocities are noisy, the time between two states varies, and some states are late. From the states AT on, 20 N in a
+random direction act on the tip for TRIAL states. Fixed thresholds are the largest estimates of all minutes, the least
+that give no alarm in them, and those that give one alarm an hour.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.model.newton_euler import ChainAt, Mass, mass_of
 from fjr_core.monitoring.contact import STICKING
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import compiled
-from fjr_core.numerics.symbolic import dense_function, symbols
+from fjr_core.numerics.jit import c_library_of, compiled
+from fjr_core.numerics.symbolic import bind, dense_function, symbols
 from fjr_core.runtime.library import step_library
 from fjr_msgs_py.scenarios import library
 
-SCENARIO, FORCE = "arm7", 20.0  # N
-MINUTE, TRIAL, AT = 60_000, 300, (2_000, 10_000, 59_000)  # samples at 1 kHz
+SCENARIO, FORCE = "arm7", 20.0  # of the tables of delays; N
+MINUTE, TRIAL, AT = 60_000, 300, (2_000, 10_000, 59_000)  # states, 1 ms apart
+JITTER, LATE, LATEST = 0.2, 1e-3, 0.1  # deviation of the time between two, as a share; share that is late; s
 POSITION_NOISE, VELOCITY_NOISE = 5e-6, 5e-4  # rad, rad/s
 SWING = 0.3  # rad, of each of two sines
 REACHES = (0.3, 0.5, 0.7)  # m, of the tip from the axis of joint 1, between the rows of the table
@@ -58,14 +60,16 @@ class Minute(NamedTuple):
 
 
 class Study:
-    """The alarm of the scenario, run on drawn robots."""
+    """The alarm of a scenario, run on drawn robots."""
 
-    def __init__(self) -> None:
-        scenario: Scenario = library.as_run(library.find(SCENARIO), {})[1]
+    def __init__(self, name: str) -> None:
+        scenario: Scenario = library.as_run(library.find(name), {})[1]
         self.robot, self.n = scenario.robot, scenario.robot.n
         self.observer = contact_observer(scenario.controller_values, self.robot)
-        self.library = step_library(self.n)
-        self.needed = compiled(self._needed())
+        self.library, self.loop, k = step_library(self.n), c_library_of(__file__), MINUTE + 1
+        self._arguments = [np.empty((k, self.n)) for _ in range(4)]
+        self._results = [np.empty((k, self.n)), np.empty((k, 3 * self.n))]
+        self._evaluate = bind(compiled(self._needed()).map(k), self._arguments, self._results)
 
     def _needed(self) -> ca.Function:
         """Return (q, dq, ddq, factors) -> torques of bodies with scaled masses, and J' of the tip by columns."""
@@ -80,94 +84,100 @@ class Study:
         return dense_function("needed", s, {"torque": torque, "tip": ca.vec(tip.T)}, cse=True)
 
     def minute(self, rng: np.random.Generator) -> Minute:
-        """Run a minute of a drawn robot."""
-        n, robot = self.n, self.robot
-        t = np.arange(MINUTE + 1, dtype=np.float64)[:, None] * 1e-3
-        q, dq, ddq = self._motion(rng, t)
+        """Run a minute of a drawn robot, longer by what its states are late."""
+        n, robot, (q, dq, _, factors), (torque, tip) = self.n, self.robot, self._arguments, self._results
+        apart = 1e-3 * (1 + JITTER * rng.uniform(-1, 1, len(q)))
+        late = rng.random(len(q)) < LATE
+        apart[late] = rng.uniform(1e-3, LATEST, late.sum())
+        stamps = np.round(1e9 * np.cumsum(apart)).astype(np.int64)
+        self._move(rng, 1e-9 * stamps.astype(float)[:, None])
         errors: Array = (self.observer.errors.deviations * rng.normal(size=5 * n)).reshape(5, n)
         mass, stiffness, damping, friction, constant = errors
-        factors = np.tile((1 + mass)[:, None], len(t))
-        torque, tip = (each.full().T for each in self.needed.map(len(t))(q.T, dq.T, ddq.T, factors))
+        factors[:] = 1 + mass
+        self._evaluate()
         torque += (1 + damping) * np.diag(robot.D_l) * dq + friction * np.tanh(dq / STICKING) - constant
-        position, velocity = np.empty((len(t), 2 * n)), np.zeros((len(t), 2 * n))
+        position, velocity = np.empty((len(q), 2 * n)), np.zeros((len(q), 2 * n))
         K = (1 + stiffness) * np.diag(robot.K)
-        position[:, :n], position[:, n:], velocity[:, :n] = q, q + torque / K, dq
+        position[:, :n], position[:, n:] = q, q + torque / K
         position += POSITION_NOISE * rng.normal(size=position.shape)
-        velocity += VELOCITY_NOISE * rng.normal(size=velocity.shape)
+        velocity[:, :n] = dq + VELOCITY_NOISE * rng.normal(size=dq.shape)
         watch, runs, largest, alarms = Watch(self), [], np.zeros(n), 0
-        for begin, at in pairwise((0, *AT, len(t))):
-            free, seen = watch.along(position[begin:at], velocity[begin:at], begin)
-            largest, alarms = np.maximum(largest, np.abs(free).max(axis=0)), alarms + seen
-            if at == len(t):
+        for begin, at in pairwise((0, *AT, len(q))):
+            free, acting = watch.along(stamps[begin:at], position[begin:at], velocity[begin:at])
+            largest = np.maximum(largest, np.abs(free).max(axis=0))
+            alarms += int((np.diff(acting) > 0).sum())
+            if at == len(q):
                 break
-            force = rng.normal(size=3)
-            jacobian = tip[at : at + TRIAL].reshape(-1, 3, n).transpose(0, 2, 1)
-            push = jacobian @ (FORCE * force / np.linalg.norm(force))
-            pushed = position[at : at + TRIAL].copy()
+            force, trial = rng.normal(size=3), slice(at, at + TRIAL)
+            push = tip[trial].reshape(-1, 3, n).transpose(0, 2, 1) @ (FORCE * force / np.linalg.norm(force))
+            pushed = position[trial].copy()
             pushed[:, n:] -= push / K
-            runs.append(watch.tried(pushed, velocity[at : at + TRIAL], at))
+            runs.append(watch.tried(stamps[trial], pushed, velocity[trial]))
         threshold, delay, traces = (np.array(each) for each in zip(*runs, strict=True))
         return Minute(alarms, largest, q[list(AT)], threshold, delay, traces)
 
-    def _motion(self, rng: np.random.Generator, t: Array) -> tuple[Array, Array, Array]:
-        """Return positions, velocities and accelerations (k, n) of two sines a joint about a random pose."""
-        n, limits = self.n, self.robot.limits
-        assert limits is not None
-        q = rng.uniform(0.7 * limits.lower, 0.7 * limits.upper)[None]
-        dq = ddq = np.zeros((1, n))
+    def _move(self, rng: np.random.Generator, t: Array) -> None:
+        """Move each joint by two sines about a random pose, at times (k, 1) [s]."""
+        (q, dq, ddq), limits = self._arguments[:3], self.robot.limits
+        lower, upper = (-np.pi, np.pi) if limits is None else (limits.lower, limits.upper)
+        q[:], dq[:], ddq[:] = rng.uniform(0.7 * lower, 0.7 * upper, self.n), 0.0, 0.0
         for _ in range(2):
-            w, phase = 2 * np.pi * rng.uniform(0.1, 0.8, n), rng.uniform(0, 2 * np.pi, n)
+            w, phase = 2 * np.pi * rng.uniform(0.1, 0.8, self.n), rng.uniform(0, 2 * np.pi, self.n)
             angle = w * t + phase
-            q, dq, ddq = q + SWING * np.sin(angle), dq + SWING * w * np.cos(angle), ddq - SWING * w**2 * np.sin(angle)
-        return q, dq, ddq
+            sine = SWING * np.sin(angle)
+            q += sine
+            dq += SWING * w * np.cos(angle)
+            ddq -= w**2 * sine
 
 
 class Watch:
     """The alarm in C for one robot."""
 
     def __init__(self, study: Study) -> None:
-        ffi, n = study.library.ffi, study.n
-        self._watch, self._ffi = study.library.lib.fjr_watch_torque, ffi
-        self._held = study.observer.struct(ffi)
+        ffi, self._loop, n = study.library.ffi, study.loop, study.n
+        self._ffi, self._held = ffi, study.observer.struct(ffi)
         self._o, self._c = self._held.pointer, ffi.new("struct fjr_contact*")
-        size = n * (1 + self._o.errors)
-        self._r = np.frombuffer(ffi.buffer(self._o.kept, 24 * size))[2 * size : 2 * size + n]
+        start = 2 * n * (1 + self._o.errors)
         self._threshold = np.frombuffer(ffi.buffer(self._o.compared))[n:]
+        pointers = {
+            "watch": study.library.lib.fjr_watch_torque,
+            "observer": self._o,
+            "contact": self._c,
+            "r": self._o.kept + start,
+            "acting": ffi.addressof(self._c, "acting"),
+        }
+        own = self._loop.ffi
+        self._watched = own.new("struct watched*", {"n": n})
+        for name, pointer in pointers.items():
+            kind = own.typeof(getattr(self._watched, name))
+            setattr(self._watched, name, own.cast(kind, int(ffi.cast("intptr_t", pointer))))
 
-    def along(self, position: Array, velocity: Array, first: int) -> tuple[Array, int]:
-        """Return the estimates (k, n) [N m] at k samples from the number `first` on, and the alarms."""
-        k, two = position.shape
-        given = [self._ffi.from_buffer("double[]", np.ascontiguousarray(each)) for each in (position, velocity)]
-        found, alarms, acting = np.empty((k, two // 2)), 0, self._c.acting
-        for i in range(k):
-            self._watch(self._o, self._c, given[0] + two * i, given[1] + two * i, (first + i) * 1_000_000)
-            found[i] = self._r
-            if self._c.acting != acting:
-                acting = self._c.acting
-                alarms += acting
-        return found, alarms
+    def along(self, stamps: NDArray[np.int64], position: Array, velocity: Array) -> tuple[Array, NDArray[np.int32]]:
+        """Return the estimates (k, n) [N m] at k states, and whether there is contact (k + 1,), first before them."""
+        k, own = len(stamps), self._loop.ffi
+        found, acting = np.empty((k, position.shape[1] // 2)), np.empty(k + 1, dtype=np.int32)
+        arrays = {"int64_t[]": (stamps,), "double[]": (position, velocity, found), "int32_t[]": (acting,)}
+        given = [own.from_buffer(kind, each) for kind, of_kind in arrays.items() for each in of_kind]
+        self._loop.lib.watch_along(self._watched, k, *given)
+        return found, acting
 
-    def tried(self, position: Array, velocity: Array, first: int) -> tuple[Array, int, Array]:
-        """Return threshold (n,), delay [samples] and estimates (k, n) of a trial, and forget it."""
+    def tried(self, stamps: NDArray[np.int64], position: Array, velocity: Array) -> tuple[Array, int, Array]:
+        """Return threshold (n,), delay [states] and estimates (k, n) of a trial, and forget it."""
         parts = [self._ffi.buffer(self._o), self._ffi.buffer(self._c)]
         parts += [self._ffi.buffer(each) for each in self._held.arrays.values()]
-        kept = [bytes(part) for part in parts]
-        found, delay, threshold = [], len(position), self._threshold.copy()
-        for i in range(len(position)):
-            found.append(self.along(position[i : i + 1], velocity[i : i + 1], first + i)[0][0])
-            if self._c.acting and delay == len(position):
-                delay = i + 1
+        kept, threshold = [bytes(part) for part in parts], self._threshold.copy()
+        found, acting = self.along(stamps, position, velocity)
         for part, before in zip(parts, kept, strict=True):
             part[:] = before
-        return threshold, delay, np.array(found)
+        return threshold, int(_first(acting[1:, None] > 0)), found
 
 
-def simulate(folder: Path, hours: int, seed: int) -> None:
-    """Simulate the hours that the folder lacks of a seed."""
-    study = Study()
+def simulate(folder: Path, scenario: str, hours: int, seed: int) -> None:
+    """Simulate the hours of a scenario that the folder lacks of a seed."""
+    study = Study(scenario)
     folder.mkdir(parents=True, exist_ok=True)
     for hour in range(hours):
-        file = folder / f"{seed}-{hour}.npz"
+        file = folder / f"{scenario}-{seed}-{hour}.npz"
         if file.exists():
             continue
         minutes = [study.minute(np.random.default_rng([seed, hour, k])) for k in range(60)]
@@ -178,30 +188,39 @@ def simulate(folder: Path, hours: int, seed: int) -> None:
 
 def tables(folder: Path) -> Iterator[str]:
     """Yield the lines of the tables of all hours in the folder."""
-    files = [np.load(file) for file in sorted(folder.glob("*.npz"))]
-    found = Minute(*(np.concatenate([each[name] for each in files]) for name in Minute._fields))
-    hours, alarms, own, largest = len(files), int(found.alarms.sum()), found.delay, found.largest
+    files = sorted(folder.glob("*.npz"))
+    alarms = [(file.name.split("-")[0], int(np.load(file)["alarms"].sum())) for file in files]
+    counted = []
+    for which in (*sorted({scenario for scenario, _ in alarms}), "all"):
+        of_hours = [number for scenario, number in alarms if which in (scenario, "all")]
+        hours, number = len(of_hours), sum(of_hours)
+        most = stats.chi2.ppf(0.95, 2 * number + 2) / 2 / hours * 24
+        counted.append((which, f"{hours:,}", f"{60 * hours:,}", str(number), f"{most:.2g}"))
+    columns = ["scenario", "hours", "robots", "false alarms", "in 24 h at most, with 95 % confidence"]
+    yield from markdown(columns, counted, right=columns[1:])
+
+    files = [file for file in files if file.name.startswith(f"{SCENARIO}-")]
+    parts = [[np.load(file)[name] for file in files] for name in ("largest", "pose", "threshold", "delay")]
+    largest, pose, threshold, own = map(np.concatenate, parts)
     n = largest.shape[1]
     fixed = {"equal": largest.max(axis=0), "hourly": np.quantile(largest, 1 - 1 / (60 * n), axis=0)}
-    late = {name: _first(np.abs(found.torque) > thresholds) for name, thresholds in fixed.items()}
-    most = stats.chi2.ppf(0.95, 2 * alarms + 2) / 2 / hours * 24
-    counted = f"**{alarms} false alarms in {hours} h** ({len(own)} robots)"
-    yield f"{counted}: at most {most:.2g} in 24 h with 95 % confidence."
-
+    first = [[_first(np.abs(np.load(file)["torque"]) > thresholds) for file in files] for thresholds in fixed.values()]
+    late = dict(zip(fixed, map(np.concatenate, first), strict=True))
     delays = []
     for k, at in enumerate(AT):
         delays.append((f"{at * 1e-3:g}", "stated errors", *_delay(own[:, k]), ""))
         for name, samples in late.items():
             twice = _share(samples[:, k] >= 2 * own[:, k])
             delays.append((f"{at * 1e-3:g}", PEERS[name], *_delay(samples[:, k]), twice))
-    yield f'\n{FORCE:g} N in a random direction at the tip; delays in ms, "missed" if longer than {TRIAL} ms:\n'
+    pushed = f"{FORCE:g} N in a random direction at the tip of `{SCENARIO}`"
+    yield f'\n{pushed}; delays in states of 1 ms, "missed" if longer than {TRIAL}:\n'
     columns = ["s after the start", "thresholds", "median", "95 %", "missed", "at least twice as late"]
     yield from markdown(columns, delays, right={*columns} - {"thresholds"})
 
-    reach, by_reach = _reach(found.pose[:, -1]), []
+    reach, by_reach = _reach(pose[:, -1]), []
     for low, high in pairwise((0.0, *REACHES, np.inf)):
         rows = (reach >= low) & (reach < high)
-        thresholds = _row(np.median(found.threshold[rows, -1], axis=0))
+        thresholds = _row(np.median(threshold[rows, -1], axis=0))
         medians = (_ms(np.median(each[rows, -1])) for each in (own, *late.values()))
         place = f"{low:g} to {high:g} m" if high < np.inf else f"{low:g} m and more"
         by_reach.append((place, str(rows.sum()), *thresholds, *medians))
@@ -238,7 +257,7 @@ def _share(cases: NDArray[Any]) -> str:
 
 def _reach(poses: Array) -> Array:
     """Return the distances (k,) [m] of the tip from the axis of the first joint."""
-    tip = Study().robot.links.end_effector
+    tip = Study(SCENARIO).robot.links.end_effector
     assert tip is not None
     return np.array([float(np.hypot(*tip.position(q, np.zeros(3)).full()[:2, 0])) for q in poses])
 
@@ -247,11 +266,12 @@ def main() -> None:
     """Simulate hours, or write the table of those that there are."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--scenario", default=SCENARIO)
     parser.add_argument("--hours", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     if given.hours:
-        simulate(given.folder, given.hours, given.seed)
+        simulate(given.folder, given.scenario, given.hours, given.seed)
     else:
         put("contact.md", "contact", tables(given.folder))
 

@@ -32,10 +32,10 @@ def robot(d: Array) -> fjr.Robot:
     return fjr.planar_two_link(**given, stiffness=K * stiffness)
 
 
-def motion(d: Array, tau: Array | float = 0.0) -> tuple[Array, Array]:
-    """Return positions and velocities (k, 4) of links on sines, of the arm that differs by d."""
+def motion(d: Array, tau: Array | float = 0.0, t: Array = T) -> tuple[Array, Array]:
+    """Return positions and velocities (k, 4) of links on sines at times t, of the arm that differs by d."""
     arm, (friction, constant) = robot(d), (ERRORS.deviations * d).reshape(5, 2)[3:]
-    angle, w = np.array([3.0, 5.0]) * T[:, None] + [0.3, 1.0], np.array([3.0, 5.0])
+    angle, w = np.array([3.0, 5.0]) * t[:, None] + [0.3, 1.0], np.array([3.0, 5.0])
     q, dq, ddq = 0.8 * np.sin(angle), 0.8 * w * np.cos(angle), -0.8 * w**2 * np.sin(angle)
     rigid = [arm.M_l(x) @ a + arm.coriolis(x, v, v) + arm.grad_P_l(x) for x, v, a in zip(q, dq, ddq, strict=True)]
     torque = np.array(rigid) + dq @ arm.D_l + friction * np.tanh(dq / STICKING) - constant - tau
@@ -53,10 +53,11 @@ class Watch:
         for name, value in given.items():
             setattr(self.o, name, value)
 
-    def see(self, position: Array, velocity: Array, first: int = 0) -> None:
+    def see(self, position: Array, velocity: Array, first: int = 0, t: Array = T) -> None:
         for k, row in enumerate(zip(position, velocity, strict=True), start=first):
+            stamp = round(1e9 * t[k]) if k < len(t) else k * 1_000_000
             values = [self.lib.ffi.from_buffer("double[]", np.ascontiguousarray(each)) for each in row]
-            assert self.lib.lib.fjr_watch_torque(self.o, self.contact, *values, k * 1_000_000)
+            assert self.lib.lib.fjr_watch_torque(self.o, self.contact, *values, stamp)
 
     def array(self, name: str, size: int) -> Array:
         return np.array(list(self.held.arrays[name][0:size]))
@@ -98,7 +99,8 @@ def test_distance_of_drawn_robots_has_the_distribution_of_chi_squared() -> None:
     watch.see(*motion(np.zeros(10)))
     r0, Z = watch.r, watch.Z
     r = r0 - rng.normal(size=(20_000, 10)) @ Z.T + NOISE * rng.normal(size=(20_000, 2))
-    np.testing.assert_allclose(watch.S, Z @ Z.T + np.diag(NOISE**2), rtol=1e-12)
+    integration = np.array(list(watch.o.integration[0:2]))
+    np.testing.assert_allclose(watch.S, Z @ Z.T + np.diag(NOISE**2 + integration**2), rtol=1e-12)
     np.testing.assert_allclose(watch.S, np.cov(r.T), rtol=0.04)
     squared = np.einsum("ki,ij,kj->k", r, np.linalg.inv(watch.S), r)
     for share in (0.1, 1e-2, 1e-3):
@@ -124,6 +126,17 @@ def test_alarm_is_where_the_distance_exceeds_its_limit(push: float) -> None:
     if push == 3.0:
         assert (watch.contact.joint, watch.contact.joints) == (1, 2)
         assert watch.contact.value > watch.contact.limit
+
+
+def test_a_late_state_is_no_contact() -> None:
+    """With the noise alone it would be one: the trapezoidal rule has an error of dt^2 / 12 f''."""
+    noise, t = 1e-4, np.append(T, T[-1] + 0.08)
+    watch = Watch(noise=[noise**2] * 2)
+    for k in range(100):
+        watch.o.P[k] = 0.0  # the model is known
+    watch.see(*motion(np.zeros(10), t=t), t=t)
+    assert np.sum((watch.e / noise) ** 2) > 3 * watch.o.limit
+    assert not watch.contact.acting
 
 
 def test_a_distance_that_rounding_has_lost_is_contact() -> None:

@@ -81,14 +81,16 @@ class ExternalTorqueObserver:
 def observer_function(name: str, n: int, size: int, momentum: Callable[[ca.MX, ca.MX], Sequence[ca.MX]]) -> ca.Function:
     """Return the function (kept, position, velocity, bandwidth, dt) -> kept of a momentum observer of n joints.
 
-    momentum: (position, velocity) -> p and dp/dt - tau, each (size,). kept (3 size,): p, dp/dt - tau, r.
+    momentum: (position, velocity) -> p and dp/dt - tau, each (size,); the first n are finite only if the arguments are.
+    kept (3 size,): p, dp/dt - tau, r.
     """
     s = symbols(ca.MX, kept=3 * size, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
     parts, dt = PackedVector({"p": size, "f": size, "r": size}), s["dt"]
     p, f = momentum(s["position"], s["velocity"])
-    follows = ca.logic_and(_finite(s["kept"]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
-    r = ca.if_else(follows, next_residual(parts.unpack(s["kept"]), p, f, 0.0, s["bandwidth"], dt), 0)
-    r = ca.if_else(_finite(ca.vertcat(p, f)), r, np.nan)
+    kept = parts.unpack(s["kept"])
+    follows = ca.logic_and(_finite(kept["r"][:n]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
+    r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
+    r = ca.if_else(_finite(ca.vertcat(p[:n], f[:n])), r, np.nan)
     return dense_function(name, s, {"next": parts.pack({"p": p, "f": f, "r": r})})
 
 

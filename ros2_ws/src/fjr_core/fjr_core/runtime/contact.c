@@ -2,31 +2,49 @@
  * Contact: external torques on the links that the stated errors of the model do not explain (monitoring/contact.py).
  *
  *   e = r + Z d,  S = Z P Z' + N        contact: e' S^-1 e > limit, until it stays below a quarter of that for QUIET
+ *
+ * N contains the error of the trapezoidal rule that r is computed by, so that a late state is no contact: dt^2 / 12 |f''|,
+ * |f''| at most L times the largest |f'| of the last 1 / L, as for motions up to the bandwidth L.
  */
 #define QUIET 200000000   /* ns; without torque until a contact has ended */
 #define SIGNIFICANT 4.0   /* standard deviations from which a joint of a contact is named */
 #define NEGLIGIBLE 0.05   /* of the largest torque, up to which it is not */
 
-/* Write W = P Z', S, e and the thresholds; Z (N, errors) by columns. */
+/* Add the error of the trapezoidal rule from `kept` to `next`, dt [s] later; r forgets it. */
+static void add_integration_error(struct fjr_torque_observer* o, double dt) {
+  const double *before = o->kept + N * (1 + o->errors), *f = o->next + N * (1 + o->errors);
+  const double stay = exp(-o->bandwidth * dt);
+  for (int i = 0; i < N && dt > 0; ++i) {
+    const double rate = fabs(f[i] - before[i]) / dt, error = o->bandwidth * dt * dt / 12 * fmax(rate, o->rate[i]);
+    o->integration[i] = isfinite(error) ? stay * o->integration[i] + (1 - stay) * error : 0;
+    o->rate[i] = isfinite(rate) ? fmax(rate, stay * o->rate[i]) : 0;
+  }
+}
+
+/* Return the variance of r of joint i in an exact model [(N m)^2]. */
+static double variance(const struct fjr_torque_observer* o, int i) {
+  return o->noise[i] + o->integration[i] * o->integration[i];
+}
+
+/* Write S, e and the thresholds; Z (N, errors) by columns. */
 static void explain(struct fjr_torque_observer* o, const double* r) {
   const double* Z = r + N;
   double *e = o->compared, *threshold = e + N;
   const int m = o->errors;
   for (int i = 0; i < N; ++i) {
-    double* W = o->W + i * m;
+    double *W = o->W, s[N] = {0}, unexplained = r[i];
     fill(W, 0, m);
-    e[i] = r[i];
+    s[i] = variance(o, i);
     for (int j = 0; j < m; ++j) {
       const double z = Z[j * N + i];
-      e[i] += z * o->d[j];
+      unexplained += z * o->d[j];
       for (int k = 0; k < m && z != 0; ++k) W[k] += z * o->P[j * m + k];
     }
-    for (int l = 0; l <= i; ++l) {
-      double s = i == l ? o->noise[i] : 0;
-      for (int k = 0; k < m; ++k) s += W[k] * Z[k * N + l];
-      o->S[i * N + l] = s;
-    }
-    threshold[i] = sqrt(o->limit * o->S[i * N + i]);
+    for (int k = 0; k < m; ++k)
+      for (int l = 0; l < N; ++l) s[l] += W[k] * Z[k * N + l];
+    copy(o->S + i * N, s, N);
+    e[i] = unexplained;
+    threshold[i] = sqrt(o->limit * s[i]);
   }
 }
 
@@ -55,7 +73,7 @@ static void learn(struct fjr_torque_observer* o, const double* r) {
   for (int k = 0; k < m * m; ++k) o->P[k] = stay * stay * o->P[k] + (k % (m + 1) ? 0 : 1 - stay * stay);
   for (int j = 0; j < m; ++j) o->d[j] *= stay;
   for (int i = 0; i < N; ++i) {
-    double s = o->noise[i], e = r[i];
+    double s = variance(o, i), e = r[i];
     fill(w, 0, m);
     for (int j = 0; j < m; ++j)
       for (int k = 0; k < m; ++k) w[k] += Z[j * N + i] * o->P[j * m + k];

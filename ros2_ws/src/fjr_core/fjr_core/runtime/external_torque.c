@@ -10,9 +10,10 @@ int fjr_watch_torque(struct fjr_torque_observer* o, struct fjr_contact* c, const
   o->arg[0] = o->kept, o->arg[1] = position, o->arg[2] = velocity, o->arg[3] = &o->bandwidth, o->arg[4] = &dt;
   o->res[0] = o->next;
   if (o->update(o->arg, o->res, o->iw, o->w, 0)) fill(o->next, NAN, 3 * size);
+  add_integration_error(o, dt);
   copy(o->kept, o->next, 3 * size);
   o->stamp = stamp;
-  if (!all_finite(o->kept, 3 * size)) return 0;
+  if (!all_finite(o->kept + 2 * size, N)) return 0;
   watch_contact(o, c, o->kept + 2 * size, stamp);
   return 1;
 }
