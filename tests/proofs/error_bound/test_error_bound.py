@@ -20,6 +20,7 @@ from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.motions.reference import Reference
+from fjr_core.numerics.checks import Array
 from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_design.baselines.feedback_linearisation import CompositeGains
 from fjr_design.batch import ClosedLoop, Draws
@@ -28,9 +29,9 @@ from fjr_msgs_py.scenarios import library
 from fjr_proofs.check_rows import errors_bounded
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.cells import cells_of
-from fjr_proofs.error_bound.deviation_model import DeviationModel
-from fjr_proofs.error_bound.search import TORQUES
-from fjr_proofs.error_bound.tube import steady_motion
+from fjr_proofs.error_bound.deviation_model import CentreMotion, DeviationModel
+from fjr_proofs.error_bound.search import TORQUES, FactorBox, Search
+from fjr_proofs.error_bound.tube import fixed_point, loop_gain, steady_motion
 from fjr_proofs.error_bound.uncertain_robot import PARAMETERS, UncertainRobot
 
 T = 1e-3
@@ -267,6 +268,41 @@ def test_no_robot_with_a_delay_within_its_error_exceeds_the_bound(delay: float) 
     assert np.all(steady <= bound.position)
     assert np.all(whole <= bound.from_start)
     assert np.all(bound.position <= 1.5 * steady.max())
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.1])
+def test_bounds_reproduce_themselves_where_the_loop_gain_is_below_1(scale: float) -> None:
+    """The mismatch of a joint, scaled to this loop gain."""
+    law = joint()
+    search = Search(DeviationModel(law, UncertainRobot(law.robot, {"stiffness": 0.2})), SWING, T, T, np.zeros(2), True)
+    linear = search.linear(np.zeros(1))
+    problem = search.problem(linear, -np.ones(1), np.ones(1))
+    assert problem is not None
+    (whole,) = problem.ranges.of_factors(4, problem.steady.lines)
+    size = scale / loop_gain(linear, problem.gains, whole)
+    scaled = whole._replace(unknown=np.full(4, 1e-3), **{name: size * getattr(whole, name) for name in "XMBF"})
+    assert loop_gain(linear, problem.gains, scaled) == pytest.approx(scale, rel=1e-9)
+    assert (fixed_point(linear, problem.gains, scaled) is not None) == (scale < 1)
+
+
+class Closed(Search):
+    """A division whose parts have tubes up to a width of 1, and from the start up to 0.5."""
+
+    def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
+        width = np.full(2 * self.model.n, np.max(high - low))
+        tube, from_start = (np.where(width <= most, width, np.inf) for most in (1.0, 0.5))
+        return FactorBox(low, high, start, np.zeros(len(low)), width, tube, from_start)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("asked", "parts"), [(False, 4), (True, 16)])
+def test_a_box_is_divided_for_a_bound_from_the_start_if_a_proof_is_asked_for(asked: bool, parts: int) -> None:
+    law, box = joint(), (-np.ones(2), np.ones(2))
+    model = DeviationModel(law, UncertainRobot(law.robot, {"stiffness": 0.2, "link_mass": 0.1}))
+    boxes = Closed(model, SWING, T, T, np.zeros(2), verified=True, asked=asked).boxes(*box)
+    assert len(boxes) == parts
+    assert sum(each.volume(*box) for each in boxes) == pytest.approx(1.0)
+    assert all(each.has_tube for each in boxes)
+    assert all(each.has_all_bounds == asked for each in boxes)
 
 
 def test_errors_too_large_for_a_tube_give_no_bound() -> None:

@@ -108,6 +108,13 @@ class MatrixModels:
         products = self.values[:, self._places(slice(None))] @ lines[:, None]
         return np.asarray(products.transpose(0, 2, 1, 3))
 
+    def of(self, symbol: int) -> MatrixModels:
+        """Return models of what a symbol contributes, to first order."""
+        place = self.shape.order + symbol
+        values = np.zeros_like(self.values)
+        values[:, place] = self.values[:, place]
+        return MatrixModels(values, self.shape)
+
     def _places(self, symbols: slice) -> slice:
         """Return the places of the slopes in these symbols."""
         first, last, _ = symbols.indices(self.shape.symbols)
@@ -216,6 +223,13 @@ class Ranges:
             B=self._input_apart(),
             F=efforts.largest,
         )
+
+    def of_factors(self, disturbances: int, lines: Array) -> Iterator[Mismatch]:
+        """Yield what each factor alone contributes to the differences from the linear model along the lines."""
+        n, slopes = self.linear.n, self._slopes(self.tube(np.zeros((4 * self.linear.n, 0)), lines))
+        for symbol in range(1, 1 + self.factors):
+            X, M, F = (models.of(symbol).largest for models in slopes)
+            yield Mismatch(np.zeros(disturbances), X[:, : 4 * n], M, np.zeros((n, n)), F)
 
     def second_order(self, lines: Array, accelerations: Array) -> tuple[Array, Array]:
         """Return the torques (c, 3n, k) and efforts (c, n, k) of second order along lines that z follows.

@@ -38,8 +38,10 @@ DELAY = "delay"
 """Name of the error of the delay in samples, which may change from sample to sample."""
 SECONDS_TO_PROVE = 2  # joints
 NARROWEST = 0.02  # width of shares that are not divided
-MOST_PARTS = 128
-HOPELESS = 1000  # parts of the whole box, if all were as narrow as those of one part, at which the division ends
+MOST_PARTS = {False: 128, True: 1024}
+"""Parts of a box. True: for a proof that is asked for; then the box is also divided for a bound from the start."""
+HOPELESS = 8  # times as many parts, if all were as narrow as one without bounds, at which the division ends
+TINY = 1e-12
 TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
 WORTH = 0.99  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 1e-3  # of a deviation after the sums of the gains
@@ -117,7 +119,7 @@ def bound_errors(
     model = DeviationModel(law, UncertainRobot(law.robot, errors, payload_position))
     box = -np.ones(model.uncertain.count), np.ones(model.uncertain.count)
     given, late = (model, reference, sample_period, delay, np.repeat(torques, n)), sample_period * float(sizes[DELAY])
-    search = Search(*given, verified=True, late=late)
+    search = Search(*given, verified=True, late=late, asked=prove is True)
     if prove is None:
         prove = n <= SECONDS_TO_PROVE or not model.uncertain.count
     boxes = search.boxes(*box, progress) if prove and search.applies else []
@@ -136,9 +138,10 @@ class FactorBox:
     """Part of the box of factors, low to high (u,), with its centre motion and the tube about it.
 
     centre: of the robot in the middle; the reference itself if the loop is unstable or has no period. effects (u,):
-    of second order in each factor on a position [rad]. first_order, ultimate, from_start (2n,): bounds of |q_l -
-    q_ld| and |dq_l - dq_ld|: by the known response to the factors alone; in the steady state; at all times for a
-    robot that starts on the reference. The latter two are infinite without a tube. storage: largest V [J] in the
+    of each factor, by which the part is divided: of second order on a position [rad]; without all bounds the share of
+    that, plus the share of the gain of the loop that it closes. first_order, ultimate, from_start (2n,): bounds of
+    |q_l - q_ld| and |dq_l - dq_ld|: by the known response to the factors alone; in the steady state; at all times for
+    a robot that starts on the reference. The latter two are infinite without a tube. storage: largest V [J] in the
     steady state; nan if the law has none.
     """
 
@@ -157,6 +160,11 @@ class FactorBox:
         return bool(np.all(np.isfinite(self.ultimate)))
 
     @property
+    def has_all_bounds(self) -> bool:
+        """True if the part has a tube from the start, too."""
+        return self.has_tube and bool(np.all(np.isfinite(self.from_start)))
+
+    @property
     def size(self) -> float:
         """Largest bound of a position; infinite without a tube."""
         return float(np.max(np.split(self.ultimate, 2)[0]))
@@ -165,7 +173,7 @@ class FactorBox:
     def excess(self) -> float:
         """Ratio of the bound of the positions to that to first order in the factors; infinite without a tube."""
         bound, least = (np.split(bounds, 2)[0] for bounds in (self.ultimate, self.first_order))
-        return float(np.max(bound / np.maximum(least, 1e-12)))
+        return float(np.max(bound / np.maximum(least, TINY)))
 
     @property
     def narrow(self) -> bool:
@@ -198,9 +206,14 @@ class Search:
         disturbing: Array,
         verified: bool,
         late: float = 0.0,
+        asked: bool = False,
     ) -> None:
-        """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop."""
+        """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop.
+
+        asked: of MOST_PARTS.
+        """
         self.model, self.cells = model, cells_of(reference, T, verified)
+        self._asked, self._most_parts = asked, MOST_PARTS[asked]
         self.T, self.delay, self.disturbing, self._late = T, delay, disturbing, late
 
     @property
@@ -219,22 +232,25 @@ class Search:
         return True
 
     def boxes(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[FactorBox]:
-        """Divide the box until each part has a tube, then the part with the largest bound until it is tight.
+        """Divide the box until each part has its bounds, then the part with the largest bound until it is tight.
 
-        The division ends, with a part that has no tube, where a part is narrow or the parts are, or will be, too many.
+        Where parts are narrow, or are or will be too many, those with a bound of the steady motion alone remain; a part
+        without a tube ends the division.
         """
         waiting: list[tuple[Array, Array, CentreMotion | None]] = [(low, high, None)]
         boxes: list[FactorBox] = []
         while waiting:
             box = self._solved(*waiting.pop())
-            if box.has_tube:
+            many = len(waiting) + len(boxes) + 2 > self._most_parts
+            last = box.narrow or many or HOPELESS * self._most_parts * box.volume(low, high) < 2
+            if not last and not (box.has_all_bounds if self._asked else box.has_tube):
+                waiting += [(*ends, box.centre) for ends in box.halves()]
+            elif box.has_tube:
                 boxes.append(box)
                 progress(len(boxes) / (len(boxes) + len(waiting)))
-                continue
-            if box.narrow or len(waiting) + len(boxes) + 2 > MOST_PARTS or HOPELESS * box.volume(low, high) < 2:
+            else:
                 return [box]
-            waiting += [(*ends, box.centre) for ends in box.halves()]
-        while len(boxes) < MOST_PARTS:
+        while len(boxes) < self._most_parts:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
@@ -302,7 +318,10 @@ def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
         q, _, dq, _ = np.split(z, 4)
         return np.asarray(box.centre.largest + np.concatenate([q, dq]))
 
-    box = replace(box, effects=problem.effects, first_order=bound(problem.first_order))
+    effects = problem.effects
+    if box.centre.cells.verified and (problem.tube is None or problem.from_start is None):
+        effects = sum(each / max(each.sum(), TINY) for each in (effects, problem.loop_gains))
+    box = replace(box, effects=effects, first_order=bound(problem.first_order))
     if problem.tube is None:
         return box
     storage = problem.ranges.storage(problem.as_tube(problem.tube))

@@ -88,13 +88,27 @@ def fixed_point(
         bounds = _bounds_under(linear, gains, assumed, known)
         if not np.all(np.isfinite(bounds.z)) or bounds.z.max() > most:
             return None
-        torques = mismatch.X @ bounds.z
-        torques[: 2 * n] += np.concatenate([mismatch.M @ bounds.acceleration, mismatch.B @ bounds.effort])
-        change = bounds.change + 2 * assumed[-n:] if linear.late else np.zeros(0)
-        disturbance = mismatch.unknown + aged * np.concatenate([torques, change, mismatch.F @ bounds.z])
+        disturbance = mismatch.unknown + aged * _following(linear, mismatch, assumed, bounds)
         if np.all(disturbance <= assumed):
             return bounds
     return None
+
+
+def loop_gain(linear: LinearLoop, gains: Array, mismatch: Mismatch) -> float:
+    """Return the factor by which disturbances grow in a round of `fixed_point`, which converges if it is below 1."""
+    known = Response.none(linear.n, linear.models.loop.shape[1])
+    units = np.eye(len(mismatch.unknown))
+    following = [_following(linear, mismatch, unit, _bounds_under(linear, gains, unit, known)) for unit in units]
+    return float(np.abs(np.linalg.eigvals(np.array(following))).max())
+
+
+def _following(linear: LinearLoop, mismatch: Mismatch, assumed: Array, bounds: DeviationBounds) -> Array:
+    """Return the disturbances that follow from bounds of the deviations, and from those that they assume."""
+    n = linear.n
+    torques = mismatch.X @ bounds.z
+    torques[: 2 * n] += np.concatenate([mismatch.M @ bounds.acceleration, mismatch.B @ bounds.effort])
+    change = bounds.change + 2 * assumed[-n:] if linear.late else np.zeros(0)
+    return np.concatenate([torques, change, mismatch.F @ bounds.z])
 
 
 def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: Response) -> DeviationBounds:
@@ -235,6 +249,12 @@ class TubeProblem:
         verified, known = self.linear.centre.cells.verified, self.steady
         Z = known.lines if verified else known.whole.Z[:, : 4 * self.linear.n]
         return np.asarray(np.abs(self.linear.coordinates.S_inverse @ Z).sum(axis=2).max(axis=0))
+
+    @property
+    def loop_gains(self) -> Array:
+        """Gains (u,) of the loops that each factor alone closes about the linear model."""
+        parts = self.ranges.of_factors(len(self._unknown), self.steady.lines)
+        return np.array([loop_gain(self.linear, self.gains, mismatch) for mismatch in parts])
 
     @property
     def effects(self) -> Array:
