@@ -160,14 +160,6 @@ def test_stop_of_the_controller_is_the_headline_and_every_run_is_kept(tmp_path: 
     assert f'<p class="verdict violated"><b>{stop["heading"]}</b>' in page
 
 
-def test_folder_without_a_run_is_not_replaced(tmp_path: Path) -> None:
-    precious = tmp_path / "paper_k31" / "thesis.txt"
-    precious.parent.mkdir()
-    precious.write_text("do not lose me")
-    assert "not replaced" in fjr_here("run", "paper_k31", "--output", str(tmp_path), code=1)
-    assert precious.read_text() == "do not lose me"
-
-
 NEEDS_ROS = {
     "run": "run paper_k31 --lockstep --no-report",
     "demo": "demo",
