@@ -19,6 +19,7 @@ def assert_close(x: np.ndarray, expected: np.ndarray) -> None:
     np.testing.assert_allclose(x, expected, rtol=1e-13, atol=1e-16)
 
 
+@pytest.mark.usefixtures("either_executor")
 def test_lockstep_advances_by_the_exact_number_of_samples(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, start_paused=True)
     CommandLoop(peer).listen()

@@ -173,8 +173,7 @@ def test_plant_publish_rate(ros: Ros) -> None:
 HERE = "joints publish_rate inner_steps integrator robot.model robot.urdf lockstep"
 ELSEWHERE = {
     "test_lifecycle, test_controller_node, test_native_loop": "autostart state_timeout auxiliary_rate executor compile",
-    "test_certificate": "certificate certificate_tolerance",
-    "test_external_torque": "external_torque_bandwidth",
+    "test_certificate": "certificate certificate_tolerance external_torque_bandwidth",
     "tests/engines/test_engines.py": "engine",
     "test_plant_node": "publish_description command_timeout start_paused",
     "test_lock_step, test_sim_time, test_advance": "lockstep_timeout restart_silence advance_samples wait_for_command",

@@ -28,8 +28,7 @@ from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
-from system.documented import documented_keys
-from system.executables import Start, fjr_here, is_alive, wait_for
+from system.executables import Start, documented_keys, fjr_here, is_alive, wait_for
 from time_limits import HANG
 
 pytestmark = pytest.mark.system

@@ -21,8 +21,7 @@ from fjr_design.studies.sweep import run_part
 from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
-from system.documented import documented_keys
-from system.executables import Start, fjr_here, wait_for
+from system.executables import Start, documented_keys, fjr_here, wait_for
 from time_limits import HANG
 
 pytestmark = pytest.mark.system

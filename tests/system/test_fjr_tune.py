@@ -15,8 +15,7 @@ import pytest
 from fjr_core.config.scenario import load_scenario
 from fjr_design.studies.tune_run import pareto
 from fjr_msgs_py.console.ending import Exit
-from system.documented import documented_keys
-from system.executables import fjr_here
+from system.executables import documented_keys, fjr_here
 
 pytestmark = pytest.mark.system
 STUDY = """

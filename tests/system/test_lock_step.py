@@ -17,8 +17,7 @@ from fjr_plant.lock_step import START
 from nodes.harness import Listener, Ros, nanoseconds
 from nodes.plants import PERIOD
 from system.executables import Start, wait_for
-from system.recorded import is_complete, messages, record
-from system.shared_runs import shared_run
+from system.shared_runs import is_complete, messages, record, shared_run
 
 pytestmark = pytest.mark.system
 

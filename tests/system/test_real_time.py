@@ -20,8 +20,7 @@ import pytest
 from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from nodes.harness import Listener, Ros, seconds
-from system.documented import documented_keys
-from system.executables import NODES, SLOW, fjr, fjr_here, running, scenario
+from system.executables import NODES, SLOW, documented_keys, fjr, fjr_here, running, scenario
 from system.network import Network, RefusedError
 from system.test_running_nodes import MOTION, T, holding, motion_file
 from time_limits import HANG

@@ -20,8 +20,7 @@ from fjr_bringup import clients
 from fjr_bringup.clients import PlantClient
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros
-from system.documented import documented_keys
-from system.executables import SLOW, TIME_LIMIT, Start, fjr_here, running, wait_for
+from system.executables import SLOW, TIME_LIMIT, Start, documented_keys, fjr_here, running, wait_for
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
