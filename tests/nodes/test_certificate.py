@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certificate and external torque of plant and controller in lock-step: each cause injected, its diagnosis published."""
+"""Certificate and external torque of plant and controller in lock-step; each cause injected, its diagnosis heard."""
 
 from __future__ import annotations
 
