@@ -10,7 +10,7 @@ from typing import Any
 
 from sensor_msgs.msg import JointState
 
-from faults.relay import Tamper
+from faults.peers import Tamper
 from faults.rig import SECOND, Rig
 from faults.watcher import EVENTS
 

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from faults import fault_injection
 from faults.fault_injection import NONSENSE
 from faults.fault_rows import JOINT
-from faults.relay import Tamper
+from faults.peers import Tamper
 from hosts import recording
 from hosts.comparison import HOSTS, Comparison
 from hosts.inputs import Input, Kind, Sequence, with_ticks

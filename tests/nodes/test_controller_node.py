@@ -13,8 +13,8 @@ from nodes.harness import Peer, Ros, nanoseconds, stamped
 from nodes.managed import Manager
 
 
-def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: float = 0.0, stiffness: float = 31.0):
-    robot = fjr.single_link(stiffness=stiffness)
+def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: float = 0.0):
+    robot = fjr.single_link()
     x = robot.state(q_l, q_m, dq_l, dq_m)
     return fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))
 

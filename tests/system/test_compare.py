@@ -181,14 +181,7 @@ def test_the_page_draws_everything_and_states_the_findings(
     folder: Path, found: dict[str, Any], browser: Browser
 ) -> None:
     page = folder / "runs" / "compare_mine" / "comparison.html"
-    browser.open(page, dark=True)
-    browser.is_sound()
-    browser.open(page)
-    browser.is_sound()
-    assert browser.figures() == PLOTS
-    browser.size(390, 800)
-    browser.settle()
-    browser.is_sound()
+    browser.draws(page, PLOTS)
     text = browser.value("document.body.innerText")
     assert extent(found)[:-1] in text
     assert "not a ranking" in text

@@ -129,10 +129,7 @@ def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.Ca
 
 def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser) -> None:
     kinds = ("fit-0", "residual-q_l", "residual-q_m", "autocorrelation-q_l", "autocorrelation-q_m")
-    for width, dark in ((400, True), (1280, False)):
-        browser.open(folder / "identification.html", width=width, dark=dark)
-        browser.is_sound()
-        assert browser.figures() == [f"record-0-{kind}" for kind in kinds]
+    browser.draws(folder / "identification.html", [f"record-0-{kind}" for kind in kinds])
     assert browser.value("document.querySelectorAll('.interval i').length") == 10
 
 
