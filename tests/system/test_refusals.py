@@ -89,7 +89,6 @@ REFUSED = [
     ),
     ("compare quick --document nowhere.md", 2, "cannot read nowhere.md"),
     ("compare broken.yaml", 2, "broken.yaml is not valid YAML"),
-    ("export-c paper_k31 DIR --prefix 7a", 2, "expected a letter"),
     ("export-c paper_k31 broken.yaml", 1, "is not a folder"),
     ("export-c paper_k31 broken.yaml/below", 1, "cannot write to"),
     ("export-c paper_k31 /proc/fjr", 1, "cannot write to"),
