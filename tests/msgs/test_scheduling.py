@@ -213,6 +213,13 @@ def test_a_signal_ends_either_executor_after_the_last_command_and_a_refusal_is_l
     assert "cpu_affinity '4000' is refused" in said
 
 
+def test_an_invalid_core_list_ends_the_node_with_one_sentence() -> None:
+    done = run_node(INTERRUPTED, cpu_affinity="both")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("cannot start: parameter 'cpu_affinity' is 'both'; expected core numbers")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("text", "expected"), [("", set()), ("0,2-3", {0, 2, 3}), ("3-2, 0", {0, 2, 3}), (" 1 , 1", {1})]
 )
