@@ -40,7 +40,7 @@ LONGEST_FIRST = (
     "system/test_identify_measurements.py",
     "system/test_compare.py",
     "system/test_records.py",
-    "system/test_excite_command.py",
+    "system/test_identify.py",
     "identification/test_record_checks.py",
     "system/test_left_out.py",
     "system/test_wiring_faults.py",

@@ -23,7 +23,7 @@ from fjr_plant.plant_node import PlantNode
 from nodes.harness import Ros
 from nodes.managed import Manager
 from system.executables import fjr_here
-from system.recorded import messages
+from system.shared_runs import messages
 
 
 class AtWall(Manager):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import engine_survey
-from system.recorded import record
+from system.shared_runs import record
 
 pytestmark = pytest.mark.system
 without_drake = pytest.mark.skipif(find_spec("pydrake") is None, reason="drake is not installed")

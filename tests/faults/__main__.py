@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+from contextlib import closing
 from pathlib import Path
 
 TESTS = Path(__file__).resolve().parents[1]
@@ -16,7 +17,7 @@ sys.path.insert(0, str(TESTS))
 import conftest  # noqa: E402, F401 (a ROS domain of its own)
 from bench.figures import markdown, put  # noqa: E402
 from faults.fault_rows import ROWS, Row  # noqa: E402
-from faults.outcome import Outcome, outcome  # noqa: E402
+from faults.outcome import Outcome, Pair  # noqa: E402
 
 HEAD = ("fault", "what the arm does", "peak q_tilde_l [rad]", "recovered after [s]", "bad efforts")
 
@@ -27,7 +28,8 @@ def main(words: list[str]) -> int:
     done: list[tuple[Row, Outcome]] = []
     for number, row in enumerate(rows, start=1):
         print(f"[{number}/{len(rows)}] {row.name}", file=sys.stderr, flush=True)
-        done.append((row, outcome(row)))
+        with closing(Pair()) as pair:
+            done.append((row, pair.outcome(row)))
     table = markdown(HEAD, [cells(row, seen) for row, seen in done], right=HEAD[2:])
     print(*table, sep="\n")
     if not words:

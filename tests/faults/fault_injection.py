@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from faults import message_faults
-from faults.relay import Tamper
+from sensor_msgs.msg import JointState
+
+from faults.peers import Tamper
 from faults.rig import SECOND, Rig
 from faults.watcher import EVENTS
 
@@ -37,7 +39,7 @@ def clock_jumped(seconds: float, jump: int) -> Act:
     def act(rig: Rig) -> tuple[int, int]:
         begin, zero = rig.full_motion, rig.anchors[-1].zero
         rig.anchor(zero - jump * SECOND, begin)
-        end = rig.tamper(begin, seconds, message_faults.jumped(jump))
+        end = rig.tamper(begin, seconds, jumped(jump))
         begun = rig.first_stamp_from(end)
         rig.anchor(begun, begun)
         return begin, end
@@ -125,3 +127,68 @@ def intruder(seconds: float) -> Act:
         return any("other controllers" in event.name for event in rig.watcher.messages(EVENTS))
 
     return act
+
+
+# Modifications of states in the relay; each function returns a new one, which may remember messages.
+
+
+def dropped() -> Tamper:
+    return lambda message: ()
+
+
+def twice() -> Tamper:
+    return lambda message: (message, message)
+
+
+def not_a_number() -> Tamper:
+    """Make a position and a velocity alternately NaN and infinite."""
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        bad = math.nan if message.header.stamp.nanosec // 1_000_000 % 2 else math.inf
+        message.position[0] = bad
+        message.velocity[-1] = -bad
+        yield message
+
+    return tamper
+
+
+def renamed() -> Tamper:
+    def tamper(message: JointState) -> Iterable[JointState]:
+        message.name = [f"{name}_of_another_arm" for name in message.name]
+        yield message
+
+    return tamper
+
+
+def frozen() -> Tamper:
+    """Repeat the first message."""
+    first: list[JointState] = []
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        first.append(message)
+        del first[1:]
+        yield first[0]
+
+    return tamper
+
+
+def aged(samples: int) -> Tamper:
+    """Send a message that is `samples` older before each message."""
+    past: deque[JointState] = deque(maxlen=samples + 1)
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        past.append(message)
+        yield past[0]
+        yield message
+
+    return tamper
+
+
+def jumped(seconds: int) -> Tamper:
+    """Shift the stamps by whole seconds."""
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        message.header.stamp.sec += seconds
+        yield message
+
+    return tamper

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from faults import fault_injection, message_faults
+from faults import fault_injection
 from faults.fault_injection import Act, tampered
 from faults.rig import DIRECT, RELAYED, STEPPED, Setting
 
@@ -77,8 +77,8 @@ ROWS = [
         counted=LATER,
         mode=DIRECT,
     ),
-    Row("no states for 200 ms", FALLS, tampered(0.2, message_faults.dropped), 1.0, counted=LATER),
-    Row("no states for 2 s", FALLS, tampered(2.0, message_faults.dropped), 2.0, counted=LATER, another=True),
+    Row("no states for 200 ms", FALLS, tampered(0.2, fault_injection.dropped), 1.0, counted=LATER),
+    Row("no states for 2 s", FALLS, tampered(2.0, fault_injection.dropped), 2.0, counted=LATER, another=True),
     tracking("1 % of states and of commands lost, 2 s", lossy(0.01), 1e-3, another=True),
     tracking("10 % of states and of commands lost, 2 s", lossy(0.1), 1e-3),
     *(tracking(f"states {ms} ms late, 2 s", late(ms * 1e-3), 1e-3, another=True) for ms in (1, 3, 5)),
@@ -94,31 +94,31 @@ ROWS = [
     Row(
         "NaN and infinity in every state, 200 ms",
         FALLS,
-        tampered(0.2, message_faults.not_a_number),
+        tampered(0.2, fault_injection.not_a_number),
         1.0,
         counted=("state refused: not finite", *LATER),
     ),
     Row(
         "joint names of another arm, 200 ms",
         FALLS,
-        tampered(0.2, message_faults.renamed),
+        tampered(0.2, fault_injection.renamed),
         1.0,
         counted=("state refused: missing joints", *LATER),
     ),
     Row(
-        "every state sent twice, 1 s", "tracks", tampered(1.0, message_faults.twice), 0.1, counted=("states repeated",)
+        "every state sent twice, 1 s", "tracks", tampered(1.0, fault_injection.twice), 0.1, counted=("states repeated",)
     ),
     Row(
         "one state repeated, 200 ms",
         "holds the effort of that state; a transition leads back to the reference",
-        tampered(0.2, message_faults.frozen),
+        tampered(0.2, fault_injection.frozen),
         1.0,
         counted=("states repeated", "forward jumps", "recoveries"),
     ),
     Row(
         "each state preceded by one 50 ms older, 1 s",
         "tracks",
-        tampered(1.0, lambda: message_faults.aged(50)),
+        tampered(1.0, lambda: fault_injection.aged(50)),
         0.1,
         counted=("states older than the last",),
     ),
@@ -154,7 +154,7 @@ ROWS = [
     Row(
         "arm7: no states for 200 ms",
         "holds its weight; a 1 s transition leads back to the reference",
-        tampered(0.2, message_faults.dropped),
+        tampered(0.2, fault_injection.dropped),
         1.0,
         counted=LATER,
         setting=ARM,

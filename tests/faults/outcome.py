@@ -34,15 +34,6 @@ class Outcome:
     counters: Mapping[str, int]
 
 
-def outcome(row: Row) -> Outcome:
-    """Do what the row says to a pair of nodes of its own and measure; for tries see Pair."""
-    pair = Pair()
-    try:
-        return pair.outcome(row)
-    finally:
-        pair.close()
-
-
 class Pair:
     """A pair of nodes that rows of the same setting and mode disturb one after the other, as each recovers."""
 

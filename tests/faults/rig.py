@@ -22,8 +22,7 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 
 from faults.measures import THRESHOLD, Anchor, Motion, Sine
-from faults.relay import Relay, Tamper
-from faults.remote import Remote
+from faults.peers import Relay, Remote, Tamper
 from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
 from fjr_core.config import ros_yaml
 from fjr_msgs_py.node.scheduling import prioritised

@@ -19,8 +19,8 @@ from std_msgs.msg import Float64MultiArray
 from fjr_msgs_py.node.participant import leave
 
 EFFORTS, COMMANDS = "effort_controller/commands", "joint_commands"
-REFERENCE, ERROR = "fjr_controller/reference", "fjr_controller/tracking_error"
-STATES, DIAGNOSTICS, EVENTS = "joint_states", "/diagnostics", "fjr_controller/events"
+STATES, REFERENCE = "joint_states", "fjr_controller/reference"
+DIAGNOSTICS, EVENTS = "/diagnostics", "fjr_controller/events"
 TRUE_STATES = "true_states"  # of the plant, if a relay is between plant and controller
 
 KINDS: dict[str, Any] = {
@@ -29,7 +29,6 @@ KINDS: dict[str, Any] = {
     EFFORTS: Float64MultiArray,
     COMMANDS: JointState,
     REFERENCE: JointState,
-    ERROR: JointState,
     DIAGNOSTICS: DiagnosticArray,
     EVENTS: DiagnosticStatus,
 }

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +15,6 @@ from fjr_msgs_py.node.loading import ament_index_of_wheels
 from fjr_msgs_py.node.reports import Health
 from msgs.child import run, run_node
 from nodes.harness import Ros
-from time_limits import HANG
 
 FALLING = """
         self.calls = []
@@ -152,26 +150,6 @@ def test_the_end_of_a_process_in_its_own_session_is_that_of_the_command(ends: st
 
 
 # Before ROS 2 is loaded.
-
-
-LOADING = """
-import time
-from fjr_msgs_py.node.loading import end_on_signals
-end_on_signals()
-print("loading", flush=True)
-time.sleep(60)
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_during_loading_exits_with_0(number: signal.Signals) -> None:
-    command = [sys.executable, "-c", LOADING]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "loading\n"
-        process.send_signal(number)
-        _, output = process.communicate(timeout=HANG)
-    assert (process.returncode, output) == (0, "")
 
 
 def test_the_loading_module_imports_no_heavy_package() -> None:

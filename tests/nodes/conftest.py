@@ -7,7 +7,7 @@ from rclpy.executors import SingleThreadedExecutor
 from nodes.harness import Peer, Ros
 from nodes.managed import Manager
 
-RCLPY = ("test_own_code", "test_parameters", "test_wiring")
+RCLPY = ("test_parameters", "test_wiring")
 """Files whose tests run in rclpy: they call its callbacks, run Python code, or start many robots without a compiler."""
 
 

@@ -163,8 +163,8 @@ def participants() -> int:
 class Listener(Node):
     """Store the messages of the nodes under test; publish nothing."""
 
-    def __init__(self, ros: Ros, prefix: str = "", only: Collection[str] | None = None) -> None:
-        """only: topics to subscribe to, without the prefix; all by default. Each topic costs processor time."""
+    def __init__(self, ros: Ros, only: Collection[str] | None = None) -> None:
+        """only: topics to subscribe to; all by default. Each topic costs processor time."""
         super().__init__("peer", context=ros.context)
         self._ros = ros
         self.states: list[JointState] = []
@@ -185,9 +185,7 @@ class Listener(Node):
         deep = QoSProfile(depth=1000)
         for topic, (kind, keep) in heard.items():
             if only is None or topic in only:
-                self.create_subscription(
-                    kind, "/" + topic if topic == "diagnostics" else prefix + topic, keep.append, deep
-                )
+                self.create_subscription(kind, topic, keep.append, deep)
         ros.add(self)
 
     def request(self, kind: Any, name: str, **fields: Any) -> Future:
@@ -231,11 +229,11 @@ class Listener(Node):
 class Peer(Listener):
     """The peer of a node under test: publish messages for a test and store those received."""
 
-    def __init__(self, ros: Ros, prefix: str = "") -> None:
-        super().__init__(ros, prefix)
-        self.state_publisher = self.create_publisher(JointState, prefix + "joint_states", LATEST)
-        self.effort_publisher = self.create_publisher(Float64MultiArray, prefix + "effort_controller/commands", LATEST)
-        self.command_publisher = self.create_publisher(JointState, prefix + "joint_commands", LATEST)
+    def __init__(self, ros: Ros) -> None:
+        super().__init__(ros)
+        self.state_publisher = self.create_publisher(JointState, "joint_states", LATEST)
+        self.effort_publisher = self.create_publisher(Float64MultiArray, "effort_controller/commands", LATEST)
+        self.command_publisher = self.create_publisher(JointState, "joint_commands", LATEST)
 
     def plant(self, **parameters: Any) -> PlantNode:
         """Start a plant; return it once its states are heard."""

@@ -18,8 +18,8 @@ INNER = 250_000  # ns, the default 1 kHz in 4 steps
 PERIOD = 1_000_000  # ns
 
 
-def integrate(x: np.ndarray, u: float, steps: int, plant: fjr.Plant | None = None) -> np.ndarray:
-    plant = plant or fjr.Plant(fjr.single_link())
+def integrate(x: np.ndarray, u: float, steps: int) -> np.ndarray:
+    plant = fjr.Plant(fjr.single_link())
     for _ in range(steps):
         x = plant.step(x, [u], INNER * 1e-9)
     return x

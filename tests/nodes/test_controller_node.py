@@ -9,13 +9,12 @@ import numpy as np
 from rosgraph_msgs.msg import Clock
 
 import fjr_core as fjr
-from fjr_controller.controller_node import ControllerNode
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from nodes.managed import Manager
 
 
-def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: float = 0.0, stiffness: float = 31.0):
-    robot = fjr.single_link(stiffness=stiffness)
+def paper_effort(t: float, q_l: float, q_m: float, dq_l: float = 0.0, dq_m: float = 0.0):
+    robot = fjr.single_link()
     x = robot.state(q_l, q_m, dq_l, dq_m)
     return fjr.TrackingLaw(robot, fjr.PAPER_GAINS).effort(x, x, fjr.Sine(1.0, 1.0).jets(t))
 
@@ -78,13 +77,6 @@ def test_malformed_states_are_refused_counted_and_logged_once_and_the_node_conti
     said = capfd.readouterr().err
     assert said.count("state refused") == len(BAD_STATES)
     assert "state refused: names are ['joint1']; expected ['joint1_motor'] among them (logged once" in said
-
-
-def test_namespace_and_remap(ros: Ros) -> None:
-    peer = Peer(ros, prefix="arm/")
-    arguments = ["--ros-args", "-r", "__ns:=/arm", "-r", "fjr_controller:joint_states:=joint_states"]
-    ros.start(ControllerNode, arguments)
-    np.testing.assert_allclose(peer.ask(stamped(0.0)).effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
 
 
 def test_use_sim_time_changes_only_while_unconfigured(ros: Ros, manager: Manager) -> None:

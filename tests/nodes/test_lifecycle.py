@@ -174,7 +174,6 @@ def test_gains_change_between_two_states_and_invalid_ones_change_nothing(ros: Ro
         {"gains__Pi_l": [30.0], "gains__K": [1.0]},
         {"limits__effort": [-1.0]},
         {"gains__Pi_l": [1e160]},
-        {"gains__Lambda_m": [1e300]},
         {"gains__Pi_l": [30.0], "limits__link_position_upper": [-1.0], "limits__link_position_lower": [1.0]},
     ):
         done, reason = manager.set(**values)
@@ -186,14 +185,6 @@ def test_gains_change_between_two_states_and_invalid_ones_change_nothing(ros: Ro
     ros.settle()
     events = [event for event in manager.events if event.name == "gains changed"]
     assert [(event.level, event.hardware_id, bool(event.message)) for event in events] == [(b"\x00", "", True)] * 3
-
-
-def test_a_silence_sends_the_stop_effort_once(ros: Ros, manager: Manager) -> None:
-    manager.started(state_timeout=0.05, on_stop="gravity_hold")
-    ros.until(lambda: "silences" in manager.kinds(), "the silence")
-    ros.settle()
-    assert len(manager.efforts) == 2
-    np.testing.assert_allclose(manager.efforts[-1].data, [GRAVITY], atol=1e-12)
 
 
 def test_a_destroyed_node_leaves_the_graph_without_the_garbage_collector(ros: Ros) -> None:
@@ -212,7 +203,7 @@ def test_a_destroyed_node_leaves_the_graph_without_the_garbage_collector(ros: Ro
             gc.enable()
 
 
-# Safety and measurement; tests/tracking/test_limits.py tests that each parameter reaches the settings.
+# Safety and measurement.
 
 
 ROBOT = fjr.single_link()
@@ -221,22 +212,6 @@ PLACE = ([0.5, 0.52], [0.3, -0.2])  # positions and velocities of link and motor
 
 def at(t: float = 0.0) -> Any:
     return stamped(t, *PLACE)
-
-
-def test_a_violated_limit_of_the_state_stops_until_a_resume(ros: Ros, manager: Manager) -> None:
-    ros.controller(on_stop="gravity_hold")
-    assert manager.set(limits__motor_velocity=[0.21]) == (True, "")
-    law = float(manager.ask(at()).effort[0])
-    assert abs(law) > 5.0
-    assert manager.set(limits__motor_velocity=[0.19]) == (True, "")
-    held = ROBOT.grad_P_l([0.5])[0] - 0.3 * -0.2
-    assert float(manager.ask(at(0.001)).effort[0]) == pytest.approx(held)
-    ros.until(lambda: any(e.name == "stops" and "motor velocity" in e.message for e in manager.events), "the event")
-    assert manager.set(limits__motor_velocity=[0.21], on_stop="zero")[0]
-    assert float(manager.ask(at(0.002)).effort[0]) == 0.0, "a stop must be latched"
-    assert manager.trigger("resume")[0]
-    assert float(manager.ask(at(0.003)).effort[0]) == 0.0, "the first effort must be the last one sent"
-    assert float(manager.ask(at(0.05)).effort[0]) != 0.0
 
 
 def test_the_effort_changes_no_faster_than_its_rate(ros: Ros, peer: Peer) -> None:

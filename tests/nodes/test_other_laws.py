@@ -63,15 +63,6 @@ def test_robust_action_has_no_diagnosis_but_a_storage_with_rates(ros: Ros, robus
     assert values.bound == -1
 
 
-def test_each_gain_of_robust_action_is_that_of_its_parameter() -> None:
-    given = {"residual_gain": 30.0, "motor_residual_gain": 20.0, "integral_gain": 4.0, "motor_integral_gain": 5.0}
-    text = (
-        f"/**/fjr_controller:\n  ros__parameters:\n    robust: { ({name: [value] for name, value in given.items()}) }\n"
-    )
-    robust = parse_scenario("robust", text).sampled_law.robust
-    assert {name: float(np.squeeze(getattr(robust, name))) for name in given} == given
-
-
 def test_a_scenario_builds_the_law_of_the_parameters() -> None:
     text = "/**/fjr_controller:\n  ros__parameters:\n    robust: {residual_gain: [30.0], delay: 0.002, hold: 0.002}\n"
     scenario = parse_scenario("robust", text)

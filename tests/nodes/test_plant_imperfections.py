@@ -78,7 +78,6 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {  # one of each part: values set
     "messages_in_order": ({"command_jitter": 0.005}, False),
     "period_jitter": ({}, 0.0009),
 }
-"""All others: test_simulated_robot.py."""
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -22,13 +22,13 @@ A = np.array([1.0])
 CHANCE = 1e-9  # probability that a fair sequence fails a test; the seeds are fixed, so none does
 
 
-def arrivals(link: Channel, pushes: int = 200, period: int = MS) -> list[tuple[int, int]]:
-    """Return (time, item) of all arrivals if item k is pushed at k periods and items are taken when due."""
+def arrivals(link: Channel, pushes: int = 200) -> list[tuple[int, int]]:
+    """Return (time, item) of all arrivals if item k is pushed at k ms and items are taken when due."""
     seen = []
     for k in range(pushes):
-        while (due := link.next_due) is not None and due <= k * period:
+        while (due := link.next_due) is not None and due <= k * MS:
             seen += [(due, int(item)) for (item,) in link.due(due)]
-        link.push(k * period, np.array([float(k)]))
+        link.push(k * MS, np.array([float(k)]))
     while (due := link.next_due) is not None:
         seen += [(due, int(item)) for (item,) in link.due(due)]
     return seen

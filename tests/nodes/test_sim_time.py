@@ -44,13 +44,13 @@ class Player:
         return [nanoseconds(state) for state in self._peer.states[before:]]
 
 
-def assert_one_motion(states: list, effort: float = 0.0) -> None:
-    """Check that the motion between two states agrees with their stamps."""
+def assert_one_motion(states: list) -> None:
+    """Check that the motion without effort between two states agrees with their stamps."""
     x, stamp = state_of(states[0]), nanoseconds(states[0])
     for state in states[1:]:
         steps, rest = divmod(nanoseconds(state) - stamp, INNER)
         assert rest == 0
-        x, stamp = integrate(x, effort, steps), nanoseconds(state)
+        x, stamp = integrate(x, 0.0, steps), nanoseconds(state)
         np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
 
 

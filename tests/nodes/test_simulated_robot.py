@@ -231,64 +231,21 @@ def test_all_are_off_by_default() -> None:
     assert period_jitter(found) == 0.0
 
 
-BASE = {  # enable the effects that other parameters modify
-    "link_coulomb_friction": (0.05,),
-    "link_static_friction": (0.1,),
-    "link_stribeck_velocity": (0.3,),
-    "motor_coulomb_friction": (0.05,),
-    "motor_static_friction": (0.1,),
-    "motor_stribeck_velocity": (0.3,),
-    "friction_smoothing_velocity": (0.1,),
-    "hysteresis_torque": (0.1,),
-    "hysteresis_deflection": (0.02,),
-    "torque_ripple": (0.05,),
-    "payload_mass": 0.1,
-    "payload_position": (0.1, 0.0, 0.0),
-    "link_position_noise": (1e-4,),
-    "state_jitter": 5e-3,
-    "state_repetition": 0.2,
-    "command_jitter": 5e-3,
-}
-CASES = {
-    "link_coulomb_friction": (0.08,),
-    "link_static_friction": (0.2,),
-    "link_stribeck_velocity": (0.6,),
-    "motor_coulomb_friction": (0.08,),
-    "motor_static_friction": (0.2,),
-    "motor_stribeck_velocity": (0.6,),
-    "link_load_friction": (0.2,),
-    "motor_load_friction": (0.2,),
-    "friction_smoothing_velocity": (0.2,),
-    "cubic_stiffness": (500.0,),
-    "hysteresis_torque": (0.2,),
-    "hysteresis_deflection": (0.01,),
-    "torque_ripple": (0.1,),
-    "torque_ripple_periods": (24.0,),
-    "torque_ripple_phase": (1.0,),
-    "effort_limit": (1.0,),
-    "actuator_lag": (2e-3,),
-    "payload_mass": 0.2,
-    "payload_position": (0.2, 0.0, 0.0),
-    "link_encoder_bits": (12.0,),
-    "motor_encoder_bits": (12.0,),
-    "link_position_noise": (2e-4,),
-    "motor_position_noise": (1e-4,),
-    "link_velocity_noise": (1e-2,),
-    "motor_velocity_noise": (1e-2,),
-    "publish_velocity": False,
-    "state_delay": 1e-3,
-    "state_jitter": 7e-3,
-    "state_loss": 0.2,
-    "state_repetition": 0.4,
-    "command_delay": 1e-3,
-    "command_jitter": 7e-3,
-    "command_loss": 0.2,
-    "command_repetition": 0.2,
-    "messages_in_order": False,
-    "period_jitter": 0.5e-3,
-    "seed": 1,
-}
 MEASURED, STATE, COMMAND, PERIOD = "what is measured", "states", "commands", "sample times"
+BASE = {"link_position_noise": (1e-4,), "state_jitter": 5e-3, "command_jitter": 5e-3}
+"""What the seed and the order of messages change."""
+CASES: dict[str, tuple[Any, set[str]]] = {
+    "motor_coulomb_friction": ((0.08,), {MEASURED}),
+    "motor_position_noise": ((1e-4,), {MEASURED}),
+    "publish_velocity": (False, {MEASURED}),
+    "state_loss": (0.2, {STATE}),
+    "command_delay": (1e-3, {COMMAND}),
+    "messages_in_order": (False, {STATE, COMMAND}),
+    "period_jitter": (0.5e-3, {PERIOD}),
+    "seed": (1, {MEASURED, STATE, COMMAND}),
+}
+"""New value and changed behaviours of one parameter of each kind. Each is declared at a field, which has its own test:
+tests/core/simulation/test_nonideal_plant.py, test_sensors_and_channel."""
 
 
 def behaviour(**given: Any) -> dict[str, bytes]:
@@ -312,15 +269,11 @@ def usual() -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_parameter_changes_only_the_behaviour_it_names(name: str, usual: dict[str, bytes]) -> None:
-    changed = behaviour(**{name: CASES[name]})
-    seen = {kind for kind in usual if usual[kind] != changed[kind]}
-    wanted = {"seed": {MEASURED, STATE, COMMAND}, "messages_in_order": {STATE, COMMAND}, "period_jitter": {PERIOD}}
-    side = {"state": {STATE}, "command": {COMMAND}}.get(name.split("_")[0], {MEASURED})
-    assert seen == wanted.get(name, side)
+def test_a_parameter_of_each_kind_changes_only_the_behaviour_it_names(name: str, usual: dict[str, bytes]) -> None:
+    value, wanted = CASES[name]
+    changed = behaviour(**{name: value})
+    assert {kind for kind in usual if usual[kind] != changed[kind]} == wanted
 
 
-def test_no_parameter_is_left_out_and_all_but_the_seed_are_dynamic() -> None:
-    found = imperfection_parameters(1)
-    assert {f"imperfections.{name}" for name in CASES} == {p.name for p in found}
-    assert [p.name for p in found if not p.dynamic] == ["imperfections.seed"]
+def test_all_but_the_seed_are_dynamic() -> None:
+    assert [p.name for p in imperfection_parameters(1) if not p.dynamic] == ["imperfections.seed"]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changing each declared parameter changes the behaviour it names, and no parameter is left out."""
+"""Changing a parameter of robot, gains, reference or integration changes the behaviour it names, in the nodes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,12 +14,8 @@ from sensor_msgs.msg import JointState
 
 import fjr_core as fjr
 from fjr_core.config.controller import controller_parameters
-from fjr_core.config.law import gains as build_gains
-from fjr_core.config.nodes import OwnParameters, all_parameters
-from fjr_core.config.parameter import complete
+from fjr_core.config.nodes import all_parameters
 from fjr_core.config.plant import plant_parameters
-from fjr_core.config.reference import reference as build_reference
-from fjr_core.config.robot import robot as build_robot
 from fjr_plant.lock_step import START as LOCKSTEP_START
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -47,7 +44,7 @@ ROBOTS: dict[str, dict[str, Any]] = {  # other values of all parameters of each 
     "planar_two_link": {**PLANAR, "gravity": 1.62, **COMMON},
     "urdf": {"gravity": [0.0, 3.0, -9.0], "gear_ratio": [2.0, 1.5], **COMMON},
 }
-ALONE = {"cubic_stiffness": 5000.0}  # K of ROBOTS couples the joints
+CURVED = {"cubic_stiffness": [5000.0, 5000.0]}  # K of ROBOTS couples the joints
 GAIN_CASES = {"Lambda_l": 12.0, "Pi_l": 25.0, "K_ld": 0.7, "Lambda_m": 17.0}
 GAIN_CASES |= {"Pi_m": 70.0, "K_md": 0.4, "Gamma_l": 2.0, "Gamma_m": 3.0}
 REFERENCE_CASES = {"amplitude": 0.8, "frequency": 1.3, "offset": 0.1, "phase": 0.2}
@@ -63,10 +60,6 @@ def model_parameters(model: str) -> dict[str, Any]:
     if model == "urdf":
         parameters |= {"robot__urdf": URDF, "robot__joint_stiffness": STIFFNESS, "robot__motor_inertia": MOTOR_INERTIA}
     return parameters
-
-
-def given(model: str) -> dict[str, Any]:
-    return {name.replace("__", "."): value for name, value in model_parameters(model).items()}
 
 
 def made(model: str, **parameters: Any) -> fjr.Robot:
@@ -98,57 +91,34 @@ def unit_sine(n: int, **changes: float) -> fjr.Sine:
     return fjr.Sine(**{name: np.full(n, v) for name, v in {"amplitude": 1.0, "frequency": 1.0, **changes}.items()})
 
 
-def assert_changed(changed: np.ndarray, expected: np.ndarray, default: np.ndarray) -> None:
-    np.testing.assert_allclose(changed, expected, rtol=1e-9)
-    assert np.max(np.abs(changed - default)) > 1e-6 * np.max(np.abs(default))
+def assert_equal(found: np.ndarray, of: Callable[..., np.ndarray], values: dict[str, Any]) -> None:
+    """Compare with `of(**values)`, which is another one without any of the values: each has its effect."""
+    np.testing.assert_allclose(found, of(**values), rtol=1e-9)
+    for name in values:
+        default = of(**{other: value for other, value in values.items() if other != name})
+        assert np.max(np.abs(found - default)) > 1e-6 * np.max(np.abs(default)), name
 
 
-def values_of(own: OwnParameters, model: str = "single_link", **parameters: Any) -> dict[str, Any]:
-    """Return the checked values of a node with these parameters."""
-    named = {name.replace("__", "."): value for name, value in {**model_parameters(model), **parameters}.items()}
-    return dict(complete(all_parameters(own, named), named))
-
-
-@pytest.mark.parametrize(
-    ("model", "name"), [(model, name) for model, values in ROBOTS.items() for name in (*values, *ALONE)]
-)
-def test_each_parameter_of_the_robot_has_its_effect(model: str, name: str) -> None:
-    value = ROBOTS[model][name] if name in ROBOTS[model] else [ALONE[name]] * len(joints(model))
-    law = (fjr.PAPER_GAINS, unit_sine(len(joints(model))))
-    robot = build_robot(values_of(controller_parameters, model, **{f"robot__{name}": value}))
-    expected, default = made(model, **{name: value}), made(model)
-    assert_changed(*(law_effort(each, *law) for each in (robot, expected, default)))
-    assert_changed(*(simulated(each) for each in (robot, expected, default)))
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_both_nodes_have_the_robot_of_the_parameters(ros: Ros, model: str) -> None:
-    parameters, robot = {f"robot__{name}": v for name, v in ROBOTS[model].items()}, made(model, **ROBOTS[model])
+@pytest.mark.parametrize(("model", "values"), [*ROBOTS.items(), ("planar_two_link", CURVED)])
+def test_both_nodes_have_the_robot_of_the_parameters_each_of_which_has_its_effect(
+    ros: Ros, model: str, values: dict[str, Any]
+) -> None:
+    parameters, sine = {f"robot__{name}": value for name, value in values.items()}, unit_sine(len(joints(model)))
     with Ros() as alone:
         effort = controller_effort(alone, model, **parameters)
-    np.testing.assert_allclose(effort, law_effort(robot, fjr.PAPER_GAINS, unit_sine(robot.n)), rtol=1e-9)
-    np.testing.assert_allclose(measured(lockstep_state(ros, model, **parameters)), simulated(robot), rtol=1e-9)
+    assert_equal(effort, lambda **v: law_effort(made(model, **v), fjr.PAPER_GAINS, sine), values)
+    assert_equal(measured(lockstep_state(ros, model, **parameters)), lambda **v: simulated(made(model, **v)), values)
 
 
-@pytest.mark.parametrize("name", GAIN_CASES)
-def test_each_gain_has_its_effect(name: str) -> None:
-    gains = build_gains(values_of(controller_parameters, **{f"gains__{name}": [GAIN_CASES[name]]}), 1)
-    robot, sine = fjr.single_link(), unit_sine(1)
-    expected = law_effort(robot, replace(fjr.PAPER_GAINS, **{name: GAIN_CASES[name]}), sine)
-    assert_changed(law_effort(robot, gains, sine), expected, law_effort(robot, fjr.PAPER_GAINS, sine))
-
-
-@pytest.mark.parametrize("name", REFERENCE_CASES)
-def test_each_parameter_of_the_sine_has_its_effect(name: str) -> None:
-    found = build_reference(values_of(controller_parameters, **{f"reference__{name}": [REFERENCE_CASES[name]]}), 1)
-    assert_changed(found.jets(T), unit_sine(1, **{name: REFERENCE_CASES[name]}).jets(T), unit_sine(1).jets(T))
-
-
-def test_the_controller_has_gains_and_reference_of_the_parameters(ros: Ros) -> None:
+def test_the_controller_has_gains_and_reference_of_the_parameters_each_of_which_has_its_effect(ros: Ros) -> None:
     gains = {f"gains__{name}": [value] for name, value in GAIN_CASES.items()}
     sine = {f"reference__{name}": [value] for name, value in REFERENCE_CASES.items()}
-    expected = law_effort(fjr.single_link(), replace(fjr.PAPER_GAINS, **GAIN_CASES), unit_sine(1, **REFERENCE_CASES))
-    np.testing.assert_allclose(controller_effort(ros, **gains, **sine), expected, rtol=1e-9)
+
+    def expected(**values: float) -> np.ndarray:
+        changed = [{name: v for name, v in values.items() if name in cases} for cases in (GAIN_CASES, REFERENCE_CASES)]
+        return law_effort(fjr.single_link(), replace(fjr.PAPER_GAINS, **changed[0]), unit_sine(1, **changed[1]))
+
+    assert_equal(controller_effort(ros, **gains, **sine), expected, {**GAIN_CASES, **REFERENCE_CASES})
 
 
 def lockstep_state(ros: Ros, model: str = "single_link", samples: int = 20, **parameters: Any) -> JointState:
@@ -194,50 +164,6 @@ def test_plant_integrator_and_inner_steps(ros: Ros) -> None:
 
 def test_plant_publish_rate(ros: Ros) -> None:
     assert nanoseconds(lockstep_state(ros, samples=3, publish_rate=250.0)) == LOCKSTEP_START + 3 * 4_000_000
-
-
-HERE = "joints publish_rate inner_steps integrator robot.model robot.urdf lockstep"
-ELSEWHERE = {
-    "test_lifecycle, test_controller_node, test_native_loop": "autostart state_timeout auxiliary_rate executor compile",
-    "test_certificate": "certificate certificate_tolerance",
-    "test_external_torque": "external_torque_bandwidth",
-    "tests/engines/test_engines.py": "engine",
-    "test_plant_node": "publish_description command_timeout start_paused",
-    "test_lock_step, test_sim_time, test_advance": "lockstep_timeout restart_silence advance_samples wait_for_command",
-    "tests/msgs/test_scheduling.py, tests/system/test_executables.py": "lock_memory cpu_affinity realtime_priority",
-    "tests/core/config/test_robot_file.py": "robot.file robot.locked_joints robot.locked_positions",
-    "tests/core/model/test_springs.py": "robot.torsion_deflection robot.torsion_torque",
-}
-"""Parameters by the files that test their effect."""
-WIRED_BY_GROUP = (
-    "reference.",  # tests/core/config/test_reference.py, test_lifecycle
-    "imperfections.",  # test_plant_imperfections, test_simulated_robot
-    "measurement.",  # tests/core/runtime/test_measurement.py, test_lifecycle
-    "limits.",  # tests/tracking, test_lifecycle
-    "obstacle.",  # tests/engines/test_contact.py
-    "on_stop",
-    "on_contact",  # tests/engines/test_contact_nodes.py
-    "start.",
-    "recovery.",
-    "hold.",
-    "constraints.",  # test_follow_action
-    "allow_partial_joints",  # test_trajectories
-    "law.",  # test_other_laws, tests/design/tuning/test_equal_bandwidth.py
-    "plant.",  # docs/own_law.md
-    "robust.",  # test_other_laws
-    "robot.guesses.",  # tests/core/config/test_robot_file.py
-    "robot.deviations.",  # tests/core/monitoring/test_contact.py
-)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_no_parameter_is_left_out(model: str) -> None:
-    tested = {*INITIAL, *(name for names in (HERE, *ELSEWHERE.values()) for name in names.split())}
-    tested |= {f"robot.{name}" for name in (*ROBOTS[model], *ALONE)}
-    tested |= {f"gains.{name}" for name in GAIN_CASES} | {f"reference.{name}" for name in REFERENCE_CASES}
-    for own in (plant_parameters, controller_parameters):
-        names = {parameter.name for parameter in all_parameters(own, given(model))} - tested
-        assert {name for name in names if not name.startswith(WIRED_BY_GROUP)} == set()
 
 
 WHEN = {

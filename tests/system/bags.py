@@ -8,9 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.reader import make_reader
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -73,22 +70,4 @@ def rewritten(
                 data = None if message is None else STORE.serialize_cdr(message, each.msgtype)
             if data is not None:
                 writer.write(made[each.id], time, data)
-    return target
-
-
-def in_chunks(file: Path, target: Path, size: int = 64_000) -> Path:
-    """Copy an MCAP file into chunks of `size` bytes; a recorder ends its chunks by time, so a fast run has few."""
-    with file.open("rb") as source, target.open("wb") as stream:
-        writer = McapWriter(stream, chunk_size=size, compression=CompressionType.NONE)
-        writer.start(profile="ros2", library="tests")
-        channels: dict[int, int] = {}
-        for schema, channel, message in make_reader(source).iter_messages():
-            if channel.id not in channels:
-                made = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, made, channel.metadata
-                )
-            known = channels[channel.id]
-            writer.add_message(known, message.log_time, message.data, message.publish_time, message.sequence)
-        writer.finish()
     return target

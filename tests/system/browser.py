@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -136,6 +137,16 @@ class Browser:
         assert min(drawn.values()) > DRAWN, drawn
         assert self.overflows() == []
         assert self.value("document.documentElement.scrollWidth") <= self._width
+
+    def draws(self, page: Path, figures: Sequence[str]) -> None:
+        """Check that a page is sound and has these figures, narrow and dark, wide and light, and made narrow again."""
+        for width, dark in ((400, True), (1280, False)):
+            self.open(page, width=width, dark=dark)
+            self.is_sound()
+            assert self.figures() == list(figures)
+        self.size(390, 800)
+        self.settle()
+        self.is_sound()
 
     def close(self) -> None:
         self._socket.close()

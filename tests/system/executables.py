@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -19,6 +20,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from fjr_bringup.cli.app import main
 from fjr_bringup.node_process import executable
+from isolation import ROOT
 from time_limits import HANG, Limit
 
 TIME_LIMIT = 60.0  # s on an idle machine
@@ -132,3 +134,19 @@ def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[dic
     finally:
         for each in started.values():
             each.kill()
+
+
+# The keys of the JSON that each command prints, as docs/tables/json.md lists them.
+
+
+ROW = re.compile(r"^\| (`fjr [^|]*) \| ([^|]*) \|$", re.MULTILINE)
+OPTIONAL = re.compile(r"; with [^;]*")
+CODE = re.compile(r"`([^`]*)`")
+
+
+def documented_keys() -> dict[str, set[str]]:
+    """Return the keys in the second column of the table by command, without those of an option ("; with ...;")."""
+    page = (ROOT / "docs" / "tables" / "json.md").read_text(encoding="utf-8")
+    section = page.partition("## Results of commands\n")[2].partition("\n## ")[0]
+    rows = {names: set(CODE.findall(OPTIONAL.sub("", keys))) for names, keys in ROW.findall(section)}
+    return {name.removeprefix("fjr "): keys for names, keys in rows.items() for name in CODE.findall(names)}

@@ -42,12 +42,12 @@ class Network:
             said.close()
         self._remove()
 
-    def start(self, namespace: str, *command: str, out: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
-        """Start a command in a namespace; `out` receives its standard output."""
+    def start(self, namespace: str, *command: str) -> subprocess.Popen[bytes]:
+        """Start a command in a namespace."""
         said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed at the exit)
         process = subprocess.Popen(
             ["ip", "netns", "exec", namespace, *command],
-            stdout=out,
+            stdout=subprocess.DEVNULL,
             stderr=said,
             start_new_session=True,
             env={**os.environ, **ENVIRONMENT},

@@ -1,16 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of installed scenarios in lock-step that several test files read: recorded once for all test processes."""
+"""Runs of scenarios in lock-step by `fjr`, recorded once if several test files read them, and a reader of their bags.
+
+The reader does not use that of the report.
+"""
 
 from __future__ import annotations
 
 import fcntl
+import json
 import os
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
-from system.recorded import complete_run
+from nodes.harness import nanoseconds
+from system.executables import fjr_here
 
+TRIES = 3
 DURATION = {"paper_k31": 2.5, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s
 
 
@@ -29,3 +41,63 @@ def shared_run(factory: pytest.TempPathFactory, name: str) -> Path:
             (folder / "runs" / "said").write_text(said)
             (folder / "finished").symlink_to(folder / "runs")
     return folder / "finished" / name
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """k stamps of a run, n joints: t (k,) [s] from the first; q_l, q_ld, u (k, n)."""
+
+    folder: Path
+    said: str
+    t: np.ndarray
+    q_l: np.ndarray
+    q_ld: np.ndarray
+    u: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """The largest error of all joints (k,) [rad]."""
+        return np.abs(self.q_l - self.q_ld).max(axis=1)
+
+
+def record(name: str, duration: float, output: Path, *overrides: str) -> Recorded:
+    """Run a scenario in lock-step without a report and read its bag."""
+    changes = [part for override in overrides for part in ("--set", override)]
+    said = complete_run(name, duration, output, "--no-report", *changes)
+    return recorded_run(output / name, said)
+
+
+def complete_run(name: str, duration: float, output: Path, *options: str) -> str:
+    """Run a scenario in lock-step, at most TRIES times until its recorder missed no message; return what `fjr` says."""
+    for _ in range(TRIES):
+        length = ("--duration", str(duration), "--output", str(output))
+        said = fjr_here("run", name, "--lockstep", *length, *options)
+        if is_complete(output / name):
+            break
+    return said
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether the recorder of a run heard every message; one that gets no core for long may miss some."""
+    counts = json.loads((folder / "report.json").read_text())["counts"]
+    return counts["missing"] == 0 and not any(counts["lost_by_recorder"].values())
+
+
+def recorded_run(folder: Path, said: str) -> Recorded:
+    """Read the bag of a run."""
+    fields = {"/joint_states": "position", "/fjr_controller/reference": "position", "/joint_commands": "effort"}
+    tables: dict[str, dict[int, np.ndarray]] = {topic: {} for topic in fields}
+    for topic, message in messages(folder, *fields):  # of several with one stamp the first
+        tables[topic].setdefault(nanoseconds(message), np.array(getattr(message, fields[topic])))
+    stamps = sorted(set.intersection(*map(set, tables.values())))
+    n = len(tables["/joint_commands"][stamps[0]])
+    t = (np.array(stamps) - stamps[0]) * 1e-9
+    return Recorded(folder, said, t, *(np.array([table[s][:n] for s in stamps]) for table in tables.values()))
+
+
+def messages(folder: Path, *topics: str) -> Iterator[tuple[str, Any]]:
+    """Yield topic and message, in order, of topics in the bag of a run; of all without names."""
+    with AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
+        wanted = [connection for connection in bag.connections if not topics or connection.topic in topics]
+        for connection, _, raw in bag.messages(wanted):
+            yield connection.topic, bag.deserialize(raw, connection.msgtype)

@@ -8,21 +8,17 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 import yaml
 from mcap.reader import make_reader
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
@@ -33,7 +29,7 @@ from fjr_monitor.recording.bag import header_stamp, read_bag
 from fjr_monitor.recording.files import Topic
 from fjr_monitor.recording.message_types import type_hash
 from fjr_monitor.recording.recorder import QUEUE_DEPTH, BagWriter, Recorder, Track
-from fjr_msgs_py.node.participant import leave
+from nodes.harness import Ros
 from system.bags import JOINT_STATE, TALKER, joint_state
 from system.executables import wait_for
 
@@ -48,20 +44,9 @@ def message(k: int) -> bytes:
     return joint_state(k * 1_000_000 + 5, names, "f" * (k % 7), position=position, effort=[0.5] * (k % 3))
 
 
-@contextmanager
-def talker() -> Iterator[Node]:
-    context = rclpy.Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    made = rclpy.create_node("talker", context=context)
-    yield made
-    leave(made)
-    context.try_shutdown()
-
-
 @pytest.fixture
-def node() -> Iterator[Node]:
-    with talker() as made:
-        yield made
+def node(ros: Ros) -> Node:
+    return ros.add(Node("talker", context=ros.context))
 
 
 def matched(recorder: Recorder, *publishers: Publisher) -> None:
@@ -77,8 +62,8 @@ def last(recorder: Recorder, topic: str) -> bytes:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[bytes]]:
     """Return a closed bag with COUNT joint states, and the messages sent."""
     bag, sent = tmp_path_factory.mktemp("recorded") / "bag", [message(k) for k in range(COUNT)]
-    with talker() as node, Recorder(bag) as recorder:
-        publisher = node.create_publisher(JointState, "/joint_states", COUNT)
+    with Ros() as ros, Recorder(bag) as recorder:
+        publisher = ros.add(Node("talker", context=ros.context)).create_publisher(JointState, "/joint_states", COUNT)
         matched(recorder, publisher)
         for data in sent:
             publisher.publish(data)

@@ -12,8 +12,7 @@ import pytest
 from fjr_core.config.scenario import load_scenario
 from fjr_core.runtime.events import State
 from system.executables import scenario
-from system.recorded import Recorded, messages, record, recorded_run
-from system.shared_runs import DURATION, shared_run
+from system.shared_runs import DURATION, Recorded, messages, record, recorded_run, shared_run
 from tracking.tracked import Loop
 
 pytestmark = pytest.mark.system

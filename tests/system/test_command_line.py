@@ -7,15 +7,12 @@ import os
 import re
 import subprocess
 import sys
-from xml.etree import ElementTree
 
 import click
 import pytest
 
 from fjr_bringup.cli.app import GROUPS, fjr, main
-from fjr_core.config.scenario import load_scenario
 from fjr_msgs_py.console.ending import Exit
-from system.executables import fjr_here, scenario
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
@@ -97,10 +94,3 @@ def test_the_shell_completes_commands_scenarios_and_parameters(
         with pytest.raises(SystemExit):
             main(line.split()[1:])
         assert capsys.readouterr().out == f"plain,{expected}\n"
-
-
-def test_a_description_has_the_joints_and_parameters_of_the_scenario() -> None:
-    for name in ("paper_k31", "arm7"):
-        robot = ElementTree.fromstring(fjr_here("description", name))
-        assert set(load_scenario(scenario(name)).joints) <= {joint.get("name") for joint in robot.iter("joint")}
-    assert '<mass value="2.5"' in fjr_here("description", "two_link", "--set", "robot.link_mass:=[2.5, 0.8]")

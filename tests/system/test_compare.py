@@ -28,8 +28,7 @@ from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
-from system.documented import documented_keys
-from system.executables import Start, fjr_here, is_alive, wait_for
+from system.executables import Start, documented_keys, fjr_here, is_alive, wait_for
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
@@ -182,14 +181,7 @@ def test_the_page_draws_everything_and_states_the_findings(
     folder: Path, found: dict[str, Any], browser: Browser
 ) -> None:
     page = folder / "runs" / "compare_mine" / "comparison.html"
-    browser.open(page, dark=True)
-    browser.is_sound()
-    browser.open(page)
-    browser.is_sound()
-    assert browser.figures() == PLOTS
-    browser.size(390, 800)
-    browser.settle()
-    browser.is_sound()
+    browser.draws(page, PLOTS)
     text = browser.value("document.body.innerText")
     assert extent(found)[:-1] in text
     assert "not a ranking" in text
@@ -370,14 +362,12 @@ MISSPELT = {"x": {"reference.frequenzy": [1.0]}}
 @pytest.mark.parametrize(
     ("robot", "tune", "words"),
     [
-        ({"scenario": "paper_k99"}, {}, "unknown scenario 'paper_k99'"),
         ({**PAPER, "references": MISSPELT}, {}, "did you mean 'reference.freq"),
         ({"scenario": "late.yaml"}, {}, "robot 'r': the scenario sets imperfections.state_delay; "),
         ({**PAPER, "references": STILL}, {}, "'still' of r: the reference is at rest"),
         (PAPER, {"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of stiffness"),
         (PAPER, {"imperfections": {"wind": 1.0}}, "unknown imperfection 'wind'"),
         (PAPER, {"success": 2.0}, "'success' is 2.0; expected 0 to 1"),
-        (PAPER, {"draws": 0}, "'tune' has 0 as 'draws'; expected 1 to"),
         (PAPER, {"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),
     ],
 )

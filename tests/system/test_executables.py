@@ -97,16 +97,6 @@ def test_a_node_without_messages_has_ordinary_scheduling_no_scipy_and_ends_by_a_
     ended_by(executable, signal.SIGTERM if node == "plant" else signal.SIGINT)
 
 
-def test_realtime_priority_applies_to_the_process_or_its_refusal_is_reported(ros: Ros, start: Start) -> None:
-    peer = Peer(ros)
-    executable = start("controller", "--ros-args", "-p", "realtime_priority:=10")
-    ros.until(lambda: peer.diagnostics, "its first diagnostics")
-    python, seen = os.sched_getscheduler(executable.process.pid), policies(executable.process.pid)
-    said = ended_by(executable, signal.SIGTERM)
-    assert (os.SCHED_FIFO in seen) != ("realtime_priority 10 is refused" in said)
-    assert python != os.SCHED_FIFO
-
-
 def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start: Start) -> None:
     peer = Peer(ros)
     plant = start("plant")

@@ -200,16 +200,3 @@ def test_the_tracking_error_of_seven_joints_is_proven_on_request() -> None:
     assert "not proven: --prove-error tries a proof" in sampled["error bound"]
     assert "not proven" not in proven["error bound"]
     assert proven["error bound"].endswith("; proven")
-
-
-def test_contraction_of_the_sampled_loop_is_proven_on_request() -> None:
-    fast = ("paper_k31", "--set", "reference.frequency:=[20.0]", "--set", "reference.amplitude:=[0.2]")
-    rows = figures(fjr_here("check", *fast, "--prove-sampled", "--delay", "1"))
-    found = re.fullmatch(
-        r"contracts at ([\d.]+) 1/s within ([\d.]+) mrad of the reference, delay up to 1 sample",
-        rows["sampled loop, proven"],
-    )
-    assert found is not None
-    assert float(found[1]) > 10.0
-    assert float(found[2]) > 50.0
-    assert rows["remaining error"].endswith("mrad of a link")

@@ -23,7 +23,7 @@ from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Columns, Shown
 from fjr_msgs_py.scenarios import library
-from system.bags import JOINT_STATE, STORE, in_chunks, rewritten, text_message
+from system.bags import JOINT_STATE, STORE, rewritten, text_message
 from system.executables import fjr_here, scenario
 
 pytestmark = pytest.mark.system
@@ -270,8 +270,10 @@ def received(run: Path, folder: Path, late: float = 0.0) -> Path:
         for topic in OURS
         for k, message in enumerate(bag.topic(topic).messages)
     ]
-    for at, topic, message in sorted(messages, key=lambda each: each[0]):
+    for k, (at, topic, message) in enumerate(sorted(messages, key=lambda each: each[0])):
         writer.write(channels[topic], at, message.publish_time, message.sequence, message.data)
+        if k % 500 == 0:
+            writer.flush()  # a recorder ends its chunks by time, so a fast run has few
     writer.close()
     return folder
 
@@ -328,9 +330,8 @@ def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: P
     assert made["verdict"]["kind"] == "unknown"
 
 
-def test_truncated_bag_is_reported_up_to_its_end(run: Path, tmp_path: Path) -> None:
-    file = in_chunks(next((run / "bag").glob("*.mcap")), tmp_path / "chunks.mcap")
-    torn, content = tmp_path / "torn.mcap", file.read_bytes()
+def test_truncated_bag_is_reported_up_to_its_end(run: Path, in_order: Path, tmp_path: Path) -> None:
+    torn, content = tmp_path / "torn.mcap", next(in_order.glob("*.mcap")).read_bytes()
     torn.write_bytes(content[: content.index(read_bag(run).topic(STATES).messages[600].data)])
     made = report(torn, run, tmp_path)
     assert not made["bag_complete"]
@@ -382,4 +383,3 @@ def test_an_unsuitable_bag_is_refused_with_the_reason(run: Path, tmp_path: Path)
 def test_a_bag_without_a_scenario_asks_for_one(run: Path, tmp_path: Path) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", topics=OURS)
     assert "expected scenario.yaml next to the bag, or --scenario" in fjr_here("report", str(bag), code=2)
-    assert "unknown scenario 'paper_k99'" in fjr_here("report", str(bag), "--scenario", "paper_k99", code=2)

@@ -21,8 +21,7 @@ from fjr_design.studies.sweep import run_part
 from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
-from system.documented import documented_keys
-from system.executables import Start, fjr_here, wait_for
+from system.executables import Start, documented_keys, fjr_here, wait_for
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
@@ -161,10 +160,7 @@ def test_a_sweep_without_matplotlib_names_what_it_leaves_out(
 def test_page_draws_all_plots_and_the_influence_at_any_width(study: Path, browser: Browser) -> None:
     page = study / "report.html"
     assert page.stat().st_size < LARGEST
-    for width, dark in ((400, True), (1280, False)):
-        browser.open(page, width=width, dark=dark)
-        browser.is_sound()
-        assert browser.figures() == FIGURES
+    browser.draws(page, FIGURES)
     shares = "[...document.querySelectorAll('.bar i')].map((bar) => bar.offsetWidth / bar.parentNode.offsetWidth)"
     effects = json.loads((study / "summary.json").read_text())["effects"]
     expected = [share for effect in effects for share in (effect["success"], effect["error"])]

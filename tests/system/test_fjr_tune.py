@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import threading
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +13,9 @@ import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
-from fjr_design.studies.study import open_store, threads
-from fjr_design.studies.sweep_file import Options
-from fjr_design.studies.tune import search
-from fjr_design.studies.tune_run import kept_figures, pareto, planned
-from fjr_msgs_py.console.ending import Exit, Interrupted
-from system.documented import documented_keys
-from system.executables import fjr_here
+from fjr_design.studies.tune_run import pareto
+from fjr_msgs_py.console.ending import Exit
+from system.executables import documented_keys, fjr_here
 
 pytestmark = pytest.mark.system
 STUDY = """
@@ -108,33 +102,6 @@ def test_a_search_that_was_cut_off_ends_with_the_same_result_on_another_number_o
     assert {part: part.stat().st_mtime_ns for part in kept} == kept
     for name in ("table.parquet", "result.json"):
         assert (other / name).read_bytes() == (whole / name).read_bytes()
-
-
-@pytest.mark.full  # test_fjr_sweep.py has a cluster, too
-@pytest.mark.slow
-@pytest.mark.usefixtures("said")
-def test_a_dask_cluster_gives_the_same_search_and_result(folder: Path, study: Path, local_cluster: Any) -> None:
-    address, other = local_cluster.scheduler_address, folder / "cluster"
-    assert "on 2 cores" in fjr_here("tune", str(study), "--scheduler", address, "--output", str(other))
-    for name in ("table.parquet", "result.json"):
-        assert (other / "joint_v_dpbc" / name).read_bytes() == (folder / "joint_v_dpbc" / name).read_bytes()
-
-
-def test_another_study_in_the_folder_is_refused(folder: Path, study: Path, said: str) -> None:
-    refused = fjr_here("tune", str(study), "--seed", "9", "--output", str(folder), code=Exit.FAILED)
-    assert "holds another study (seed is 4, not 9)" in refused
-
-
-def test_a_search_that_is_interrupted_names_its_folder(folder: Path, study: Path, said: str) -> None:
-    numbers = {"candidates": 5, "draws": 4, "fresh": 8}
-    plan = planned(str(study), Options(1, None, folder, {}, {}), None, numbers)
-    stop = threading.Event()
-    place = folder / "stopped"
-    with threads(1) as workers, open_store(place, plan.text, "program") as store:
-        with pytest.raises(Interrupted) as ended:
-            search(plan, partial(kept_figures, plan, store, workers, stop, lambda runs: stop.set()))
-        assert ended.value.kept == place
-        assert 0 < len(list(place.glob("parts/*.parquet"))) < 5
 
 
 def test_a_scenario_is_tuned_for_the_usual_uncertainties_also_with_another_law(folder: Path) -> None:

@@ -269,17 +269,12 @@ def read_sweep(folder: Path, text: str) -> str:
     return answer(lambda: planned(str(path), Options(1, None, folder, {}, {})))
 
 
-@fuzzed(25)
-@given(text=documents(yaml.safe_load(SUITE)))
-def test_suites_with_misplaced_values(folder: Path, text: str) -> None:
-    (folder / "suite.yaml").write_text(text)
-    answer(lambda: suite.load(folder / "suite.yaml"))
-
-
 @fuzzed(30)
-@given(text=documents(yaml.safe_load(SWEEP)))
-def test_sweeps_with_misplaced_values(folder: Path, text: str) -> None:
-    read_sweep(folder, text)
+@given(a_suite=documents(yaml.safe_load(SUITE)), a_sweep=documents(yaml.safe_load(SWEEP)))
+def test_suites_and_sweeps_with_misplaced_values(folder: Path, a_suite: str, a_sweep: str) -> None:
+    (folder / "suite.yaml").write_text(a_suite)
+    answer(lambda: suite.load(folder / "suite.yaml"))
+    read_sweep(folder, a_sweep)
 
 
 @pytest.mark.parametrize("name", ["x" * 5000, "a/" * 3000, "..", "/dev/zero", ""])

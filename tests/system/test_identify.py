@@ -15,13 +15,14 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import ParameterError
 from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
+from fjr_identification import excitation
 from fjr_identification.cli.identify import unconfirmed
 from fjr_identification.estimation.validation import HoldOut
 from fjr_identification.page import autocorrelation, groups
 from fjr_identification.robot_file import IdentifiedRobot, nominal_robot
 from fjr_msgs_py.console.ending import Exit
 from system.browser import Browser
-from system.executables import fjr_here
+from system.executables import fjr_here, scenario
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
@@ -128,10 +129,7 @@ def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.Ca
 
 def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser) -> None:
     kinds = ("fit-0", "residual-q_l", "residual-q_m", "autocorrelation-q_l", "autocorrelation-q_m")
-    for width, dark in ((400, True), (1280, False)):
-        browser.open(folder / "identification.html", width=width, dark=dark)
-        browser.is_sound()
-        assert browser.figures() == [f"record-0-{kind}" for kind in kinds]
+    browser.draws(folder / "identification.html", [f"record-0-{kind}" for kind in kinds])
     assert browser.value("document.querySelectorAll('.interval i').length") == 10
 
 
@@ -242,3 +240,56 @@ def test_a_sweep_draws_from_the_posterior_next_to_it(posterior: Path, tmp_path: 
     shown = fjr_here("sweep", f"{study}", "--output", f"{tmp_path / 'sweeps'}")
     assert "20 runs succeed" in shown or "of 20 succeed" in shown
     assert "stiffness.joint1" in shown
+
+
+# The motion that `fjr excite` writes, which the controller can follow within its limits.
+
+
+DURATION = 3.0
+
+
+@pytest.fixture
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(excitation, "STARTS", 1)
+    monkeypatch.setattr(excitation, "STEPS", 25)
+
+
+@pytest.mark.usefixtures("short_search")
+def test_the_written_scenario_follows_its_motion_from_rest(tmp_path: Path) -> None:
+    target = tmp_path / "moves.yaml"
+    shown = fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", "--json")
+    values, _ = json.JSONDecoder().raw_decode(shown)
+    assert values["scenario_file"] == str(target)
+    narrower = np.divide(*(values[f"relative_half_width{end}"]["joint_stiffness"] for end in ("_before", "")))
+    assert np.all(narrower > 1)
+    loop = load_scenario(target)
+    run = loop.simulate(DURATION)
+    n = loop.robot.n
+    assert np.abs(run.x[:, :n] - run.jets[:, 0]).max() < 2e-3
+    assert np.abs(run.jets[0, 1:]).max() < 1e-6
+    assert np.abs(run.jets[:, 0] - run.jets[0, 0]).max() > 0.1
+
+
+@pytest.mark.usefixtures("short_search")
+def test_a_robot_file_gets_gains(tmp_path: Path) -> None:
+    robot, target = Path(scenario("two_link")).parents[1] / "robots" / "paper_joint.yaml", tmp_path / "moves.yaml"
+    fjr_here("excite", f"{robot}", "--duration", f"{DURATION}", "--output", f"{target}")
+    assert "stable" in fjr_here("check", f"{target}")
+
+
+TABLE = ("torsion_deflection:=[0.05, 0.05, 0.1, 0.1]", "torsion_torque:=[2.5, 2.0, 8.0, 6.0]")
+
+
+@pytest.mark.usefixtures("short_search")
+@pytest.mark.parametrize("curve", [("cubic_stiffness:=[4.0e3, 2.5e3]",), TABLE], ids=["cubic", "table"])
+def test_the_motion_of_springs_with_a_curve_keeps_their_limits(tmp_path: Path, curve: tuple[str, ...]) -> None:
+    target = tmp_path / "moves.yaml"
+    given = *(f"robot.{each}" for each in curve), "limits.deflection:=[0.1, 0.06]"
+    sets = [part for each in given for part in ("--set", each)]
+    fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", *sets)
+    loop = load_scenario(target)
+    assert loop.robot.curve
+    run = loop.simulate(DURATION)
+    zeta = np.abs(run.x[:, 2:4] - run.x[:, :2]).max(axis=0)
+    assert np.all(zeta <= [0.1, 0.06])
+    assert np.abs(run.x[:, :2] - run.jets[:, 0]).max() < 2e-3

@@ -22,8 +22,7 @@ from fjr_core.config.controller import controller_parameters
 from fjr_core.config.nodes import all_parameters
 from fjr_core.config.plant import plant_parameters
 from nodes.harness import Listener, Ros
-from system.recorded import messages
-from system.shared_runs import shared_run
+from system.shared_runs import messages, shared_run
 
 pytestmark = pytest.mark.system
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnosis is right on every bag of the labelled set and on bags of the real nodes."""
+"""The diagnosis is right on every bag of the labelled set and of the real nodes, findings on a part of the faults."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,9 +12,10 @@ from typing import Any
 import pytest
 
 from bench.figures import placed
+from diagnosis_benchmark import faults
 from diagnosis_benchmark.bags import read_record
 from diagnosis_benchmark.cases import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases
-from diagnosis_benchmark.tables import NAMES, diagnosed, diagnosed_cause, right, table
+from diagnosis_benchmark.tables import KINDS, NAMES, diagnosed, diagnosed_cause, outcome, right, table
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_msgs_py.console.ending import Exit
@@ -72,3 +74,43 @@ def test_diagnosis_of_bags_of_the_real_nodes(assignment: str, wanted: str, tmp_p
     scenario = load_scenario(tmp_path / "paper_k31" / "scenario.yaml")
     verdict = diagnose(read_record(tmp_path / "paper_k31" / "bag", scenario), scenario.tracking_law)
     assert diagnosed_cause(verdict) == wanted, verdict
+
+
+# Labelled faults; that wrong wiring stops the controller before the arm moves far: test_wiring_faults.py.
+
+
+FAULTY = faults.cases(faults.VALIDATION_SEED)
+SEVERAL = [case for case in FAULTY if case.scenario == "two_link" and case.kind in faults.FAULTS][2::6]
+SEVERAL += [case for case in FAULTY if case.scenario == "two_link" and case.kind in faults.WIRING][2::3]
+
+
+def test_the_set_of_faults_has_every_fault_in_three_sizes_and_the_page_the_required_shares() -> None:
+    assert len({*faults.FAULTS, *faults.WIRING}) >= 12
+    assert len(FAULTY) >= 48
+    for kind in faults.FAULTS:
+        for robot in ("paper_k31", "two_link", "arm7"):
+            sizes = [case.size for case in FAULTY if (case.kind, case.scenario) == (kind, robot)]
+            assert len(sizes) == 3
+            assert sizes == sorted(set(sizes))
+    assert sum(case.kind == faults.HEALTHY for case in FAULTY) >= 12
+    assert faults.VALIDATION_SEED not in faults.TUNING_SEEDS
+    page = placed("diagnosis.md", "faults")
+    rows = [line for line in page.splitlines() if line.startswith("| ")][2 : 2 + len(KINDS)]
+    assert sum(int(cell) for row in rows for cell in row.split("|")[2:-2] if cell.strip()) == len(FAULTY)
+    assert all(row.split("|")[-2].strip() != "0/0" for row in rows)
+    kind, joint = map(float, re.findall(r"kind right in ([\d.]+) % alone, .* joint in ([\d.]+) %", page)[0])
+    assert kind >= 90
+    assert joint >= 95
+
+
+@pytest.mark.parametrize("case", SEVERAL, ids=lambda case: case.name)
+def test_kind_and_joint_of_the_largest_faults_are_right(case: Case) -> None:
+    result = outcome(case)
+    assert (result.found, result.joint) == (case.kind, True)
+
+
+@pytest.mark.parametrize(
+    "case", [case for case in FAULTY if case.kind == faults.HEALTHY][1:9:3], ids=lambda case: case.name
+)
+def test_healthy_runs_have_no_finding(case: Case) -> None:
+    assert outcome(case).found == faults.HEALTHY

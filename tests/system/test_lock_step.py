@@ -11,17 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
 from fjr_plant.lock_step import START
-from nodes.harness import Ros, nanoseconds
+from nodes.harness import Listener, Ros, nanoseconds
 from nodes.plants import PERIOD
 from system.executables import Start, wait_for
-from system.recorded import is_complete, messages, record
-from system.shared_runs import shared_run
+from system.shared_runs import is_complete, messages, record, shared_run
 
 pytestmark = pytest.mark.system
 
@@ -84,38 +80,25 @@ ARMS = ("left", "right")
 """Two arms in one ROS domain, each with a separate clock."""
 
 
-class Observer(Node):
-    """Record the different times of some clocks [ns] and the names and hardware ids of all reports."""
-
-    def __init__(self, ros: Ros, *topics: str) -> None:
-        super().__init__("observer", context=ros.context)
-        ros.add(self)
-        self.times: dict[str, list[int]] = {topic: [] for topic in topics}
-        self.parts: set[tuple[str, str]] = set()
-        deep = QoSProfile(depth=5000)
-        for topic, times in self.times.items():
-            self.create_subscription(Clock, topic, lambda m, times=times: self._on_clock(m, times), deep)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, deep)
-
-    def _on_clock(self, message: Clock, times: list[int]) -> None:
-        now = message.clock.sec * 10**9 + message.clock.nanosec
-        if [now] != times[-1:]:
-            times.append(now)
-
-    def _on_report(self, message: DiagnosticArray) -> None:
-        self.parts |= {(status.name, status.hardware_id) for status in message.status}
-
-
 def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
-    observer = Observer(ros, *(f"/{arm}/clock" for arm in ARMS))
+    observer, clocks = Listener(ros, only=("diagnostics",)), {arm: [] for arm in ARMS}
+    for arm, heard in clocks.items():
+        observer.create_subscription(Clock, f"/{arm}/clock", heard.append, 5000)
     for arm in ARMS:
         for node, timed in (("plant", "lockstep:=true"), ("controller", "use_sim_time:=true")):
             start(node, "--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, "-r", f"/clock:=/{arm}/clock")
-    ros.until(lambda: all(len(times) > 300 for times in observer.times.values()), "both clocks")
-    for times in observer.times.values():
-        assert times == sorted(times)
+
+    def times(arm: str) -> list[tuple[int, int]]:
+        return [(message.clock.sec, message.clock.nanosec) for message in clocks[arm]]
+
+    ros.until(lambda: all(len(set(times(arm))) > 300 for arm in ARMS), "both clocks")
+    assert all(times(arm) == sorted(times(arm)) for arm in ARMS)
     assert observer.count_publishers("/clock") == 0
     parts = ("fjr_plant", "fjr_controller", "fjr_controller: certificate")
     expected = {(f"{arm}/{part}", f"{arm}/single_link") for arm in ARMS for part in parts}
-    ros.until(lambda: len(observer.parts) >= len(expected), "the reports of both arms")
-    assert observer.parts == expected
+
+    def parts() -> set[tuple[str, str]]:
+        return {(each.name, each.hardware_id) for message in observer.diagnostics for each in message.status}
+
+    ros.until(lambda: len(parts()) >= len(expected), "the reports of both arms")
+    assert parts() == expected

@@ -21,8 +21,7 @@ from fjr_monitor.recording.topics import due
 from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
 from system.bags import JOINT_STATE, STORE, joint_state, text_message
-from system.documented import documented_keys
-from system.executables import Start, fjr_here, wait_for
+from system.executables import Start, documented_keys, fjr_here, wait_for
 
 pytestmark = pytest.mark.system
 STATES, EFFORTS, MODEL = "/left/joint_states", "/left/joint_commands", "/left/robot_description"

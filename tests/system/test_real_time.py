@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -19,10 +18,11 @@ import pytest
 
 from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
-from nodes.harness import Listener, Ros, seconds
-from system.documented import documented_keys
-from system.executables import NODES, SLOW, fjr, fjr_here, running, scenario
+from fjr_monitor.recording.bag import read_bag
+from nodes.harness import Listener, Ros, nanoseconds, seconds
+from system.executables import NODES, PROGRAMS, SLOW, documented_keys, fjr, fjr_here, running, scenario, wait_for
 from system.network import Network, RefusedError
+from system.shared_runs import Recorded, messages, recorded_run
 from system.test_running_nodes import MOTION, T, holding, motion_file
 from time_limits import HANG
 
@@ -31,7 +31,7 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 SECONDS = 3.0  # of stamped time
 AUXILIARY_RATE = 100  # Hz, of the topics for observers in real time
 SETTLED = 2.0  # s; the initial error of 0.5 rad has decayed by then
-WATCH = str(Path(__file__).with_name("watch.py"))
+RECORDED = ("/joint_states", "/joint_commands", "/fjr_controller/reference")
 
 
 @pytest.fixture
@@ -46,39 +46,47 @@ def network(monkeypatch) -> Iterator[Network]:
         pytest.skip(f"no network namespaces here: {why}")
 
 
-def run(network: Network) -> tuple[dict[str, np.ndarray], float]:
-    """Run plant and watcher on the left and the controller on the right; return what was seen and the last error."""
+def run(network: Network, folder: Path) -> tuple[Recorded, float]:
+    """Run plant and recorder on the left, the controller on the right; return what was recorded and the last error."""
     node = {
         name: [str(executable(*NODES[name])), "--ros-args", "--params-file", scenario("paper_k31")] for name in NODES
     }
-    watch = network.start(network.left, sys.executable, WATCH, str(SECONDS), out=subprocess.PIPE)
-    nodes = [network.start(network.left, *node["plant"]), network.start(network.right, *node["controller"])]
-    said = watch.communicate(timeout=HANG)[0]
-    assert watch.returncode == 0, network.words()
-    for process in reversed(nodes):
+    recorder = str(executable(*PROGRAMS["fjr"])), "record", *RECORDED, "--output", str(folder / "bag"), "--force"
+    processes = [network.start(network.left, *command) for command in (recorder, node["plant"])]
+    processes.append(network.start(network.right, *node["controller"]))
+
+    def recorded() -> bool:
+        """Return whether the bag has SECONDS of references."""
+        assert all(process.poll() is None for process in processes), network.words()
+        topic = read_bag(folder / "bag").topics.get(RECORDED[-1]) if any((folder / "bag").glob("*.mcap")) else None
+        return topic is not None and topic.last - topic.first > SECONDS * 1e9
+
+    wait_for(recorded, "the motion")
+    for process in reversed(processes):
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=HANG) == 0, network.words()
-    seen = {name: np.array(values) for name, values in json.loads(said).items()}
-    assert np.isfinite(seen["efforts"]).all()
-    return seen, float(np.max(seen["error"][seen["time"] > SETTLED]))
+    seen = recorded_run(folder, "")
+    assert np.isfinite(seen.u).all()
+    return seen, float(np.max(seen.error[seen.t > SETTLED]))
 
 
-def test_demo_runs_unchanged_between_two_network_namespaces(network: Network) -> None:
-    seen, worst = run(network)
-    assert len(seen["time"]) >= 0.5 * SECONDS * AUXILIARY_RATE
-    assert np.median(np.diff(seen["states"])) == pytest.approx(1e6, rel=0.01)  # 1 kHz
+def test_demo_runs_unchanged_between_two_network_namespaces(network: Network, tmp_path: Path) -> None:
+    seen, worst = run(network, tmp_path)
+    assert len(seen.t) >= 0.5 * SECONDS * AUXILIARY_RATE
+    states = [nanoseconds(message) for _, message in messages(tmp_path, "/joint_states")]
+    assert np.median(np.diff(states)) == pytest.approx(1e6, rel=0.01)  # 1 kHz
     packets = min(network.sent(network.left), network.sent(network.right))
-    assert packets >= len(seen["states"])  # states and efforts cross the network, not shared memory
+    assert packets >= len(states)  # states and efforts cross the network, not shared memory
     assert worst <= 2e-3
 
 
-def test_tracks_with_loss_and_delay_of_packets_in_the_network(network: Network) -> None:
+def test_tracks_with_loss_and_delay_of_packets_in_the_network(network: Network, tmp_path: Path) -> None:
     """The kernel loses 5 % of the packets and delays them by 1 ms in both directions."""
     try:
         network.impair("1ms", "5%")
     except RefusedError as why:
         pytest.skip(f"no `tc netem` here: {why}")
-    assert run(network)[1] <= 0.05
+    assert run(network, tmp_path)[1] <= 0.05
 
 
 WATCHED = {**SLOW, "controller": (*SLOW["controller"], "-p", "auxiliary_rate:=0.0")}

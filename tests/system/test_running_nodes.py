@@ -20,8 +20,7 @@ from fjr_bringup import clients
 from fjr_bringup.clients import PlantClient
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros
-from system.documented import documented_keys
-from system.executables import SLOW, TIME_LIMIT, Start, fjr_here, running, wait_for
+from system.executables import SLOW, TIME_LIMIT, Start, documented_keys, fjr_here, running, wait_for
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -143,11 +142,7 @@ WRONG = {
     f"set {PLANT} imperfections.state_loss lots": (2, "imperfections.state_loss is lots; expected a number"),
     f"set {PLANT} imperfections.motor_coulomb_friction 0.1": (2, "expected a list of numbers, e.g. [0.5]"),
     "call /nobody/hold --timeout 0.3": (1, "no node offers the service /nobody/"),
-    "set /nobody a 1 --timeout 0.3": (1, "no node offers the service /nobody/"),
-    "lifecycle /nobody --timeout 0.3": (1, "no node offers the service /nobody/"),
     "call '/a b/hold'": (2, "'/a b"),
-    "set '/a b' a 1": (2, "'/a b"),
-    "lifecycle '/a b'": (2, "'/a b"),
 }
 
 

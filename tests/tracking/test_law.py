@@ -20,8 +20,8 @@ from tracking.tracked import LAW, MS, PERIOD, SINE, Loop, last_effort, sample, s
 ROBUST = Robust(residual_gain=60.0, motor_residual_gain=20.0, integral_gain=4.0, delay=1e-3)
 
 
-def tracker(robust: Robust = ROBUST, **given: Any) -> ControlStep:
-    return ControlStep(LAW, SINE, settings(**given), robust=robust)
+def tracker(**given: Any) -> ControlStep:
+    return ControlStep(LAW, SINE, settings(**given), robust=ROBUST)
 
 
 def controller_state(of: ControlStep) -> np.ndarray:

@@ -147,24 +147,6 @@ def test_nothing_is_limited_by_default() -> None:
     assert made.joints == ("joint1",)
 
 
-def test_every_parameter_reaches_the_settings() -> None:
-    for parameter in safety_parameters(1):
-        if isinstance(parameter.default, tuple):
-            value = -1.5 if parameter.name.endswith("lower") else 1.5
-            made = built(**{parameter.name: (value,)})
-            assert getattr(made, parameter.name.removeprefix("limits.")) == [value]
-    made = built(
-        on_stop="gravity_hold",
-        state_timeout=0.2,
-        start__ramp_time=0.3,
-        start__join_time=0.4,
-        recovery__join_time=0.5,
-        hold__deceleration=0.6,
-    )
-    times = (made.state_timeout, made.ramp_time, made.start_join_time, made.recovery_join_time, made.hold_deceleration)
-    assert (made.on_stop, *times) == ("gravity_hold", 0.2, 0.3, 0.4, 0.5, 0.6)
-
-
 def limited_robot() -> fjr.Robot:
     limits = fjr.JointLimits(np.array([-1.0]), np.array([INF]), np.array([3.0]), np.array([20.0]))
     return replace(fjr.single_link(), limits=limits)
