@@ -94,16 +94,6 @@ def planar_arm() -> tuple[fjr.Robot, fjr.Gains, fjr.Sine]:
     return robot, gains, fjr.Sine((0.8, 0.6), (1.0, 1.7), offset=(0.2, -0.1), phase=(0.0, 0.5))
 
 
-def test_planar_arm_tracks_in_continuous_time_within_its_bound() -> None:
-    robot, gains, reference = planar_arm()
-    law = fjr.TrackingLaw(robot, gains)
-    run = fjr.simulate(fjr.Plant(robot), law, reference, robot.state([0.5, 0], [0.5, 0], [0, 0], [0, 0]), 3.0)
-    beta = law.rate().beta
-    assert beta > 4
-    assert np.max(run.V / run.V[0] - np.exp(-2 * beta * run.t)) <= 1e-18
-    assert np.max(np.abs(run.x[-1, :2] - run.jets[-1, 0])) < 1e-8
-
-
 @pytest.mark.parametrize("samples", [0.0, 1e-9, 0.25, 1.0, 2.6])
 def test_delayed_effort_acts_after_the_delay(samples: float) -> None:
     """The oracle is an independent integrator that switches efforts at t_k + delay, from zero effort."""

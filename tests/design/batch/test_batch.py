@@ -196,12 +196,6 @@ def test_diverging_run_ends_and_the_others_continue() -> None:
     assert result.rms[0] == result.rms[2]
 
 
-@pytest.mark.parametrize("runs", [1, 2, 3, 4])
-def test_single_payload_position_applies_to_all_runs(runs: int) -> None:
-    found = Draws(runs, payload_position=(0.1, 0.2, 0.3)).columns("payload_position", 1)
-    assert np.array_equal(found, np.tile([0.1, 0.2, 0.3], (runs, 1)))
-
-
 @pytest.mark.parametrize(
     ("values", "words"),
     [

@@ -122,7 +122,8 @@ def test_payload_position_does_not_depend_on_the_partition() -> None:
     assert np.array_equal(plan.draws(3, 6).columns("payload_position", 1), drawn[3:])
     assert len(set(drawn[:, 0])) == 6
     fixed = sweep_of(vary={"payload_mass": {"uniform": [0.1, 0.2]}, "payload_position": [0.1, 0.2, 0.3]})
-    assert fixed.draws(0, 3).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * 3
+    for runs in (1, 2, 3, 4):
+        assert fixed.draws(0, runs).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * runs
 
 
 def test_study_round_trips_through_text() -> None:
