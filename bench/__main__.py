@@ -15,7 +15,6 @@ import casadi
 import mujoco
 import numpy
 import pinocchio
-from tqdm import tqdm
 
 from bench import (
     build,
@@ -83,17 +82,12 @@ def main() -> int:
 
 
 def measured(wanted: Sequence[str], quick: bool) -> list[Figure]:
-    """Return the figures of these benchmarks; show a progress bar on a terminal, plain lines elsewhere."""
+    """Return the figures of these benchmarks; say on stderr which one runs."""
     figures: list[Figure] = []
-    terminal = sys.stderr.isatty()
-    with tqdm(total=len(wanted), disable=not terminal, bar_format="{desc:16} |{bar}| {n}/{total} {elapsed}") as bar:
-        for name in wanted:
-            if not terminal:
-                print(f"bench: {name}", file=sys.stderr, flush=True)
-            bar.set_description(name)
-            measure, trial = (USUAL | LONG)[name]
-            figures += measure(**(trial if quick else {}))
-            bar.update()
+    for number, name in enumerate(wanted, start=1):
+        print(f"bench: [{number}/{len(wanted)}] {name}", file=sys.stderr, flush=True)
+        measure, trial = (USUAL | LONG)[name]
+        figures += measure(**(trial if quick else {}))
     return figures
 
 

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -13,8 +12,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from fjr_core import Plant, TrackingLaw
 from fjr_core.config.scenario import Scenario
+from fjr_core.model.rigid_arm import ArmDynamics
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import symbolic
 from fjr_core.numerics.checks import Array
@@ -30,41 +29,23 @@ OFF = (
 """Features of MuJoCo that eq. (36) does not need."""
 
 
-@dataclass(frozen=True)
-class Arm:
-    """The arm of a scenario with compiled law and plant; model: Pinocchio's, of the same URDF."""
-
-    scenario: Scenario
-    model: Any
-
-    @property
-    def robot(self) -> Robot:
-        """The flexible-joint robot."""
-        return self.scenario.robot
-
-    @cached_property
-    def law(self) -> TrackingLaw:
-        """The compiled law of the scenario."""
-        return TrackingLaw(self.robot, self.scenario.gains, compile=True)
-
-    @cached_property
-    def plant(self) -> Plant:
-        """The compiled plant of the scenario."""
-        return Plant(self.robot, "rk4", compile=True)
-
-    @cached_property
-    def forward_dynamics(self) -> ca.Function:
-        """Rigid forward dynamics (q, dq, tau) -> ddq = M^-1 (tau - C dq - grad P)."""
-        links = self.robot.links
-        q, dq, tau = (ca.SX.sym(name, links.n) for name in ("q", "dq", "tau"))
-        ddq = symbolic.solve(links.M_l(q), tau - links.C(q, dq, dq) - links.grad_P_l(q))
-        return ca.Function("forward_dynamics", [q, dq, tau], [ca.densify(ddq)], {"cse": True})
+@cache
+def arm7() -> Scenario:
+    """Return the scenario `arm7`, whose law and plant are compiled."""
+    return library.load("arm7")
 
 
 @cache
-def arm7() -> Arm:
-    """Return the arm of the scenario `arm7`; its joints are those of its URDF, in the same order."""
-    return Arm(library.load("arm7"), pin.buildModelFromUrdf(str(URDF)))
+def rigid_arm7() -> Any:
+    """Return Pinocchio's model of `arm7`; its joints are those of its URDF, in the same order."""
+    return pin.buildModelFromUrdf(str(URDF))
+
+
+def forward_dynamics(links: ArmDynamics) -> ca.Function:
+    """Return the rigid forward dynamics (q, dq, tau) -> ddq = M^-1 (tau - C dq - grad P)."""
+    q, dq, tau = (ca.SX.sym(name, links.n) for name in ("q", "dq", "tau"))
+    ddq = symbolic.solve(links.M_l(q), tau - links.C(q, dq, dq) - links.grad_P_l(q))
+    return ca.Function("forward_dynamics", [q, dq, tau], [ca.densify(ddq)], {"cse": True})
 
 
 def random_motion(n: int, seed: int) -> tuple[Array, Array, Array]:

@@ -29,7 +29,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -37,7 +37,7 @@ from bench.figures import Figure
 from bench.latency import at_rest
 from bench.machine import watched
 from bench.nodes import controller, plant, process, running, scenario_file
-from bench.tap import Heard, Tap
+from bench.tap import Heard, Tap, waiting
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.trajectories import trajectory_message
 from fjr_msgs_py.node.participant import own_node
@@ -93,7 +93,7 @@ def _send(tap: Tap, heard: Heard) -> None:
     """Send the trajectory; return once it is the reference, or if the arm has stopped."""
     events = tap.node.create_subscription(DiagnosticStatus, EVENTS, lambda _: None, 100)
     publisher = tap.node.create_publisher(JointTrajectory, TRAJECTORY, 1)
-    reference = tap.node.create_subscription(JointState, REFERENCE, lambda _: None, 1, raw=True)
+    reference = tap.node.create_subscription(JointState, REFERENCE, lambda _: None, 1)
     subscribed = f"a subscription to {TRAJECTORY}"
     heard.until(lambda: publisher.get_subscription_count() and events.get_publisher_count(), LONGEST, subscribed)
     publisher.publish(_trajectory())
@@ -101,15 +101,13 @@ def _send(tap: Tap, heard: Heard) -> None:
 
     def followed() -> bool:
         """Return whether the arm moves to the first point, or has stopped, which a long gap may do."""
-        while (taken := events.handle.take_message(DiagnosticStatus, False)) is not None:
-            if taken[0].name.startswith("trajectory refused"):
-                if "stopped" not in taken[0].message:
-                    raise RuntimeError(f"{taken[0].message}; expected it to be followed")
+        for event, _ in waiting(events, DiagnosticStatus):
+            if event.name.startswith("trajectory refused"):
+                if "stopped" not in event.message:
+                    raise RuntimeError(f"{event.message}; expected it to be followed")
                 return True
-        position = -np.inf
-        while (taken := reference.handle.take_message(JointState, True)) is not None:
-            position = deserialize_message(taken[0], JointState).position[0]
-        return position >= arrived
+        moved = [message.position[0] >= arrived for message, _ in waiting(reference, JointState)]
+        return any(moved[-1:])
 
     heard.until(followed, LONGEST, "the trajectory to be the reference")
 

@@ -186,7 +186,7 @@ def against_mujoco(records: int = 20, of_seven: int = 2) -> list[Figure]:
     """Compare on records of the paper's joint, and on records of the seven-joint arm."""
     joint, arm = library.load("paper_k31"), arm7()
     single = [case_of(joint, 1.0, seed) for seed in range(records)]
-    seven = [case_of(arm.scenario, DURATION, seed) for seed in range(of_seven)]
+    seven = [case_of(arm, DURATION, seed) for seed in range(of_seven)]
     found = figures(f"one joint, {records} records of 1 s", single)
     pieces = round(DURATION / PIECE)
     return found + (figures(f"seven joints, {of_seven} records of {DURATION:g} s", seven, pieces) if seven else [])

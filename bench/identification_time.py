@@ -92,7 +92,7 @@ def _true(name: str) -> Array:
 
 def _inside(estimates: list[dict[str, Any]]) -> list[bool]:
     """Return for each estimate whether its interval contains the truth; the arm has no friction that turns over."""
-    joints = arm7().scenario.joints
+    joints = arm7().joints
     return [
         bool(each["low"] <= _true(each["name"])[joints.index(each["joint"])] <= each["high"])
         for each in estimates

@@ -35,7 +35,7 @@ Times = dict[str, list[list[float]]]
 
 def over_echo(rounds: int = ROUNDS) -> list[Figure]:
     """Compare median and 99th percentile of both hosts with the bare node, round by round; the arm is at rest."""
-    with scenario_file(at_rest(arm7().scenario)) as file:
+    with scenario_file(at_rest(arm7())) as file:
         nodes = (
             controller(file, "-r", f"__ns:=/{NATIVE}", "-p", "executor:=native"),
             controller(file, "-r", f"__ns:=/{RCLPY}", "-p", "executor:=events"),
@@ -51,7 +51,7 @@ def over_echo(rounds: int = ROUNDS) -> list[Figure]:
 
 def with_certificate(rounds: int = ROUNDS) -> list[Figure]:
     """Compare a controller with and without the certificate, round by round; the arm rests at its reference."""
-    still = at_rest(arm7().scenario)
+    still = at_rest(arm7())
     with scenario_file(still) as file, scenario_file({**still, "certificate": False}) as plain:
         nodes = (controller(file, "-r", f"__ns:=/{WITH}"), controller(plain, "-r", f"__ns:=/{WITHOUT}"))
         times = latencies(rounds, (WITH, WITHOUT), nodes)
@@ -68,7 +68,7 @@ def at_rest(scenario: Scenario) -> dict[str, Any]:
 
 def latencies(rounds: int, sides: tuple[str, ...], nodes: Sequence[Sequence[str]]) -> Times:
     """Run the nodes of both sides (namespaces) with the driver, which sends the reference as state."""
-    position = np.tile(arm7().scenario.reference.jets(0.0)[0], 2).tolist()
+    position = np.tile(arm7().reference.jets(0.0)[0], 2).tolist()
     given = {"rounds": rounds, "sides": f"[{', '.join(sides)}]", "position": position, "realtime_priority": PRIORITY}
     arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
     driver = (sys.executable, "-m", "bench.driver", "--ros-args", *arguments)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bench.figures import Figure
 from bench.nodes import controller, plant, process, scenario_file
-from bench.tap import DEPTH, Heard, Tap
+from bench.tap import DEPTH, Heard, Tap, waiting
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.events import STOPS
 from fjr_msgs_py import names
@@ -102,9 +102,7 @@ def _outcome(robot: str, paused: tuple[str, ...], at: float, lost: float) -> Out
         count = len(heard.seen[1])
         heard.until(lambda: len(heard.seen[1]) > count, LIMIT, "a command of a running controller")
         heard.collect(AFTER)
-        stopped = False
-        while (taken := events.handle.take_message(DiagnosticStatus, False)) is not None:
-            stopped |= taken[0].name == STOPS
+        stopped = STOPS in [event.name for event, _ in waiting(events, DiagnosticStatus)]
     left, peak, old = _judged(robot, heard, begin, woken)
     return Outcome(robot, "+".join(paused) or "killed", lost, at, stopped, left, peak / own, old)
 

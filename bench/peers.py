@@ -11,10 +11,11 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from bench.arm import Arm, arm7, mujoco_spec, random_motion
+from bench.arm import arm7, forward_dynamics, mujoco_spec, random_motion, rigid_arm7
 from bench.figures import Figure
 from bench.measure import Call, in_turns, microseconds, one_core, ratio
 from fjr_core import PAPER_GAINS, TrackingLaw, simulate, single_link
+from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
 from fjr_core.numerics.symbolic import bind
@@ -29,12 +30,13 @@ def law_over_rnea() -> list[Figure]:
     """Compare u(x, x, t) of the law with inverse dynamics, also through the public methods."""
     arm = arm7()
     q, dq, ddq = random_motion(arm.robot.n, seed=1)
-    x, jets = arm.robot.state(q, q + 0.01, dq, dq), arm.scenario.reference.jets(0.3)
+    x, jets = arm.robot.state(q, q + 0.01, dq, dq), arm.reference.jets(0.3)
+    law, model = arm.tracking_law, rigid_arm7()
     calls: dict[str, Call] = {
-        "law": _bound(arm.law.command_function, x, jets),
-        "pin.rnea": partial(pin.rnea, arm.model, arm.model.createData(), q, dq, ddq),
-        "law.command": partial(arm.law.command, x, jets),
-        "law.effort": partial(arm.law.effort, x, x, jets),
+        "law": _bound(law.command_function, x, jets),
+        "pin.rnea": partial(pin.rnea, model, model.createData(), q, dq, ddq),
+        "law.command": partial(law.command, x, jets),
+        "law.effort": partial(law.effort, x, x, jets),
     }
     times = in_turns(calls)
     parts = microseconds(times)
@@ -55,9 +57,10 @@ def forward_dynamics_over_aba() -> list[Figure]:
     """Compare the forward dynamics of the rigid arm."""
     arm = arm7()
     q, dq, tau = random_motion(arm.robot.n, seed=2)
+    model = rigid_arm7()
     calls: dict[str, Call] = {
-        "forward dynamics": _bound(compiled(arm.forward_dynamics), q, dq, tau),
-        "pin.aba": partial(pin.aba, arm.model, arm.model.createData(), q, dq, tau),
+        "forward dynamics": _bound(compiled(forward_dynamics(arm.robot.links)), q, dq, tau),
+        "pin.aba": partial(pin.aba, model, model.createData(), q, dq, tau),
     }
     return [_ratio("forward dynamics, 7 joints, over pin.aba", calls, bound=0.4)]
 
@@ -97,7 +100,7 @@ def times_real_time() -> list[Figure]:
     with one_core():
         walls = [timeit(lambda: positions(arm, steps), number=1) for _ in range(REPEATS)]
     parts = {
-        "inner step [ms]": 1e3 * arm.scenario.sample_period / steps,
+        "inner step [ms]": 1e3 * arm.sample_period / steps,
         "halving it changes q by [rad]": change,
         "spread [%]": 100 * float(np.ptp(walls) / np.median(walls)),
     }
@@ -105,7 +108,7 @@ def times_real_time() -> list[Figure]:
     return [Figure("closed loop, 7 joints, 1 kHz", value, "x real time", bound=60, aim=100, at_least=True, parts=parts)]
 
 
-def fine_enough(arm: Arm) -> tuple[int, float]:
+def fine_enough(arm: Scenario) -> tuple[int, float]:
     """Return the fewest steps per sample (a power of two), and the change of positions [rad] with twice as many."""
     steps, change, coarse = 1, np.inf, positions(arm, 1)
     while steps <= MOST_STEPS:
@@ -117,12 +120,10 @@ def fine_enough(arm: Arm) -> tuple[int, float]:
     raise ArithmeticError(f"{MOST_STEPS} steps a sample leave {change:.1e} rad; expected less than {TOLERANCE}")
 
 
-def positions(arm: Arm, steps: int) -> Array:
+def positions(arm: Scenario, steps: int) -> Array:
     """Return q_l and q_m (k, 2n) at every sample [rad]."""
-    period = arm.scenario.sample_period
-    run = simulate(
-        arm.plant, arm.law, arm.scenario.reference, arm.scenario.x0, DURATION, period, inner_step=period / steps
-    )
+    period = arm.sample_period
+    run = simulate(arm.plant, arm.law, arm.reference, arm.x0, DURATION, period, inner_step=period / steps)
     return run.x[:, : 2 * arm.robot.n]
 
 

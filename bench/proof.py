@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 
-from bench.arm import Arm, arm7
+from bench.arm import arm7
 from bench.figures import Figure
 from bench.measure import one_core
 from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
@@ -26,10 +26,10 @@ NEAR_BOUND = 1.0  # s
 def over_joint_range_and_tube(most_boxes: int = 4000) -> list[Figure]:
     """Prove the rate over the joint range and near the reference; compare with sampled rates."""
     arm = arm7()
-    law, where = arm.law, arm.scenario.configurations()
+    law, where = arm.tracking_law, arm.configurations()
     with one_core():
         begin = time.process_time()
-        near = law.proven_rate(tube(arm.scenario.reference, RADIUS), most_boxes=1)
+        near = law.proven_rate(tube(arm.reference, RADIUS), most_boxes=1)
         first = time.process_time()
         whole = law.proven_rate(most_boxes=most_boxes)
         last = time.process_time()
@@ -46,13 +46,14 @@ def over_joint_range_and_tube(most_boxes: int = 4000) -> list[Figure]:
     ]
 
 
-def table(arm: Arm) -> str:
+def table() -> str:
     """Return sampled, proven and smallest rates [1/s] near the reference and over the joint range, and times [s]."""
-    law, where, rows = arm.law, arm.scenario.configurations(), []
+    arm = arm7()
+    law, where, rows = arm.tracking_law, arm.configurations(), []
     for radius in (RADIUS, WIDER, None):
         with one_core():
             begin = time.process_time()
-            near = tube(arm.scenario.reference, radius) if radius else None
+            near = tube(arm.reference, radius) if radius else None
             found = law.proven_rate(near and Domain(near.lower, near.upper))
             seconds = time.process_time() - begin
         name = f"within {radius:g} rad of the reference in each joint" if radius else "joint range"
@@ -61,22 +62,23 @@ def table(arm: Arm) -> str:
     return "\n".join(rows)
 
 
-def draw(arm: Arm, path: str) -> None:
+def draw(path: str) -> None:
     """Draw proven, attained and sampled rate over the joint range against the number of boxes of the proof."""
     from matplotlib.figure import Figure as Picture
 
-    rows: list[tuple[float, ...]] = []
+    arm, rows = arm7(), list[tuple[float, ...]]()
+    law = arm.tracking_law
 
     def watch(boxes: int, bound: float, attained: float) -> bool:
         rows.append((boxes, 1 / bound, 1 / attained))
         return True
 
     samples = sample_configurations(arm.robot, RATE_CONFIGURATIONS)
-    proof_of_rate(arm.robot, arm.law.gains, samples=samples, watch=watch)
+    proof_of_rate(arm.robot, law.gains, samples=samples, watch=watch)
     boxes, proven, attained = zip(*rows, strict=True)
     figure = Picture(figsize=(7.5, 3.4), layout="constrained")
     axes = figure.add_subplot()
-    axes.axhline(arm.law.rate().beta, color="0.5", linestyle=":", label=f"{RATE_CONFIGURATIONS} sampled configurations")
+    axes.axhline(law.rate().beta, color="0.5", linestyle=":", label=f"{len(samples)} sampled configurations")
     axes.semilogx(boxes, attained, color="C1", label="attained at a configuration")
     axes.semilogx(boxes, proven, color="C0", label="proven for every configuration")
     axes.set(xlabel="boxes", ylabel="rate beta [1/s]", ylim=(0, None), title="arm7 over its joint range")
@@ -86,6 +88,6 @@ def draw(arm: Arm, path: str) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:]:
-        draw(arm7(), sys.argv[1])
+        draw(sys.argv[1])
     else:
-        print(table(arm7()))
+        print(table())

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,30 +46,27 @@ class Tap:
 
     def next(self, topic: str, longest: float) -> Seen:
         """Return one message, subscribing only for it; raise TimeoutError after `longest` [s]."""
-        subscription = self._subscribe(topic)
-        try:
-            return self._wait(subscription, longest)
-        finally:
-            self.node.destroy_subscription(subscription)
+        with self.listening([topic], longest) as heard:
+            return heard.seen[0][0]
 
     @contextmanager
     def listening(self, topics: list[str], longest: float) -> Iterator[Heard]:
         """Listen to topics inside the block, which begins with the first message of the last of them."""
-        subscriptions = [self._subscribe(topic) for topic in topics]
-        yield Heard(subscriptions, [[self._wait(subscription, longest)] for subscription in subscriptions])
-        for subscription in subscriptions:
-            self.node.destroy_subscription(subscription)
-
-    def _subscribe(self, topic: str) -> Subscription:
-        return self.node.create_subscription(JointState, topic, lambda _: None, QoSProfile(depth=DEPTH), raw=True)
+        subscribe, quality = self.node.create_subscription, QoSProfile(depth=DEPTH)
+        subscriptions = [subscribe(JointState, topic, lambda _: None, quality, raw=True) for topic in topics]
+        try:
+            yield Heard(subscriptions, [[self._wait(subscription, longest)] for subscription in subscriptions])
+        finally:
+            for subscription in subscriptions:
+                self.node.destroy_subscription(subscription)
 
     def _wait(self, subscription: Subscription, longest: float) -> Seen:
         end = perf_counter() + longest
-        while (seen := _taken(subscription)) is None:
+        while (taken := next(waiting(subscription, JointState, raw=True), None)) is None:
             if perf_counter() > end:
                 raise TimeoutError(f"{subscription.topic} was silent for {longest:g} s; expected a message")
             time.sleep(1e-3)
-        return seen
+        return _seen(taken)
 
 
 @dataclass(frozen=True)
@@ -97,8 +94,7 @@ class Heard:
     def drain(self) -> None:
         """Empty the queues, which hold DEPTH messages."""
         for found, subscription in zip(self.seen, self.subscriptions, strict=True):
-            while (seen := _taken(subscription)) is not None:
-                found.append(seen)
+            found += map(_seen, waiting(subscription, JointState, raw=True))
 
     def messages(self) -> list[NDArray[np.int64]]:
         """Return stamps and send times (k, 2) [ns] of each topic."""
@@ -110,10 +106,13 @@ class Heard:
         return np.array([np.concatenate([getattr(message, name) for name in fields]) for message in messages])
 
 
-def _taken(subscription: Subscription) -> Seen | None:
-    """Return the next waiting message."""
-    taken = subscription.handle.take_message(JointState, True)
-    if taken is None:
-        return None
-    sec, nanosec = STAMP.unpack_from(taken[0], HEADER)
-    return Seen(sec * 1_000_000_000 + nanosec, taken[1]["source_timestamp"], taken[0])
+def waiting(subscription: Subscription, kind: Any, raw: bool = False) -> Iterator[tuple[Any, Any]]:
+    """Take the messages of a kind, or their raw data, that wait in a queue, each with its times."""
+    while (taken := subscription.handle.take_message(kind, raw)) is not None:
+        yield taken
+
+
+def _seen(taken: tuple[Any, Any]) -> Seen:
+    data, known = taken
+    sec, nanosec = STAMP.unpack_from(data, HEADER)
+    return Seen(sec * 1_000_000_000 + nanosec, known["source_timestamp"], data)

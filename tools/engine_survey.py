@@ -4,7 +4,7 @@
 make engines                                                  # 15 minutes
 PYTHONPATH=tools .venv/bin/python -m engine_survey Panda      # only scenarios with this in their name
 
-The nodes in lock-step move to the same bits (tests/engines/test_engine_survey.py). Results are kept in runs/survey, so
+The nodes in lock-step move to the same bits (tests/engines/test_engines.py). Results are kept in runs/survey, so
 that a second call goes on.
 """
 

@@ -15,13 +15,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import fjr_core as fjr
-from bench.figures import markdown, put
+from bench.figures import ROOT, markdown, put
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
@@ -31,16 +30,11 @@ from fjr_design.studies.sweep import Sweep, figures, scenario_loop
 from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.trial import Trial
 from fjr_design.tuning.equal_bandwidth import baseline_target, tune
-from fjr_monitor.report.picture import COLOURS, STYLE
+from fjr_monitor.report.picture import COLOURS, write_picture
+from fjr_msgs_py.scenarios import library
 
-ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "figures" / "robust.png"
 SECONDS, SETTLED = 6.0, 2.0  # s
-
-
-def scenario(name: str) -> Scenario:
-    """Load an installed scenario."""
-    return load_scenario(ROOT / "ros2_ws/src/fjr_bringup/scenarios" / f"{name}.yaml")
 
 
 # Robust options.
@@ -81,7 +75,7 @@ class Disturbed:
 
 def disturbed() -> list[Disturbed]:
     """Return the cases of the table."""
-    joint, planar, arm = map(scenario, ("paper_k31", "two_link", "arm7"))
+    joint, planar, arm = map(library.load, ("paper_k31", "two_link", "arm7"))
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=arm.reference.jets(0.5)[0])
     pushed, heavier, late = Draws(1, link_torque=0.3), Draws(1, link_inertia=1.2), Draws(1, delay=PERIOD)
     return [
@@ -107,19 +101,20 @@ def robust() -> None:
             rows.append((case.text, f"{plain:.1e}", name, f"{rms:.1e}", f"{min(plain / rms, 1e6):.3g}"))
     head = ("disturbance", "error without, rad", "option", "error with, rad", "ratio")
     put("robust.md", "robust", markdown(head, rows))
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(12.0, 3.8), layout="constrained")
-        for ax, i in zip(figure.subplots(1, 3), DRAWN_CASES, strict=True):
-            case, errors = found[i]
-            for name, e in errors.items():
-                t = PERIOD * np.arange(len(e))
-                ax.semilogy(t, np.maximum(np.abs(e).max(axis=1), 1e-9), color=OPTION_COLOURS[name], label=name, lw=1.0)
-            ax.set_title(case.text.replace("`", ""), fontsize=9)
-            ax.set_xlabel("t [s]")
-            ax.set_ylim(bottom=1e-8)
-            ax.legend(fontsize=8, loc="upper right")
-        figure.axes[0].set_ylabel("largest |q_l - q_ld| [rad]")
-        figure.savefig(PICTURE)
+    write_picture(PICTURE, (12.0, 3.8), partial(draw, [found[i] for i in DRAWN_CASES]))
+
+
+def draw(found: Sequence[tuple[Disturbed, Mapping[str, Array]]], figure: Figure) -> None:
+    """Draw the largest error of the joints over time, with each option."""
+    for ax, (case, errors) in zip(figure.subplots(1, len(found)), found, strict=True):
+        for name, e in errors.items():
+            t = PERIOD * np.arange(len(e))
+            ax.semilogy(t, np.maximum(np.abs(e).max(axis=1), 1e-9), color=OPTION_COLOURS[name], label=name, lw=1.0)
+        ax.set_title(case.text.replace("`", ""), fontsize=9)
+        ax.set_xlabel("t [s]")
+        ax.set_ylim(bottom=1e-8)
+        ax.legend(fontsize=8, loc="upper right")
+    figure.axes[0].set_ylabel("largest |q_l - q_ld| [rad]")
 
 
 # Noise of arm7.

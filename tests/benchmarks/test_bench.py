@@ -26,7 +26,7 @@ from bench import (
     memory,
     real_time,
 )
-from bench.arm import Arm, arm7, random_motion
+from bench.arm import arm7, forward_dynamics, random_motion, rigid_arm7
 from bench.build import chain_urdf, joint_names
 from bench.figures import Figure, kept, page, placed, put, table
 from bench.measure import in_turns, ratio
@@ -39,11 +39,6 @@ from fjr_msgs_py.scenarios import library
 from time_limits import HANG
 
 
-@pytest.fixture(scope="module")
-def arm() -> Arm:
-    return arm7()
-
-
 @pytest.mark.parametrize("n", [3, 8])
 def test_certificate_has_a_constant_multiple_of_the_operations_of_the_law(n: int) -> None:
     robot = robot_from_urdf(chain_urdf(n), joint_names(n), stiffness=5000.0, motor_inertia=0.3)
@@ -53,10 +48,11 @@ def test_certificate_has_a_constant_multiple_of_the_operations_of_the_law(n: int
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_rigid_arm_agrees_with_pinocchio(arm: Arm, seed: int) -> None:
-    q, dq, tau = random_motion(arm.robot.n, seed)
-    expected = pin.aba(arm.model, arm.model.createData(), q, dq, tau)
-    found = arm.forward_dynamics(q, dq, tau).full().ravel()
+def test_rigid_arm_agrees_with_pinocchio(seed: int) -> None:
+    links, model = arm7().robot.links, rigid_arm7()
+    q, dq, tau = random_motion(links.n, seed)
+    expected = pin.aba(model, model.createData(), q, dq, tau)
+    found = forward_dynamics(links)(q, dq, tau).full().ravel()
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.max(np.abs(expected)))
 
 

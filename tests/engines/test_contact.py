@@ -11,8 +11,7 @@ import pytest
 import trimesh
 
 import fjr_core as fjr
-from diagnosis_benchmark.bags import write_bag
-from diagnosis_benchmark.lock_step import LockStepLoop
+from diagnosis_benchmark.lock_step import LockStepLoop, write_bag
 from engines.walls import Array, loaded, met, random_walls, unchanged
 from fjr_core.config.obstacle import Obstacle
 from fjr_core.config.robot import description

@@ -6,6 +6,7 @@ from __future__ import annotations
 import builtins
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+import engine_survey
 import fjr_core as fjr
 from core.oracles.chains import random_urdf
 from fjr_core.errors import FjrError
@@ -21,6 +23,7 @@ from fjr_msgs_py.scenarios.library import load
 from fjr_plant.engine import engine_kind
 from fjr_plant.simulated_robot import SimulatedRobot
 from system.executables import fjr_here
+from system.shared_runs import record
 
 Array = NDArray[Any]
 WHEELS = {"mujoco": "mujoco", "drake": "pydrake"}
@@ -198,3 +201,24 @@ def test_missing_engine_is_refused_before_the_run_with_the_command_that_installs
 def test_engine_in_python_is_refused_in_real_time() -> None:
     with pytest.raises(FjrError, match="'drake' in real time; expected lockstep: true"):
         engine_kind({"engine": "drake", "lockstep": False})
+
+
+@pytest.mark.system
+@engines
+def test_loop_of_the_survey_is_lock_step_to_the_last_bit(engine: str, tmp_path: Path) -> None:
+    run = record("two_link", 0.5, tmp_path, f"engine:={engine}", "compile:=false")
+    motion = engine_survey.motion("two_link", engine, inner_steps=4, duration=0.5)
+    samples = min(len(run.t), len(motion.positions))
+    assert samples > 400
+    assert np.array_equal(run.q_l[:samples], motion.positions[:samples, :2])
+
+
+@pytest.mark.system
+@MISSING["drake"]
+def test_table_counts_the_scenarios_in_which_all_engines_agree() -> None:
+    found = engine_survey.compared("paper_k3p1", duration=0.1)
+    other = {**found, "differences": [1e-9, 1e-9, 1.1e-6]}
+    said, *_, row = engine_survey.table({"paper_k3p1": found, "other": other})
+    assert "In 1 of 2 scenarios" in said
+    assert row.startswith("| other | 1 | 4 | 1.0e-09 | 1.0e-09 | 1.1e-06 |")
+    assert row.endswith("| 255.762 |")

@@ -13,8 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis_benchmark.bags import write_bag
-from diagnosis_benchmark.lock_step import LockStepLoop
+from diagnosis_benchmark.lock_step import LockStepLoop, write_bag
 from fjr_core.config.scenario import Scenario
 from fjr_engines.contact import InsideError
 from fjr_engines.drawing import DrawnArm

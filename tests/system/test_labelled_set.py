@@ -13,8 +13,8 @@ import pytest
 
 from bench.figures import placed
 from diagnosis_benchmark import faults
-from diagnosis_benchmark.bags import read_record
 from diagnosis_benchmark.cases import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases
+from diagnosis_benchmark.lock_step import read_record
 from diagnosis_benchmark.tables import KINDS, NAMES, diagnosed, diagnosed_cause, outcome, right, table
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.diagnosis.diagnosis import diagnose

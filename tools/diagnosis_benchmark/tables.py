@@ -24,9 +24,9 @@ from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import Diagnosis
 
 from . import cases, faults
-from .bags import read_record, write_bag
 from .cases import DEGRADED, HOLDING, UNDECIDED, VIOLATED, Case, Label
 from .faults import FAULTS, HEALTHY, ROBOTS, WIRING, duration_of, joints_of
+from .lock_step import read_record, write_bag
 from .wiring import HEALTHY_LASTING, LASTING, SEED, Stop, healthy, wrong
 
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")

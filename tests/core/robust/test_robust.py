@@ -118,15 +118,6 @@ def test_equilibrium_under_load_is_on_the_reference_and_stable(name: str, robust
     assert np.abs(off[-1]).max() < 1e-9
 
 
-@pytest.mark.parametrize("stiffness", [310.0, 31.0, 3.1])
-def test_integral_converges_at_its_rate_on_stiff_and_soft_joints(stiffness: float) -> None:
-    """The slowest mode of the sampled loop decays at the rate, to second order; a soft joint amplifies the port."""
-    law = fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), fjr.PAPER_GAINS)
-    for side in ("integral_gain", "motor_integral_gain"):
-        slowest = spectral_radius(sampled_law(law, Robust(**{side: 0.1})), PERIOD, configurations=[[0.5]])[0]
-        assert -np.log(slowest) / PERIOD == pytest.approx(0.1, rel=0.02)
-
-
 @pytest.mark.parametrize("name", LOOPS)
 def test_integral_gains_are_symmetric_and_positive_definite(name: str) -> None:
     law, n = LOOPS[name], LOOPS[name].robot.n
@@ -136,17 +127,6 @@ def test_integral_gains_are_symmetric_and_positive_definite(name: str) -> None:
     assert np.linalg.eigvalsh(K_l).min() > 0
     np.testing.assert_allclose(K_l @ K_l_inverse, np.eye(n), atol=1e-12)
     assert not K_m.any()
-
-
-@pytest.mark.parametrize("rate", [0.5, 1.0, 5.0])
-def test_integral_is_stable_on_the_softest_joint_of_the_paper(rate: float) -> None:
-    law = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
-    integrating, robot, reference = sampled_law(law, Robust(integral_gain=rate)), law.robot, fjr.Hold([0.5])
-    assert spectral_radius(integrating, PERIOD, configurations=[[0.5]])[0] < 1
-    plain, better = (
-        rms(errors(law, r, reference, pushed(robot, 0.05), 4.0)[-500:]) for r in (None, integrating.robust)
-    )
-    assert plain > (1.5 if rate < 1 else 10) * better
 
 
 # --- the residual
@@ -188,13 +168,6 @@ def test_residual_is_the_torque_through_its_filter(name: str) -> None:
         off.append(np.max(np.abs(np.hstack([r, w]) - wanted)))
     assert off[1] < 0.02
     assert off[0] > 3 * off[1], "the error must be of second order in the period"
-
-
-def test_residual_at_equilibrium_is_the_torque() -> None:
-    """Without an error of the quadrature."""
-    r, w = residual_run(JOINT, 40.0, 1e-3, 1.5)
-    np.testing.assert_allclose(r[-1], [0.3, 0.2], atol=1e-9)
-    np.testing.assert_allclose(w[-1], 0.3, atol=1e-9)
 
 
 # --- the prediction
@@ -383,13 +356,19 @@ def test_springs_with_a_curve_are_compensated_by_v_dpbc_only() -> None:
         sampled_law(law, ESTIMATE)
 
 
-@pytest.mark.parametrize("name", ["lqr", "feedback_linearisation"])
-def test_integral_under_another_law_converges_at_its_rate(name: str) -> None:
-    """The slowest mode of the sampled loop decays at the rate, to second order, for torques on links or motors."""
-    law = baseline(name, JOINT.robot)
+@pytest.mark.parametrize(
+    ("law", "tolerance"),
+    [
+        *((fjr.TrackingLaw(fjr.single_link(stiffness=k), fjr.PAPER_GAINS), 0.02) for k in (310.0, 31.0, 3.1)),
+        *((baseline(name, JOINT.robot), 0.05) for name in ("lqr", "feedback_linearisation")),
+    ],
+    ids=["k = 310", "k = 31", "k = 3.1", "lqr", "feedback linearisation"],
+)
+def test_integral_converges_at_its_rate(law: StaticLaw, tolerance: float) -> None:
+    """The slowest mode of the sampled loop decays at the rate, to second order; a soft joint amplifies the port."""
     for side in ("integral_gain", "motor_integral_gain"):
-        slowest = spectral_radius(sampled_law(law, Robust(**{side: 0.1})), PERIOD, configurations=[[0.4]])[0]
-        assert -np.log(slowest) / PERIOD == pytest.approx(0.1, rel=0.05)
+        slowest = spectral_radius(sampled_law(law, Robust(**{side: 0.1})), PERIOD, configurations=[[0.5]])[0]
+        assert -np.log(slowest) / PERIOD == pytest.approx(0.1, rel=tolerance)
 
 
 def test_law_with_a_controller_state_requires_a_sample_period() -> None:

@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy import signal
 
 import fjr_core as fjr
-from core.oracles.cases import ARMS, Arm, Array, random_point
+from core.oracles.cases import ARMS, PLANAR, Arm, Array, random_point
 from core.oracles.plain_loop import STIFF, PlainLoop, standard_law
 from core.oracles.properties import residual
+from core.robust.test_robust import pushed
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.law.linearized import slope_at_rest
@@ -57,13 +56,7 @@ def run(law: SampledLaw, arm: Arm, seconds: float, push: Any = 0.0, period: floa
     """Return e about a constant reference, u and memory, (k, n) each, under torques push (2n,) of links and motors."""
     n, q_d, robot = arm.n, np.full(arm.n, 0.4), arm.robot
     d_l, d_m = np.split(np.broadcast_to(np.asarray(push, dtype=float), 2 * n), 2)
-    q = ca.SX.sym("q", n)
-    links = replace(
-        robot.links,
-        P_l=ca.Function("P_l", [q], [robot.links.P_l(q) - ca.dot(d_l, q)]),
-        grad_P_l=ca.Function("grad_P_l", [q], [robot.links.grad_P_l(q) - d_l]),
-    )
-    plant, jets = fjr.Plant(replace(robot, links=links)), np.zeros((5, n))
+    plant, jets = fjr.Plant(pushed(robot, d_l)), np.zeros((5, n))
     jets[0] = q_d
     x = robot.state(q_d, q_d + np.linalg.solve(robot.K, robot.grad_P_l(q_d)), np.zeros(n), np.zeros(n))
     memory, sent, found = law.memory, np.zeros(n), []
@@ -96,18 +89,8 @@ def test_friction_observer_is_motor_pd_on_the_exact_model_and_removes_a_torque_o
 
 def test_active_disturbance_places_the_poles_of_the_chain_if_nothing_is_lacking() -> None:
     """Without weight and friction the linear loop of the static law has the poles of A_0 .. A_3."""
-    robot = fjr.planar_two_link(
-        link_mass=(1.2, 0.8),
-        link_length=(0.3, 0.25),
-        link_com=(0.15, 0.12),
-        link_inertia=(0.010, 0.005),
-        gravity=0.0,
-        stiffness=31.0,
-        motor_inertia=(0.02, 0.01),
-        link_damping=0.0,
-        motor_damping=0.0,
-        input_gain=1.0,
-    )
+    free = {"gravity": 0.0, "link_damping": 0.0, "motor_damping": 0.0}
+    robot = fjr.planar_two_link(**PLANAR | free, stiffness=31.0, motor_inertia=(0.02, 0.01), input_gain=1.0)
     kind, q_0 = LAWS["active_disturbance"], np.array([0.3, -0.5])
     law = kind.make(robot, kind.tuning_rule(robot, q_0, 12.0, 0.9))
     A, B = velocity_matrices(robot, q_0)

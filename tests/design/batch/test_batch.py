@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws, program
 from fjr_design.batch.closed_loop import FIELDS as OUTCOMES
+from fuzzing import refused
 
 PERIOD = 1e-3
 AGREE = 1e-9
@@ -196,48 +198,40 @@ def test_diverging_run_ends_and_the_others_continue() -> None:
     assert result.rms[0] == result.rms[2]
 
 
-@pytest.mark.parametrize("runs", [1, 2, 3, 4])
-def test_single_payload_position_applies_to_all_runs(runs: int) -> None:
-    found = Draws(runs, payload_position=(0.1, 0.2, 0.3)).columns("payload_position", 1)
-    assert np.array_equal(found, np.tile([0.1, 0.2, 0.3], (runs, 1)))
+MAKE: dict[type[fjr.FjrError], Callable[..., object]] = {
+    ParameterError: lambda **values: paper_loop().run(Draws(3, **values)),
+    StateError: paper_loop,
+}
+REFUSED: list[tuple[type[fjr.FjrError], dict[str, Any], str]] = [
+    (ParameterError, {"stiffness": 0.0}, "the minimum of stiffness is 0; expected positive"),
+    (ParameterError, {"stiffness": [1.0, 1.0]}, "stiffness has shape (2,)"),
+    (ParameterError, {"stiffness": np.ones((3, 2))}, "stiffness has shape (3, 2)"),
+    (ParameterError, {"delay": -1e-3}, "the minimum of delay is -0.001; expected 0 or more"),
+    (ParameterError, {"delay": np.ones((3, 1))}, "delay has shape (3, 1)"),
+    (ParameterError, {"link_torque": np.nan}, "link_torque has entries that are not finite"),
+    (ParameterError, {"gravity": "much"}, "gravity is 'much'; expected numbers"),
+    (ParameterError, {"seed": [0.5, 1, 2]}, "seed is of float64"),
+    (StateError, {"duration": 0.0}, "duration is 0.0; expected a positive"),
+    (StateError, {"settle_after": 0.3}, "settle_after is 0.3 s; expected 0 to less than 0.3 s"),
+    (
+        StateError,
+        {"duration": 0.3004, "settle_after": 0.3002},
+        "no sample of 0.001 s lies between settle_after, 0.30",
+    ),
+    (StateError, {"inner_steps": 0}, "inner_steps is 0; expected 1 or more"),
+    (StateError, {"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
+    (StateError, {"settings": program.plain_settings(2)}, "settings has 2 joints; expected 1"),
+    (StateError, {"measurement": Measurement(2)}, "measurement has 2 joints; expected 1"),
+    (StateError, {"observer": fjr.VelocityObserver(ARMS[-1].robot, 150.0)}, "observer has 2 joints; expected 1"),
+    (StateError, {"measurement": Measurement(1, "observer")}, "observer is None with a measurement without velocities"),
+]
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"stiffness": 0.0}, "the minimum of stiffness is 0; expected positive"),
-        ({"stiffness": [1.0, 1.0]}, "stiffness has shape (2,)"),
-        ({"stiffness": np.ones((3, 2))}, "stiffness has shape (3, 2)"),
-        ({"delay": -1e-3}, "the minimum of delay is -0.001; expected 0 or more"),
-        ({"delay": np.ones((3, 1))}, "delay has shape (3, 1)"),
-        ({"link_torque": np.nan}, "link_torque has entries that are not finite"),
-        ({"gravity": "much"}, "gravity is 'much'; expected numbers"),
-        ({"seed": [0.5, 1, 2]}, "seed is of float64"),
-    ],
-)
-def test_invalid_draws_are_refused_in_one_sentence(values: dict[str, Any], words: str) -> None:
-    with pytest.raises(ParameterError) as caught:
-        paper_loop().run(Draws(3, **values))
-    assert words in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"duration": 0.0}, "duration is 0.0; expected a positive"),
-        ({"settle_after": 0.3}, "settle_after is 0.3 s; expected 0 to less than 0.3 s"),
-        ({"duration": 0.3004, "settle_after": 0.3002}, "no sample of 0.001 s lies between settle_after, 0.3002 s, and"),
-        ({"inner_steps": 0}, "inner_steps is 0; expected 1 or more"),
-        ({"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
-        ({"settings": program.plain_settings(2)}, "settings has 2 joints; expected 1"),
-        ({"measurement": Measurement(2)}, "measurement has 2 joints; expected 1"),
-        ({"observer": fjr.VelocityObserver(ARMS[-1].robot, 150.0)}, "observer has 2 joints; expected 1"),
-        ({"measurement": Measurement(1, "observer")}, "observer is None with a measurement without velocities"),
-    ],
-)
-def test_invalid_loop_is_refused_in_one_sentence(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(StateError, match=words):
-        paper_loop(**changes)
+@pytest.mark.parametrize(("error", "given", "words"), REFUSED)
+def test_invalid_draws_and_loops_are_refused_in_one_sentence(
+    error: type[fjr.FjrError], given: dict[str, Any], words: str
+) -> None:
+    refused(error, lambda: MAKE[error](**given), words)
 
 
 def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -23,6 +24,7 @@ from fjr_design.studies.sweep import Columns, Sweep, from_text
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from fjr_design.uncertainty import distributions
 from fjr_msgs_py.console.ending import Interrupted
+from fuzzing import refused
 from time_limits import HANG
 
 SCENARIO = "/**: {ros__parameters: {}}"
@@ -122,7 +124,8 @@ def test_payload_position_does_not_depend_on_the_partition() -> None:
     assert np.array_equal(plan.draws(3, 6).columns("payload_position", 1), drawn[3:])
     assert len(set(drawn[:, 0])) == 6
     fixed = sweep_of(vary={"payload_mass": {"uniform": [0.1, 0.2]}, "payload_position": [0.1, 0.2, 0.3]})
-    assert fixed.draws(0, 3).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * 3
+    for runs in (1, 2, 3, 4):
+        assert fixed.draws(0, runs).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * runs
 
 
 def test_study_round_trips_through_text() -> None:
@@ -259,64 +262,48 @@ def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
         carry_out(plan, kept, workers, threading.Event())
 
 
-@pytest.mark.parametrize(
-    ("document", "words"),
-    [
-        ({"scenario": "a", "varry": {}}, "did you mean 'vary'?"),
-        ({"scenario": "a", "vary": {"stiffness": 1.0}}, "draws nothing"),
-        ({"scenario": "a", "vary": [1]}, "expected a mapping"),
-        ({"scenario": "a", "vary": {"stiffness": {"uniform": [1.5, 0.5]}}}, "goes from 1.5 to 0.5"),
-        ({"scenario": "a", "vary": {"stiffness": {"uniform": [1, 2, 3]}}}, "has 3 numbers; expected two"),
-        ({"scenario": "a", "vary": {"stiffness": {"gaussian": [1, 2]}}}, "expected {uniform"),
-        ({"scenario": "a", "vary": {"stiffness": {"log_uniform": [0, 2]}}}, "expected more than 0"),
-        ({"scenario": "a", "vary": {"stiffness": {"normal": [1, 0]}}}, "standard deviation 0"),
-        ({"scenario": "a", "vary": {"stiffness": {"uniform": "wide"}}}, "expected a list of finite numbers"),
-        ({"scenario": "a", "vary": {"stiffness": "wide"}}, "expected {uniform"),
-        ({"scenario": "a", "runs": 10.5, "vary": VARY}, "expected a whole number"),
-        ({"scenario": "a", "success": {"rms": "small"}, "vary": VARY}, "expected a number"),
-        ({"scenario": "a", "success": {"rms": np.nan}, "vary": VARY}, "has nan as 'success.rms'; expected a number"),
-        ({"scenario": "a", "runs": np.inf, "vary": VARY}, "has inf as 'runs'; expected a whole number"),
-        ({"scenario": "a", "duration": 10**400, "vary": VARY}, "as 'duration'; expected a number"),
-        ({"scenario": "a", "vary": {"stiffness": 10**400}}, "expected a list of finite numbers"),
-    ],
-)
-def test_invalid_sweep_file_is_refused_in_one_sentence(document: dict[str, Any], words: str) -> None:
-    with pytest.raises(ParameterError) as caught:
-        sweep_file.read(document)
-    assert words in str(caught.value)
+WIDE = distributions.read("stiffness", {"uniform": [0.5, 1.5]})
+MAKE: dict[str, Callable[[Any], object]] = {
+    "file": sweep_file.read,
+    "study": lambda changes: sweep_of(**changes),
+    "scenario": lambda values: Sweep("test", with_values(values), 45, {"stiffness": WIDE}),
+}
+LEFT_OUT = "sets imperfections.actuator_lag; expected the default here: a sweep draws these itself, use 'vary'"
+REFUSED: list[tuple[str, Any, str]] = [
+    ("file", {"scenario": "a", "varry": {}}, "did you mean 'vary'?"),
+    ("file", {"scenario": "a", "vary": {"stiffness": 1.0}}, "draws nothing"),
+    ("file", {"scenario": "a", "vary": [1]}, "expected a mapping"),
+    ("file", {"scenario": "a", "vary": {"stiffness": {"uniform": [1.5, 0.5]}}}, "goes from 1.5 to 0.5"),
+    ("file", {"scenario": "a", "vary": {"stiffness": {"uniform": [1, 2, 3]}}}, "has 3 numbers; expected two"),
+    ("file", {"scenario": "a", "vary": {"stiffness": {"gaussian": [1, 2]}}}, "expected {uniform"),
+    ("file", {"scenario": "a", "vary": {"stiffness": {"log_uniform": [0, 2]}}}, "expected more than 0"),
+    ("file", {"scenario": "a", "vary": {"stiffness": {"normal": [1, 0]}}}, "standard deviation 0"),
+    ("file", {"scenario": "a", "vary": {"stiffness": {"uniform": "wide"}}}, "expected a list of finite numbers"),
+    ("file", {"scenario": "a", "vary": {"stiffness": "wide"}}, "expected {uniform"),
+    ("file", {"scenario": "a", "runs": 10.5, "vary": VARY}, "expected a whole number"),
+    ("file", {"scenario": "a", "success": {"rms": "small"}, "vary": VARY}, "expected a number"),
+    ("file", {"scenario": "a", "success": {"rms": np.nan}, "vary": VARY}, "nan as 'success.rms'; expected a number"),
+    ("file", {"scenario": "a", "runs": np.inf, "vary": VARY}, "has inf as 'runs'; expected a whole number"),
+    ("file", {"scenario": "a", "duration": 10**400, "vary": VARY}, "as 'duration'; expected a number"),
+    ("file", {"scenario": "a", "vary": {"stiffness": 10**400}}, "expected a list of finite numbers"),
+    ("study", {"vary": {"stifness": {"uniform": [1, 2]}}}, "'vary' has 'stifness'"),
+    ("study", {"vary": {"stiffness": {"normal": [1.0, 0.3]}}}, "the minimum of stiffness is -0.2"),
+    ("study", {"vary": {"delay": {"uniform": [-1e-3, 1e-3]}}}, "the minimum of delay is -0.001"),
+    ("study", {"vary": {"delay": {"uniform": [0, 1e-3], "each_joint": True}}}, "expected one value for all joints"),
+    ("study", {"vary": {**VARY, "gravity": [1.0, 1.1]}}, "'vary': gravity has 2 numbers; expected a single one"),
+    ("study", {"vary": {**VARY, "payload_position": [0.1, 0.2]}}, "payload_position has 2 numbers; expected 1 or 3"),
+    ("study", {"vary": {**VARY, "velocity_noise": [0.1, 0.2]}}, "velocity_noise has 2 numbers; expected a single one"),
+    ("study", {"success": {"error": 1.0}}, "'success' has 'error'"),
+    ("study", {"runs": 0}, "'runs' is 0"),
+    ("study", {"seed": -1}, "'seed' is -1"),
+    ("scenario", "integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
+    ("scenario", "imperfections.actuator_lag: [0.01]", LEFT_OUT),
+]
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"vary": {"stifness": {"uniform": [1, 2]}}}, "'vary' has 'stifness'"),
-        ({"vary": {"stiffness": {"normal": [1.0, 0.3]}}}, "the minimum of stiffness is -0.2"),
-        ({"vary": {"delay": {"uniform": [-1e-3, 1e-3]}}}, "the minimum of delay is -0.001"),
-        ({"vary": {"delay": {"uniform": [0, 1e-3], "each_joint": True}}}, "expected one value for all joints"),
-        ({"vary": {**VARY, "gravity": [1.0, 1.1]}}, "'vary': gravity has 2 numbers; expected a single one"),
-        ({"vary": {**VARY, "payload_position": [0.1, 0.2]}}, "payload_position has 2 numbers; expected 1 or 3"),
-        ({"vary": {**VARY, "velocity_noise": [0.1, 0.2]}}, "velocity_noise has 2 numbers; expected a single one"),
-        ({"success": {"error": 1.0}}, "'success' has 'error'"),
-        ({"runs": 0}, "'runs' is 0"),
-        ({"seed": -1}, "'seed' is -1"),
-    ],
-)
-def test_invalid_study_is_refused_in_one_sentence(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(ParameterError) as caught:
-        sweep_of(**changes)
-    assert words in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ("integrator: implicit_midpoint", "'integrator' is 'implicit_midpoint'; expected 'rk4'"),
-        ("imperfections.actuator_lag: [0.01]", "sets imperfections.actuator_lag; .* use 'vary'"),
-    ],
-)
-def test_scenario_with_features_that_a_sweep_omits_is_refused(given: str, words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        Sweep("test", with_values(given), 45, {"stiffness": distributions.read("stiffness", {"uniform": [0.5, 1.5]})})
+@pytest.mark.parametrize(("what", "given", "words"), REFUSED)
+def test_an_invalid_file_study_or_scenario_is_refused_in_one_sentence(what: str, given: Any, words: str) -> None:
+    refused(ParameterError, lambda: MAKE[what](given), words)
 
 
 def test_limits_observer_and_ramp_of_the_scenario_act_in_a_study() -> None:

@@ -26,6 +26,7 @@ from fjr_design.studies.imperfections import motion_demand
 from fjr_design.studies.trial import Trial
 from fjr_design.tuning.equal_bandwidth import BaselineTarget, Tuning, baseline_target, tune, tuning
 from fjr_msgs_py.scenarios import library
+from fuzzing import refused
 
 
 @cache
@@ -266,9 +267,7 @@ def test_start_error_changes_the_tuning() -> None:
     ],
 )
 def test_invalid_parameters_are_refused_in_one_sentence(law: str, words: str) -> None:
-    with pytest.raises(fjr.ParameterError, match=words.replace("[", r"\[")) as error:
-        scenario(law)
-    assert "\n" not in str(error.value)
+    refused(fjr.ParameterError, lambda: scenario(law), words)
 
 
 def test_a_target_without_effort_causes_no_division_by_zero() -> None:

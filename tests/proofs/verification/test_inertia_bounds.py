@@ -139,18 +139,6 @@ def test_no_configuration_exceeds_the_bounds_and_one_nearly_attains_them(n: int,
     assert largest.bound <= largest.attained / 0.9
 
 
-def test_single_link_is_its_own_bound() -> None:
-    assert np.isclose(largest_inertia(fjr.single_link(), 1.0).bound, 0.031, rtol=1e-8)
-
-
-def test_planar_two_link_attains_the_bound_at_a_vertex() -> None:
-    robot = fjr.planar_two_link()
-    A = np.array([[0.2, 0.02], [0.02, 0.05]])
-    exact = max(float(eigh(M, A, eigvals_only=True)[-1]) for M in robot.links.M_l_vertices or ())
-    found = largest_inertia(robot, A, goal=1 - 1e-8)
-    assert exact <= found.bound <= exact * (1 + 1e-7)
-
-
 def test_a_smaller_box_and_a_tube_have_smaller_bounds() -> None:
     robot, A = robot_of(3, 5), definite(3, 5)
     times = np.linspace(0.0, 1.0, 9)
