@@ -32,8 +32,8 @@ from fjr_core.motions.sine import MultiSine, Sines
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import directional, sparse
 
+from ..verification.taylor_models import ROUNDING
 from .cells import DERIVATIVES, Cells, cycles
-from .peak_gains import ROUNDING
 from .uncertain_robot import UncertainRobot
 
 HARMONICS = 6

@@ -16,17 +16,16 @@ from fjr_core.law.linearized import Indices
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linearization import split
 
-from ..verification.taylor_models import Shape, TaylorModels, taylor_function
+from ..verification.taylor_models import ROUNDING, MatrixModels, Shape, TaylorModels, taylor_function
 from .cells import CellTimes
 from .linear_loop import KnownErrors, LinearLoop
-from .peak_gains import ROUNDING, columnwise
+from .peak_gains import columnwise
 
 SAMPLED = 24  # cells at which ranges that are not verified are evaluated
 POINTS = 4  # of tube and factors at each instant: their middle, and random corners
 INSTANTS = (-1.0, 0.0, 1.0)  # of a window, relative to its radius
 SEED = 0
 CLIMBS = 6  # corners of a tube that are tried for the largest V
-PRODUCTS = 1e-13  # relative error of two products of matrices of up to 4n rows
 
 Enclosure = list[TaylorModels]
 """Models that together contain an output of a function: one if verified, else points."""
@@ -58,67 +57,6 @@ class Tube:
     def box(self) -> Array:
         """Bounds (4n,) of |z|."""
         return np.asarray(np.abs(self.columns[:, : len(self.directions)]).sum(axis=2).max(axis=0))
-
-
-@dataclass(frozen=True, eq=False)
-class MatrixModels:
-    """Models of matrices X in k boxes: values (k, shape.width, rows, columns); the last are bounds of the rest."""
-
-    values: Array
-    shape: Shape
-
-    def between(self, left: Array, right: Array) -> MatrixModels:
-        """Return left X right. The signs of all coefficients are kept."""
-        exact, rest = self.values[:, :-1], self.values[:, -1:]
-        rest = rest + PRODUCTS * np.abs(exact).sum(axis=1, keepdims=True)
-        values = np.concatenate([left @ exact @ right, np.abs(left) @ rest @ np.abs(right)], axis=1)
-        return MatrixModels(values, self.shape)
-
-    def mean_from_zero(self) -> MatrixModels:
-        """Return models of the mean of X on the way from the middle of the tube, where its terms grow in proportion."""
-        values = self.values.copy()
-        values[:, self.shape.order : -1] /= 2
-        return MatrixModels(values, self.shape)
-
-    def beside(self, M: MatrixModels) -> MatrixModels:
-        """Return models of torques with further columns, those of minus the inertia for the first rows."""
-        more = np.zeros((*self.values.shape[:3], M.values.shape[3]))
-        more[:, :, : M.values.shape[2]] = -M.values
-        more[:, -1] = np.abs(more[:, -1])
-        return MatrixModels(np.concatenate([self.values, more], axis=3), self.shape)
-
-    @property
-    def largest(self) -> Array:
-        """Largest elements (rows, columns) of |X|."""
-        return np.asarray(ROUNDING * np.abs(self.values).sum(axis=1).max(axis=0))
-
-    def along(self, lines: Array, known: slice = slice(0)) -> Array:
-        """Return the largest elements (rows,) of X times a sum of lines (k, columns, u), each times -1 to 1.
-
-        known: symbols whose products with the lines are left out, as `products` returns them.
-        """
-        if not lines.shape[2]:
-            return np.zeros(self.values.shape[2])
-        unknown = np.delete(self.values[:, :-1], self._places(known), axis=1)
-        signed = np.abs(unknown @ lines[:, None]).sum(axis=(1, 3))
-        return np.asarray(ROUNDING * (signed + (self.values[:, -1] @ np.abs(lines)).sum(axis=2)).max(axis=0))
-
-    def products(self, lines: Array) -> Array:
-        """Return the products (k, rows, u, u) of the slopes of X in its symbols, those of the lines, and the lines."""
-        products = self.values[:, self._places(slice(None))] @ lines[:, None]
-        return np.asarray(products.transpose(0, 2, 1, 3))
-
-    def of(self, symbol: int) -> MatrixModels:
-        """Return models of what a symbol contributes, to first order."""
-        place = self.shape.order + symbol
-        values = np.zeros_like(self.values)
-        values[:, place] = self.values[:, place]
-        return MatrixModels(values, self.shape)
-
-    def _places(self, symbols: slice) -> slice:
-        """Return the places of the slopes in these symbols."""
-        first, last, _ = symbols.indices(self.shape.symbols)
-        return slice(self.shape.order + first, self.shape.order + last)
 
 
 class Mismatch(NamedTuple):

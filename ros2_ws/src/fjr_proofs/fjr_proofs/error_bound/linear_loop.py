@@ -19,8 +19,9 @@ from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import static
 from fjr_core.stability.linearization import held_maps, map_of_held, split
 
+from ..verification.taylor_models import ROUNDING
 from .deviation_model import CentreMotion, DeviationModel, ModalCoordinates
-from .peak_gains import ROUNDING, CellModels, columnwise, curvature
+from .peak_gains import CellModels, columnwise, curvature
 
 
 @dataclass(frozen=True, eq=False)

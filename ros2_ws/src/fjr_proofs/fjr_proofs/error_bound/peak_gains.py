@@ -25,10 +25,8 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import c_library_of
 from fjr_core.stability.linearization import held_maps
 
+from ..verification.taylor_models import ROUNDING
 from .cells import Cells
-
-ROUNDING = 1 + 1e-9
-"""Factor that covers the rounding of products and sums: less than 1e5 operations of relative error 2^-53 each."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,11 +19,11 @@ from scipy.linalg import block_diag
 
 from fjr_core.numerics.checks import Array
 
+from ..verification.taylor_models import ROUNDING
 from .cells import Cells
 from .deviation_model import CentreMotion, DeviationModel
 from .enclosures import Mismatch, Ranges, Tube
 from .linear_loop import KnownErrors, LinearLoop, Response, course, linear_loop, steady_response
-from .peak_gains import ROUNDING
 
 STEPS = 5  # of Newton's method
 MOST_ROUNDS = 500

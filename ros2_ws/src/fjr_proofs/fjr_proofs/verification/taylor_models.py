@@ -30,6 +30,10 @@ UP = 1 + 2.0**-43
 """Factor that covers the rounding of a sum of up to 500 terms."""
 ROUNDED = 2.0**-52
 """Relative error of a number that is rounded twice."""
+ROUNDING = 1 + 1e-9
+"""Factor that covers the rounding of products and sums: less than 1e5 operations of relative error 2^-53 each."""
+PRODUCTS = 1e-13
+"""Relative error of two products of matrices of up to 100 rows."""
 SINES = 1e-11
 """Relative error of a sum of sines."""
 OPERATIONS = (
@@ -134,6 +138,67 @@ class TaylorModels:
     def magnitude(self) -> Array:
         """Bounds (size, k) of the absolute values."""
         return np.asarray(UP * np.abs(self.values).sum(axis=-1).T)
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixModels:
+    """Models of matrices X in k boxes: values (k, shape.width, rows, columns); the last are bounds of the rest."""
+
+    values: Array
+    shape: Shape
+
+    def between(self, left: Array, right: Array) -> MatrixModels:
+        """Return left X right. The signs of all coefficients are kept."""
+        exact, rest = self.values[:, :-1], self.values[:, -1:]
+        rest = rest + PRODUCTS * np.abs(exact).sum(axis=1, keepdims=True)
+        values = np.concatenate([left @ exact @ right, np.abs(left) @ rest @ np.abs(right)], axis=1)
+        return MatrixModels(values, self.shape)
+
+    def mean_from_zero(self) -> MatrixModels:
+        """Return models of the mean of X on the way from the middle of the tube, where its terms grow in proportion."""
+        values = self.values.copy()
+        values[:, self.shape.order : -1] /= 2
+        return MatrixModels(values, self.shape)
+
+    def beside(self, M: MatrixModels) -> MatrixModels:
+        """Return models of torques with further columns, those of minus the inertia for the first rows."""
+        more = np.zeros((*self.values.shape[:3], M.values.shape[3]))
+        more[:, :, : M.values.shape[2]] = -M.values
+        more[:, -1] = np.abs(more[:, -1])
+        return MatrixModels(np.concatenate([self.values, more], axis=3), self.shape)
+
+    @property
+    def largest(self) -> Array:
+        """Largest elements (rows, columns) of |X|."""
+        return np.asarray(ROUNDING * np.abs(self.values).sum(axis=1).max(axis=0))
+
+    def along(self, lines: Array, known: slice = slice(0)) -> Array:
+        """Return the largest elements (rows,) of X times a sum of lines (k, columns, u), each times -1 to 1.
+
+        known: symbols whose products with the lines are left out, as `products` returns them.
+        """
+        if not lines.shape[2]:
+            return np.zeros(self.values.shape[2])
+        unknown = np.delete(self.values[:, :-1], self._places(known), axis=1)
+        signed = np.abs(unknown @ lines[:, None]).sum(axis=(1, 3))
+        return np.asarray(ROUNDING * (signed + (self.values[:, -1] @ np.abs(lines)).sum(axis=2)).max(axis=0))
+
+    def products(self, lines: Array) -> Array:
+        """Return the products (k, rows, u, u) of the slopes of X in its symbols, those of the lines, and the lines."""
+        products = self.values[:, self._places(slice(None))] @ lines[:, None]
+        return np.asarray(products.transpose(0, 2, 1, 3))
+
+    def of(self, symbol: int) -> MatrixModels:
+        """Return models of what a symbol contributes, to first order."""
+        place = self.shape.order + symbol
+        values = np.zeros_like(self.values)
+        values[:, place] = self.values[:, place]
+        return MatrixModels(values, self.shape)
+
+    def _places(self, symbols: slice) -> slice:
+        """Return the places of the slopes in these symbols."""
+        first, last, _ = symbols.indices(self.shape.symbols)
+        return slice(self.shape.order + first, self.shape.order + last)
 
 
 class TaylorFunction:
