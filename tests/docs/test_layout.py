@@ -88,7 +88,7 @@ BUDGETS = {
     "fjr_controller": 1_850,
     "fjr_design": 9_710,
     "fjr_identification": 6_250,
-    "fjr_proofs": 3_860,
+    "fjr_proofs": 3_910,
     "fjr_engines": 1_270,
     "fjr_bringup": 1_260,
 }

@@ -54,8 +54,7 @@ class ExternalTorqueObserver:
         """The CasADi function (kept, position, velocity, bandwidth, dt) -> kept at this sample.
 
         kept (3n,): p_l, its rate without tau, r [N m]. position, velocity (2n,) [rad, rad/s]. dt [s]: since the last
-        sample. With dt below 0 or above LONGEST_GAP, or a kept value that is not finite, r restarts from 0. All of r is
-        NaN at a sample whose values are not finite.
+        sample; below 0, above LONGEST_GAP or after r = NaN, r restarts from 0. It is NaN where a value is not finite.
         """
         if not self._compile:
             return self._function()
@@ -81,13 +80,12 @@ class ExternalTorqueObserver:
 def observer_function(name: str, n: int, size: int, momentum: Callable[[ca.MX, ca.MX], Sequence[ca.MX]]) -> ca.Function:
     """Return the function (kept, position, velocity, bandwidth, dt) -> kept of a momentum observer of n joints.
 
-    momentum: (position, velocity) -> p and dp/dt - tau, each (size,); the first n are finite only if the arguments are.
-    kept (3 size,): p, dp/dt - tau, r.
+    momentum: (position, velocity) -> p, dp/dt - tau (size,), finite if their first n are. kept (3 size,): both, r.
     """
     s = symbols(ca.MX, kept=3 * size, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
-    parts, dt = PackedVector({"p": size, "f": size, "r": size}), s["dt"]
+    parts = PackedVector({"p": size, "f": size, "r": size})
     p, f = momentum(s["position"], s["velocity"])
-    kept = parts.unpack(s["kept"])
+    kept, dt = parts.unpack(s["kept"]), s["dt"]
     follows = ca.logic_and(_finite(kept["r"][:n]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
     r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
     r = ca.if_else(_finite(ca.vertcat(p[:n], f[:n])), r, np.nan)
