@@ -7,15 +7,18 @@ order differential equations in positions and velocities by the classical Runge-
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
+from typing import Any
 
 import casadi as ca
 import cma
 import numpy as np
 from numpy.typing import ArrayLike
+from tqdm import tqdm
 
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.model.newton_euler import serial_chain
@@ -64,18 +67,28 @@ class UncertainLoop:
         """Number of uncertain parameters."""
         return sum(self._sizes[name].size for name in self.errors)
 
-    def worst(self, seed: int, rounds: int, weights: Array) -> Array:
-        """Return the largest errors (n,) [rad], or [m], that CMA-ES finds, relative to which `weights` (n,) count."""
+    def worst(self, searches: int, rounds: int, weights: Array) -> Array:
+        """Return the largest errors (searches, n) [rad], or [m], that each search by CMA-ES finds.
+
+        Errors count relative to `weights` (n,). The searches ask at once for the robots of a round.
+        """
+        of_all = [self._search(seed) for seed in range(searches)]
+        largest: Array = np.zeros((searches, len(weights)))
+        for _ in tqdm(range(rounds), desc="rounds of the searches", disable=not sys.stderr.isatty()):
+            asked = [search.ask() for search in of_all]
+            sizes = [len(each) for each in asked]
+            peaks, _ = self.peaks(np.concatenate(asked)[:, : self.numbers])
+            found = np.split(peaks, np.cumsum(sizes)[:-1])
+            for search, points, errors in zip(of_all, asked, found, strict=True):
+                search.tell(points, list(-np.max(errors / weights, axis=1)))
+            largest = np.maximum(largest, [each.max(axis=0) for each in found])
+        return largest
+
+    def _search(self, seed: int) -> Any:
+        """Return a search by CMA-ES from random shares; of one parameter, repeated, as it needs several."""
         start = np.random.default_rng(seed).uniform(-1, 1, self.numbers)
         options = {"bounds": [-1, 1], "seed": seed + 1, "verbose": -9}
-        search = cma.CMAEvolutionStrategy(start.repeat(max(1, 3 - len(start))), STEP_SIZE, options)
-        largest = np.zeros(len(weights))
-        for _ in range(rounds):
-            asked = search.ask()
-            peaks, _ = self.peaks(np.array(asked)[:, : self.numbers])
-            search.tell(asked, list(-np.max(peaks / weights, axis=1)))
-            largest = np.maximum(largest, peaks.max(axis=0))
-        return largest
+        return cma.CMAEvolutionStrategy(start.repeat(max(1, 3 - len(start))), STEP_SIZE, options)
 
     def peaks(self, shares: Array) -> tuple[Array, Array]:
         """Return the largest |q_l - q_ld| (k, n) once settled, and at all times, of robots with shares (k, .), -1 to 1.

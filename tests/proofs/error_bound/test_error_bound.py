@@ -102,7 +102,7 @@ def test_no_robot_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twic
     bound = bound_errors(made, reference, T, delay, errors, payload_position=PLACE)
     loop = class_of(made, reference, delay, errors)
     steady, whole = drawn(loop, 40 if errors else 1)
-    found = loop.worst(0, 3, bound.position) if errors else steady.max(axis=0)
+    found = loop.worst(1, 3, bound.position)[0] if errors else steady.max(axis=0)
     seen = np.maximum(steady.max(axis=0), found)
     assert bound.proven
     assert np.all(seen <= bound.position)
