@@ -337,7 +337,7 @@ struct fjr_certificate {
 /* kept, next (3, 1 + errors, FJR_N): momenta of the links, their rates and the estimated torques at the last sample, each
  * with its derivatives by the stated errors of the model; NaN: none. d (errors), P (errors, errors): mean and covariance
  * of the errors. compared: torques that these do not explain, and thresholds; S: covariance of the former;
- * integration: error of r by the time between samples [N m]; rate: largest of the rates' changes [N m/s]. See contact.c. */
+ * integration: error of r by the time between samples [N m]; rate: largest |f'| within 1 / bandwidth [N m/s]. See contact.c. */
 struct fjr_torque_observer {
   fjr_function update; /* (kept, position, velocity, bandwidth, dt) -> kept */
   double bandwidth;    /* 1/s */
