@@ -15,6 +15,7 @@ import casadi
 import mujoco
 import numpy
 import pinocchio
+from tqdm import tqdm
 
 from bench import (
     build,
@@ -82,12 +83,17 @@ def main() -> int:
 
 
 def measured(wanted: Sequence[str], quick: bool) -> list[Figure]:
-    """Return the figures of these benchmarks; say on stderr which one runs."""
+    """Return the figures of these benchmarks; show a progress bar on a terminal, plain lines elsewhere."""
     figures: list[Figure] = []
-    for number, name in enumerate(wanted, start=1):
-        print(f"bench: [{number}/{len(wanted)}] {name}", file=sys.stderr, flush=True)
-        measure, trial = (USUAL | LONG)[name]
-        figures += measure(**(trial if quick else {}))
+    terminal = sys.stderr.isatty()
+    with tqdm(total=len(wanted), disable=not terminal, bar_format="{desc:16} |{bar}| {n}/{total} {elapsed}") as bar:
+        for name in wanted:
+            if not terminal:
+                print(f"bench: {name}", file=sys.stderr, flush=True)
+            bar.set_description(name)
+            measure, trial = (USUAL | LONG)[name]
+            figures += measure(**(trial if quick else {}))
+            bar.update()
     return figures
 
 

@@ -36,6 +36,7 @@ from fjr_core.runtime.library import step_library
 from fjr_msgs_py.scenarios import library
 
 SCENARIO, FORCE = "arm7", 20.0  # of the tables of delays; N
+SCENARIOS = (SCENARIO, "two_link")
 MINUTE, TRIAL, AT = 60_000, 300, (2_000, 10_000, 59_000)  # states, 1 ms apart
 JITTER, LATE, LATEST = 0.2, 1e-3, 0.1  # deviation of the time between two, as a share; share that is late; s
 POSITION_NOISE, VELOCITY_NOISE = 5e-6, 5e-4  # rad, rad/s
@@ -266,12 +267,14 @@ def main() -> None:
     """Simulate hours, or write the table of those that there are."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--scenario", default=SCENARIO)
+    parser.add_argument("--scenario", choices=SCENARIOS, default=SCENARIO)
     parser.add_argument("--hours", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     if given.hours:
         simulate(given.folder, given.scenario, given.hours, given.seed)
+    elif not any(given.folder.glob(f"{SCENARIO}-*.npz")):
+        parser.error(f"{given.folder} has no hours of {SCENARIO}; expected some, by --hours")
     else:
         put("contact.md", "contact", tables(given.folder))
 

@@ -270,7 +270,7 @@ class TorqueObserverStruct:
         self._held, self._work = CFunction(ffi, function), WorkSpace(ffi, [function])
         errors = function.nnz_in(0) // (3 * len(noise)) - 1
         start = np.full(function.nnz_in(0), np.nan)
-        arrays = {"kept": start, "next": start, "d": np.zeros(errors), "P": np.eye(errors), "W": start}
+        arrays = {"kept": start, "next": start, "d": np.zeros(errors), "P": np.eye(errors), "W": np.zeros(errors)}
         self.arrays = {name: ffi.new("double[]", each.ravel().tolist()) for name, each in arrays.items()}
         given = {"update": self._held.pointer, "bandwidth": bandwidth, "errors": errors, "limit": limit}
         timing = {"period": round(period * 1e9), "stay": float(np.exp(-period / drift))}
