@@ -23,7 +23,8 @@ def in_real_time(counter: Any) -> None:
     """
     with Ros() as ros:
         manager = Manager(ros)
-        node = ros.controller(limits__tracking_error=[3.0], autostart=False)
+        far = {"limits__tracking_error": [1e3], "limits__effort": [30.0]}  # no stop on a machine with little time
+        node = ros.controller(**far, autostart=False)
         node.trigger_configure()
         node.trigger_activate()
         before = set(sys.modules)
@@ -36,7 +37,7 @@ def in_real_time(counter: Any) -> None:
         ros.until(lambda: any("mismatch" in s.message for m in manager.diagnostics for s in m.status), "the diagnosis")
         manager.trajectories.publish(trajectory((0.5, 0.3), (1.0, -0.2)))
         ros.until(lambda: "references changed" in manager.kinds(), "the trajectory")
-        changed, _ = manager.set(gains__K_ld=[0.7], limits__tracking_error=[2.5])
+        changed, _ = manager.set(gains__K_ld=[0.7], limits__tracking_error=[100.0])
         for name in ("hold", "play", "resume"):
             manager.trigger(name)
         counter.allocations_count(0)
