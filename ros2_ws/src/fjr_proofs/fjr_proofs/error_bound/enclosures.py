@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import reduce
+from os import cpu_count
+from typing import NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -25,8 +28,10 @@ SAMPLED = 24  # cells at which ranges that are not verified are evaluated
 POINTS = 4  # of tube and factors at each instant: their middle, and random corners
 INSTANTS = (-1.0, 0.0, 1.0)  # of a window, relative to its radius
 SEED = 0
+IN_CACHE = 5_000  # cells times cubed joints, to which the size of their models is proportional
 CLIMBS = 6  # corners of a tube that are tried for the largest V
 
+Found = TypeVar("Found")
 Enclosure = list[TaylorModels]
 """Models that together contain an output of a function: one if verified, else points."""
 
@@ -52,11 +57,6 @@ class Tube:
         below = np.zeros((self.lines.shape[1] - len(self.directions), self.directions.shape[1]))
         directions = np.concatenate([self.directions, below])
         return np.concatenate([np.broadcast_to(directions, (len(self.lines), *directions.shape)), self.lines], axis=2)
-
-    @property
-    def box(self) -> Array:
-        """Bounds (4n,) of |z|."""
-        return np.asarray(np.abs(self.columns[:, : len(self.directions)]).sum(axis=2).max(axis=0))
 
 
 class Mismatch(NamedTuple):
@@ -107,7 +107,7 @@ class Ranges:
         defect, _ = columnwise(self._model.defect, self._path.columns(cells.sampled), cells.columns(cells.sampled), c)
         acting = cells.acting(self.blocks, self._whole)[0].middle
         _, rate = columnwise(self._model.defect, self._path.columns(acting), cells.columns(acting), c)
-        torque = _after_zeros(linear.factors * self._half)
+        torque = np.pad(linear.factors * self._half, ((0, 0), (0, 0), (1, 0)))
         (inertia,) = self._inertias(linear.centre.factors)
         aging = np.concatenate([0 * rate, -rate / inertia[:, None], 0 * rate]).T
         effort = np.zeros((len(torque), linear.n, torque.shape[2]))
@@ -144,23 +144,33 @@ class Ranges:
         those `anywhere` in the tube: of the difference of two motions, since M_l a_1 - M_l' a_2 = M_l (a_1 - a_2) +
         (M_l - M_l') a_2.
         """
-        n, S = self.linear.n, self.linear.coordinates
-        z = self.tube(S.S_inverse * bounds, lines)
+        n, directions = self.linear.n, self.linear.coordinates.S_inverse * bounds
+
+        def of_cells(part: Ranges, cells: slice) -> Mismatch:
+            z = part.tube(directions, lines[cells])
+            torques, M, efforts = part._slopes(z, anywhere)
+            known = slice(z.directions.shape[1], None)
+            whole = np.concatenate([_with_factors(lines[cells]), accelerations[cells]], axis=1)
+            others = np.zeros(len(unknown) - 4 * n)
+            along = torques.beside(M).along(whole, known), others, efforts.along(lines[cells], known)
+            above = unknown if anywhere is not None else unknown + np.concatenate(along)
+            return Mismatch(above, torques.largest[:, : 4 * n], M.largest, part._input_apart(), efforts.largest)
+
         try:
-            torques, M, efforts = self._slopes(z, anywhere)
+            return reduce(Mismatch.most, self._in_parts(of_cells))
         except ZeroDivisionError:
             return None
-        known, first = slice(z.directions.shape[1], None), slice(len(torques.values) if self._cells.verified else 1)
-        whole = np.concatenate([_with_factors(lines), accelerations], axis=1)[first]
-        others = np.zeros(len(unknown) - 4 * n)
-        along = torques.beside(M).along(whole, known), others, efforts.along(lines[first], known)
-        return Mismatch(
-            unknown if anywhere is not None else unknown + np.concatenate(along),
-            X=torques.largest[:, : 4 * n],
-            M=M.largest,
-            B=self._input_apart(),
-            F=efforts.largest,
-        )
+
+    def _in_parts(self, found: Callable[[Ranges, slice], Found]) -> list[Found]:
+        """Return what is found in consecutive cells, whose models are together in the cache of a processor."""
+        if not self._cells.verified:
+            return [found(self, slice(1))]  # lines are zero
+        processors = cpu_count() or 1
+        count = min(1 + IN_CACHE // self.linear.n**3, 1 + len(self.at) // processors)
+        parts = [slice(first, first + count) for first in range(0, len(self.at), count)]
+        given = self.linear, self.low, self.high, self.blocks
+        with ThreadPoolExecutor(processors) as pool:
+            return list(pool.map(found, [Ranges(*given, self.at[cells]) for cells in parts], parts))
 
     def of_factors(self, disturbances: int, lines: Array) -> Iterator[Mismatch]:
         """Yield what each factor alone contributes to the differences from the linear model along the lines."""
@@ -174,11 +184,16 @@ class Ranges:
 
         Their columns are those of the lines, then the further ones of `_of_pairs`.
         """
-        torques, M, efforts = self._slopes(self.tube(np.zeros((4 * self.linear.n, 0)), lines))
-        whole = np.concatenate([_with_factors(lines), accelerations], axis=1)
-        to_joints, S = np.linalg.inv, self.linear.coordinates
-        torque, effort = torques.beside(M).products(whole), efforts.products(lines)
-        return to_joints(S.torques) @ _of_pairs(torque), to_joints(S.effort) @ _of_pairs(effort)
+        to_joints, S, none = np.linalg.inv, self.linear.coordinates, np.zeros((4 * self.linear.n, 0))
+
+        def of_cells(part: Ranges, cells: slice) -> tuple[Array, Array]:
+            torques, M, efforts = part._slopes(part.tube(none, lines[cells]))
+            whole = np.concatenate([_with_factors(lines[cells]), accelerations[cells]], axis=1)
+            torque, effort = torques.beside(M).products(whole), efforts.products(lines[cells])
+            return to_joints(S.torques) @ _of_pairs(torque), to_joints(S.effort) @ _of_pairs(effort)
+
+        torques, efforts = map(np.concatenate, zip(*self._in_parts(of_cells), strict=True))
+        return torques, efforts
 
     def storage(self, tube: Tube) -> float:
         """Return the largest V [J] of the law in a tube; nan if the law has none, inf if it cannot be enclosed."""
@@ -298,22 +313,17 @@ class Ranges:
         """
         rows, columns = middle.shape[1:]
         known = self._at_points(middle.transpose(0, 2, 1).reshape(len(middle), -1)).T
-        left = self._at_points(left)[:, None] if left.ndim == 3 else left
+        left = self._at_points(left) if left.ndim == 3 else left
         values = []
         for models in enclosure:
             apart = models.minus(known).values
-            matrices = apart.reshape(len(apart), columns, rows, -1).transpose(0, 3, 2, 1)
-            values.append(MatrixModels(matrices, models.shape).between(left, right).values)
+            matrices = MatrixModels(apart.reshape(len(apart), columns, rows, -1), models.shape)
+            values.append(matrices.between(left, right).values)
         return MatrixModels(np.concatenate(values), enclosure[0].shape)
 
     def _at_points(self, of_cells: Array) -> Array:
         """Return values (c, ..) of the cells at the instants of the ranges."""
         return np.concatenate([of_cells[self.at]] * (1 if self._cells.verified else len(INSTANTS)))
-
-
-def _after_zeros(columns: Array) -> Array:
-    """Return columns (c, rows, k) after a first one of zeros."""
-    return np.concatenate([np.zeros((*columns.shape[:2], 1)), columns], axis=2)
 
 
 def _with_factors(lines: Array) -> Array:

@@ -324,7 +324,8 @@ def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
     box = replace(box, effects=effects, first_order=bound(problem.first_order))
     if problem.tube is None:
         return box
-    storage = problem.ranges.storage(problem.as_tube(problem.tube))
+    directions = problem.linear.coordinates.S_inverse * problem.tube.z
+    storage = problem.ranges.storage(problem.ranges.tube(directions, problem.steady.lines))
     box = replace(box, ultimate=bound(problem.steady.positions_and_velocities(problem.tube)), storage=storage)
     if problem.from_start is None:
         return box

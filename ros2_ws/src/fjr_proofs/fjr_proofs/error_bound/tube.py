@@ -22,7 +22,7 @@ from fjr_core.numerics.checks import Array
 from ..verification.taylor_models import ROUNDING
 from .cells import Cells
 from .deviation_model import CentreMotion, DeviationModel
-from .enclosures import Mismatch, Ranges, Tube
+from .enclosures import Mismatch, Ranges
 from .linear_loop import KnownErrors, LinearLoop, Response, course, linear_loop, steady_response
 
 STEPS = 5  # of Newton's method
@@ -269,10 +269,6 @@ class TubeProblem:
         for factor in (i, j):
             np.add.at(effects, factor, mixed)
         return np.asarray(effects)
-
-    def as_tube(self, bounds: DeviationBounds) -> Tube:
-        """Return the tube of steady motion about the lines with the bounds of what they leave."""
-        return self.ranges.tube(self.linear.coordinates.S_inverse * bounds.z, self.steady.lines)
 
     def grown(self, *known: Known) -> DeviationBounds | None:
         """Return bounds that lie within their tube, which grows from what is known; None if none are found."""

@@ -10,11 +10,9 @@ order and all roundings are bounded by r. taylor_models.c computes.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from math import factorial
-from os import cpu_count
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -36,6 +34,8 @@ PRODUCTS = 1e-13
 """Relative error of two products of matrices of up to 100 rows."""
 SINES = 1e-11
 """Relative error of a sum of sines."""
+LANES = 8
+"""Boxes that are computed together."""
 OPERATIONS = (
     *(ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV),
     *(ca.OP_SIN, ca.OP_COS, ca.OP_ASSIGN, ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT),
@@ -83,15 +83,6 @@ class TaylorModels:
         values[..., shape.order : shape.order + given.shape[2]] = given
         values[..., -1] = ROUNDED * np.abs(given).sum(axis=2)
         return cls(values, shape)
-
-    @classmethod
-    def boxes(cls, middle: ArrayLike, radius: ArrayLike, first: int, shape: Shape) -> TaylorModels:
-        """Return numbers within radii of middles (size, k); each wide one is a symbol, the first `first`."""
-        models, half = cls.exact(middle, shape), np.asarray(radius, dtype=float)
-        for j, i in enumerate(np.flatnonzero(np.any(half > 0, axis=1))):
-            models.values[:, i, shape.order + first + j] = half[i]
-            models.values[:, i, -1] = ROUNDED * (np.abs(models.values[:, i, 0]) + half[i])
-        return models
 
     @classmethod
     def sines(cls, reference: Sines, middle: Array, radius: float, derivatives: int, shape: Shape) -> TaylorModels:
@@ -142,35 +133,38 @@ class TaylorModels:
 
 @dataclass(frozen=True, eq=False)
 class MatrixModels:
-    """Models of matrices X in k boxes: values (k, shape.width, rows, columns); the last are bounds of the rest."""
+    """Models of matrices X in k boxes: values (k, columns, rows, shape.width); the last are bounds of the rest."""
 
     values: Array
     shape: Shape
 
     def between(self, left: Array, right: Array) -> MatrixModels:
-        """Return left X right. The signs of all coefficients are kept."""
-        exact, rest = self.values[:, :-1], self.values[:, -1:]
-        rest = rest + PRODUCTS * np.abs(exact).sum(axis=1, keepdims=True)
-        values = np.concatenate([left @ exact @ right, np.abs(left) @ rest @ np.abs(right)], axis=1)
+        """Return left X right; left: of all boxes, or of each (k, .., rows). The signs of all coefficients are kept."""
+        k, columns, rows, width = self.values.shape
+        rest = self.values[..., -1] + PRODUCTS * np.abs(self.values[..., :-1]).sum(axis=-1)
+        by_right = (right.T @ self.values.reshape(k, columns, rows * width)).reshape(k, -1, rows, width)
+        values = left[..., None, :, :] @ by_right
+        values[..., -1] = np.abs(right.T) @ rest @ np.abs(left).swapaxes(-1, -2)
         return MatrixModels(values, self.shape)
 
     def mean_from_zero(self) -> MatrixModels:
         """Return models of the mean of X on the way from the middle of the tube, where its terms grow in proportion."""
         values = self.values.copy()
-        values[:, self.shape.order : -1] /= 2
+        values[..., self.shape.order : -1] /= 2
         return MatrixModels(values, self.shape)
 
     def beside(self, M: MatrixModels) -> MatrixModels:
         """Return models of torques with further columns, those of minus the inertia for the first rows."""
-        more = np.zeros((*self.values.shape[:3], M.values.shape[3]))
-        more[:, :, : M.values.shape[2]] = -M.values
-        more[:, -1] = np.abs(more[:, -1])
-        return MatrixModels(np.concatenate([self.values, more], axis=3), self.shape)
+        k, columns, rows, width = M.values.shape
+        more = np.zeros((k, columns, self.values.shape[2], width))
+        more[:, :, :rows] = -M.values
+        more[..., -1] = np.abs(more[..., -1])
+        return MatrixModels(np.concatenate([self.values, more], axis=1), self.shape)
 
     @property
     def largest(self) -> Array:
         """Largest elements (rows, columns) of |X|."""
-        return np.asarray(ROUNDING * np.abs(self.values).sum(axis=1).max(axis=0))
+        return np.asarray(ROUNDING * np.abs(self.values).sum(axis=-1).max(axis=0).T)
 
     def along(self, lines: Array, known: slice = slice(0)) -> Array:
         """Return the largest elements (rows,) of X times a sum of lines (k, columns, u), each times -1 to 1.
@@ -179,26 +173,33 @@ class MatrixModels:
         """
         if not lines.shape[2]:
             return np.zeros(self.values.shape[2])
-        unknown = np.delete(self.values[:, :-1], self._places(known), axis=1)
-        signed = np.abs(unknown @ lines[:, None]).sum(axis=(1, 3))
-        return np.asarray(ROUNDING * (signed + (self.values[:, -1] @ np.abs(lines)).sum(axis=2)).max(axis=0))
+        unknown = np.delete(self.values[..., :-1], self._places(known), axis=3)
+        signed = np.abs(_applied(unknown, lines)).sum(axis=(1, 3))
+        rest = (np.abs(lines).sum(axis=2)[:, None] @ self.values[..., -1])[:, 0]
+        return np.asarray(ROUNDING * (signed + rest).max(axis=0))
 
     def products(self, lines: Array) -> Array:
         """Return the products (k, rows, u, u) of the slopes of X in its symbols, those of the lines, and the lines."""
-        products = self.values[:, self._places(slice(None))] @ lines[:, None]
-        return np.asarray(products.transpose(0, 2, 1, 3))
+        return _applied(self.values[..., self._places(slice(None))], lines).transpose(0, 2, 3, 1)
 
     def of(self, symbol: int) -> MatrixModels:
         """Return models of what a symbol contributes, to first order."""
         place = self.shape.order + symbol
         values = np.zeros_like(self.values)
-        values[:, place] = self.values[:, place]
+        values[..., place] = self.values[..., place]
         return MatrixModels(values, self.shape)
 
     def _places(self, symbols: slice) -> slice:
         """Return the places of the slopes in these symbols."""
         first, last, _ = symbols.indices(self.shape.symbols)
         return slice(self.shape.order + first, self.shape.order + last)
+
+
+def _applied(coefficients: Array, lines: Array) -> Array:
+    """Return the products (k, u, rows, l) of coefficients (k, columns, rows, l) and lines (k, columns, u)."""
+    k, columns, rows, count = coefficients.shape
+    products = lines.swapaxes(1, 2) @ coefficients.reshape(k, columns, rows * count)
+    return np.asarray(products.reshape(k, -1, rows, count))
 
 
 class TaylorFunction:
@@ -236,26 +237,17 @@ class TaylorFunction:
         inputs = np.ascontiguousarray(np.concatenate([models.values for models in arguments], axis=1))
         boxes, shape = len(inputs), arguments[0].shape
         results = np.empty((boxes, self.outputs, shape.width))
-        parts = np.array_split(np.arange(boxes), cpu_count() or 1)
-        with ThreadPoolExecutor() as pool:
-            failed = list(pool.map(lambda part: self._evaluate(inputs[part], results, part, shape), parts))
-        if any(failed) or not np.all(np.isfinite(results)):
-            raise ZeroDivisionError("a Taylor model that may be zero")
-        return [TaylorModels(values, shape) for values in np.split(results, self.ends, axis=1)]
-
-    def _evaluate(self, inputs: Array, results: Array, part: Any, shape: Shape) -> int:
-        if not len(part):
-            return 0
+        memory = np.empty((self.function.sz_w() + 1, shape.width, LANES))
         ffi, library = _library(shape)
-        memory = np.empty((self.function.sz_w() + 1, inputs.shape[2]))
-        arrays = np.ascontiguousarray(inputs), results[part[0] : part[-1] + 1], memory
-        boxes, enclosed, work = (ffi.from_buffer("double[]", array) for array in arrays)
         lists = {"op": self._op, "out": self._out, "left": self._left, "right": self._right}
         fields = {name: ffi.from_buffer("int32_t[]", array) for name, array in lists.items()}
         fields["number"] = ffi.from_buffer("double[]", self._number)
         sizes = {"count": len(self._op), "inputs": self.inputs, "outputs": self.outputs}
         tape = ffi.new("struct fjr_tape *", {**fields, **sizes})
-        return library.fjr_taylor_evaluate(tape, boxes, len(part), enclosed, work)
+        given, enclosed, work = (ffi.from_buffer("double[]", array) for array in (inputs, results, memory))
+        if library.fjr_taylor_evaluate(tape, given, boxes, enclosed, work) or not np.all(np.isfinite(results)):
+            raise ZeroDivisionError("a Taylor model that may be zero")
+        return [TaylorModels(values, shape) for values in np.split(results, self.ends, axis=1)]
 
 
 taylor_function = lru_cache(maxsize=16)(TaylorFunction)
@@ -278,4 +270,4 @@ def _library(shape: Shape) -> tuple[Any, Any]:
     """
     if shape.symbols and shape.mixed > shape.order or shape.width > 500:
         raise ParameterError(f"{shape}: expected at most 500 values, and mixed at most order")
-    return c_library_of(__file__, dict(zip("MKL", shape, strict=True)), ["-fopenmp-simd"])[:2]
+    return c_library_of(__file__, {**dict(zip("MKL", shape, strict=True)), "LANES": LANES}, ["-Wno-psabi"])[:2]
