@@ -50,7 +50,11 @@ REFUSED = [
     ("check arm7 --set robot.joint_stiffness:=[1.0]", 2, "'robot.joint_stiffness' has 1 entries; expected 7"),
     ("check paper_k3p1 --set robust.integral_gain:=[40.0]", 2, "integral_gain is [40] 1/s, which makes the loop unst"),
     ("check paper_k31 --error payload=0.1 --error payload=0.2", 2, "'payload' is given 2 times; expected it once"),
-    ("check paper_k31 --error payload", 2, "'' is not an error; expected NAME=VALUE with 0 or a positive number"),
+    (
+        "check paper_k31 --error payload",
+        2,
+        "'' is not an error of payload; expected NAME=VALUE with 0 or a positive number",
+    ),
     ("check paper_k31 --delay 1 --set robust.residual_gain:=[60.0]", 2, "robust.* is enabled; expected a static law"),
     ("check paper_k31 --set publish_rate:=20.0 --set inner_steps:=1", 1, "inner_steps is 1, too few for rk4"),
     ("check paper_k31 --set imperfections.command_delay:=0.008", 1, "is unstable as sampled at 1000 Hz"),

@@ -57,9 +57,8 @@ def errors_bounded(
                 f"{reason}; expected a static law with all states measured for a bound of the tracking error, and the "
                 "difference from the model as an error"
             )
-    period = scenario.sample_period
-    late = scenario.loop_delay if delay is None else delay * period
-    loop = scenario.law, scenario.reference, period, late, _with_stated(scenario, errors)
+    late = scenario.loop_delay if delay is None else delay * scenario.sample_period
+    loop = scenario.law, scenario.reference, scenario.sample_period, late, _with_stated(scenario, errors)
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
         bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove, payload_position(scenario))
     tried = prove or scenario.robot.n <= SECONDS_TO_PROVE
@@ -104,7 +103,7 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     delay = f"{samples:.3g} samples of delay" if samples else "no delay"
     if np.isclose(samples, 1):
         delay = "one sample of delay"
-    conditions = ", ".join([*(_error(*error) for error in bound.errors.items()), delay])
+    conditions = ", ".join([*(_error(*error, payload_position(scenario)) for error in bound.errors.items()), delay])
     if not bound.found:
         return f"none found with {conditions}; expected smaller errors"
     joint = int(np.argmax(bound.position))
@@ -117,13 +116,15 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     return f"|q_l - q_ld| at most {largest}{storage} {when} along this reference, with {conditions}; {basis}"
 
 
-def _error(name: str, size: ArrayLike) -> str:
+def _error(name: str, size: ArrayLike, place: Array) -> str:
     if name == DELAY:
         return f"a delay that changes by up to {float(np.asarray(size)):g} samples either way"
     unit = DEVIATIONS[name].unit
     sizes = " and ".join(dict.fromkeys(f"{value if unit else 100 * value:g}" for value in np.atleast_1d(size)))
     if name in TORQUES:
         return f"{DEVIATIONS[name].of} of up to {sizes} {unit}"
+    if name == "payload_mass":
+        return f"a payload of up to {sizes} kg at ({place[0]:g}, {place[1]:g}, {place[2]:g}) m of the last link"
     amount = "one common factor of up to" if name == "payload" else "up to"
     return f"{DEVIATIONS[name].of} off by {amount} {sizes} {unit or '%'}"
 

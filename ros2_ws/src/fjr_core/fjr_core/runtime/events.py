@@ -196,7 +196,7 @@ class Journal:
             return f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]}
         joint = settings.joints[found.joint] if found.joint >= 0 else ""
         if kind == CONTACTS:
-            torque = f"{found.value:.3g} {settings.units[found.joint].effort} on {joint}, beyond {found.limit:.3g}"
+            torque = f"{found.value:.3g} {settings.units[found.joint].effort} on {joint} (threshold {found.limit:.3g})"
             return f"contact: external torque on {', '.join(joints_of(found.detail, settings.joints))}: {torque}", {}
         values: dict[str, float | str] = {"joint": joint} if joint else {}
         if not math.isnan(found.value):

@@ -132,10 +132,10 @@ def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     columns = np.zeros((len(torque), 2 * n, torque.shape[2]))
     columns[:, :n] = torque
     still = np.zeros((len(seen.q), n))
-    weights = body_torques(links, j, seen.q[:, :n], still, still)[:, j, :4]
+    weights = body_torques(links, j, seen.q[:, :n], still, still)[:, :, :4]
 
     def largest(fitted: Array) -> float:
-        return float(np.abs(weights @ fitted[:4]).max())  # weight torque at the joint
+        return float(np.abs(weights @ fitted[:4]).max())  # weight torque at any joint
 
     yield Hypothesis("gravity load", j, LINK, "N m", columns[:, :, :4], largest)
     yield Hypothesis("gravity load", j, LINK, "N m", columns, largest, _point_mass)

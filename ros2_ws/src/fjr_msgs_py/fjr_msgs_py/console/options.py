@@ -55,7 +55,7 @@ def model_error(text: str) -> tuple[str, float | list[float]]:
     if name == "link_inertia":
         click.echo("fjr: --error link_inertia is deprecated; use link_central_inertia", err=True)
         name = "link_central_inertia"
-    convert = number("an error", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)
+    convert = number(f"an error of {name}", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)
     first, *others = map(convert, value.split(","))
     return name, [first, *others] if others else first
 

@@ -23,6 +23,7 @@ from fjr_core.runtime.measurement_model import JointSample
 from ..names import state_names
 from .cdr import Form
 
+LARGEST = 1e9  # magnitude of a measured value, in SI units; that of cdr.c
 FIRST_UNSENDABLE = 2**31 * 10**9  # ns; the seconds of a stamp are a signed 32-bit integer
 
 
@@ -58,7 +59,7 @@ def picked(message: JointState, field: str, wanted: Sequence[str]) -> Array:
         if field == "velocity" and not len(values) and message.position:
             expected += ", or the parameter measurement.velocity set to observer"
         raise MessageError("wrong lengths", f"{field} has {len(values)} entries; {expected}")
-    return _finite(field, values[columns], wanted)
+    return _finite(field, values[columns], wanted, LARGEST)
 
 
 def _columns(names: list[str], wanted: Sequence[str]) -> list[int]:
@@ -71,10 +72,12 @@ def _columns(names: list[str], wanted: Sequence[str]) -> list[int]:
     return [names.index(name) for name in wanted]
 
 
-def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
-    bad = [f"{name} = {value}" for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
+def _finite(field: str, values: Array, names: Sequence[str], largest: float = np.inf) -> Array:
+    good = np.isfinite(values) & (np.abs(values) <= largest)
+    bad = [f"{name} = {value}" for name, value, fine in zip(names, values, good, strict=True) if not fine]
     if bad:
-        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers")
+        most = f" of at most {largest:g}" if largest < np.inf else ""
+        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers{most}")
     return values
 
 

@@ -8,6 +8,7 @@
 
 #define HEADER 4
 #define SECOND 1000000000
+#define LARGEST 1e9 /* magnitude of a measured value, in SI units */
 
 /* A place in a message, counted from the end of the header. `bad`: the message ends before a value. */
 struct cursor {
@@ -86,7 +87,7 @@ static int look_up(struct fjr_joint_reader* r, struct cursor names, uint32_t cou
 static int pick(const struct fjr_joint_reader* r, const uint8_t* numbers, double* values) {
   for (int32_t i = 0; i < r->joints; ++i) {
     values[i] = number_at(numbers, r->column[i]);
-    if (!isfinite(values[i])) return FJR_NOT_FINITE;
+    if (!(fabs(values[i]) <= LARGEST)) return FJR_NOT_FINITE;
   }
   return FJR_READ;
 }
