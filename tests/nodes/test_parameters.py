@@ -63,6 +63,29 @@ def test_parameters_of_other_nodes_in_a_shared_file_are_left_to_them(
     assert "publish_rate" not in said
 
 
+SECTIONS_READ = {
+    "": False,
+    "/fjr_controler: {ros__parameters: {state_timeout: 0.5}}": False,
+    "/right/fjr_controller: {ros__parameters: {state_timeout: 0.5}}": False,
+    "/**/fjr_plant: {ros__parameters: {publish_rate: 500.0}}": False,
+    "/**: {ros__parameters: {state_timeout: 0.5}}": True,
+    "/**/fjr_controller: {ros__parameters: {state_timeout: 0.5}}": True,
+    "/*/fjr_controller: {ros__parameters: {state_timeout: 0.5}}": True,
+    "left/fjr_controller: {ros__parameters: {state_timeout: 0.5}}": True,
+    "/left: {fjr_controller: {ros__parameters: {state_timeout: 0.5}}}": True,
+}
+"""Files by whether they give the controller in the namespace /left a parameter."""
+
+
+@pytest.mark.parametrize("text", SECTIONS_READ)
+def test_a_file_without_a_section_of_the_node_is_named(ros: Ros, tmp_path: Path, text: str, capfd) -> None:
+    words = in_file(tmp_path, text.replace("0.5", "0.25"))
+    node = ros.start(ControllerNode, [*words, "-r", "__ns:=/left", "-p", "autostart:=false"])
+    assert (node.get_parameter("state_timeout").value == 0.25) == SECTIONS_READ[text]
+    said = "given.yaml has no section of /left/fjr_controller ("
+    assert (said not in capfd.readouterr().err) == SECTIONS_READ[text]
+
+
 def test_a_controller_without_autostart_waits_for_known_parameters_only(ros: Ros, tmp_path: Path, capfd) -> None:
     arguments = in_file(tmp_path, "/**: {ros__parameters: {autostart: false, limits.efort: [1.0]}}")
     node = ros.start(ControllerNode, arguments)

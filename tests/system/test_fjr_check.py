@@ -8,6 +8,7 @@ import os
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fjr_core.config.scenario import load_scenario
@@ -64,8 +65,26 @@ def test_loop_is_also_checked_along_the_reference() -> None:
 
 def test_a_reference_beyond_the_limits_is_named(arm: str) -> None:
     motion = "reference.amplitude:=[0.1, 4.0]", "reference.frequency:=[1.0, 2.0]"
-    rows = figures(fjr_here("check", arm, *(part for text in motion for part in ("--set", text))))
-    assert rows["reference"] == "BEYOND the position limits of elbow; BEYOND the velocity limits of elbow"
+    said = fjr_here("check", arm, *(part for text in motion for part in ("--set", text)), code=1)
+    assert figures(said)["reference"] == "BEYOND the position limits of elbow; BEYOND the velocity limits of elbow"
+    assert "fjr: scenario arm has a reference beyond its limits, with which no controller starts: joint 'elbow'" in said
+
+
+def test_limits_of_the_controller_count_beside_those_of_the_robot(arm: str) -> None:
+    """An effort beyond them saturates; a reference beyond them keeps the controller from its start."""
+    robot = load_scenario(arm).robot
+    weight = float(
+        np.abs([robot.grad_P_l(q_l) for q_l in load_scenario(arm).reference.configurations(64)]).max(axis=0)[1]
+    )
+    for share, state in ((0.9, "BEYOND the effort limits of elbow"), (1.1, "within the effort limits")):
+        rows = figures(fjr_here("check", arm, "--set", f"limits.effort:=[1e3, {share * weight}]"))
+        assert rows["weight"].endswith(f"on the reference; {state}")
+    rows = figures(fjr_here("check", arm, "--set", "limits.effort:=[1e-6, 1e3]"))
+    assert rows["first effort"].endswith("BEYOND the effort limits of shoulder")
+    for limit, what in (("link_position_upper", "position"), ("link_velocity", "velocity")):
+        said = fjr_here("check", arm, "--set", f"limits.{limit}:=[10.0, 1e-3]", code=1)
+        assert f"BEYOND the {what} limits of elbow" in figures(said)["reference"]
+    assert "its limit is 0.001 rad/s^2" in fjr_here("check", arm, "--set", "limits.acceleration:=[9e9, 1e-3]", code=1)
 
 
 def test_a_wrist_without_a_tool_on_a_stiff_spring_is_named(tmp_path: Path) -> None:

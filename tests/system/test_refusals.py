@@ -47,6 +47,7 @@ REFUSED = [
     ("run paper_k31 --set publish_rate:=60.0 --set inner_steps:=200", 1, "unstable as sampled at 60 Hz"),
     ("check", 2, "no scenario given"),
     ("check alias.yaml", 2, "has a YAML alias (*rate), which ROS 2"),
+    ("check empty.yaml", 2, "scenario empty: is empty; expected a ROS 2 parameter file"),
     ("check arm7 --set robot.joint_stiffness:=[1.0]", 2, "'robot.joint_stiffness' has 1 entries; expected 7"),
     ("check paper_k3p1 --set robust.integral_gain:=[40.0]", 2, "integral_gain is [40] 1/s, which makes the loop unst"),
     ("check paper_k31 --error payload=0.1 --error payload=0.2", 2, "'payload' is given 2 times; expected it once"),
@@ -76,7 +77,8 @@ REFUSED = [
     ("new URDF --joints elbow_joint,elbw_joint", 2, "the URDF has no joint 'elbw_joint'; did you mean 'elbow_"),
     ("new URDF --chain 2", 2, "no chain 2; expected 1 to 1: 1: 6 joints, shoulder_pan_joint to wrist_3_joint"),
     ("new URDF --chain 0", 2, "'0' is not a chain; expected its number, 1 or more"),
-    ("new none.urdf", 2, "cannot be read (No such file or directory)"),
+    ("new none.urdf", 2, "fjr: URDF none.urdf cannot be read (No such file or directory)"),
+    ("new .", 2, "fjr: URDF . cannot be read (Is a directory); expected a file or XML text"),
     ("identify a.csv --robot none.yaml", 2, "cannot read robot file none.yaml: No such file or directory"),
     ("identify none.csv --robot robot.yaml --map map.yaml", 2, "none.csv is not a table of numbers"),
     ("identify a.csv --robot robot.yaml --accept all", 2, "--accept is 'all'; expected one of too_short, at_rest"),
@@ -165,6 +167,8 @@ def test_a_urdf_or_robot_file_in_place_of_a_scenario_names_what_to_do(folder: Pa
     assert "expected a scenario: fjr new arm.urdf writes one" in refused(command, "arm.urdf")
     if command in LOOPS:
         assert "expected a scenario, fjr excite arm_robot.yaml writes one" in refused(command, "arm_robot.yaml")
+        if command == "run":
+            assert "is a robot file" in fjr_here("run", "arm_robot.yaml", "--lockstep", "--engine", "own", code=2)
         (folder / "arm.yaml").write_text("/**: {ros__parameters: {robot: {file: arm_robot.yaml}}}\n")
         assert "expected a scenario, such as arm.yaml, which names it" in refused(command, "arm_robot.yaml")
 

@@ -157,11 +157,11 @@ def sections(node: str) -> tuple[str, ...]:
 def values_for(node: str, document: Any) -> dict[str, object]:
     """Return the values that a parameter file gives to a node, with dotted names.
 
-    Later sections override earlier ones. Raises ParameterError for a document that is no parameter file, also if a key
-    at the top is no section of any node.
+    Later sections override earlier ones. Raises ParameterError for a document or a key at its top that is no section.
     """
     if not isinstance(document, dict):
-        raise ParameterError(f"holds a {type(document).__name__}; expected a ROS 2 parameter file (a mapping)")
+        seen = "is empty" if document is None else f"holds a {type(document).__name__}"
+        raise ParameterError(f"{seen}; expected a ROS 2 parameter file (a mapping)")
     given: dict[str, object] = {}
     for section, content in document.items():
         if section not in sections(node):

@@ -95,11 +95,11 @@ def check_motion(
         q, dq, ddq = (None if rows is None else np.asarray(rows)[first:] for rows in given)
         check_points(limits, np.asarray(q), dq, ddq, joints, first)
     hull = reference.hull(t0, t1) if isinstance(reference, (PolynomialReference, PiecewisePolynomial)) else ()
-    if hull and not any(_beyond(bounds, limits).any() for bounds in hull):
+    if hull and not any(beyond(bounds, limits).any() for bounds in hull):
         return
     e = reference.motion_bounds(t0, t1)
     for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):
-        wrong = np.argwhere(_beyond(values, limits))
+        wrong = np.argwhere(beyond(values, limits))
         if len(wrong):
             row, joint = wrong[0]
             when = "" if np.isnan(at[row, joint]) else f" at {at[row, joint]:.4g} s"
@@ -122,14 +122,14 @@ def check_points(
     rows = [np.asarray(positions, dtype=float)]
     rows += [np.zeros_like(rows[0]) if given is None else np.asarray(given) for given in (velocities, accelerations)]
     points = np.stack(rows, axis=1)
-    wrong = np.argwhere(_beyond(points, limits))
+    wrong = np.argwhere(beyond(points, limits))
     if len(wrong):
         point, row, joint = wrong[0]
         subject = f"point {point + first} of joint {_name(joints, joint)} asks for"
         raise TrajectoryError(f"{subject} {_message(points[point, :, joint], limits, row, joint)}")
 
 
-def _beyond(values: Array, limits: MotionLimits) -> Array:
+def beyond(values: Array, limits: MotionLimits) -> Array:
     """Return which of the values (.., 3, n) exceed their limits."""
     minimum, maximum = limits.minimum, limits.maximum
     low = minimum - ROUNDING * np.where(np.isfinite(minimum), np.abs(minimum), 0.0)

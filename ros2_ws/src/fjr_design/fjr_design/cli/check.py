@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.config.controller import effort_limits, motion_limits
 from fjr_core.config.law import TYPE
 from fjr_core.config.parameter import options
 from fjr_core.config.scenario import Scenario
@@ -25,18 +26,10 @@ from fjr_core.files.importing import is_named
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import joined
+from fjr_core.motions.motion_limits import beyond
 from fjr_core.numerics.one_line import at_least
 from fjr_core.robust.law import Robust
-from fjr_design.cli.preflight import (
-    UnstableError,
-    as_list,
-    checked,
-    position_unit,
-    ranges,
-    refuse_coarse_steps,
-    refuse_unstable,
-    start_outside,
-)
+from fjr_design.cli.preflight import as_list, checked, position_unit, ranges, refusal, start_outside
 from fjr_design.stability.hard_start import HardStart, hard_start
 from fjr_design.stability.sampled_loop import SampledCheck
 from fjr_design.tuning.equal_bandwidth import tuning
@@ -133,7 +126,7 @@ def check(scenario: Scenario) -> Check:
         **_start(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
-    refusal = _refusal(scenario, found)
+    refused = refusal(scenario, found)
     values = {
         "scenario": scenario.name,
         "stable": found.stable,
@@ -143,20 +136,9 @@ def check(scenario: Scenario) -> Check:
         "sample_period_s": found.sample_period,
         **{"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None, **numbers},
         "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *diverging],
-        "refused": refusal or None,
+        "refused": refused or None,
     }
-    return Check(rows, values, refusal)
-
-
-def _refusal(scenario: Scenario, found: SampledCheck) -> str:
-    """Return why the scenario cannot run; empty if it can."""
-    try:
-        refuse_coarse_steps(scenario)
-        refuse_unstable(scenario, found)
-    except UnstableError as error:
-        return str(error)
-    outside = "; ".join(start_outside(scenario))
-    return f"scenario {scenario.name} starts outside a limit, where the controller stops: {outside}" if outside else ""
+    return Check(rows, values, refused)
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:
@@ -306,27 +288,27 @@ def _model_errors(scenario: Scenario, found: SampledCheck) -> dict[str, str]:
 
 
 def _limits(scenario: Scenario) -> dict[str, str]:
-    """Compare the reference and the first effort with the limits of the joints; no row if there are none."""
-    limits, reference = scenario.robot.limits, scenario.reference
-    if limits is None:
+    """Compare reference, first effort and weight with the tighter limits of robot and controller; no row for none."""
+    motion, reference, robot = motion_limits(scenario.settings, scenario.robot), scenario.reference, scenario.robot
+    most = effort_limits(scenario.controller_values, robot)
+    if not np.isfinite([*motion.minimum, *motion.maximum, most]).any():
         return {}
 
     def within(what: str, broken: NDArray[np.bool_]) -> str:
         names = [joint for joint, bad in zip(scenario.joints, broken, strict=True) if bad]
-        return f"within the {what}" if not names else f"BEYOND the {what} of {', '.join(names)}"
+        return f"within the {what} limits" if not names else f"BEYOND the {what} limits of {', '.join(names)}"
 
     reach = reference.motion_bounds(0.0, np.inf)
-    outside = within("position limits", (reach.lower[0] < limits.lower) | (reach.upper[0] > limits.upper))
-    too_fast = within("velocity limits", np.maximum(reach.upper[1], -reach.lower[1]) > limits.velocity)
-    law = scenario.law
-    if isinstance(law, TrackingLaw):
-        law = TrackingLaw(scenario.robot, scenario.gains)  # not compiled, for a single call
-    position, velocity = scenario.x0[: 2 * law.robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
+    outside = np.any(beyond(np.array([reach.lower, reach.upper]), motion), axis=0)
+    law = TrackingLaw(robot, scenario.gains) if isinstance(scenario.law, TrackingLaw) else scenario.law  # not compiled
+    position, velocity = scenario.x0[: 2 * robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
     first = np.abs(law.measured_command(position, velocity, reference.jets(0.0))[0])
-    unit = joined(each.effort for each in scenario.robot.units)
+    weight = np.abs([robot.grad_P_l(q_l) for q_l in reference.configurations(64)]).max(axis=0)
+    unit = joined(each.effort for each in robot.units)
     return {
-        "reference": f"{outside}; {too_fast}",
-        "first effort": f"{as_list(first)} {unit}; {within('effort limits', first > limits.effort)}",
+        "reference": f"{within('position', outside[0])}; {within('velocity', outside[1])}",
+        "first effort": f"{as_list(first)} {unit}; {within('effort', first > most)}",
+        "weight": f"up to {as_list(weight)} {unit} on the reference; {within('effort', weight > most)}",
     }
 
 

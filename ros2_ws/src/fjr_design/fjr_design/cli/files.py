@@ -48,7 +48,7 @@ def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name
                 raise ScenarioError(f"{file} exists; expected a new file, another --name or --output, or --force")
         proposal = proposal_of(arm.robot, arm.joints, urdf.name)
     except FjrError as error:
-        error.args = (f"{urdf.name}: {error}",)
+        error.args = (str(error) if str(urdf) in str(error) else f"{urdf.name}: {error}",)
         raise
     texts[robot_file] = robot_text(arm, output)
     texts[scenario_file] = scenario_text(stem, robot_file.name, arm, proposal)

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from fjr_core.config.controller import motion_limits
 from fjr_core.config.scenario import Scenario
-from fjr_core.errors import FjrError
+from fjr_core.errors import FjrError, TrajectoryError
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import joined
+from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.safety_settings import Settings
 from fjr_design.stability.fast_modes import fastest_mode, late_spring, least_steps
@@ -92,6 +94,20 @@ def start_outside(scenario: Scenario) -> list[str]:
         )
         if not low <= value <= high
     ]
+
+
+def refusal(scenario: Scenario, found: SampledCheck) -> str:
+    """Return why the scenario cannot run; empty if it can."""
+    try:
+        refuse_coarse_steps(scenario)
+        refuse_unstable(scenario, found)
+        check_motion(scenario.reference, motion_limits(scenario.settings, scenario.robot), joints=scenario.joints)
+    except UnstableError as error:
+        return str(error)
+    except TrajectoryError as error:
+        return f"scenario {scenario.name} has a reference beyond its limits, with which no controller starts: {error}"
+    outside = "; ".join(start_outside(scenario))
+    return f"scenario {scenario.name} starts outside a limit, where the controller stops: {outside}" if outside else ""
 
 
 def position_unit(scenario: Scenario) -> str:

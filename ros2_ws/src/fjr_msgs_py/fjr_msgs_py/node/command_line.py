@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -46,14 +47,18 @@ def parameter_rules(arguments: Sequence[str]) -> Iterator[ParameterRule]:
             flag = argument
 
 
-def for_any_node(arguments: Sequence[str]) -> set[str]:
-    """Return the names that the parameter files of a command line give to all nodes, also to those of others."""
-    files = [file for flag, file in zip(arguments, arguments[1:], strict=False) if flag == "--params-file"]
-    found: set[str] = set()
-    for file in files:
+def read_files(arguments: Sequence[str], node: str) -> tuple[set[str], list[str]]:
+    """Return the names that parameter files give to all nodes, and a sentence for each without a section of /node."""
+    found, unused = set[str](), list[str]()
+    for file in (file for flag, file in zip(arguments, arguments[1:], strict=False) if flag == "--params-file"):
         with suppress(ParameterError):  # rcl reports a file that it cannot read
-            found |= ros_yaml.values_for(ros_yaml.SHARED, ros_yaml.read(Path(file), "parameter file")).keys()
-    return found
+            content = ros_yaml.read(Path(file), "parameter file") or {}
+            own = [name if "ros__parameters" in (below or ()) else f"{name}/**" for name, below in content.items()]
+            if not any(fnmatchcase(node, f"/{name}".replace("//", "/").replace("/**", "*")) for name in own):
+                seen = ", ".join(own) or "it is empty"
+                unused.append(f"{file} has no section of {node} ({seen}); expected {ros_yaml.SHARED} or /**{node}")
+            found |= ros_yaml.values_for(ros_yaml.SHARED, content).keys()
+    return found, unused
 
 
 def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) -> str:

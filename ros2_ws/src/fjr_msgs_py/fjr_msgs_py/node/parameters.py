@@ -17,7 +17,7 @@ from fjr_core import FjrError, ParameterError
 from fjr_core.config.nodes import OwnParameters, is_of_others, names_of_others, resolve
 from fjr_core.config.parameter import Parameter, Value, refuse_unknown, unread_options
 
-from .command_line import for_any_node, overruled, same_value
+from .command_line import overruled, read_files, same_value
 from .failure import LONGEST, EndingNode
 from .participant import exchange_as_processes_do
 
@@ -111,7 +111,9 @@ class ParameterNode(EndingNode):
         self._declaring = False
         self.values = {}
         arguments = node_kwargs.get("cli_args") or self.process_arguments
-        self._for_any_node = for_any_node(arguments)
+        self._for_any_node, unused = read_files(arguments, self.get_fully_qualified_name())
+        for sentence in unused:
+            self.get_logger().warning(sentence)
         try:
             values = {**self._given, _SIM_TIME: self.get_parameter(_SIM_TIME).value}
             if sentence := overruled(arguments, self.get_name(), values):

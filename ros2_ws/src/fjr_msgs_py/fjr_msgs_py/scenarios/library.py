@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -95,8 +96,8 @@ def _given_names(path: Path) -> set[str]:
 
 def _refuse_robot_file(path: Path, overrides: Mapping[str, Any]) -> None:
     """Raise ScenarioError for the robot file of a URDF; it names a scenario of the folder that uses the file."""
-    given = {*_given_names(path), *overrides}
-    if robot_file.URDF not in given or not all(map(robot_file.is_of_robot, given)):
+    given = {*_given_names(path), *(name for name in overrides if re.match(r"(gains|law|reference)\.", str(name)))}
+    if robot_file.URDF not in {*given, *overrides} or not all(map(robot_file.is_of_robot, given)):
         return
     hint = f"fjr excite {path} writes one"
     for other in sorted(path.parent.glob("*.yaml"), reverse=True):
