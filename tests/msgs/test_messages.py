@@ -104,7 +104,7 @@ REFUSED = [
     (STATE.read, JointState(name=ELBOW, position=[0.0, NAN]), "not finite", "position holds elbow_motor = nan"),
     (
         *(STATE.read, JointState(name=ELBOW, position=[-2e9, 1e9]), "not finite"),
-        "position holds elbow = -2000000000.0; expected finite numbers of at most 1e+09",
+        "position holds elbow = -2000000000.0; expected finite numbers up to 1e+09",
     ),
     (TORQUE.read, JointState(name=ELBOW, position=[1.0, 2.0]), "wrong lengths", "effort has 0 entries; expected 2"),
     (TORQUE.read, JointState(name=["elbow"], position=[1.0], effort=[NAN]), "not finite", "effort holds elbow = nan"),

@@ -23,7 +23,7 @@ from fjr_core.runtime.measurement_model import JointSample
 from ..names import state_names
 from .cdr import Form
 
-LARGEST = 1e9  # magnitude of a measured value, in SI units; that of cdr.c
+LARGEST = 1e9  # magnitude of a value, in SI units; that of cdr.c
 FIRST_UNSENDABLE = 2**31 * 10**9  # ns; the seconds of a stamp are a signed 32-bit integer
 
 
@@ -59,7 +59,7 @@ def picked(message: JointState, field: str, wanted: Sequence[str]) -> Array:
         if field == "velocity" and not len(values) and message.position:
             expected += ", or the parameter measurement.velocity set to observer"
         raise MessageError("wrong lengths", f"{field} has {len(values)} entries; {expected}")
-    return _finite(field, values[columns], wanted, LARGEST)
+    return _finite(field, values[columns], wanted)
 
 
 def _columns(names: list[str], wanted: Sequence[str]) -> list[int]:
@@ -72,12 +72,10 @@ def _columns(names: list[str], wanted: Sequence[str]) -> list[int]:
     return [names.index(name) for name in wanted]
 
 
-def _finite(field: str, values: Array, names: Sequence[str], largest: float = np.inf) -> Array:
-    good = np.isfinite(values) & (np.abs(values) <= largest)
-    bad = [f"{name} = {value}" for name, value, fine in zip(names, values, good, strict=True) if not fine]
+def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
+    bad = [f"{name} = {value}" for name, value in zip(names, values, strict=True) if not abs(value) <= LARGEST]
     if bad:
-        most = f" of at most {largest:g}" if largest < np.inf else ""
-        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers{most}")
+        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers up to {LARGEST:g}")
     return values
 
 

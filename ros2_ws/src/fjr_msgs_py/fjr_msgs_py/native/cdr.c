@@ -8,7 +8,7 @@
 
 #define HEADER 4
 #define SECOND 1000000000
-#define LARGEST 1e9 /* magnitude of a measured value, in SI units */
+#define LARGEST 1e9 /* magnitude of a value, in SI units */
 
 /* A place in a message, counted from the end of the header. `bad`: the message ends before a value. */
 struct cursor {
@@ -138,7 +138,7 @@ int fjr_read_array(double* values, int32_t n, const uint8_t* data, size_t size) 
   if (length != (uint32_t)n) return FJR_WRONG_LENGTH;
   copy_numbers(values, numbers, length);
   for (int32_t i = 0; i < n; ++i)
-    if (!isfinite(values[i])) return FJR_NOT_FINITE;
+    if (!(fabs(values[i]) <= LARGEST)) return FJR_NOT_FINITE;
   return FJR_READ;
 }
 
