@@ -33,7 +33,7 @@ def state_of(names: list[str], stamp: int = 1, **fields: list[float]) -> JointSt
     return message
 
 
-six = st.lists(st.floats(-1e9, 1e9), min_size=6, max_size=6)
+six = st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=6, max_size=6)
 
 
 @given(st.integers(1, 2**31 * 10**9 - 1), six, six, st.permutations(range(6)))
@@ -102,10 +102,6 @@ REFUSED = [
     ),
     (OBSERVED.read, JointState(name=ELBOW, position=[0.0, 0.0]), "no stamp", "header.stamp is 0 ns"),
     (STATE.read, JointState(name=ELBOW, position=[0.0, NAN]), "not finite", "position holds elbow_motor = nan"),
-    (
-        *(STATE.read, JointState(name=ELBOW, position=[-2e9, 1e9]), "not finite"),
-        "position holds elbow = -2000000000.0; expected finite numbers up to 1e+09",
-    ),
     (TORQUE.read, JointState(name=ELBOW, position=[1.0, 2.0]), "wrong lengths", "effort has 0 entries; expected 2"),
     (TORQUE.read, JointState(name=["elbow"], position=[1.0], effort=[NAN]), "not finite", "effort holds elbow = nan"),
     (efforts, Float64MultiArray(data=[1.0]), "wrong lengths", "data has 1 entries; expected 2, one per joint"),

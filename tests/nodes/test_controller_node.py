@@ -52,7 +52,7 @@ def with_fields(**fields: list[float]):
 BAD_STATES = [
     (stamped(0.1, names=["joint1"]), "missing joints"),
     (stamped(0.1, names=["joint1", "joint1_motor", "joint1"]), "duplicate joints"),
-    (stamped(0.1, [0.5, 1e160]), "not finite"),
+    (stamped(0.1, [0.5, float("nan")]), "not finite"),
     (with_fields(velocity=[]), "wrong lengths"),
     (stamped(-100.0), "no stamp"),
 ]

@@ -139,6 +139,22 @@ def test_a_late_state_is_no_contact() -> None:
     assert not watch.contact.acting
 
 
+@pytest.mark.parametrize("value", [1e10, -1e200, 1e308, np.nan])
+@pytest.mark.parametrize("signal", [0, 1], ids=["position", "velocity"])
+def test_a_value_that_no_sensor_measures_is_neither_contact_nor_hides_one(signal: int, value: float) -> None:
+    t = np.arange(400) * 1e-3
+    clean, watch, (q, dq) = Watch(), Watch(), motion(np.zeros(10), t=t)
+    clean.see(q, dq, t=t)
+    watch.see(q[:200], dq[:200], t=t)
+    wrong = [q[200].copy(), dq[200].copy()]
+    wrong[signal][1] = value
+    arrays = [watch.lib.ffi.from_buffer("double[]", each) for each in wrong]
+    assert not watch.lib.lib.fjr_watch_torque(watch.o, watch.contact, *arrays, 200_000_000)
+    watch.see(q[201:], dq[201:], 201, t)
+    assert not watch.contact.acting
+    np.testing.assert_allclose(np.diag(watch.S), np.diag(clean.S), rtol=0.05)
+
+
 def test_a_distance_that_rounding_has_lost_is_contact() -> None:
     watch = Watch()
     for k in range(0, 100, 11):

@@ -185,7 +185,7 @@ class Journal:
         if kind in SIMPLE:
             return SIMPLE[kind], {}
         if kind == "silences":
-            return f"no state for more than {found.value:g} s: the stop effort is sent", {}
+            return f"no valid state for more than {found.value:g} s: the stop effort is sent", {}
         if kind == "recoveries":
             within = f"transition to the reference within {found.value:g} s"
             return f"recovery: {within if found.value else 'tracking continues at once'}", {}

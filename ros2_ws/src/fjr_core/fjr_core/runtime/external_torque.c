@@ -1,12 +1,23 @@
 /* SPDX-License-Identifier: Apache-2.0
  * The external torques on the links at a sample (monitoring/external_torque.py), from measured positions. There are none
- * while the velocities of an observer settle.
+ * while the velocities of an observer settle, nor for values that no sensor measures, which would keep the thresholds of
+ * contact high for seconds.
  */
+#define MEASURABLE 1e9 /* rad, m, rad/s, m/s */
+
+static int is_measurable(const double* values) {
+  for (int i = 0; i < 2 * N; ++i)
+    if (!(fabs(values[i]) <= MEASURABLE)) return 0;
+  return 1;
+}
 
 int fjr_watch_torque(struct fjr_torque_observer* o, struct fjr_contact* c, const double* position,
                      const double* velocity, int64_t stamp) {
   const int size = N * (1 + o->errors);
   const double dt = (double)(stamp - o->stamp) * 1e-9;
+  double none[2 * N];
+  fill(none, NAN, 2 * N);
+  if (!is_measurable(position) || !is_measurable(velocity)) position = none;
   o->arg[0] = o->kept, o->arg[1] = position, o->arg[2] = velocity, o->arg[3] = &o->bandwidth, o->arg[4] = &dt;
   o->res[0] = o->next;
   if (o->update(o->arg, o->res, o->iw, o->w, 0)) fill(o->next, NAN, 3 * size);

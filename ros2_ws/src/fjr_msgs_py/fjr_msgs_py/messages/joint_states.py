@@ -23,7 +23,6 @@ from fjr_core.runtime.measurement_model import JointSample
 from ..names import state_names
 from .cdr import Form
 
-LARGEST = 1e9  # magnitude of a value, in SI units; that of cdr.c
 FIRST_UNSENDABLE = 2**31 * 10**9  # ns; the seconds of a stamp are a signed 32-bit integer
 
 
@@ -73,9 +72,9 @@ def _columns(names: list[str], wanted: Sequence[str]) -> list[int]:
 
 
 def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
-    bad = [f"{name} = {value}" for name, value in zip(names, values, strict=True) if not abs(value) <= LARGEST]
+    bad = [f"{name} = {value}" for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
     if bad:
-        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers up to {LARGEST:g}")
+        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers")
     return values
 
 

@@ -8,7 +8,6 @@
 
 #define HEADER 4
 #define SECOND 1000000000
-#define LARGEST 1e9 /* magnitude of a value, in SI units */
 
 /* A place in a message, counted from the end of the header. `bad`: the message ends before a value. */
 struct cursor {
@@ -87,7 +86,7 @@ static int look_up(struct fjr_joint_reader* r, struct cursor names, uint32_t cou
 static int pick(const struct fjr_joint_reader* r, const uint8_t* numbers, double* values) {
   for (int32_t i = 0; i < r->joints; ++i) {
     values[i] = number_at(numbers, r->column[i]);
-    if (!(fabs(values[i]) <= LARGEST)) return FJR_NOT_FINITE;
+    if (!isfinite(values[i])) return FJR_NOT_FINITE;
   }
   return FJR_READ;
 }
@@ -138,7 +137,7 @@ int fjr_read_array(double* values, int32_t n, const uint8_t* data, size_t size) 
   if (length != (uint32_t)n) return FJR_WRONG_LENGTH;
   copy_numbers(values, numbers, length);
   for (int32_t i = 0; i < n; ++i)
-    if (!(fabs(values[i]) <= LARGEST)) return FJR_NOT_FINITE;
+    if (!isfinite(values[i])) return FJR_NOT_FINITE;
   return FJR_READ;
 }
 

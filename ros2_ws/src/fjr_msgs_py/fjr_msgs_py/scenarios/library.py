@@ -95,7 +95,8 @@ def _given_names(path: Path) -> set[str]:
 
 def _refuse_robot_file(path: Path, overrides: Mapping[str, Any]) -> None:
     """Raise ScenarioError for the robot file of a URDF; it names a scenario of the folder that uses the file."""
-    given = {*_given_names(path), *(name for name in overrides if name.startswith(("gains.", "law.", "reference.")))}
+    own = (name for name in overrides if str(name).startswith(("gains.", "law.", "reference.")))
+    given = {*_given_names(path), *own}
     if robot_file.URDF not in {*given, *overrides} or not all(map(robot_file.is_of_robot, given)):
         return
     hint = f"fjr excite {path} writes one"
