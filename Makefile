@@ -62,7 +62,7 @@ hosts: ## feed all hosts of the control step with the same states, half an hour,
 	$(SETUP) test
 	@$(ENTER) && exec "$(VENV)/bin/python" -m tests.hosts $(HOSTS_ARGS)
 
-compare: ## compare all laws on three robots, half an hour, write docs/tables/compare.md (COMPARE_ARGS="...")
+compare: ## compare all laws on three robots, two hours, write docs/tables/compare.md (COMPARE_ARGS="...")
 	$(SETUP) build
 	@$(ENTER) && for suite in paper paper_tuned arm7_tuned; do fjr compare $$suite --document $(COMPARE_ARGS) || exit $$?; done
 

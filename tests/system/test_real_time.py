@@ -94,9 +94,22 @@ WATCHED = {**SLOW, "controller": (*SLOW["controller"], "-p", "auxiliary_rate:=0.
 
 
 def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, tmp_path: Path) -> None:
-    """A late state on a busy machine would be a gap, after which a transition leads back to the motion."""
-    file = motion_file(tmp_path, MOTION)
-    listener = Listener(ros, only=["fjr_controller/reference"])
+    """After a gap of the states, as on a machine that stands still, a transition leads back: then it is sent again."""
+    file, listener = motion_file(tmp_path, MOTION), Listener(ros, only=["fjr_controller/reference"])
+    for _ in range(3):
+        t, q = references_of_sent_motion(ros, listener, file)
+        if np.diff(t).max() < 0.02:
+            break
+    rising = (q > MOTION[300]) & (q < MOTION[900])
+    begin = np.median(t[rising] - np.interp(q[rising], MOTION, T))
+    inside = (t > begin + 0.05) & (t < begin + 0.95)
+    assert np.count_nonzero(inside) > 50
+    np.testing.assert_allclose(q[inside], np.interp(t[inside] - begin, T, MOTION), atol=0.01)
+
+
+def references_of_sent_motion(ros: Ros, listener: Listener, file: str) -> tuple[np.ndarray, np.ndarray]:
+    """Start the nodes, send a motion, and return times [s] and positions of the reference up to its end."""
+    listener.references.clear()
     with running(holding(WATCHED)), ThreadPoolExecutor(1) as worker:
         ros.until(lambda: listener.references, "the controller")
         sent = worker.submit(fjr, "send", file, "--lead", "1", "--scenario", "paper_k31", "--json")
@@ -104,12 +117,9 @@ def test_the_controller_tracks_the_motion_that_is_sent(ros: Ros, tmp_path: Path)
         assert "through every sample the motion of the file would ask for" in sent.result()
         assert set(json.JSONDecoder().raw_decode(sent.result())[0]) == documented_keys()["send"]
         ros.until(lambda: (last := listener.references[-1]).position[0] > 0.4 and last.velocity[0] == 0.0, "its end")
-    t, q = (np.array(each) for each in zip(*((seconds(m), m.position[0]) for m in listener.references), strict=True))
-    rising = (q > MOTION[300]) & (q < MOTION[900])
-    begin = np.median(t[rising] - np.interp(q[rising], MOTION, T))
-    inside = (t > begin + 0.05) & (t < begin + 0.95)
-    assert np.count_nonzero(inside) > 50
-    np.testing.assert_allclose(q[inside], np.interp(t[inside] - begin, T, MOTION), atol=0.01)
+    seen = ((seconds(message), message.position[0]) for message in listener.references)
+    t, q = map(np.array, zip(*seen, strict=True))
+    return t, q
 
 
 def test_the_demo_runs_the_paper_and_an_arm_in_real_time_without_matplotlib(
