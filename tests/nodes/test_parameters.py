@@ -65,6 +65,7 @@ def test_parameters_of_other_nodes_in_a_shared_file_are_left_to_them(
 
 SECTIONS_READ = {
     "": False,
+    "hello": False,
     "/fjr_controler: {ros__parameters: {state_timeout: 0.5}}": False,
     "/right/fjr_controller: {ros__parameters: {state_timeout: 0.5}}": False,
     "/**/fjr_plant: {ros__parameters: {publish_rate: 500.0}}": False,

@@ -52,12 +52,12 @@ def read_files(arguments: Sequence[str], node: str) -> tuple[set[str], list[str]
     found, unused = set[str](), list[str]()
     for file in (file for flag, file in zip(arguments, arguments[1:], strict=False) if flag == "--params-file"):
         with suppress(ParameterError):  # rcl reports a file that it cannot read
-            content = ros_yaml.read(Path(file), "parameter file") or {}
+            content = read if isinstance(read := ros_yaml.read(Path(file), "parameter file"), dict) else {}
+            found |= ros_yaml.values_for(ros_yaml.SHARED, content).keys()
             own = [name if "ros__parameters" in (below or ()) else f"{name}/**" for name, below in content.items()]
             if not any(fnmatchcase(node, f"/{name}".replace("//", "/").replace("/**", "*")) for name in own):
-                seen = ", ".join(own) or "it is empty"
+                seen = ", ".join(own) or "it has no sections"
                 unused.append(f"{file} has no section of {node} ({seen}); expected {ros_yaml.SHARED} or /**{node}")
-            found |= ros_yaml.values_for(ros_yaml.SHARED, content).keys()
     return found, unused
 
 

@@ -91,9 +91,10 @@ class Ranges:
         self._half: Array = (high - low) / 2
         self._model, self._cells, self._path = linear.model, linear.centre.cells, linear.centre.path
         self._whole = split(linear.delay, linear.sample_period)[0]  # samples of the delay
-        count = self._cells.count if self._cells.verified else min(SAMPLED, self._cells.count)
-        spread = np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))
-        self.at = spread if at is None else at
+        if at is None:
+            count = self._cells.count if self._cells.verified else min(SAMPLED, self._cells.count)
+            at = np.unique(np.linspace(0, self._cells.count - 1, count).round().astype(int))
+        self.at = at
 
     @property
     def factors(self) -> int:
@@ -144,17 +145,15 @@ class Ranges:
         those `anywhere` in the tube: of the difference of two motions, since M_l a_1 - M_l' a_2 = M_l (a_1 - a_2) +
         (M_l - M_l') a_2.
         """
-        n, directions = self.linear.n, self.linear.coordinates.S_inverse * bounds
+        n, directions, B = self.linear.n, self.linear.coordinates.S_inverse * bounds, self._input_apart()
+        known, others = slice(directions.shape[1], None), np.zeros(len(unknown) - 4 * n)
 
         def of_cells(part: Ranges, cells: slice) -> Mismatch:
-            z = part.tube(directions, lines[cells])
-            torques, M, efforts = part._slopes(z, anywhere)
-            known = slice(z.directions.shape[1], None)
+            torques, M, efforts = part._slopes(part.tube(directions, lines[cells]), anywhere)
             whole = np.concatenate([_with_factors(lines[cells]), accelerations[cells]], axis=1)
-            others = np.zeros(len(unknown) - 4 * n)
             along = torques.beside(M).along(whole, known), others, efforts.along(lines[cells], known)
             above = unknown if anywhere is not None else unknown + np.concatenate(along)
-            return Mismatch(above, torques.largest[:, : 4 * n], M.largest, part._input_apart(), efforts.largest)
+            return Mismatch(above, torques.largest[:, : 4 * n], M.largest, B, efforts.largest)
 
         try:
             return reduce(Mismatch.most, self._in_parts(of_cells))
