@@ -17,8 +17,8 @@ from fjr_core.errors import CompareError
 from fjr_core.extensions.law_registry import law_kind
 from fjr_msgs_py.console.output import DASH, number, percent, plural
 
-from .imperfections import IMPERFECTIONS, Direction, directions
 from .suite import NOMINAL, Suite
+from .trial import IMPERFECTIONS, Direction, directions
 
 SHORT = {
     "pd_gravity": "PD + gravity",

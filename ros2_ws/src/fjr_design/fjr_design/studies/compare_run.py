@@ -33,11 +33,10 @@ from fjr_msgs_py.scenarios import library
 
 from . import compare_page, compare_results, suite
 from .compared_law import TunedLaw, law_for, tuned_law
-from .imperfections import MotionDemand, directions, motion_demand
 from .study import Processes, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
 from .sweep import scenario_loop
-from .trial import Trial
+from .trial import MotionDemand, Trial, directions, motion_demand
 
 TRACE_POINTS = 600
 SETTLED = 0.02  # of the motion; band of the settling time

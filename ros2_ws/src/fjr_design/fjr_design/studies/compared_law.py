@@ -24,9 +24,9 @@ from fjr_core.stability.linearization import spectral_radius
 from ..tuning.equal_bandwidth import baseline_target, tune
 from ..uncertainty import distributions
 from ..uncertainty.distributions import FIXED, Distribution
-from .imperfections import MotionDemand, fields_of, imperfection
 from .sweep import Sweep
 from .sweep_file import check_keys, mapping, number, whole
+from .trial import MotionDemand, fields_of, imperfection
 from .tune import (
     FEW,
     GOAL,

@@ -18,10 +18,9 @@ from fjr_core.robust.law import Robust
 from fjr_msgs_py.scenarios import library
 
 from .compared_law import uncertainties
-from .imperfections import directions, imperfection
 from .sweep import refuse_what_is_left_out
 from .sweep_file import check_keys
-from .trial import TRACKS
+from .trial import TRACKS, directions, imperfection
 
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks", "tune")
