@@ -22,7 +22,6 @@ from fjr_design.uncertainty.posterior import (
     UNKNOWN,
     Estimate,
     Identification,
-    parsed_identification,
 )
 
 SCENARIO = """
@@ -127,7 +126,7 @@ def test_a_sweep_file_names_the_posterior(tmp_path: Path) -> None:
 )
 def test_a_file_that_is_no_identification_is_refused(values: object) -> None:
     with pytest.raises(ParameterError, match="expected"):
-        parsed_identification(values)
+        Identification.from_dict(values)
 
 
 def test_a_deviation_under_its_former_name_is_reported_and_drawn_as_before(capsys: pytest.CaptureFixture[str]) -> None:

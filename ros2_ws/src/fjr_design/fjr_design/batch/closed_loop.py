@@ -160,22 +160,8 @@ class ClosedLoop:
         that of this loop, with another bandwidth. Raises StateError.
         """
         other = replace(self, law=law, observer=observer or self.observer)
-        other.__dict__["_program"] = self._program.with_law(law, other.observer)
+        other.__dict__["program"] = self.program.with_law(law, other.observer)
         return other
-
-    def build(self) -> None:
-        """Compile the loop, which the first run does otherwise; raises CompilerError without a C compiler."""
-        self._program.build()
-
-    @property
-    def in_python(self) -> bool:
-        """Return whether law or plant are evaluated in Python."""
-        return self._program.in_python
-
-    @property
-    def fingerprint(self) -> str:
-        """Return a hash that differs for another law, plant or program."""
-        return self._program.fingerprint
 
     def run(self, draws: Draws) -> Outcomes:
         """Run all draws on the calling core; other threads are not blocked."""
@@ -193,7 +179,7 @@ class ClosedLoop:
         rows = np.empty((draws.runs, row_width(self.robot.n)))
         values: dict[str, Any] = {**self._constants, **self._drawn(draws), "rows": rows, "trace": trace}
         values["ring"] = int(values["segments"][:, :, 0].max(initial=0)) + 1
-        self._program.run(self.reference, values)
+        self.program.run(self.reference, values)
         return rows
 
     def _drawn(self, draws: Draws) -> dict[str, Any]:
@@ -240,7 +226,8 @@ class ClosedLoop:
         }
 
     @cached_property
-    def _program(self) -> BatchProgram:
+    def program(self) -> BatchProgram:
+        """The functions of the loop, compiled by the first run or by its `build`."""
         return BatchProgram(self.robot, self.law, self.plant, self.settings, self.observer, self.measurement)
 
 

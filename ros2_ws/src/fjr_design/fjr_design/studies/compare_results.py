@@ -237,22 +237,17 @@ def marks(suite: str) -> tuple[str, str]:
     return f"<!-- fjr compare {suite}: begin -->", f"<!-- fjr compare {suite}: end -->"
 
 
-def check(path: Path, suite: str) -> None:
-    """Check that a file has the marks of a suite; raise CompareError otherwise."""
-    _parts(path, suite)
-
-
 def replace(path: Path, document: dict[str, Any]) -> None:
-    """Write the table of a comparison between its marks in a file, else between those without a name.
-
-    Raise CompareError if the file lacks them.
-    """
-    before, begin, end, after = _parts(path, document["suite"]["name"])
+    """Write the table of a comparison between its marks in a file, else between those without a name."""
+    before, begin, end, after = around_table(path, document["suite"]["name"])
     path.write_text(f"{before}{begin}\n{markdown(document)}{end}{after}", encoding="utf-8")
 
 
-def _parts(path: Path, suite: str) -> tuple[str, str, str, str]:
-    """Return the text before the first mark, both marks, and the text after the second."""
+def around_table(path: Path, suite: str) -> tuple[str, str, str, str]:
+    """Return the text of a file before the first mark of a suite, both marks, and the text after the second.
+
+    Raise CompareError if the file lacks them.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:

@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     """
     chosen = suite.load(library.find(name, "suite"))
     if page is not None:
-        compare_results.check(page, chosen.name)
+        compare_results.around_table(page, chosen.name)  # raises CompareError before the long run
     for law in chosen.laws:
         if is_named(law.law) and not issubclass(load(law.law), StaticLaw):
             print(
@@ -90,11 +90,6 @@ class Job:
     robot: str
     scenarios: tuple[tuple[str, str], ...]
     suite: Suite
-
-    @property
-    def name(self) -> str:
-        """Name for messages."""
-        return f"{self.law.label} on {self.robot}"
 
     @property
     def key(self) -> str:
@@ -169,10 +164,7 @@ def read_kept(kept: Path, key: str) -> Values | None:
 
 def work(job: Job) -> Values:
     """Run a job, in a worker that reports its share; return reproducible results as plain values."""
-
-    def on_progress(share: float) -> None:
-        report_share(job.key, share)
-
+    on_progress = partial(report_share, job.key)
     scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
     first = next(iter(scenarios.values()))
     demands = {label: _demand(job, label, scenario) for label, scenario in scenarios.items()}
@@ -231,7 +223,7 @@ def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callab
         given = job.suite.tune, demand, ruled.effort_limit, job.suite.tracks
         return law_for(text, *given, lambda share: on_progress(TUNING * share))
     except FjrError as error:
-        raise CompareError(f"{job.name}: {error}") from None
+        raise CompareError(f"{law.label} on {job.robot}: {error}") from None
 
 
 def _margins(job: Job, trial: Trial) -> Values:

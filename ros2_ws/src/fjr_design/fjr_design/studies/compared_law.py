@@ -146,7 +146,7 @@ def law_for(
     demand: MotionDemand,
     effort_limit: Array,
     tracks: float,
-    on_progress: Callable[[float], None] = lambda share: None,
+    on_progress: Callable[[float], None],
 ) -> TunedLaw:
     """Return the law of a scenario, given as its text, tuned to what `uncertainties` returned. Raises FjrError.
 

@@ -260,5 +260,5 @@ def run_part(text: str, begin: int, end: int) -> Columns:
 
 def _built(text: str) -> Sweep:
     sweep = from_text(text)
-    sweep.loop.build()
+    sweep.loop.program.build()
     return sweep

@@ -107,9 +107,9 @@ class Goal:
             violation = max(violation, 1e-12)
         return Score(at, share, violation, cost)
 
-    def refused(self, violation: float = WORST) -> Score:
+    def refused(self) -> Score:
         """Return the score of a point without gains."""
-        return Score({name: float("inf") for name in FIGURES}, 0.0, violation, INFEASIBLE * (1 + violation))
+        return Score(dict.fromkeys(FIGURES, float("inf")), 0.0, WORST, INFEASIBLE * (1 + WORST))
 
 
 GOAL = tuple(each.name for each in fields(Goal))
@@ -135,11 +135,6 @@ def given_goal(section: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, An
         if not 1 <= count <= MOST:
             raise ParameterError(f"{HERE}has {count} as '{key}'; expected 1 to {MOST}")
     return goal, size
-
-
-def joined(parts: list[Figures]) -> Figures:
-    """Concatenate the figures of several parts."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def quantile(values: Array, share: float) -> float:
@@ -269,7 +264,7 @@ def run_candidate(text: str, point: Point, begin: int, end: int) -> Columns:
 
 def _built(text: str) -> TuningStudy:
     study = study_of(text)
-    study.sweep.loop.build()
+    study.sweep.loop.program.build()
     _ = study.coordinates
     return study
 
@@ -288,11 +283,6 @@ class Found:
 
     candidates: tuple[Candidate, ...]
     chosen: Point
-
-    @property
-    def start(self) -> Candidate:
-        """The start of the search."""
-        return self.candidates[0]
 
 
 def search(study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[Figures]]) -> Found:

@@ -48,7 +48,6 @@ from .tune import (
     Score,
     TuningStudy,
     given_goal,
-    joined,
     quantile,
     run_candidate,
     search,
@@ -98,7 +97,8 @@ def kept_figures(
     store.run(workers, run_candidate, jobs, stop)
     for _, _, begin, end in jobs.values():
         on_progress(end - begin)
-    return [joined([store.read(_key(point, *part)) for part in parts]) for point in points]
+    kept = [[store.read(_key(point, *part)) for part in parts] for point in points]
+    return [{name: np.concatenate([part[name] for part in each]) for name in each[0]} for each in kept]
 
 
 def _key(point: Point, begin: int, end: int) -> str:
@@ -146,7 +146,7 @@ def tune(
             return found[0]
 
         study = with_better_start(study, run)
-        with open_store(folder, study.text, study.sweep.loop.fingerprint) as store:
+        with open_store(folder, study.text, study.sweep.loop.program.fingerprint) as store:
             total = study.searched + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
@@ -237,9 +237,8 @@ def _front(ax: Axes, tuned: Tuned, name: str) -> None:
     ax.plot(x[finite & kept], 1e3 * y[finite & kept], ".", ms=4, color=COLOURS[5], label="keeps the constraints")
     best = pareto(x, y, finite & (kept if kept.any() else True))
     ax.plot(x[best], 1e3 * y[best], "-", drawstyle="steps-post", color=COLOURS[0], lw=1.5, label="Pareto front")
-    points = [one.point for one in found.candidates]
-    at = [points.index(found.start.point), points.index(found.chosen)]
-    for i, marker, label in zip(at, "s*", ("start of the search", "chosen"), strict=True):
+    chosen = [one.point for one in found.candidates].index(found.chosen)
+    for i, marker, label in ((0, "s", "start of the search"), (chosen, "*", "chosen")):
         if finite[i]:
             ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)
     ax.set(xscale="log", yscale="log", xlabel=AXES[name], ylabel="RMS error [mrad]")

@@ -174,43 +174,38 @@ class Identification:
         }
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Identification:
-        """Return the identification of `as_dict`."""
-        return cls(
-            tuple(values["joints"]),
-            tuple(Estimate(**each) for each in values["estimates"]),
-            tuple(values["free"]),
-            tuple(values["coordinates"]),
-            np.array(values["mean"], dtype=float),
-            np.array(values["covariance"], dtype=float).reshape(len(values["mean"]), -1),
-        )
+    def from_dict(cls, values: Any) -> Identification:
+        """Return the identification of `as_dict`; raises ParameterError for other values."""
+        try:
+            found = cls(
+                tuple(values["joints"]),
+                tuple(Estimate(**each) for each in values["estimates"]),
+                tuple(values["free"]),
+                tuple(values["coordinates"]),
+                np.array(values["mean"], dtype=float),
+                np.array(values["covariance"], dtype=float).reshape(len(values["mean"]), -1),
+            )
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise ParameterError(
+                f"is no identification ({error!r}); expected the file identification.json of an identified robot"
+            ) from None
+        p = len(found.free)
+        shapes = len(found.coordinates), found.mean.shape, found.covariance.shape
+        if shapes != (p, (p,), (p, p)) or not all(0 <= i < len(found.estimates) for i in found.free):
+            raise ParameterError(f"has a posterior of sizes {shapes} for {p} parameters; expected equal sizes")
+        if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
+            raise ParameterError("has a posterior that is not finite; expected finite means and covariances")
+        return found
 
 
 def read_identification(path: Path) -> Identification:
     """Return the identification in a file, identification.json; raises ParameterError, which names the file."""
     try:
-        return parsed_identification(json.loads(read_text(path)))
+        return Identification.from_dict(json.loads(read_text(path)))
     except OSError as error:
         raise ParameterError(f"cannot read identification {path}: {error.strerror}") from None
     except (ValueError, ParameterError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
         raise ParameterError(f"{path}: {error}") from None
-
-
-def parsed_identification(values: object) -> Identification:
-    """Return the identification of plain values; raises ParameterError."""
-    try:
-        found = Identification.from_dict(values)  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise ParameterError(
-            f"is no identification ({error!r}); expected the file identification.json of an identified robot"
-        ) from None
-    p = len(found.free)
-    shapes = len(found.coordinates), found.mean.shape, found.covariance.shape
-    if shapes != (p, (p,), (p, p)) or not all(0 <= i < len(found.estimates) for i in found.free):
-        raise ParameterError(f"has a posterior of sizes {shapes} for {p} parameters; expected equal sizes")
-    if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
-        raise ParameterError("has a posterior that is not finite; expected finite means and covariances")
-    return found
 
 
 def drawn_plants(found: Identification, robot: Robot, count: int, seed: int, widened: float = 1.0) -> DrawnPlants:
