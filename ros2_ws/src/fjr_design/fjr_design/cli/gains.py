@@ -32,7 +32,7 @@ from fjr_design.uncertainty.drawn_loops import (
     in_common,
     largest_share,
 )
-from fjr_design.uncertainty.posterior import DELAY, MATRICES, drawn_plants, read_identification
+from fjr_design.uncertainty.posterior import DELAY, MATRICES, UNKNOWN, drawn_plants, read_identification
 from fjr_msgs_py.console.output import Result, progress_bar
 from fjr_msgs_py.scenarios import installed, library
 from fjr_msgs_py.scenarios.gains_block import gain_lines, with_gains
@@ -127,7 +127,8 @@ class Posterior:
         self._found = read_identification(path)
         self._found.check_joints(scenario.joints)
         self._scenario, self._seed = scenario, seed
-        self.kept = tuple(self._found.kept_at_prior((*MATRICES, DELAY)))
+        unknown = [one for one in self._found.estimates if one.verdict == UNKNOWN and one.name in (*MATRICES, DELAY)]
+        self.kept = [f"{one.name} of {one.joint}" if one.joint else one.name for one in unknown]
         if self.kept:
             print(f"fjr: not identifiable, so not drawn: {', '.join(self.kept)}", file=sys.stderr)
 
@@ -160,7 +161,7 @@ class Posterior:
             f"0 of {count:,} robots drawn afresh from the identification are unstable, at the {configurations} worst "
             f"configurations: at most {100 * share:.2g} % {sure}"
         )
-        return sentence, {**numbers, "not_drawn": list(self.kept)}
+        return sentence, {**numbers, "not_drawn": self.kept}
 
     def _loops(self, law: TrackingLaw, delay: float, where: Array | None) -> tuple[DrawnLoops, int]:
         """Return the loops at the configurations that are worst for some of the design draws."""

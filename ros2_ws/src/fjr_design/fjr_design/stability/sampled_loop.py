@@ -103,22 +103,18 @@ def check(
     q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
     below = static_part(law)
     with_state = not isinstance(law, StaticLaw) or not sensing.plain
-    most = WITH_STATE if with_state else FEW
-    if len(q_l) <= most or plant.robot.n != law.robot.n:
-        return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate)
-    if not isinstance(below, TrackingLaw):
-        count = WITH_STATE if with_state else len(q_l)
-        few = np.linspace(0, len(q_l) - 1, count).round().astype(np.intp)
-        found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay, lowest_rate)
-        return replace(found, configurations=len(few))
-    own = equilibria_at(law.robot, q_l)
-    everywhere = closed_form(own, below.gains, own if plant.robot is law.robot else equilibria_at(plant.robot, q_l))
-    static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
-    if not with_state:
-        return static
-    few = _worst_of(everywhere, static)
-    found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay, lowest_rate)
-    return replace(found, configurations=len(few))
+    if len(q_l) > (WITH_STATE if with_state else FEW) and plant.robot.n == law.robot.n:
+        if isinstance(below, TrackingLaw):
+            own = equilibria_at(law.robot, q_l)
+            real = own if plant.robot is law.robot else equilibria_at(plant.robot, q_l)
+            everywhere = closed_form(own, below.gains, real)
+            static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
+            if not with_state:
+                return static
+            q_l = q_l[_worst_of(everywhere, static)]
+        elif with_state:
+            q_l = q_l[np.linspace(0, len(q_l) - 1, WITH_STATE).round().astype(np.intp)]
+    return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate)
 
 
 def _of_many(

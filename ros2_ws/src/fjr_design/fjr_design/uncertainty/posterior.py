@@ -129,14 +129,6 @@ class Identification:
                 f"{', '.join(joints)}"
             )
 
-    def kept_at_prior(self, names: Sequence[str]) -> list[str]:
-        """Return "parameter of joint" for those of these parameters that no draw changes, because they are unknown."""
-        return [
-            f"{each.name} of {each.joint}" if each.joint else each.name
-            for each in self.estimates
-            if each.verdict == UNKNOWN and each.name in names
-        ]
-
     def draws(self, count: int, seed: int, first: int = 0, widest: float = WHOLE) -> Array:
         """Return the draws (count, len(estimates)) from the number `first` on; UNKNOWN parameters keep their prior.
 

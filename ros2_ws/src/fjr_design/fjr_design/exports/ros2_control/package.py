@@ -37,8 +37,7 @@ from fjr_core.version import __version__
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 
 from ..c_code import comment, filled, number, numbers, quoted
-from ..project import recorded_case
-from ..step_code import exportable, step_code
+from ..project import exportable, recorded_case, step_code
 
 TAG = "ros2_control"
 _GROUP = "imperfections."
