@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from design.batch.test_batch import loop_of
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import GainsError, ParameterError, StateError
@@ -62,10 +63,7 @@ def study(goal: Goal | None = None, changes: dict[str, Any] | None = None, **num
 
 
 def paper_loop(gains: fjr.Gains) -> ClosedLoop:
-    robot = fjr.single_link(stiffness=31.0)
-    x0 = robot.state(q_l=0.3, q_m=0.3, dq_l=0.0, dq_m=0.0)
-    law = fjr.TrackingLaw(robot, gains)
-    return ClosedLoop(robot, law, fjr.Sine(1.0, 1.0), x0, 0.2, 1e-3, settle_after=0.05)
+    return loop_of(fjr.single_link(stiffness=31.0), gains, 0.2, settle_after=0.05)
 
 
 def test_other_gains_give_the_results_of_a_loop_built_with_them() -> None:
