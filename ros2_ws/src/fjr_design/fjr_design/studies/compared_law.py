@@ -25,7 +25,7 @@ from ..tuning.equal_bandwidth import baseline_target, tune
 from ..uncertainty import distributions
 from ..uncertainty.distributions import FIXED, Distribution
 from .sweep import Sweep
-from .sweep_file import check_keys, mapping, number, whole
+from .sweep_file import mapping, number, whole
 from .trial import MotionDemand, fields_of, imperfection
 from .tune import (
     FEW,
@@ -120,8 +120,7 @@ of imperfections, the fields of Goal, numbers of TuningStudy and of Sweep."""
 
 def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section `tune` of a comparison, checked and complete; raises ParameterError, CompareError."""
-    check_keys(section, list(USUAL), HERE)
-    goal, size = given_goal(section)
+    goal, size = given_goal(section, list(USUAL))
     found = {**USUAL, **goal, **size}
     found |= {key: mapping(key, section[key], HERE) for key in ("vary", "imperfections") if key in section}
     found |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}

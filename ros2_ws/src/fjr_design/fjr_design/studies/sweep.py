@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -221,10 +221,9 @@ class Sweep:
     @property
     def text(self) -> str:
         """Sweep as JSON; sweeps with equal text have equal results."""
-        values = {name: getattr(self, name) for name in _PLAIN}
-        vary = {name: one.as_yaml for name, one in self.vary.items()}
-        extra = {} if self.posterior is None else {"posterior": dict(self.posterior)}
-        return json.dumps({**values, "vary": vary, "success": dict(self.success), **extra}, indent=1)
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        values["vary"] = {name: one.as_yaml for name, one in self.vary.items()}
+        return json.dumps({name: value for name, value in values.items() if value is not None}, indent=1)
 
     def _check(self, name: str, one: Distribution) -> None:
         """Raise ParameterError unless every value of a distribution is one of the deviation."""
@@ -242,9 +241,6 @@ class Sweep:
             Draws(2, **{name: np.array(one.range)})
         except ParameterError as error:
             raise ParameterError(f"'vary': {error}, for every draw") from None
-
-
-_PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "band", "lost")
 
 
 def from_text(text: str) -> Sweep:

@@ -28,7 +28,7 @@ from fjr_core.stability.linearization import spectral_radius
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
 from .study import Columns, once
 from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures, from_text
-from .sweep_file import number, whole
+from .sweep_file import check_keys, number, whole
 
 INFEASIBLE = 1e6
 """Cost of points that violate a constraint, at least; the cost of others is far below."""
@@ -119,8 +119,9 @@ HERE = "'tune' "  # start of a message about it
 MOST = 10**7  # candidates, draws
 
 
-def given_goal(section: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what a section `tune` gives of GOAL and of SIZE; raise ParameterError."""
+def given_goal(section: Mapping[str, Any], keys: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what a section `tune` gives of GOAL and of SIZE; raise ParameterError, also for other than these keys."""
+    check_keys(section, keys, HERE)
     goal: dict[str, Any] = {}
     for key in (key for key in GOAL if key in section):
         given = section[key]
@@ -270,18 +271,10 @@ def _built(text: str) -> TuningStudy:
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A point of the search with its score on the draws of the search."""
-
-    point: Point
-    score: Score
-
-
-@dataclass(frozen=True)
 class Found:
-    """Result of a search: all candidates in order, the start first, and the point that is best in the selection."""
+    """Result of a search: the score of each candidate, the start first, and the point that is best in the selection."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: Mapping[Point, Score]
     chosen: Point
 
 
@@ -295,18 +288,18 @@ def search(study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[
         return [study.score(*each) for each in zip(points, figures(points, runs), strict=True)]
 
     start = study.origin
-    kept = [Candidate(start, evaluate([start], study.search_runs)[0])]
+    kept = {start: evaluate([start], study.search_runs)[0]}
     strategy = _strategy(len(start), study.sweep.seed)
     while len(kept) < study.candidates and not strategy.stop():
         asked = strategy.ask()
         points = [tuple(float(each) for each in point) for point in asked]
         scores = evaluate(points, study.search_runs)
         strategy.tell(asked, [score.cost for score in scores])
-        kept += [Candidate(*each) for each in zip(points, scores, strict=True)]
-    ranked = sorted(kept[1:], key=lambda one: one.score.cost)[:FINALISTS]
-    finalists = [start, *(one.point for one in ranked)]
+        kept |= dict(zip(points, scores, strict=True))
+    ranked = sorted((point for point in kept if point != start), key=lambda point: kept[point].cost)
+    finalists = [start, *ranked[:FINALISTS]]
     costs = [score.cost for score in evaluate(finalists, study.selection_runs)]
-    return Found(tuple(kept), finalists[int(np.argmin(costs))])
+    return Found(kept, finalists[int(np.argmin(costs))])
 
 
 def _strategy(dimension: int, seed: int) -> Any:
