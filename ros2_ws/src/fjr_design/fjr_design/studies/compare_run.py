@@ -238,7 +238,7 @@ def _margins(job: Job, trial: Trial) -> Values:
 
 def _trace(trial: Trial) -> Values:
     """Return largest error and effort over time of the nominal run; None after its end."""
-    loop, run = trial.loop, trial.recorded()
+    loop, (_, run) = trial.loop, trial.loop.recorded(trial.draws([{}]))
     error = run.x[0, :, : loop.robot.n] - loop.reference.jets(run.t)[:, 0]
     rows = np.unique(np.linspace(0, len(run.t) - 1, TRACE_POINTS).astype(int))
     found: Values = {"t": run.t[rows].tolist()}

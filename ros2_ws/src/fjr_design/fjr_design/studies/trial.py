@@ -23,7 +23,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
 
-from ..batch import ClosedLoop, Draws, Outcomes, Recorded
+from ..batch import ClosedLoop, Draws, Outcomes
 from ..batch.draws import PARAMETERS
 from .sweep import REACH, figures
 
@@ -293,10 +293,6 @@ class Trial:
         """Return all evaluated levels of an imperfection in increasing order, with their metrics."""
         levels = sorted(level for name, level in self.evaluated if name == imperfection)
         return np.array(levels), [self.evaluated[imperfection, level] for level in levels]
-
-    def recorded(self) -> Recorded:
-        """Return the samples of the nominal run."""
-        return self.loop.recorded(self.draws([{}]))[1]
 
     def draws(self, runs: Sequence[Mapping[str, float]]) -> Draws:
         """Return the draws of runs with these imperfections; fields that none of them changes are nominal."""
