@@ -21,9 +21,8 @@ from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linearization import spectral_radius
 
+from ..batch.draws import FIXED, Distribution, varied
 from ..tuning.equal_bandwidth import baseline_target, tune
-from ..uncertainty import distributions
-from ..uncertainty.distributions import FIXED, Distribution
 from .sweep import Sweep
 from .sweep_file import mapping, number, whole
 from .trial import MotionDemand, fields_of, imperfection
@@ -133,7 +132,7 @@ def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
                 f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "
                 f"than the duration, and this at most {LONGEST:g} s"
             )
-        distributions.varied(found["vary"])
+        varied(found["vary"])
     except ParameterError as error:
         raise ParameterError(f"'tune': {error}") from None
     return found
@@ -184,7 +183,7 @@ def _study(
     scenario = parse_scenario("tuned", text)
     step = scenario.sample_period / scenario.inner_steps
     fixed = {"effort_limit": effort_limit, **fields_of(wanted["imperfections"], demand, step)}
-    vary = distributions.varied(wanted["vary"])
+    vary = varied(wanted["vary"])
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
     numbers, size = ({name: wanted[name] for name in names} for names in (NUMBERS, SIZE))
     sweep = Sweep("tuned", text, 1, vary, success={"rms": tracks * demand.motion}, **numbers)

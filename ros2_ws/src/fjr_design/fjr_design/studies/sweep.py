@@ -17,13 +17,11 @@ from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.simulation.deviations import JOINT
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
-from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws
-from fjr_design.batch.closed_loop import FIELDS, PER_JOINT
-from fjr_design.batch.draws import PARAMETERS
-from fjr_design.batch.parametric_robot import FRICTION
 
-from ..uncertainty import distributions
-from ..uncertainty.distributions import Distribution, DrawnColumn
+from ..batch import ClosedLoop, Draws, Outcomes, draws
+from ..batch.closed_loop import FIELDS, PER_JOINT
+from ..batch.draws import FIXED, PARAMETERS, Distribution, DrawnColumn
+from ..batch.parametric_robot import FRICTION
 from ..uncertainty.posterior import Identification, PosteriorDraws
 from .study import Columns, once
 
@@ -174,7 +172,7 @@ class Sweep:
             fixed[name] = values[:, 0] if PARAMETERS[name].per_run else values
         if self.identified is not None:
             fixed |= self.identified.drawn(self.seed, begin, count)
-        seeds = draws.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
+        seeds = draws.rows((self.seed, draws.stream(NOISE_SEED)), begin, count, 1)[:, 0]
         return Draws(count, **fixed, seed=seeds)
 
     def part(self, begin: int, end: int) -> Columns:
@@ -212,7 +210,7 @@ class Sweep:
         """Numbers that differ between runs: one for a deviation, or one per joint."""
         found = []
         for name, one in self.vary.items():
-            if one.kind != distributions.FIXED:
+            if one.kind != FIXED:
                 each = [f"{name}.{joint}" for joint in self.scenario.joints] if one.each_joint else [name]
                 found += [DrawnColumn(column, name, i, one) for i, column in enumerate(each)]
         posterior = self.identified.columns.values() if self.identified else ()
@@ -231,7 +229,7 @@ class Sweep:
             raise ParameterError(f"'vary' has '{name}'; expected some of {', '.join(PARAMETERS)}")
         if one.each_joint and PARAMETERS[name].per != JOINT:
             raise ParameterError(f"'{name}' has each_joint; expected one value for all joints")
-        if one.kind == distributions.FIXED:
+        if one.kind == FIXED:
             given, most = len(one.numbers), PARAMETERS[name].width(self.scenario.robot.n)
             if given not in (1, most):
                 expected = "a single one" if most == 1 else f"1 or {most}"
@@ -246,7 +244,7 @@ class Sweep:
 def from_text(text: str) -> Sweep:
     """Return the sweep described by Sweep.text."""
     values = json.loads(text)
-    return Sweep(**values | {"vary": distributions.varied(values["vary"])})
+    return Sweep(**values | {"vary": draws.varied(values["vary"])})
 
 
 def run_part(text: str, begin: int, end: int) -> Columns:

@@ -14,8 +14,7 @@ from typing import Any, TypeGuard
 
 from fjr_core.config import ros_yaml
 from fjr_core.errors import ParameterError
-from fjr_design.uncertainty import distributions
-from fjr_design.uncertainty.distributions import Distribution
+from fjr_design.batch.draws import FIXED, FORM, Distribution, varied
 from fjr_design.uncertainty.posterior import read_identification
 from fjr_msgs_py.scenarios import installed, library
 
@@ -40,12 +39,12 @@ def read(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of Sweep that a parsed document gives, but for scenario and posterior; raise ParameterError."""
     check_keys(document, KEYS)
     given = {key: mapping(key, document.get(key, {})) for key in MAPPINGS}
-    vary = distributions.varied(given["vary"])
+    vary = varied(given["vary"])
     posterior = document.get(POSTERIOR, "")
     if not isinstance(posterior, str):
         raise ParameterError(f"has {posterior!r} as '{POSTERIOR}'; expected the path of an identification.json")
-    if not posterior and not any(one.kind != distributions.FIXED for one in vary.values()):
-        raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {distributions.FORM}")
+    if not posterior and not any(one.kind != FIXED for one in vary.values()):
+        raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {FORM}")
     success = {name: number(f"success.{name}", value) for name, value in given["success"].items()}
     wholes = {key: whole(key, document[key]) for key in WHOLE if key in document}
     numbers = {key: number(key, document[key]) for key in SECONDS if key in document}
@@ -63,7 +62,7 @@ def usual(sample_period: float) -> dict[str, Distribution]:
         "motor_damping": {"log_uniform": [0.5, 2.0], "each_joint": True},
         "delay": {"uniform": [0.0, sample_period]},
     }
-    return distributions.varied(document)
+    return varied(document)
 
 
 def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -> None:

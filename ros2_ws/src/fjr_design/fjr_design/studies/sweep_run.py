@@ -24,8 +24,7 @@ from fjr_monitor.report.html import Line, Plot
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_picture
 from fjr_msgs_py.console.output import Result, finite, json_text, number, percent, plural, progress_bar
 
-from ..batch.draws import unit_of
-from ..uncertainty.distributions import FIXED, LOG_UNIFORM
+from ..batch.draws import FIXED, LOG_UNIFORM, unit_of
 from .sensitivity import Effect, ReadColumn, Summary, summarised
 from .study import Store, Workers, divided, open_store
 from .sweep import OUTCOMES, Sweep, run_part

@@ -23,9 +23,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.deviations import DEVIATIONS, POINT
 from fjr_design.batch import draws
+from fjr_design.batch.draws import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
 
-from . import distributions
-from .distributions import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
 from .drawn_loops import DrawnPlants
 
 IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
@@ -134,8 +133,7 @@ class Identification:
 
         widest: standard deviations at which z is truncated; the default leaves the posterior whole.
         """
-        words = draws.rows((seed, distributions.stream(STREAM)), first, count, len(self.mean))
-        normal = distributions.standard_normal(draws.unit(words), widest)
+        normal = draws.standard_normal(draws.uniform(STREAM, seed, first, count, len(self.mean)), widest)
         w, v = np.linalg.eigh(self.covariance)
         z = self.mean + normal @ (v * np.sqrt(np.maximum(w, 0.0))) @ v.T
         drawn = np.tile([each.value for each in self.estimates], (len(normal), 1))
@@ -263,7 +261,7 @@ class PosteriorDraws:
 
     def drawn(self, seed: int, first: int, count: int) -> dict[str, Array]:
         """Return the draws by deviation, (count, n), (count,) or (count, 3), of the runs from `first` on."""
-        table = self.found.draws(count, seed, first, distributions.WIDEST)
+        table = self.found.draws(count, seed, first, draws.WIDEST)
         return {one.name: self._drawn(name, table) for name, one in NAMES.items() if one.name in self.columns}
 
     def _drawn(self, name: str, table: Array) -> Array:
