@@ -153,6 +153,16 @@ def unit(drawn: NDArray[np.uint64]) -> Array:
     return np.asarray((drawn >> np.uint64(11)) * 2.0**-53)
 
 
+def stream(name: str) -> int:
+    """Return the second word of the random key of a parameter name; it is never 0, which the noise uses."""
+    return zlib.crc32(COUNTED_AS.get(name, name).encode()) | 1 << 32
+
+
+def uniform(name: str, seed: int, first: int, count: int, width: int) -> Array:
+    """Return uniform numbers (count, width) of a name in the runs from `first` on."""
+    return unit(rows((seed, stream(name)), first, count, width))
+
+
 @dataclass(frozen=True)
 class Distribution:
     """Distribution of a kind with its numbers: low and high, mean and standard deviation, or fixed values.
@@ -214,11 +224,6 @@ class Distribution:
         return {self.kind: list(self.numbers)} | ({EACH_JOINT: True} if self.each_joint else {})
 
 
-def uniform(name: str, seed: int, first: int, count: int, width: int) -> Array:
-    """Return uniform numbers (count, width) of a name in the runs from `first` on."""
-    return unit(rows((seed, stream(name)), first, count, width))
-
-
 class DrawnColumn(NamedTuple):
     """A drawn number of each run: its column in the table, the field of Draws and entry in it, its distribution."""
 
@@ -234,11 +239,6 @@ def standard_normal(share: Array, widest: float = WIDEST) -> Array:
 
     outside = ndtr(-widest)
     return np.asarray(ndtri(outside + (1 - 2 * outside) * share))
-
-
-def stream(name: str) -> int:
-    """Return the second word of the random key of a parameter name; it is never 0, which the noise uses."""
-    return zlib.crc32(COUNTED_AS.get(name, name).encode()) | 1 << 32
 
 
 def varied(given: Mapping[str, object]) -> dict[str, Distribution]:
