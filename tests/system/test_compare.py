@@ -270,6 +270,7 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "margins": ["gust"]}, "unknown imperfection 'gust': expected one of stiffness, inertia, delay, noise"),
     ({**QUICK, "margins": "delay"}, "'margins' is 'delay'; expected a list"),
     ({**QUICK, "duration": 0}, "duration is 0; expected a number in range"),
+    ({**QUICK, "duration": 10**400}, "duration is 10*; expected a number in range"),
     ({**QUICK, "settle_after": 2.0}, "settle_after is 2.0; expected"),
     ({**QUICK, "tracks": True}, "tracks is True; expected"),
 ]

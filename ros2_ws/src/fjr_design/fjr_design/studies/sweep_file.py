@@ -83,19 +83,19 @@ def mapping(name: str, value: object, where: str = "") -> Mapping[str, Any]:
 
 def whole(name: str, value: object, where: str = "") -> int:
     """Return a whole number of the file; raise ParameterError for anything else."""
-    if not _is_finite(value) or value != int(value):
+    if not is_finite(value) or value != int(value):
         raise ParameterError(f"{where}has {value!r} as '{name}'; expected a whole number")
     return int(value)
 
 
 def number(name: str, value: object, where: str = "") -> float:
     """Return a finite number of the file; raise ParameterError for anything else."""
-    if not _is_finite(value):
+    if not is_finite(value):
         raise ParameterError(f"{where}has {value!r} as '{name}'; expected a number")
     return float(value)
 
 
-def _is_finite(value: object) -> TypeGuard[int | float]:
+def is_finite(value: object) -> TypeGuard[int | float]:
     """Return whether a value is a number that is finite as a double."""
     return not isinstance(value, bool) and isinstance(value, (int, float)) and abs(value) <= sys.float_info.max
 
