@@ -24,8 +24,8 @@ from bench.figures import ROOT, markdown, put
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
-from fjr_design.batch import ClosedLoop, Draws
-from fjr_design.studies.sweep import Sweep, figures, scenario_loop
+from fjr_design.batch import ClosedLoop, Draws, scenario_loop
+from fjr_design.studies.sweep import Sweep, figures
 from fjr_design.studies.sweep_file import Options, planned
 from fjr_design.studies.trial import Trial, directions, motion_demand
 from fjr_design.tuning.equal_bandwidth import baseline_target, tune

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,9 @@ from fjr_core.simulation.closed_loop import check_joints
 from . import parametric_robot
 from .draws import PARAMETERS, Draws
 from .program import BatchProgram
+
+if TYPE_CHECKING:
+    from fjr_core.config.scenario import Scenario
 
 LAST = 1.0  # s; averaging time of Outcomes.final
 
@@ -229,6 +232,27 @@ class ClosedLoop:
     def program(self) -> BatchProgram:
         """The functions of the loop, compiled by the first run or by its `build`."""
         return BatchProgram(self.robot, self.law, self.plant, self.settings, self.observer, self.measurement)
+
+
+def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
+    """Return the closed loop of a scenario under a law, with its limits, start, stop policy, observer and measurement.
+
+    options: of ClosedLoop.
+    """
+    return ClosedLoop(
+        scenario.plant.robot,
+        law,
+        scenario.reference,
+        scenario.x0,
+        duration,
+        scenario.sample_period,
+        inner_steps=scenario.inner_steps,
+        plant=scenario.plant,
+        settings=scenario.settings,
+        observer=scenario.observer,
+        measurement=scenario.measurement,
+        **options,
+    )
 
 
 def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np.int64], Array]:

@@ -31,11 +31,11 @@ from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
+from ..batch import scenario_loop
 from . import compare_page, compare_results, suite
 from .compared_law import TunedLaw, law_for, tuned_law
 from .study import Processes, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
-from .sweep import scenario_loop
 from .trial import MotionDemand, Trial, directions, motion_demand
 
 TRACE_POINTS = 600

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError
-from fjr_core.law.interfaces import SampledLaw
 from fjr_core.simulation.deviations import JOINT
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
 
-from ..batch import ClosedLoop, Draws, Outcomes, draws
+from ..batch import ClosedLoop, Draws, Outcomes, draws, scenario_loop
 from ..batch.closed_loop import FIELDS, PER_JOINT
 from ..batch.draws import FIXED, PARAMETERS, Distribution, DrawnColumn
 from ..batch.parametric_robot import FRICTION
@@ -44,27 +43,6 @@ MOST_RUNS = 10**9
 REACH = 2.0
 """Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
 NOISE_SEED = "seed"
-
-
-def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
-    """Return the closed loop of a scenario under a law, with its limits, start, stop policy, observer and measurement.
-
-    options: of ClosedLoop.
-    """
-    return ClosedLoop(
-        scenario.plant.robot,
-        law,
-        scenario.reference,
-        scenario.x0,
-        duration,
-        scenario.sample_period,
-        inner_steps=scenario.inner_steps,
-        plant=scenario.plant,
-        settings=scenario.settings,
-        observer=scenario.observer,
-        measurement=scenario.measurement,
-        **options,
-    )
 
 
 def figures(outcomes: Outcomes, success: NDArray[np.bool_]) -> Figures:
