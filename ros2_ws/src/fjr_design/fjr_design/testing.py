@@ -88,9 +88,7 @@ def check_plant(plant: Any, robot: Robot | None = None, states: int = 64, seed: 
             "expected (M_l^-1 p_l, M_m^-1 p_m) with the inertia of the robot"
         )
         check.add("" if errors[worst] <= RELATIVE else fault, "dx[:2n] are the velocities of x")
-        H: Any = check.robot.hamiltonian
-        if isinstance(plant, PythonPlant) or not isinstance(plant, Plant):
-            H = getattr(plant.own if isinstance(plant, PythonPlant) else plant, "hamiltonian", None)
+        H = getattr(own.own, "hamiltonian", None) if isinstance(own, PythonPlant) else check.robot.hamiltonian
         if H is not None and not check.faults:
             _check_power(own, H, samples, check)
 
