@@ -74,8 +74,8 @@ def _along_reference(scenario: Scenario) -> Array:
     """Return the largest deflections (n,) of the plant's springs along the reference."""
     instants = np.linspace(0.0, min(HORIZON, scenario.reference.end), INSTANTS)
     jets = np.asarray(scenario.reference.jets(instants))
-    motion = inverse_dynamics(scenario.plant.robot).map(INSTANTS)(*(row.T for row in jets.swapaxes(0, 1)))
-    return np.asarray(np.abs(motion[1].full().T - jets[:, 0]).max(axis=0))
+    _, theta, *_ = inverse_dynamics(scenario.plant.robot)(*jets.transpose(1, 2, 0))
+    return np.asarray(np.abs(theta.full().T - jets[:, 0]).max(axis=0))
 
 
 def _deflection(scenario: Scenario, share: float, along: Array) -> Array:

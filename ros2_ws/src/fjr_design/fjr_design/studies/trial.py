@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import CompareError
 from fjr_core.model.robot import Robot
-from fjr_core.motions.inverse_dynamics import spring_torque
+from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.deviations import DEVIATIONS
@@ -67,10 +66,8 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
     motion = float(np.sqrt(np.mean((position - position.mean(axis=0)) ** 2)))
     if not motion > STANDING:
         raise CompareError(f"the reference is at rest for {end:g} s; expected a motion")
-    symbols = [ca.SX.sym(name, robot.n) for name in ("q_l", "dq_l", "ddq_l")]
-    inverse_dynamics = ca.Function("inverse_dynamics", symbols, [ca.densify(spring_torque(robot, *symbols))])
-    torques = inverse_dynamics.map(INSTANTS)(*(jets[:, row].T for row in range(3))).full()
-    torque = np.sqrt(np.mean(torques**2, axis=1))
+    tau, *_ = inverse_dynamics(robot)(*jets.transpose(1, 2, 0))
+    torque = np.sqrt(np.mean(tau.full() ** 2, axis=1))
     friction = Imperfections(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
     rates = [friction_rate(friction, robot.M_l(q_l), robot.M_m) for q_l in position[:: INSTANTS // CONFIGURATIONS]]
     return MotionDemand(motion, torque, max(rates), robot.deflection(torque))
