@@ -15,6 +15,7 @@ from fjr_core.errors import FjrError, ParameterError
 from fjr_core.extensions.python_code import PythonLaw, PythonPlant
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.configuration_sampling import bounds_of
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import JETS
@@ -26,7 +27,6 @@ STEP = 1e-5
 """Step of central differences, relative to the direction."""
 RELATIVE = 1e-6
 """Largest violation of an inequality, relative to its terms, that counts as rounding."""
-REACH = 3.0  # rad; positions without limits
 SPRING = 0.1  # rad; deflections of the joints
 EFFORT = 10.0  # N m; of the samples of a plant
 
@@ -216,10 +216,7 @@ def _check_power(plant: Plant, H: Callable[[Array], float], samples: Sequence[Sa
 def _random_states(robot: Robot, count: int, rng: np.random.Generator) -> Array:
     """Return states x (k, 4n): links within their limits, deflections up to SPRING, speeds up to 1 rad/s."""
     n = robot.n
-    low, high = np.full(n, -REACH), np.full(n, REACH)
-    if robot.limits is not None:
-        low, high = np.maximum(low, robot.limits.lower), np.minimum(high, robot.limits.upper)
-    q_l = rng.uniform(low, high, (count, n))
+    q_l = rng.uniform(*bounds_of(robot), (count, n))
     q_m, speeds = q_l + rng.uniform(-SPRING, SPRING, (count, n)), rng.uniform(-1.0, 1.0, (count, 2, n))
     return np.array([robot.state(q, motor, *v) for q, motor, v in zip(q_l, q_m, speeds, strict=True)])
 

@@ -34,14 +34,13 @@ from fjr_core.errors import GainsError
 from fjr_core.extensions.law_registry import V_DPBC, LawKind, law_kind
 from fjr_core.law.gains import Gains
 from fjr_core.law.interfaces import StaticLaw
-from fjr_core.law.linearized import rest_position, slope_at_rest
+from fjr_core.law.linearized import equilibria_at, rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-
-from ..baselines.lqr import velocity_matrices
+from fjr_core.stability.linear_controller import plant_in_velocities
 
 BANDWIDTH_TOLERANCE = 0.01  # relative, of equal bandwidths
 PEAK_TOLERANCE = 0.1  # relative, of equal peak efforts
@@ -72,7 +71,7 @@ class BaselineTarget:
         self._jets = np.asarray(reference.jets(0.0))
         self.q_0 = np.array(self._jets[0])
         self.start = start or (rest_position(robot, self.q_0) + START_ERROR, np.zeros(2 * robot.n))
-        self._A, self._B = velocity_matrices(robot, self.q_0)
+        (self._A,), (self._B,) = plant_in_velocities(equilibria_at(robot, self.q_0[None]))
         self._root = np.linalg.cholesky(robot.M_l(self.q_0)).T
         limits = robot.limits
         known = limits is not None and np.isfinite(limits.effort).all()
