@@ -184,7 +184,7 @@ def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
 
 def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str, caption: str, label: str) -> Plot:
     t = np.array(laws[0][1]["trace"]["t"])
-    lines = [_line(style, _floats(law["trace"][what])) for style, law in laws]
+    lines = [_line(style, np.array(law["trace"][what], dtype=float)) for style, law in laws]
     heading = f"Nominal: {what}"
     return Plot(f"{place}-{what}", heading, caption, t, lines, y_label=label, y_log=True, place=place, legend=False)
 
@@ -226,7 +226,7 @@ def _curve(place: str, laws: Sequence[tuple[Style, Any]], axis: str, tracks: flo
 
 def _sampled(curve: dict[str, Any], levels: Array, tracks: float) -> Array:
     """Return the error [%] at the levels, from the nominal one to the last before failure on either side."""
-    known, error = np.array(curve["levels"]), _floats(curve["relative"])
+    known, error = np.array(curve["levels"]), np.array(curve["relative"], dtype=float)
     good = np.isfinite(error) & (error <= HEADROOM * tracks)
     start = int(np.searchsorted(known, 1.0)) if known[0] > 0 else 0
     if not good[start]:
@@ -242,7 +242,3 @@ def _sampled(curve: dict[str, Any], levels: Array, tracks: float) -> Array:
 def _line(style: Style, values: Array) -> Line:
     title, colour, dash = style
     return Line(title, values, colour, 2.0 if colour == "c1" else 1.3, dash)
-
-
-def _floats(values: Sequence[float | None]) -> Array:
-    return np.array([np.nan if value is None else value for value in values])

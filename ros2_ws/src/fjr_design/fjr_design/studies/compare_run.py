@@ -28,7 +28,7 @@ from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.numerics.jit import program_digest
 from fjr_msgs_py.console.ending import Interrupted
-from fjr_msgs_py.console.output import Result, plural, progress_bar
+from fjr_msgs_py.console.output import Result, finite, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
 from ..batch import scenario_loop
@@ -243,6 +243,5 @@ def _trace(trial: Trial) -> Values:
     rows = np.unique(np.linspace(0, len(run.t) - 1, TRACE_POINTS).astype(int))
     found: Values = {"t": run.t[rows].tolist()}
     for name, values in (("error", error), ("effort", run.u[0])):
-        largest = np.abs(values).max(axis=1)[rows].tolist()
-        found[name] = [value if np.isfinite(value) else None for value in largest]
+        found[name] = finite(np.abs(values).max(axis=1)[rows])
     return found

@@ -20,6 +20,7 @@ from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linearization import spectral_radius
+from fjr_msgs_py.console.output import finite
 
 from ..batch.draws import FIXED, Distribution, varied
 from ..tuning.equal_bandwidth import baseline_target, tune
@@ -172,7 +173,7 @@ def law_for(
         effort_limit,
         study.coordinates.values(found.chosen),
         f"best of {len(found.candidates)} candidates; {tracking}",
-        {name: value if np.isfinite(value) else None for name, value in summary.items()},
+        finite(summary),
     )
 
 
