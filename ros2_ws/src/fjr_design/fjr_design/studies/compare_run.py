@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -47,7 +46,7 @@ QUIET = 2.0  # s until the progress bar appears
 Values = dict[str, Any]
 
 
-def compare(name: str, output: Path, cores: int | None, page: Path | None, stop: threading.Event) -> Result:
+def compare(name: str, output: Path, cores: int, page: Path | None, stop: threading.Event) -> Result:
     """Compare the laws of a suite; return a summary. Raise FjrError, and Interrupted when `stop` is set.
 
     Results go to output/compare_<suite>/: comparison.html, comparison.json, and kept/ with finished jobs, which are not
@@ -64,7 +63,7 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
             )
     planned = jobs(chosen)
     folder = output / f"compare_{chosen.name}"
-    found = run(planned, folder / CACHE, cores or len(os.sched_getaffinity(0)), stop)
+    found = run(planned, folder / CACHE, cores, stop)
     document = compare_results.document(chosen, [(job.robot, job.law.label) for job in planned], found)
     (folder / RESULTS).write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
     compare_page.write_page(folder / PAGE, document)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from fjr_core.config import ros_yaml
+from fjr_core.config.parameter import resembling
 from fjr_core.errors import ParameterError
 from fjr_design.batch.draws import FIXED, FORM, Distribution, varied
 from fjr_design.uncertainty.posterior import read_identification
@@ -69,8 +69,8 @@ def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -
     """Raise ParameterError for an unknown key, with the one it resembles; where: section, as a start of the message."""
     for key in given:
         if key not in keys:
-            close = difflib.get_close_matches(str(key), keys, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"expected some of {', '.join(keys)}"
+            close = resembling(str(key), keys)
+            hint = f"did you mean '{close}'?" if close else f"expected some of {', '.join(keys)}"
             raise ParameterError(f"{where}has '{key}'; {hint}")
 
 
