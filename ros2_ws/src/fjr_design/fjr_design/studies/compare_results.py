@@ -18,7 +18,7 @@ from fjr_core.extensions.law_registry import law_kind
 from fjr_msgs_py.console.output import DASH, number, percent, plural
 
 from .suite import NOMINAL, Suite
-from .trial import IMPERFECTIONS, Direction, directions
+from .trial import Direction, Imperfection, directions
 
 SHORT = {
     "pd_gravity": "PD + gravity",
@@ -177,7 +177,7 @@ def _margin(direction: Direction, margin: dict[str, Any]) -> Value:
     if level is None:
         return Value(None, DASH, "lost")
     further = "" if margin["beyond"] is not None else "≤ " if direction.is_down else "≥ "
-    return Value(level, further + level_words(direction.imperfection.name, level))
+    return Value(level, further + level_words(direction.imperfection, level))
 
 
 def _cell(metric: Metric, run: dict[str, Any]) -> Value:
@@ -190,9 +190,8 @@ def _cell(metric: Metric, run: dict[str, Any]) -> Value:
     return Value(value, DASH if value is None else metric.words(value), "tracks" if run["tracks"] else "lost")
 
 
-def level_words(name: str, level: float) -> str:
+def level_words(one: Imperfection, level: float) -> str:
     """Format the level of an imperfection with its unit."""
-    one = IMPERFECTIONS[name]
     if one.is_factor:
         return f"× {number(level, digits=3)}"
     if one.unit in ("s", "rad"):
