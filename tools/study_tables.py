@@ -24,11 +24,10 @@ from bench.figures import ROOT, markdown, put
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
-from fjr_design.batch import ClosedLoop, Draws
-from fjr_design.studies.imperfections import directions, motion_demand
-from fjr_design.studies.sweep import Sweep, figures, scenario_loop
+from fjr_design.batch import ClosedLoop, Draws, scenario_loop
+from fjr_design.studies.sweep import Sweep, figures
 from fjr_design.studies.sweep_file import Options, planned
-from fjr_design.studies.trial import Trial
+from fjr_design.studies.trial import Trial, directions, motion_demand
 from fjr_design.tuning.equal_bandwidth import baseline_target, tune
 from fjr_monitor.report.picture import COLOURS, write_picture
 from fjr_msgs_py.scenarios import library

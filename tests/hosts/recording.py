@@ -17,8 +17,7 @@ from faults.fault_rows import JOINT, Row
 from faults.rig import NOTHING, SECOND, STEPPED, Rig
 from faults.watcher import COMMANDS, STATES
 from fjr_core.config.scenario import parse_scenario
-from fjr_design.batch import Draws
-from fjr_design.studies.sweep import scenario_loop
+from fjr_design.batch import Draws, scenario_loop
 from fjr_msgs_py.names import CONTROLLER, state_names
 from hosts.inputs import Input, Kind, Sequence, with_ticks
 from hosts.step_hosts import Efforts

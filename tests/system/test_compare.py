@@ -21,10 +21,9 @@ from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError, FjrError, ParameterError
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.numerics import jit as jit_cache
-from fjr_design.batch import Draws
+from fjr_design.batch import Draws, scenario_loop
 from fjr_design.studies import compare_page, compare_run, suite
 from fjr_design.studies.compare_results import BEGIN, END, Row, Value, extent, markdown, marks, rows, table_rows
-from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios import library
 from system.browser import Browser
@@ -270,6 +269,7 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "margins": ["gust"]}, "unknown imperfection 'gust': expected one of stiffness, inertia, delay, noise"),
     ({**QUICK, "margins": "delay"}, "'margins' is 'delay'; expected a list"),
     ({**QUICK, "duration": 0}, "duration is 0; expected a number in range"),
+    ({**QUICK, "duration": 10**400}, "duration is 10*; expected a number in range"),
     ({**QUICK, "settle_after": 2.0}, "settle_after is 2.0; expected"),
     ({**QUICK, "tracks": True}, "tracks is True; expected"),
 ]

@@ -28,7 +28,7 @@ from fjr_core.motions.transition import TimeShifted, Transition
 from fjr_core.numerics.jit import declarations
 from fjr_core.runtime.library import HEADER, text
 from fjr_core.runtime.reference import ReferenceStruct, reference_table
-from fjr_design.exports.step_code import reference_code
+from fjr_design.exports.project import reference_code
 
 STRICT = ("cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-ffp-contract=off")
 EXPORTED = """

@@ -14,8 +14,7 @@ from core.oracles.cases import ARMS, Arm
 from fjr_core.config.controller import BANDWIDTH
 from fjr_core.runtime.measurement_model import OBSERVER
 from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, error_radii, first_corrections
-from fjr_design.batch import Draws
-from fjr_design.studies.sweep import scenario_loop
+from fjr_design.batch import Draws, scenario_loop
 from fjr_msgs_py.scenarios import library
 
 MS = 1_000_000  # ns

@@ -18,14 +18,15 @@ from core.oracles.plain_loop import STIFF, PlainLoop, constant_jets, standard_la
 from core.oracles.properties import residual
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import relative_eigenvalues
-from fjr_design.baselines import feedback_linearisation, lqr, pd_gravity, torque_feedback
+from fjr_core.law.linearized import equilibria_at
+from fjr_core.stability.linear_controller import plant_in_velocities
+from fjr_design.baselines import feedback_linearisation, pd_gravity, torque_feedback
 from fjr_design.baselines.backstepping import BacksteppingGains
 from fjr_design.baselines.torque_feedback import TorqueFeedbackGains
 
 TOLERANCE = 1e-8
-arms = pytest.mark.parametrize(
-    "make", [*(lambda arm=arm: arm for arm in STIFF), arm7], ids=[*(a.name for a in STIFF), "arm7"]
-)
+arms = pytest.mark.parametrize("arm", [*STIFF, arm7()], ids=lambda arm: arm.name)
+stiff = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
 seeds = pytest.mark.parametrize("seed", range(3))
 
 
@@ -57,9 +58,8 @@ def on_motors(loop: PlainLoop, gain: str) -> Array:
 @pytest.mark.parametrize("name", ON_MOTORS)
 @arms
 @seeds
-def test_storage_of_a_constant_reference_decays_by_the_damping_alone(name: str, make, seed: int) -> None:
+def test_storage_of_a_constant_reference_decays_by_the_damping_alone(name: str, arm: Arm, seed: int) -> None:
     """dV/dt = -dq' D_l dq - dtheta' (D_m + D) dtheta in every state."""
-    arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
     D = on_motors(loop, "D")
     jets = constant_jets(p.jets[0])
@@ -69,7 +69,7 @@ def test_storage_of_a_constant_reference_decays_by_the_damping_alone(name: str, 
 
 
 @pytest.mark.parametrize("name", ON_MOTORS)
-@pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
+@stiff
 def test_constant_reference_is_the_only_equilibrium_and_is_attractive(name: str, arm: Arm) -> None:
     """If K_p outweighs gravity, V has one stationary point and the arm converges to it from far away."""
     loop = loop_of(name, arm)
@@ -92,9 +92,8 @@ def gravity_at_rest(arm: Arm, theta: Array) -> Array:
 @pytest.mark.parametrize("name", ON_MOTORS[2:])
 @arms
 @seeds
-def test_torque_feedback_shapes_the_motor_inertia(name: str, make, seed: int) -> None:
+def test_torque_feedback_shapes_the_motor_inertia(name: str, arm: Arm, seed: int) -> None:
     """M_theta ddtheta + D_m dtheta + tau = w, with gravity computed from the motor positions."""
-    arm = make()
     loop, p = loop_of(name, arm), place(arm, seed)
     g = loop.law.arrays  # type: ignore[attr-defined]
     q, theta, _, dtheta = loop.parts(p.x)
@@ -108,9 +107,8 @@ def test_torque_feedback_shapes_the_motor_inertia(name: str, make, seed: int) ->
 
 @arms
 @seeds
-def test_gravity_from_motor_positions_gives_one_equilibrium_for_any_stiffness(make, seed: int) -> None:
+def test_gravity_from_motor_positions_gives_one_equilibrium_for_any_stiffness(arm: Arm, seed: int) -> None:
     """With the links in equilibrium, only -K_theta (theta - theta_d) acts on the motors; K_theta = 0.01 N m/rad."""
-    arm = make()
     kind, K_theta = LAWS["torque_feedback"], 0.01
     gains = TorqueFeedbackGains(0.3 * arm.M_m, K_theta, 1.0)
     loop = PlainLoop(arm, kind.make(arm.robot, gains))
@@ -150,9 +148,8 @@ def test_shaped_inertia_is_as_small_as_sampling_allows(sample_period: float) -> 
 
 @arms
 @seeds
-def test_feedback_linearisation_gives_linear_error_dynamics_of_order_four(make, seed: int) -> None:
+def test_feedback_linearisation_gives_linear_error_dynamics_of_order_four(arm: Arm, seed: int) -> None:
     """d4e + A_3 d3e + A_2 dde + A_1 de + A_0 e = 0 along the arm; derivatives are nested differences."""
-    arm = make()
     loop, p = loop_of("feedback_linearisation", arm), place(arm, seed)
     g = loop.law.arrays  # type: ignore[attr-defined]
     q, _, dq, _ = loop.parts(p.x)
@@ -168,9 +165,8 @@ def test_feedback_linearisation_gives_linear_error_dynamics_of_order_four(make, 
 
 
 @arms
-def test_feedback_linearisation_has_two_time_scales(make) -> None:
+def test_feedback_linearisation_has_two_time_scales(arm: Arm) -> None:
     """Each joint has two poles at omega and a pair at half its elastic mode, bounded by omega and the sample rate."""
-    arm = make()
     n, omega, q_0 = arm.n, 10.0, np.full(arm.n, 0.3)
     inverse = np.linalg.inv(arm.links.M(q_0)) + np.linalg.inv(arm.M_m)
     modes = np.sort(np.sqrt(np.linalg.eigvals(inverse @ arm.K).real))
@@ -205,8 +201,7 @@ def motor_errors(loop: PlainLoop, own: bool):
 
 @arms
 @seeds
-def test_exact_rate_of_the_storage_of_backstepping(make, seed: int) -> None:
-    arm = make()
+def test_exact_rate_of_the_storage_of_backstepping(arm: Arm, seed: int) -> None:
     loop, p = loop_of("backstepping", arm), place(arm, seed)
     g, x, jets = loop.law.arrays, p.x, p.jets  # type: ignore[attr-defined]
     q, _, dq, _ = loop.parts(x)
@@ -220,7 +215,7 @@ def test_exact_rate_of_the_storage_of_backstepping(make, seed: int) -> None:
     assert residual(loop.rate_of(loop.storage, x, jets), *(-term for term in lost)) < 1e-7
 
 
-@pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
+@stiff
 @seeds
 def test_backstepping_with_these_weights_is_the_passivity_based_law(arm: Arm, seed: int) -> None:
     """With c_1 = Lambda, c_2 M_m = K_2 + D_m: B_m u = M_m ddtheta_r + D_m dtheta_r + K (theta_d - q_d) - K_2 s_m."""
@@ -257,8 +252,7 @@ def slow_torque(loop: PlainLoop):
 
 @arms
 @seeds
-def test_corrected_slow_manifold_is_invariant_and_its_links_move_like_the_rigid_arm(make, seed: int) -> None:
-    arm = make()
+def test_corrected_slow_manifold_is_invariant_and_its_links_move_like_the_rigid_arm(arm: Arm, seed: int) -> None:
     loop, p = loop_of("singular_perturbation", arm), place(arm, seed)
     v, theta_s = slow_torque(loop)
     q, _, dq, _ = loop.parts(p.x)
@@ -309,9 +303,8 @@ def matrices(loop: PlainLoop, q_0: Array) -> tuple[Array, Array]:
 
 
 @arms
-def test_lqr_minimises_its_cost(make) -> None:
+def test_lqr_minimises_its_cost(arm: Arm) -> None:
     """The Riccati residual vanishes, the poles are stable, and no feedback near F has a lower cost."""
-    arm = make()
     loop, q_0 = loop_of("lqr", arm), np.zeros(arm.n)
     A, B = matrices(loop, q_0)
     gains, g = loop.law.gains, loop.law.arrays  # type: ignore[attr-defined]
@@ -336,9 +329,8 @@ def test_lqr_minimises_its_cost(make) -> None:
 
 
 @arms
-def test_lqr_storage_decays_by_the_running_cost_for_small_errors(make) -> None:
+def test_lqr_storage_decays_by_the_running_cost_for_small_errors(arm: Arm) -> None:
     """dV/dt = -(x' Q x + u' R u) / 2 to second order about the configuration."""
-    arm = make()
     loop, q_0 = loop_of("lqr", arm), np.zeros(arm.n)
     gains, g = loop.law.gains, loop.law.arrays  # type: ignore[attr-defined]
     rng = np.random.default_rng(3)
@@ -355,6 +347,6 @@ def test_lqr_storage_decays_by_the_running_cost_for_small_errors(make) -> None:
 def test_lqr_uses_the_linearisation_of_the_robot() -> None:
     for arm in STIFF:
         q_0 = np.full(arm.n, 0.4)
-        own = lqr.velocity_matrices(arm.robot, q_0)
-        for seen, wanted in zip(own, matrices(loop_of("lqr", arm), q_0), strict=True):
+        own = plant_in_velocities(equilibria_at(arm.robot, q_0[None]))
+        for (seen,), wanted in zip(own, matrices(loop_of("lqr", arm), q_0), strict=True):
             np.testing.assert_allclose(seen, wanted, atol=1e-7 * np.abs(wanted).max())

@@ -16,10 +16,10 @@ from core.oracles.properties import residual
 from core.robust.test_robust import pushed
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import SampledLaw
-from fjr_core.law.linearized import slope_at_rest
+from fjr_core.law.linearized import equilibria_at, slope_at_rest
 from fjr_core.robust.law import Robust, sampled_law
+from fjr_core.stability.linear_controller import plant_in_velocities
 from fjr_design.baselines.feedback_linearisation import companion
-from fjr_design.baselines.lqr import velocity_matrices
 
 arms = pytest.mark.parametrize("arm", STIFF, ids=lambda arm: arm.name)
 seeds = pytest.mark.parametrize("seed", range(3))
@@ -93,7 +93,7 @@ def test_active_disturbance_places_the_poles_of_the_chain_if_nothing_is_lacking(
     robot = fjr.planar_two_link(**PLANAR | free, stiffness=31.0, motor_inertia=(0.02, 0.01), input_gain=1.0)
     kind, q_0 = LAWS["active_disturbance"], np.array([0.3, -0.5])
     law = kind.make(robot, kind.tuning_rule(robot, q_0, 12.0, 0.9))
-    A, B = velocity_matrices(robot, q_0)
+    (A,), (B,) = plant_in_velocities(equilibria_at(robot, q_0[None]))
     poles = np.sort_complex(np.linalg.eigvals(A + B @ slope_at_rest(law, q_0)[0]))
     wanted = np.sort_complex(np.linalg.eigvals(companion(*(law.arrays[f"A_{k}"] for k in range(4)))))
     np.testing.assert_allclose(poles, wanted, rtol=1e-5)

@@ -235,16 +235,16 @@ def test_invalid_draws_and_loops_are_refused_in_one_sentence(
 
 
 def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = [paper_loop().fingerprint, paper_loop().fingerprint]
+    found = [paper_loop().program.fingerprint, paper_loop().program.fingerprint]
     for name in ("a.py", "a.c", "b.c"):
         (tmp_path / name).write_text(name)
         jit_cache.source_digest.cache_clear()
         digest = jit_cache.source_digest(tmp_path)
         monkeypatch.setattr(jit_cache, "source_digest", lambda *_, digest=digest: digest)
-        found.append(paper_loop().fingerprint)
+        found.append(paper_loop().program.fingerprint)
         monkeypatch.undo()
     monkeypatch.setattr(jit_cache.ca, "__version__", "another")
-    found.append(paper_loop().fingerprint)
+    found.append(paper_loop().program.fingerprint)
     assert found[0] == found[1]
     assert len(set(found)) == len(found) - 1
 

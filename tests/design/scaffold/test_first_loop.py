@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.cases import Array
 from core.oracles.chains import ARM7, ARM7_JOINTS
 from fjr_core.model.robot import JointLimits
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
@@ -41,13 +40,10 @@ def test_the_guess_for_a_joint_of_87_newton_metres_has_the_published_motor_inert
 
 def test_a_spring_gives_a_degree_at_the_effort_limit_unless_the_joint_carries_little() -> None:
     robot = two_link(effort=10.0)
-    expected = np.minimum(10.0 / np.deg2rad(1.0), FASTEST_LINK**2 * _least_inertia(robot))
-    assert np.allclose(typical_joints(robot).stiffness, expected, rtol=0.05)  # two digits
-
-
-def _least_inertia(robot: fjr.Robot) -> Array:
     where = np.random.default_rng(0).uniform(-3, 3, (2000, 2))
-    return 1 / np.max([np.diag(np.linalg.inv(robot.M_l(q))) for q in where], axis=0)
+    least_inertia = 1 / np.max([np.diag(np.linalg.inv(robot.M_l(q))) for q in where], axis=0)
+    expected = np.minimum(10.0 / np.deg2rad(1.0), FASTEST_LINK**2 * least_inertia)
+    assert np.allclose(typical_joints(robot).stiffness, expected, rtol=0.05)  # two digits
 
 
 def test_guesses_without_effort_limits_are_finite() -> None:

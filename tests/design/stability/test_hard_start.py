@@ -11,10 +11,9 @@ import pytest
 import fjr_core as fjr
 from core.oracles.cases import Array
 from fjr_core.config.scenario import Scenario
-from fjr_design.batch import Draws
+from fjr_design.batch import Draws, scenario_loop
 from fjr_design.stability.hard_start import HardStart, hard_start
 from fjr_design.stability.sampled_loop import check
-from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.scenarios import library
 
 AT = 0.1  # rad, at which the springs carry twice the torque of straight ones

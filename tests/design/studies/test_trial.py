@@ -15,8 +15,17 @@ from fjr_core.errors import CompareError
 from fjr_design.batch import ClosedLoop
 from fjr_design.stability.sampled_loop import check
 from fjr_design.studies.compared_law import tuned_law
-from fjr_design.studies.imperfections import IMPERFECTIONS, Direction, directions, motion_demand
-from fjr_design.studies.trial import PARTS, ROUNDS, STEPS, Trial, margins
+from fjr_design.studies.trial import (
+    IMPERFECTIONS,
+    PARTS,
+    ROUNDS,
+    STEPS,
+    Direction,
+    Trial,
+    directions,
+    margins,
+    motion_demand,
+)
 
 T = 1e-3
 ALL = directions(list(IMPERFECTIONS))

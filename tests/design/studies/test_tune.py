@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from design.batch.test_batch import loop_of
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import GainsError, ParameterError, StateError
 from fjr_core.extensions.law_registry import LAWS
-from fjr_design.batch import ClosedLoop, Draws
+from fjr_design.batch import ClosedLoop, Draws, draws
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.studies.coordinates import RULE, SCENARIO, coordinates
 from fjr_design.studies.sweep import Sweep
@@ -34,7 +35,6 @@ from fjr_design.studies.tune import (
     study_of,
     with_better_start,
 )
-from fjr_design.uncertainty import distributions
 from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, Estimate, Identification
 
 VARY: dict[str, Any] = {
@@ -56,16 +56,13 @@ def scenario(**changes: Any) -> Scenario:
 
 
 def study(goal: Goal | None = None, changes: dict[str, Any] | None = None, **numbers: Any) -> TuningStudy:
-    vary = {name: distributions.read(name, given) for name, given in VARY.items()}
+    vary = {name: draws.read(name, given) for name, given in VARY.items()}
     sweep = Sweep("joint", text(**(changes or {})), 1, vary, duration=0.3, settle_after=0.1, seed=3)
     return TuningStudy(sweep, goal or Goal(), **{"draws": 8, "candidates": 20, "fresh": 16, **numbers})
 
 
 def paper_loop(gains: fjr.Gains) -> ClosedLoop:
-    robot = fjr.single_link(stiffness=31.0)
-    x0 = robot.state(q_l=0.3, q_m=0.3, dq_l=0.0, dq_m=0.0)
-    law = fjr.TrackingLaw(robot, gains)
-    return ClosedLoop(robot, law, fjr.Sine(1.0, 1.0), x0, 0.2, 1e-3, settle_after=0.05)
+    return loop_of(fjr.single_link(stiffness=31.0), gains, 0.2, settle_after=0.05)
 
 
 def test_other_gains_give_the_results_of_a_loop_built_with_them() -> None:

@@ -22,8 +22,7 @@ from fjr_core.law.linearized import rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_design.baselines import feedback_linearisation
 from fjr_design.batch import ClosedLoop
-from fjr_design.studies.imperfections import motion_demand
-from fjr_design.studies.trial import Trial
+from fjr_design.studies.trial import Trial, motion_demand
 from fjr_design.tuning.equal_bandwidth import BaselineTarget, Tuning, baseline_target, tune, tuning
 from fjr_msgs_py.scenarios import library
 from fuzzing import refused

@@ -16,8 +16,7 @@ from design.stability.test_sampled_loop import chain3
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.motions.domain import Domain
 from fjr_core.stability.linearization import closed_form
-from fjr_design.stability.fast_modes import lag_limit, late_spring
-from fjr_design.stability.sampled_loop import check
+from fjr_design.stability.sampled_loop import check, lag_limit, late_spring
 from fjr_design.tuning.gain_synthesis import synthesize
 
 HOME = np.array([0, 0.5, 0.2, -1.2, -0.2, 0.8, 0.4])

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from fjr_core import ParameterError
+from fjr_design.batch import draws
 from fjr_design.studies import sweep_file
 from fjr_design.studies.sweep import Sweep, from_text
-from fjr_design.uncertainty import distributions
 from fjr_design.uncertainty.posterior import (
     IDENTIFIED,
     LINEAR,
@@ -22,7 +22,6 @@ from fjr_design.uncertainty.posterior import (
     UNKNOWN,
     Estimate,
     Identification,
-    parsed_identification,
 )
 
 SCENARIO = """
@@ -103,7 +102,7 @@ def test_the_text_of_a_study_keeps_the_posterior() -> None:
             {"posterior": identification("elbow").as_dict()},
             "is of joints elbow; expected those of the scenario, joint1",
         ),
-        ({"vary": {"stiffness": distributions.read("stiffness", 1.1)}}, "'stiffness', which the posterior draws"),
+        ({"vary": {"stiffness": draws.read("stiffness", 1.1)}}, "'stiffness', which the posterior draws"),
     ],
 )
 def test_a_posterior_that_does_not_fit_is_refused(given: dict[str, Any], message: str) -> None:
@@ -127,13 +126,13 @@ def test_a_sweep_file_names_the_posterior(tmp_path: Path) -> None:
 )
 def test_a_file_that_is_no_identification_is_refused(values: object) -> None:
     with pytest.raises(ParameterError, match="expected"):
-        parsed_identification(values)
+        Identification.from_dict(values)
 
 
 def test_a_deviation_under_its_former_name_is_reported_and_drawn_as_before(capsys: pytest.CaptureFixture[str]) -> None:
     given = {"uniform": [0.0, 1.0]}
-    assert distributions.varied({"external": given}) == distributions.varied({"link_torque": given})
+    assert draws.varied({"external": given}) == draws.varied({"link_torque": given})
     assert "'external' under 'vary' is deprecated; use 'link_torque'" in capsys.readouterr().err
-    assert distributions.stream("link_torque") == distributions.stream("external")
+    assert draws.stream("link_torque") == draws.stream("external")
     with pytest.raises(ParameterError, match="'external' beside its new name 'link_torque'"):
-        distributions.varied({"external": given, "link_torque": given})
+        draws.varied({"external": given, "link_torque": given})

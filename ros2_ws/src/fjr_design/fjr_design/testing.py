@@ -15,6 +15,7 @@ from fjr_core.errors import FjrError, ParameterError
 from fjr_core.extensions.python_code import PythonLaw, PythonPlant
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.configuration_sampling import bounds_of
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import JETS
@@ -26,7 +27,6 @@ STEP = 1e-5
 """Step of central differences, relative to the direction."""
 RELATIVE = 1e-6
 """Largest violation of an inequality, relative to its terms, that counts as rounding."""
-REACH = 3.0  # rad; positions without limits
 SPRING = 0.1  # rad; deflections of the joints
 EFFORT = 10.0  # N m; of the samples of a plant
 
@@ -88,9 +88,7 @@ def check_plant(plant: Any, robot: Robot | None = None, states: int = 64, seed: 
             "expected (M_l^-1 p_l, M_m^-1 p_m) with the inertia of the robot"
         )
         check.add("" if errors[worst] <= RELATIVE else fault, "dx[:2n] are the velocities of x")
-        H: Any = check.robot.hamiltonian
-        if isinstance(plant, PythonPlant) or not isinstance(plant, Plant):
-            H = getattr(plant.own if isinstance(plant, PythonPlant) else plant, "hamiltonian", None)
+        H = getattr(own.own, "hamiltonian", None) if isinstance(own, PythonPlant) else check.robot.hamiltonian
         if H is not None and not check.faults:
             _check_power(own, H, samples, check)
 
@@ -218,10 +216,7 @@ def _check_power(plant: Plant, H: Callable[[Array], float], samples: Sequence[Sa
 def _random_states(robot: Robot, count: int, rng: np.random.Generator) -> Array:
     """Return states x (k, 4n): links within their limits, deflections up to SPRING, speeds up to 1 rad/s."""
     n = robot.n
-    low, high = np.full(n, -REACH), np.full(n, REACH)
-    if robot.limits is not None:
-        low, high = np.maximum(low, robot.limits.lower), np.minimum(high, robot.limits.upper)
-    q_l = rng.uniform(low, high, (count, n))
+    q_l = rng.uniform(*bounds_of(robot), (count, n))
     q_m, speeds = q_l + rng.uniform(-SPRING, SPRING, (count, n)), rng.uniform(-1.0, 1.0, (count, 2, n))
     return np.array([robot.state(q, motor, *v) for q, motor, v in zip(q_l, q_m, speeds, strict=True)])
 

@@ -37,9 +37,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import MotorMotion, motor_motion
 from fjr_core.numerics.checks import Array
 
-from .baseline import effort, metric, rate
+from .baseline import ObservedBaseline, effort, metric, rate
 from .feedback_linearisation import LinearErrorGains, fast_rates
-from .observed import ObservedBaseline
 
 FASTER = 3.0  # ratio of the observer's bandwidth to the fastest pole of the chain (Gao 2003: 3 to 5)
 FASTEST_OBSERVER = 1.0  # rad per sample

@@ -60,9 +60,7 @@ class LinearErrorGains:
         """Return A_0 .. A_3 (n, n) and P (4n, 4n); raise GainsError if the error equation is unstable."""
         arrays = {k: checks.matrix(k, getattr(self, k), robot.n, GainsError) for k in ("A_0", "A_1", "A_2", "A_3")}
         A = companion(*arrays.values())
-        slowest = float(np.linalg.eigvals(A).real.max())
-        if not slowest < 0:
-            raise GainsError(f"A_0 .. A_3 give an error that grows as exp({slowest:.4g} t); expected one that decays")
+        refuse_growth("A_0 .. A_3 give an error", A)
         from scipy.linalg import solve_continuous_lyapunov  # loaded on use: see law/gains.py
 
         P = solve_continuous_lyapunov(A.T, -weight(arrays["A_0"]))
@@ -108,10 +106,17 @@ class FeedbackLinearisation(Baseline):
         return np.asarray(self.robot.M_m * np.trace(self.arrays["A_3"]) / self.robot.n)
 
 
-def companion(A_0: Array, A_1: Array, A_2: Array, A_3: Array) -> Array:
-    """Return the companion matrix A (4n, 4n), dz = A z."""
-    n = len(A_0)
-    return np.vstack([np.eye(4 * n)[n:], -np.hstack([A_0, A_1, A_2, A_3])])
+def companion(*coefficients: Array) -> Array:
+    """Return the companion matrix A (kn, kn), dz = A z, of the coefficients A_0 .. (n, n) of an equation of order k."""
+    n = len(coefficients[0])
+    return np.vstack([np.eye(len(coefficients) * n)[n:], -np.hstack(coefficients)])
+
+
+def refuse_growth(what: str, A: Array) -> None:
+    """Raise GainsError if dz = A z, which `what` names, does not decay."""
+    slowest = float(np.linalg.eigvals(A).real.max())
+    if not slowest < 0:
+        raise GainsError(f"{what} that grows as exp({slowest:.4g} t); expected one that decays")
 
 
 def weight(A_0: Array) -> Array:
@@ -142,10 +147,7 @@ class CompositeGains:
     def arrays(self, robot: Robot) -> dict[str, Array]:
         """Return the gains as (n, n); raise GainsError if the slow subsystem is unstable."""
         K_p, K_v = (checks.matrix(k, getattr(self, k), robot.n, GainsError) for k in ("K_p", "K_v"))
-        slow = np.block([[np.zeros_like(K_p), np.eye(robot.n)], [-K_p, -K_v]])
-        slowest = float(np.linalg.eigvals(slow).real.max())
-        if not slowest < 0:
-            raise GainsError(f"K_p, K_v give a slow mode that grows as exp({slowest:.4g} t); expected one that decays")
+        refuse_growth("K_p, K_v give a slow mode", companion(K_p, K_v))
         return {"K_p": K_p, "K_v": K_v, "K_f": damping("K_f", self.K_f, robot.n, robot.D_m)}
 
     @classmethod

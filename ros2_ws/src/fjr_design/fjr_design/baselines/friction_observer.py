@@ -29,8 +29,7 @@ from numpy.typing import ArrayLike
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 
-from .baseline import effort, rate
-from .observed import ObservedBaseline
+from .baseline import ObservedBaseline, effort, rate
 from .pd_gravity import PdFeedforward, PdGains
 
 FASTER = 2.0  # ratio of the poles of the observer to those of the controller

@@ -20,11 +20,12 @@ from numpy.typing import ArrayLike
 
 from fjr_core.errors import GainsError
 from fjr_core.law.lie_derivative import Flow
-from fjr_core.law.linearized import equilibria_at, plant_matrices
+from fjr_core.law.linearized import equilibria_at
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import motor_motion
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
+from fjr_core.stability.linear_controller import plant_in_velocities
 
 from .baseline import Baseline, effort
 
@@ -44,7 +45,8 @@ class LqrGains:
         n = robot.n
         Q = checks.positive_semidefinite("Q", checks.matrix("Q", self.Q, 4 * n, GainsError), GainsError)
         R = checks.positive_definite("R", checks.matrix("R", self.R, n, GainsError), GainsError)
-        A, B = velocity_matrices(robot, checks.vector("configuration", self.configuration, n, GainsError))
+        q_0 = checks.vector("configuration", self.configuration, n, GainsError)
+        (A,), (B,) = plant_in_velocities(equilibria_at(robot, q_0[None]))
         try:
             P = solve_continuous_are(A, B, Q, R)
         except (np.linalg.LinAlgError, ValueError):
@@ -86,12 +88,3 @@ class Lqr(Baseline):
         robot, n = self.robot, self.robot.n
         rates = np.linalg.solve(robot.M_m, robot.B_m @ self.arrays["F"][:, 3 * n :])
         return np.asarray(robot.M_m * np.trace(rates) / n)
-
-
-def velocity_matrices(robot: Robot, q_0: Array) -> tuple[Array, Array]:
-    """Return A (4n, 4n), B (4n, n) about the equilibrium at q_0 (n,) [rad], in coordinates (q, theta, dq, dtheta)."""
-    points = equilibria_at(robot, q_0[None])
-    A, B = plant_matrices(points)
-    one = np.eye(robot.n)
-    T = points.block_diagonal(one, one, np.linalg.inv(points.M_l), np.linalg.inv(robot.M_m))  # (q, .., dtheta) = T x
-    return (T @ A @ np.linalg.inv(T))[0], (T @ B)[0]

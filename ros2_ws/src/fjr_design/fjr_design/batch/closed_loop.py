@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,9 @@ from fjr_core.simulation.closed_loop import check_joints
 from . import parametric_robot
 from .draws import PARAMETERS, Draws
 from .program import BatchProgram
+
+if TYPE_CHECKING:
+    from fjr_core.config.scenario import Scenario
 
 LAST = 1.0  # s; averaging time of Outcomes.final
 
@@ -160,22 +163,8 @@ class ClosedLoop:
         that of this loop, with another bandwidth. Raises StateError.
         """
         other = replace(self, law=law, observer=observer or self.observer)
-        other.__dict__["_program"] = self._program.with_law(law, other.observer)
+        other.__dict__["program"] = self.program.with_law(law, other.observer)
         return other
-
-    def build(self) -> None:
-        """Compile the loop, which the first run does otherwise; raises CompilerError without a C compiler."""
-        self._program.build()
-
-    @property
-    def in_python(self) -> bool:
-        """Return whether law or plant are evaluated in Python."""
-        return self._program.in_python
-
-    @property
-    def fingerprint(self) -> str:
-        """Return a hash that differs for another law, plant or program."""
-        return self._program.fingerprint
 
     def run(self, draws: Draws) -> Outcomes:
         """Run all draws on the calling core; other threads are not blocked."""
@@ -193,7 +182,7 @@ class ClosedLoop:
         rows = np.empty((draws.runs, row_width(self.robot.n)))
         values: dict[str, Any] = {**self._constants, **self._drawn(draws), "rows": rows, "trace": trace}
         values["ring"] = int(values["segments"][:, :, 0].max(initial=0)) + 1
-        self._program.run(self.reference, values)
+        self.program.run(self.reference, values)
         return rows
 
     def _drawn(self, draws: Draws) -> dict[str, Any]:
@@ -240,8 +229,30 @@ class ClosedLoop:
         }
 
     @cached_property
-    def _program(self) -> BatchProgram:
+    def program(self) -> BatchProgram:
+        """The functions of the loop, compiled by the first run or by its `build`."""
         return BatchProgram(self.robot, self.law, self.plant, self.settings, self.observer, self.measurement)
+
+
+def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
+    """Return the closed loop of a scenario under a law, with its limits, start, stop policy, observer and measurement.
+
+    options: of ClosedLoop.
+    """
+    return ClosedLoop(
+        scenario.plant.robot,
+        law,
+        scenario.reference,
+        scenario.x0,
+        duration,
+        scenario.sample_period,
+        inner_steps=scenario.inner_steps,
+        plant=scenario.plant,
+        settings=scenario.settings,
+        observer=scenario.observer,
+        measurement=scenario.measurement,
+        **options,
+    )
 
 
 def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np.int64], Array]:

@@ -22,16 +22,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics import jit
 from fjr_core.numerics.jit import CLibrary, c_library, program_digest
-from fjr_core.runtime.library import (
-    HEADER,
-    CFunction,
-    Model,
-    c_code,
-    model_functions,
-    settings_struct,
-    sizes,
-    text,
-)
+from fjr_core.runtime.library import HEADER, CFunction, Model, c_code, model_functions, settings_struct, sizes, text
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.runtime.reference import ReferenceStruct
 from fjr_core.runtime.safety_settings import Settings

@@ -47,11 +47,10 @@ OTHER_PLANT = "not proven here, the plant is not the law's model"
 
 @dataclass(frozen=True)
 class Check:
-    """A scenario before it runs: rows of text by quantity, numbers as JSON values, and why it cannot run, or ""."""
+    """A scenario before it runs: rows of text by quantity, and JSON values, of which `refused` says why it cannot."""
 
     rows: dict[str, str]
     values: dict[str, Any]
-    refusal: str
 
 
 def check_scenario(
@@ -82,9 +81,10 @@ def check_scenario(
     found = check(loaded)
     if prove_sampled:
         proofs["sampled_proof"] = importing.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
-    for sentence in [*found.values["warnings"], *([found.refusal] if found.refusal else [])]:
+    rows, refused = dict(found.rows), found.values["refused"]
+    for sentence in [*found.values["warnings"], *([refused] if refused else [])]:
         print(f"fjr: {sentence}", file=sys.stderr)
-    rows, failed = dict(found.rows), bool(found.refusal)
+    failed = bool(refused)
     for proof in proofs.values():
         rows, failed = rows | proof.rows, failed or proof.failed
     width = max(map(len, rows))
@@ -126,7 +126,6 @@ def check(scenario: Scenario) -> Check:
         **_start(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
-    refused = refusal(scenario, found)
     values = {
         "scenario": scenario.name,
         "stable": found.stable,
@@ -136,9 +135,9 @@ def check(scenario: Scenario) -> Check:
         "sample_period_s": found.sample_period,
         **{"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None, **numbers},
         "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *diverging],
-        "refused": refused or None,
+        "refused": refusal(scenario, found) or None,
     }
-    return Check(rows, values, refused)
+    return Check(rows, values)
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:

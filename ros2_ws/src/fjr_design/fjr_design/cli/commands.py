@@ -232,7 +232,7 @@ def tune(scenario: str | None, law: str | None, **given: Any) -> Any:
 @command()
 @click.argument("suite", default="paper")
 @output_option("Folder in which compare_SUITE/ is written.", "runs")
-@click.option("--cores", type=options.cores, metavar="N", help="Cores of this machine, or `all`. [default: all]")
+@click.option("--cores", type=options.cores, metavar="N", default="all", help="Cores of this machine, or `all`.")
 @click.option(
     "--document",
     type=options.PATH,
@@ -249,7 +249,7 @@ def tune(scenario: str | None, law: str | None, **given: Any) -> Any:
     hidden=True,
     help="Deprecated in 0.1.0: use --document.",
 )
-def compare(suite: str, output: Path, cores: int | None, document: Path | None, readme: Path | None) -> Any:
+def compare(suite: str, output: Path, cores: int, document: Path | None, readme: Path | None) -> Any:
     """Compare control laws under imperfections.
 
     SUITE is the name of a comparison or a YAML file. [default: paper]

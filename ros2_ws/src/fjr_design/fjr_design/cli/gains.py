@@ -32,7 +32,7 @@ from fjr_design.uncertainty.drawn_loops import (
     in_common,
     largest_share,
 )
-from fjr_design.uncertainty.posterior import DELAY, MATRICES, drawn_plants, read_identification
+from fjr_design.uncertainty.posterior import DELAY, MATRICES, UNKNOWN, drawn_plants, read_identification
 from fjr_msgs_py.console.output import Result, progress_bar
 from fjr_msgs_py.scenarios import installed, library
 from fjr_msgs_py.scenarios.gains_block import gain_lines, with_gains
@@ -127,7 +127,8 @@ class Posterior:
         self._found = read_identification(path)
         self._found.check_joints(scenario.joints)
         self._scenario, self._seed = scenario, seed
-        self.kept = tuple(self._found.kept_at_prior((*MATRICES, DELAY)))
+        unknown = [one for one in self._found.estimates if one.verdict == UNKNOWN and one.name in (*MATRICES, DELAY)]
+        self.kept = [f"{one.name} of {one.joint}" if one.joint else one.name for one in unknown]
         if self.kept:
             print(f"fjr: not identifiable, so not drawn: {', '.join(self.kept)}", file=sys.stderr)
 
@@ -139,11 +140,15 @@ class Posterior:
     def confirmed(self, law: TrackingLaw, delay: float, where: Array | None) -> tuple[str, dict[str, Any]]:
         """Check the law with robust.* options and sensing on fresh draws; raise GainsError if one is unstable.
 
+        It is checked at the configurations that are worst for some of the design draws.
         Return what the draws say, and with which confidence, as a sentence and as JSON values.
         """
         count = draws_needed(SHARE)
         fresh = drawn_plants(self._found, self._scenario.robot, count, 2 * self._seed + 1)
-        loops, configurations = self._loops(law, delay, where)
+        scenario, equilibria = self._scenario, equilibria_at(law.robot, checked_configurations(law.robot, where))
+        sampled = sampled_law(law, robust_action(scenario.controller_values, law))
+        worst = DrawnLoops(law, equilibria, scenario.sample_period, delay).worst(self.design)
+        loops = DrawnLoops(sampled, equilibria.at(worst), scenario.sample_period, delay, scenario.sensing)
         with progress_bar(f"checking {count:,} fresh draws", PROGRESS, total=1.0, desc="fresh draws") as bar:
             unstable = loops.unstable(fresh, lambda share: bar.update(share - bar.n))
         lost = int(unstable.sum())
@@ -157,15 +162,7 @@ class Posterior:
             )
         numbers = {"fresh_draws": count, "lost_draws": 0, "largest_lost_share": share, "confidence": CONFIDENCE}
         sentence = (
-            f"0 of {count:,} robots drawn afresh from the identification are unstable, at the {configurations} worst "
+            f"0 of {count:,} robots drawn afresh from the identification are unstable, at the {len(worst)} worst "
             f"configurations: at most {100 * share:.2g} % {sure}"
         )
-        return sentence, {**numbers, "not_drawn": list(self.kept)}
-
-    def _loops(self, law: TrackingLaw, delay: float, where: Array | None) -> tuple[DrawnLoops, int]:
-        """Return the loops at the configurations that are worst for some of the design draws."""
-        scenario = self._scenario
-        equilibria = equilibria_at(law.robot, checked_configurations(law.robot, where))
-        sampled = sampled_law(law, robust_action(scenario.controller_values, law))
-        worst = DrawnLoops(law, equilibria, scenario.sample_period, delay).worst(self.design)
-        return DrawnLoops(sampled, equilibria.at(worst), scenario.sample_period, delay, scenario.sensing), len(worst)
+        return sentence, {**numbers, "not_drawn": self.kept}

@@ -14,8 +14,7 @@ from fjr_core.model.robot import joined
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.safety_settings import Settings
-from fjr_design.stability.fast_modes import fastest_mode, late_spring, least_steps
-from fjr_design.stability.sampled_loop import HIGHEST_RATE, SampledCheck, check
+from fjr_design.stability.sampled_loop import HIGHEST_RATE, SampledCheck, check, fastest_mode, late_spring, least_steps
 
 
 class UnstableError(FjrError):

@@ -1,22 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Export a closed loop as plain C99: control step and plant for C and C++ programs, with a case to replay."""
+"""Export a closed loop as plain C99: control step and plant for C and C++ programs, with a case to replay.
+
+The control step of a scenario is the text of fjr_core/runtime/, its mathematics and its constants:
+
+runtime/*.c, step.h   unchanged            model.h, model.c   sizes, limits, gains, reference
+control_step.c        includes them        casadi.c           law, gravity, observer
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.errors import FjrError, StateError
-from fjr_core.runtime.library import SOURCES
+from fjr_core.errors import FjrError, StateError, TrajectoryError
+from fjr_core.law.interfaces import ARGUMENTS, StaticLaw
+from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.monitoring.certificate import OUTPUTS
+from fjr_core.motions.reference import Reference
+from fjr_core.numerics import integrators
+from fjr_core.numerics.symbolic import dense_function
+from fjr_core.runtime.library import HEADER, SOURCES, model_functions, text
+from fjr_core.runtime.reference import ReferenceTable, reference_table
 
-from .c_code import checked_prefix, comment, filled, number, numbers
-from .step_code import PREFIX, exportable, plant_functions, step_code
+from .c_code import casadi_code, checked_prefix, comment, filled, number, numbers, quoted, work_sizes
 
 SAMPLES = 200
+PREFIX = "fjr"
+"""Prefix of all names of the step in C."""
+CALLED = {"arg": len(ARGUMENTS), "res": len(OUTPUTS), "iw": 1, "w": 1}
+"""Least sizes of the work space: arguments of a SampledLaw, results of a certificate, which the step always passes."""
+KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, SampledMotion, joined or shifted"
 
 
 class ExportError(FjrError):
@@ -111,3 +133,133 @@ def write(contents: Mapping[str, str | bytes], folder: Path, force: bool = False
             (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror}") from None
+
+
+def exportable(scenario: Scenario) -> Scenario:
+    """Return the scenario with functions that are not compiled, so that C can be generated from them.
+
+    Raises StateError for a law or plant in Python.
+    """
+    made = replace(scenario, controller_values={**scenario.controller_values, "compile": False})
+    for name, part in (("law", made.law), ("plant", made.plant)):
+        if part.in_python:
+            raise StateError(f"the {name} is written in Python; expected one made of expressions, to export it to C")
+    return made
+
+
+def plant_functions(plant: Plant) -> dict[str, ca.Function]:
+    """Return the functions of a plant by their names in C, not compiled.
+
+    plant_measure: x (4n,) -> position (q_l, q_m), velocity (dq_l, dq_m), each (2n,).
+    """
+    n = plant.robot.n
+    x = ca.SX.sym("x", 4 * n)
+    signals = {"position": x[: 2 * n], "velocity": ca.vertcat(*plant.robot.velocity_expressions(x))}
+    return {
+        "plant_measure": dense_function("measure", {"x": x}, signals, cse=True),
+        "plant_step": integrators.step(plant.integrator, plant.dynamics, as_c=True),
+    }
+
+
+def step_code(scenario: Scenario, more: Mapping[str, ca.Function]) -> dict[str, str]:
+    """Return the texts of the step of an `exportable` scenario by file name, without ROS.
+
+    more: functions that are written as fjr_casadi_<name>, too. Raises TrajectoryError for a reference that is not built
+    in, CompilerError without a C compiler.
+    """
+    own = model_functions(scenario.sampled_law, scenario.observer)
+    functions = {**own, **more}
+    sizes = work_sizes(PREFIX, functions)
+    sizes = {size: max(sizes[size], least) for size, least in CALLED.items()}
+    values = _values(scenario, list(own)) | {size: str(length) for size, length in sizes.items()}
+    texts = filled("step_templates", values) | {name: text(name) for name in (HEADER, *SOURCES)}
+    return texts | {"casadi.c": casadi_code(PREFIX, functions)}
+
+
+def _values(scenario: Scenario, functions: Sequence[str]) -> dict[str, str]:
+    """Return the values of the names in the templates; functions: names of those of struct fjr_model."""
+    law, step = scenario.sampled_law, scenario.control_step(compile=True)
+    names = {name: f"{PREFIX}_casadi_{name}" for name in functions}
+    arguments = "const double** arg, double** res, long long int* iw, double* w, int mem"
+    return {
+        "title": comment(scenario.name),
+        "title_literal": quoted(scenario.name),
+        "joint_list": comment(", ".join(scenario.joints)),
+        "joint_literals": ", ".join(map(quoted, scenario.joints)),
+        "n": str(scenario.robot.n),
+        "memory_length": str(max(1, len(law.memory))),
+        "gains": str(len(law.gain_values)),
+        "gain_words": _gain_words(scenario.law),
+        "gain_numbers": numbers(law.gain_values),
+        "sample_period": number(scenario.sample_period),
+        "functions": "\n".join(f"int {name}({arguments});" for name in names.values()),
+        "settings": _initialisers(step.ffi, step.controller.settings, {}),
+        "model": _initialisers(step.ffi, step.model, names),
+        "reference": reference_code(scenario.reference, "reference"),
+        "includes": "\n".join(f'#include "{name}"' for name in SOURCES),
+    }
+
+
+def _initialisers(ffi: Any, struct: Any, functions: Mapping[str, str]) -> str:
+    """Format designated initialisers of a structure in memory: its numbers, and functions by field."""
+    kind, rows = ffi.typeof(struct), []
+    for name, field in (kind.item if kind.kind == "pointer" else kind).fields:
+        value = getattr(struct, name)
+        if name in functions:
+            rows.append((name, functions[name]))
+        elif field.type.kind == "array":
+            rows.append((name, f"{{{numbers(np.array(list(value)))}}}"))
+        elif field.type.kind == "primitive":
+            rows.append((name, number(value) if isinstance(value, float) else str(value)))
+    return "\n".join(f"    .{name} = {value}," for name, value in rows)
+
+
+def _gain_words(law: StaticLaw) -> str:
+    """Describe the layout of the gains of a v-dPBC law as a C comment; an empty string for other laws."""
+    if not isinstance(law, TrackingLaw):
+        return ""
+    parts = [f"{name} ({symbol.nnz()})" for name, symbol in law.symbols.by_name.items()]
+    half = math.ceil(len(parts) / 2)
+    lines = (", ".join(parts[:half]), ", ".join(parts[half:]))
+    meaning = "n numbers are a diagonal, n*n a matrix by columns. Pi_m_inverse must be that of Pi_m."
+    return "\n/* " + ",\n * ".join(lines) + f";\n * {meaning} */"
+
+
+def reference_code(reference: Reference, name: str) -> str:
+    """Return C definitions that end with `static const struct fjr_reference <name>`; they need step.h and math.h.
+
+    All other definitions have names that start with <name>_. Raises TrajectoryError for a reference that is not built
+    in.
+    """
+    return "\n".join(_reference_definitions(reference_table(reference), name))
+
+
+def _reference_definitions(table: ReferenceTable, name: str) -> Iterator[str]:
+    """Yield the definitions of a table, those to which it refers first."""
+    if table.function is not None:
+        kind = type(table.function).__name__
+        raise TrajectoryError(f"a reference {kind} cannot be exported to C; expected one of {KNOWN}")
+    if table.then is not None:
+        yield from _reference_definitions(table.then, f"{name}_then")
+    for field, array in table.arrays.items():
+        yield f"static const double {name}_{field}[{array.size}] = {{\n    {numbers(array)}}};"
+    fields = ",\n".join(f"    .{field} = {value}" for field, value in _reference_fields(table, name))
+    yield f"static const struct fjr_reference {name} = {{\n{fields}}};\n"
+
+
+def _reference_fields(table: ReferenceTable, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the fields that are not zero, as C."""
+    yield "kind", table.kind
+    for field in ("shift", "end", "period", "radius"):
+        if value := float(getattr(table, field)):
+            yield field, number(value)
+    yield "position", f"{{{numbers(table.position)}}}"
+    arrays = {field: f"{name}_{field}" for field in table.arrays}
+    if "amplitude" in arrays:
+        yield "terms", str(len(table.arrays["amplitude"]))
+        yield from arrays.items()
+    elif arrays:
+        yield "polynomials", f"{{{', '.join([str(len(table.arrays['edge'])), *arrays.values()])}}}"
+    if table.then is not None:
+        yield "until", number(float(table.until))
+        yield "then", f"&{name}_then"

@@ -20,8 +20,7 @@ from fjr_core.model.configuration_sampling import bounds_of, sample_configuratio
 from fjr_core.model.robot import Robot
 from fjr_core.motions.sine import Sine
 from fjr_core.numerics.checks import Array
-from fjr_design.stability.fast_modes import fastest_mode, least_steps
-from fjr_design.stability.sampled_loop import SampledCheck, check
+from fjr_design.stability.sampled_loop import SampledCheck, check, fastest_mode, least_steps
 from fjr_design.tuning.gain_synthesis import GainSearch, gain_search
 from fjr_msgs_py.console.output import phase, plural
 

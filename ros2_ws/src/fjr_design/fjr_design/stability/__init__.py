@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modes that are too fast for the sample period or the integration step."""
+"""Stability of the sampled loop, modes that are too fast for it, and starts with springs that harden."""

@@ -22,7 +22,7 @@ from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.closed_loop import simulate
 from fjr_core.stability.linearization import closed_form
-from fjr_design.batch import ClosedLoop, Draws
+from fjr_design.batch import Draws, scenario_loop
 from fjr_design.batch.program import plain_settings
 
 LASTING = 1.0  # s; simulated motion from the start, after the ramp of start.ramp_time
@@ -74,8 +74,8 @@ def _along_reference(scenario: Scenario) -> Array:
     """Return the largest deflections (n,) of the plant's springs along the reference."""
     instants = np.linspace(0.0, min(HORIZON, scenario.reference.end), INSTANTS)
     jets = np.asarray(scenario.reference.jets(instants))
-    motion = inverse_dynamics(scenario.plant.robot).map(INSTANTS)(*(row.T for row in jets.swapaxes(0, 1)))
-    return np.asarray(np.abs(motion[1].full().T - jets[:, 0]).max(axis=0))
+    _, theta, *_ = inverse_dynamics(scenario.plant.robot)(*jets.transpose(1, 2, 0))
+    return np.asarray(np.abs(theta.full().T - jets[:, 0]).max(axis=0))
 
 
 def _deflection(scenario: Scenario, share: float, along: Array) -> Array:
@@ -101,19 +101,9 @@ def _deflection(scenario: Scenario, share: float, along: Array) -> Array:
 def _ramped(scenario: Scenario, x: Array) -> Array:
     """Return the states (k, 4n) from x (4n,) under the control step, which ramps the effort; zero and inf if lost."""
     own, n = scenario.settings, scenario.robot.n
-    loop = ClosedLoop(
-        scenario.plant.robot,
-        scenario.sampled_law,
-        scenario.reference,
-        x,
-        own.ramp_time + LASTING,
-        scenario.sample_period,
-        inner_steps=scenario.inner_steps,
-        settle_after=0.0,
-        lost=FAR,
-        plant=scenario.plant,
-        settings=replace(plain_settings(n), ramp_time=own.ramp_time, on_stop=own.on_stop),
-    )
+    settings = replace(plain_settings(n), ramp_time=own.ramp_time, on_stop=own.on_stop)
+    loop = scenario_loop(scenario, scenario.sampled_law, own.ramp_time + LASTING, settle_after=0.0, lost=FAR)
+    loop = replace(loop, x0=x, settings=settings, observer=None, measurement=None)
     outcomes, recorded = loop.recorded(Draws(1, delay=scenario.loop_delay))
     lost = np.repeat([[0.0, np.inf, 0.0, 0.0]], n, axis=1)
     return np.asarray(recorded.x[0] if outcomes.stable[0] else lost)

@@ -7,24 +7,34 @@ Smith predictor), the velocity observer, the sensors, hold and delay.
 The proof of the law is in continuous time and covers neither hold nor delay. This check does, locally: it linearises
 at equilibria of sampled configurations. Motion adds Coriolis terms of the order of dq_l, which are neglected; they are
 small compared with K_d / M and the elastic modes.
+
+Modes may be too fast for a loop, whatever its gains. A wrist that carries no tool oscillates fast on its spring:
+
+    omega_i = sqrt(K_ii / m_i)      m_i: least inertia that joint i carries while the others move freely
+    omega_i (T / 2 + delay) < pi/2  hold and delay lag by less than 90 degrees
+
+Velocity feedback damps an oscillation up to this lag and drives it beyond. Without delay the bound is the Nyquist
+frequency pi / T. Far beyond, a late loop can be stable in a narrow band, whose alias has the right phase.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fjr_core.law.interfaces import SampledLaw, StaticLaw, check_law, static_part
-from fjr_core.law.linearized import Indices, equilibria_at
+from fjr_core.law.linearized import Equilibria, Indices, equilibria_at, plant_matrices
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.port_hamiltonian import Plant
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import one_line
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.linearization import SampledLoop, checked_times, closed_form, linearize, loop_configurations
+from fjr_core.urdf.typical_joints import least_free_inertia
 
 FEW = 48  # up to so many configurations, margins are searched at all of them
 KEPT = 16  # configurations of the largest radius at each screened delay, at which margins are searched
@@ -37,6 +47,7 @@ MOST_LATE = 5.0  # samples; largest delay at which the worst configurations are 
 ROUNDS = 8  # checks of all configurations
 HIGHEST_RATE = 1e5  # Hz; highest sample rate considered
 LOWEST_RATE = 1.0  # Hz
+RK4_REACH = 2.7  # rad: largest stable product of step and frequency for the Runge-Kutta method of order 4
 MOST_SAMPLES_OF_DELAY = 10  # rates at which the given delay exceeds this many samples are not considered
 
 
@@ -92,22 +103,18 @@ def check(
     q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
     below = static_part(law)
     with_state = not isinstance(law, StaticLaw) or not sensing.plain
-    most = WITH_STATE if with_state else FEW
-    if len(q_l) <= most or plant.robot.n != law.robot.n:
-        return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate)
-    if not isinstance(below, TrackingLaw):
-        count = WITH_STATE if with_state else len(q_l)
-        few = np.linspace(0, len(q_l) - 1, count).round().astype(np.intp)
-        found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay, lowest_rate)
-        return replace(found, configurations=len(few))
-    own = equilibria_at(law.robot, q_l)
-    everywhere = closed_form(own, below.gains, own if plant.robot is law.robot else equilibria_at(plant.robot, q_l))
-    static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
-    if not with_state:
-        return static
-    few = _worst_of(everywhere, static)
-    found = _checked(linearize(law, q_l[few], plant, sensing), sample_period, delay, lowest_rate)
-    return replace(found, configurations=len(few))
+    if len(q_l) > (WITH_STATE if with_state else FEW) and plant.robot.n == law.robot.n:
+        if isinstance(below, TrackingLaw):
+            own = equilibria_at(law.robot, q_l)
+            real = own if plant.robot is law.robot else equilibria_at(plant.robot, q_l)
+            everywhere = closed_form(own, below.gains, real)
+            static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
+            if not with_state:
+                return static
+            q_l = q_l[_worst_of(everywhere, static)]
+        elif with_state:
+            q_l = q_l[np.linspace(0, len(q_l) - 1, WITH_STATE).round().astype(np.intp)]
+    return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate)
 
 
 def _of_many(
@@ -199,3 +206,40 @@ def _last_stable(stable: Callable[[float], bool], points: Array, tolerance: floa
             good, point = (middle, point) if stable(middle) else (good, middle)
         break
     return good
+
+
+def fastest_mode(robot: Robot, configurations: Array) -> float:
+    """Return the largest |eigenvalue| [rad/s] of the plant, linearised at link positions (k, n) [rad]."""
+    A, _ = plant_matrices(equilibria_at(robot, configurations))
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def least_steps(frequency: float, sample_period: float) -> int:
+    """Return the fewest steps per sample [s] with which rk4 is stable for a mode of this frequency [rad/s]."""
+    return max(1, int(np.ceil(frequency * sample_period / RK4_REACH)))
+
+
+def lag_limit(sample_period: float, delay: float) -> float:
+    """Return the frequency [rad/s] at which the hold of sample_period [s] and a delay [s] lag by 90 degrees."""
+    return float(np.pi / (sample_period + 2 * delay))
+
+
+def late_spring(points: Equilibria, sample_period: float, delay: float = 0.0, joints: Sequence[str] = ()) -> str:
+    """Return a sentence about the fastest spring if it is beyond `lag_limit`, else an empty text.
+
+    A spring with a curve has its stiffest tangent at the equilibria. joints: names; without them the sentence has the
+    number of the joint from 1.
+    """
+    robot, inertia, limit = points.robot, least_free_inertia(points.M_l), lag_limit(sample_period, delay)
+    frequency = np.sqrt(np.diag(robot.K) * points.hardening.max(axis=0) / inertia)
+    i = int(np.argmax(frequency))
+    if frequency[i] < limit:
+        return ""
+    unit = "kg" if robot.units[i].position == "m" else "kg m^2"
+    late = f" and a delay of {delay:g} s lag" if delay else " lags"
+    return (
+        f"the spring of joint {repr(joints[i]) if joints else i + 1} with the inertia that it carries "
+        f"({inertia[i]:.3g} {unit}) oscillates at {frequency[i]:.4g} rad/s, and beyond {limit:.4g} rad/s the hold at "
+        f"{1 / sample_period:g} Hz{late} by more than 90 degrees; expected more inertia (that of the tool in "
+        "the URDF), a softer spring, the joint locked, or a faster loop"
+    )

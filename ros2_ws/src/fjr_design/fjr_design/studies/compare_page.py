@@ -50,6 +50,7 @@ AXIS_LABELS = {
     "friction": ("Unknown friction", "friction [% of the motion's torque]", 100.0),
     "load": ("Unknown load", "load [% of the motion's torque]", 100.0),
 }
+TRACES = (("error", "The largest |q_l − q_ld|", "error [rad]"), ("effort", "The largest |u|", "|u| [N m]"))
 Style = tuple[str, str, tuple[int, ...]]
 HEADROOM = 3.0  # times the largest error that counts as tracking; larger errors are not drawn
 DASHES: tuple[tuple[int, ...], ...] = ((), (6, 4), (2, 3), (8, 3, 2, 3))
@@ -59,6 +60,7 @@ COLOURS = 8  # --c1 .. --c8 of page.css
 def write_page(path: Path, document: dict[str, Any]) -> None:
     """Write the page of a comparison (results.document)."""
     found, laws, suite = rows(document), document["laws"], document["suite"]
+    page = "gains" if suite["tune"] else "compare"
     html.write_page(
         path,
         "laws.html",
@@ -66,7 +68,12 @@ def write_page(path: Path, document: dict[str, Any]) -> None:
         comparison_plots(document),
         kicker=f"fjr compare {suite['name']}",
         heading=f"{extent(document)[:-1]}: {', '.join(document['robots'])}",
-        tiles=_tiles(document),
+        tiles=[
+            (str(len(laws)), "versions of control laws"),
+            (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),
+            (f"{100 * suite['tracks']:g} % of the motion", "RMS error up to which a stable run tracks"),
+            ("one rule", f"of tuning for all laws{exception_to_tuning(document)}: docs/{page}.md"),
+        ],
         note=ALL_ALIKE if suite["tune"] else NO_RANKING,
         laws=[
             {"title": law["title"], "colour": colour, "dash": dash}
@@ -93,17 +100,6 @@ def exception_to_tuning(document: dict[str, Any]) -> str:
     """Return the exception to the rule of tuning: the laws of the user, which keep their options."""
     titles = [law["title"] for law in document["laws"] if is_named(law["law"])]
     return f" but {', '.join(titles)}" if titles else ""
-
-
-def _tiles(document: dict[str, Any]) -> list[tuple[str, str]]:
-    suite = document["suite"]
-    page = "docs/gains.md" if suite["tune"] else "docs/compare.md"
-    return [
-        (str(len(document["laws"])), "versions of control laws"),
-        (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),
-        (f"{100 * suite['tracks']:g} % of the motion", "RMS error up to which a stable run tracks"),
-        ("one rule", f"of tuning for all laws{exception_to_tuning(document)}: {page}"),
-    ]
 
 
 def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> dict[str, Any]:
@@ -163,7 +159,7 @@ def comparison_plots(document: dict[str, Any]) -> list[Plot]:
         laws = list(zip(styles, results, strict=True))
         place = place_of(i)
         margins = [row for row in found if row.robot == robot and row.kind == "margins"]
-        plots += [_trace(place, laws, "error"), _trace(place, laws, "effort")]
+        plots += [_trace(place, laws, *texts) for texts in TRACES]
         for axis in document["suite"]["margins"]:
             caption = _winners([row for row in margins if row.name.startswith(axis)], [name for name, *_ in styles])
             plots.append(_curve(place, laws, axis, document["suite"]["tracks"], caption))
@@ -186,14 +182,10 @@ def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
     ]
 
 
-def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str) -> Plot:
-    texts = {
-        "error": ("Nominal: error", "The largest |q_l − q_ld|", "error [rad]"),
-        "effort": ("Nominal: effort", "The largest |u|", "|u| [N m]"),
-    }
-    heading, caption, label = texts[what]
+def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str, caption: str, label: str) -> Plot:
     t = np.array(laws[0][1]["trace"]["t"])
-    lines = [_line(style, _floats(law["trace"][what])) for style, law in laws]
+    lines = [_line(style, np.array(law["trace"][what], dtype=float)) for style, law in laws]
+    heading = f"Nominal: {what}"
     return Plot(f"{place}-{what}", heading, caption, t, lines, y_label=label, y_log=True, place=place, legend=False)
 
 
@@ -234,7 +226,7 @@ def _curve(place: str, laws: Sequence[tuple[Style, Any]], axis: str, tracks: flo
 
 def _sampled(curve: dict[str, Any], levels: Array, tracks: float) -> Array:
     """Return the error [%] at the levels, from the nominal one to the last before failure on either side."""
-    known, error = np.array(curve["levels"]), _floats(curve["relative"])
+    known, error = np.array(curve["levels"]), np.array(curve["relative"], dtype=float)
     good = np.isfinite(error) & (error <= HEADROOM * tracks)
     start = int(np.searchsorted(known, 1.0)) if known[0] > 0 else 0
     if not good[start]:
@@ -250,7 +242,3 @@ def _sampled(curve: dict[str, Any], levels: Array, tracks: float) -> Array:
 def _line(style: Style, values: Array) -> Line:
     title, colour, dash = style
     return Line(title, values, colour, 2.0 if colour == "c1" else 1.3, dash)
-
-
-def _floats(values: Sequence[float | None]) -> Array:
-    return np.array([np.nan if value is None else value for value in values])

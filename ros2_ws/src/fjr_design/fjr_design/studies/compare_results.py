@@ -17,8 +17,8 @@ from fjr_core.errors import CompareError
 from fjr_core.extensions.law_registry import law_kind
 from fjr_msgs_py.console.output import DASH, number, percent, plural
 
-from .imperfections import IMPERFECTIONS, Direction, directions
 from .suite import NOMINAL, Suite
+from .trial import Direction, Imperfection, directions
 
 SHORT = {
     "pd_gravity": "PD + gravity",
@@ -177,7 +177,7 @@ def _margin(direction: Direction, margin: dict[str, Any]) -> Value:
     if level is None:
         return Value(None, DASH, "lost")
     further = "" if margin["beyond"] is not None else "≤ " if direction.is_down else "≥ "
-    return Value(level, further + level_words(direction.imperfection.name, level))
+    return Value(level, further + level_words(direction.imperfection, level))
 
 
 def _cell(metric: Metric, run: dict[str, Any]) -> Value:
@@ -190,9 +190,8 @@ def _cell(metric: Metric, run: dict[str, Any]) -> Value:
     return Value(value, DASH if value is None else metric.words(value), "tracks" if run["tracks"] else "lost")
 
 
-def level_words(name: str, level: float) -> str:
+def level_words(one: Imperfection, level: float) -> str:
     """Format the level of an imperfection with its unit."""
-    one = IMPERFECTIONS[name]
     if one.is_factor:
         return f"× {number(level, digits=3)}"
     if one.unit in ("s", "rad"):
@@ -237,22 +236,17 @@ def marks(suite: str) -> tuple[str, str]:
     return f"<!-- fjr compare {suite}: begin -->", f"<!-- fjr compare {suite}: end -->"
 
 
-def check(path: Path, suite: str) -> None:
-    """Check that a file has the marks of a suite; raise CompareError otherwise."""
-    _parts(path, suite)
-
-
 def replace(path: Path, document: dict[str, Any]) -> None:
-    """Write the table of a comparison between its marks in a file, else between those without a name.
-
-    Raise CompareError if the file lacks them.
-    """
-    before, begin, end, after = _parts(path, document["suite"]["name"])
+    """Write the table of a comparison between its marks in a file, else between those without a name."""
+    before, begin, end, after = around_table(path, document["suite"]["name"])
     path.write_text(f"{before}{begin}\n{markdown(document)}{end}{after}", encoding="utf-8")
 
 
-def _parts(path: Path, suite: str) -> tuple[str, str, str, str]:
-    """Return the text before the first mark, both marks, and the text after the second."""
+def around_table(path: Path, suite: str) -> tuple[str, str, str, str]:
+    """Return the text of a file before the first mark of a suite, both marks, and the text after the second.
+
+    Raise CompareError if the file lacks them.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:

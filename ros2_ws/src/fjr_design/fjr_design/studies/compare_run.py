@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +27,15 @@ from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.numerics.jit import program_digest
 from fjr_msgs_py.console.ending import Interrupted
-from fjr_msgs_py.console.output import Result, plural, progress_bar
+from fjr_msgs_py.console.output import Result, finite, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
+from ..batch import scenario_loop
 from . import compare_page, compare_results, suite
 from .compared_law import TunedLaw, law_for, tuned_law
-from .imperfections import MotionDemand, directions, motion_demand
 from .study import Processes, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
-from .sweep import scenario_loop
-from .trial import Trial
+from .trial import MotionDemand, Trial, directions, motion_demand
 
 TRACE_POINTS = 600
 SETTLED = 0.02  # of the motion; band of the settling time
@@ -48,7 +46,7 @@ QUIET = 2.0  # s until the progress bar appears
 Values = dict[str, Any]
 
 
-def compare(name: str, output: Path, cores: int | None, page: Path | None, stop: threading.Event) -> Result:
+def compare(name: str, output: Path, cores: int, page: Path | None, stop: threading.Event) -> Result:
     """Compare the laws of a suite; return a summary. Raise FjrError, and Interrupted when `stop` is set.
 
     Results go to output/compare_<suite>/: comparison.html, comparison.json, and kept/ with finished jobs, which are not
@@ -56,7 +54,7 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
     """
     chosen = suite.load(library.find(name, "suite"))
     if page is not None:
-        compare_results.check(page, chosen.name)
+        compare_results.around_table(page, chosen.name)  # raises CompareError before the long run
     for law in chosen.laws:
         if is_named(law.law) and not issubclass(load(law.law), StaticLaw):
             print(
@@ -65,7 +63,7 @@ def compare(name: str, output: Path, cores: int | None, page: Path | None, stop:
             )
     planned = jobs(chosen)
     folder = output / f"compare_{chosen.name}"
-    found = run(planned, folder / CACHE, cores or len(os.sched_getaffinity(0)), stop)
+    found = run(planned, folder / CACHE, cores, stop)
     document = compare_results.document(chosen, [(job.robot, job.law.label) for job in planned], found)
     (folder / RESULTS).write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
     compare_page.write_page(folder / PAGE, document)
@@ -91,11 +89,6 @@ class Job:
     robot: str
     scenarios: tuple[tuple[str, str], ...]
     suite: Suite
-
-    @property
-    def name(self) -> str:
-        """Name for messages."""
-        return f"{self.law.label} on {self.robot}"
 
     @property
     def key(self) -> str:
@@ -170,10 +163,7 @@ def read_kept(kept: Path, key: str) -> Values | None:
 
 def work(job: Job) -> Values:
     """Run a job, in a worker that reports its share; return reproducible results as plain values."""
-
-    def on_progress(share: float) -> None:
-        report_share(job.key, share)
-
+    on_progress = partial(report_share, job.key)
     scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
     first = next(iter(scenarios.values()))
     demands = {label: _demand(job, label, scenario) for label, scenario in scenarios.items()}
@@ -232,7 +222,7 @@ def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callab
         given = job.suite.tune, demand, ruled.effort_limit, job.suite.tracks
         return law_for(text, *given, lambda share: on_progress(TUNING * share))
     except FjrError as error:
-        raise CompareError(f"{job.name}: {error}") from None
+        raise CompareError(f"{law.label} on {job.robot}: {error}") from None
 
 
 def _margins(job: Job, trial: Trial) -> Values:
@@ -247,11 +237,10 @@ def _margins(job: Job, trial: Trial) -> Values:
 
 def _trace(trial: Trial) -> Values:
     """Return largest error and effort over time of the nominal run; None after its end."""
-    loop, run = trial.loop, trial.recorded()
+    loop, (_, run) = trial.loop, trial.loop.recorded(trial.draws([{}]))
     error = run.x[0, :, : loop.robot.n] - loop.reference.jets(run.t)[:, 0]
     rows = np.unique(np.linspace(0, len(run.t) - 1, TRACE_POINTS).astype(int))
     found: Values = {"t": run.t[rows].tolist()}
     for name, values in (("error", error), ("effort", run.u[0])):
-        largest = np.abs(values).max(axis=1)[rows].tolist()
-        found[name] = [value if np.isfinite(value) else None for value in largest]
+        found[name] = finite(np.abs(values).max(axis=1)[rows])
     return found

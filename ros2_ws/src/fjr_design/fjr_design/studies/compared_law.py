@@ -20,13 +20,13 @@ from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linearization import spectral_radius
+from fjr_msgs_py.console.output import finite
 
+from ..batch.draws import FIXED, Distribution, varied
 from ..tuning.equal_bandwidth import baseline_target, tune
-from ..uncertainty import distributions
-from ..uncertainty.distributions import FIXED, Distribution
-from .imperfections import MotionDemand, fields_of, imperfection
 from .sweep import Sweep
-from .sweep_file import check_keys, mapping, number, whole
+from .sweep_file import mapping, number, whole
+from .trial import MotionDemand, fields_of, imperfection
 from .tune import (
     FEW,
     GOAL,
@@ -120,8 +120,7 @@ of imperfections, the fields of Goal, numbers of TuningStudy and of Sweep."""
 
 def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
     """Return the section `tune` of a comparison, checked and complete; raises ParameterError, CompareError."""
-    check_keys(section, list(USUAL), HERE)
-    goal, size = given_goal(section)
+    goal, size = given_goal(section, list(USUAL))
     found = {**USUAL, **goal, **size}
     found |= {key: mapping(key, section[key], HERE) for key in ("vary", "imperfections") if key in section}
     found |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}
@@ -134,7 +133,7 @@ def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
                 f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "
                 f"than the duration, and this at most {LONGEST:g} s"
             )
-        distributions.varied(found["vary"])
+        varied(found["vary"])
     except ParameterError as error:
         raise ParameterError(f"'tune': {error}") from None
     return found
@@ -146,7 +145,7 @@ def law_for(
     demand: MotionDemand,
     effort_limit: Array,
     tracks: float,
-    on_progress: Callable[[float], None] = lambda share: None,
+    on_progress: Callable[[float], None],
 ) -> TunedLaw:
     """Return the law of a scenario, given as its text, tuned to what `uncertainties` returned. Raises FjrError.
 
@@ -174,7 +173,7 @@ def law_for(
         effort_limit,
         study.coordinates.values(found.chosen),
         f"best of {len(found.candidates)} candidates; {tracking}",
-        {name: value if np.isfinite(value) else None for name, value in summary.items()},
+        finite(summary),
     )
 
 
@@ -185,7 +184,7 @@ def _study(
     scenario = parse_scenario("tuned", text)
     step = scenario.sample_period / scenario.inner_steps
     fixed = {"effort_limit": effort_limit, **fields_of(wanted["imperfections"], demand, step)}
-    vary = distributions.varied(wanted["vary"])
+    vary = varied(wanted["vary"])
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
     numbers, size = ({name: wanted[name] for name in names} for names in (NUMBERS, SIZE))
     sweep = Sweep("tuned", text, 1, vary, success={"rms": tracks * demand.motion}, **numbers)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fjr_core.numerics.checks import Array
 from fjr_design.batch.closed_loop import PER_JOINT
 
-from ..uncertainty.distributions import Distribution
+from ..batch.draws import Distribution
 from .sweep import OUTCOMES, Sweep
 
 BINS, FULL_BIN = 20, 25

@@ -18,10 +18,9 @@ from fjr_core.robust.law import Robust
 from fjr_msgs_py.scenarios import library
 
 from .compared_law import uncertainties
-from .imperfections import directions, imperfection
 from .sweep import refuse_what_is_left_out
-from .sweep_file import check_keys
-from .trial import TRACKS
+from .sweep_file import check_keys, is_finite
+from .trial import TRACKS, directions, imperfection
 
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks", "tune")
@@ -207,6 +206,6 @@ def _mapping(what: str, given: Any) -> dict[str, Any]:
 
 
 def _number(what: str, given: Any, is_valid: Callable[[float], bool]) -> float:
-    if isinstance(given, bool) or not isinstance(given, (int, float)) or not (math.isfinite(given) and is_valid(given)):
+    if not is_finite(given) or not is_valid(given):
         raise CompareError(f"{what} is {given!r}; expected a number in range")
     return float(given)

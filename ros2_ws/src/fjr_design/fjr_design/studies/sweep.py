@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,16 +14,13 @@ from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError
-from fjr_core.law.interfaces import SampledLaw
 from fjr_core.simulation.deviations import JOINT
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
-from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws
-from fjr_design.batch.closed_loop import FIELDS, PER_JOINT
-from fjr_design.batch.draws import PARAMETERS
-from fjr_design.batch.parametric_robot import FRICTION
 
-from ..uncertainty import distributions
-from ..uncertainty.distributions import Distribution, DrawnColumn
+from ..batch import ClosedLoop, Draws, Outcomes, draws, scenario_loop
+from ..batch.closed_loop import FIELDS, PER_JOINT
+from ..batch.draws import FIXED, PARAMETERS, Distribution, DrawnColumn
+from ..batch.parametric_robot import FRICTION
 from ..uncertainty.posterior import Identification, PosteriorDraws
 from .study import Columns, once
 
@@ -46,27 +43,6 @@ MOST_RUNS = 10**9
 REACH = 2.0
 """Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
 NOISE_SEED = "seed"
-
-
-def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
-    """Return the closed loop of a scenario under a law, with its limits, start, stop policy, observer and measurement.
-
-    options: of ClosedLoop.
-    """
-    return ClosedLoop(
-        scenario.plant.robot,
-        law,
-        scenario.reference,
-        scenario.x0,
-        duration,
-        scenario.sample_period,
-        inner_steps=scenario.inner_steps,
-        plant=scenario.plant,
-        settings=scenario.settings,
-        observer=scenario.observer,
-        measurement=scenario.measurement,
-        **options,
-    )
 
 
 def figures(outcomes: Outcomes, success: NDArray[np.bool_]) -> Figures:
@@ -174,7 +150,7 @@ class Sweep:
             fixed[name] = values[:, 0] if PARAMETERS[name].per_run else values
         if self.identified is not None:
             fixed |= self.identified.drawn(self.seed, begin, count)
-        seeds = draws.rows((self.seed, distributions.stream(NOISE_SEED)), begin, count, 1)[:, 0]
+        seeds = draws.rows((self.seed, draws.stream(NOISE_SEED)), begin, count, 1)[:, 0]
         return Draws(count, **fixed, seed=seeds)
 
     def part(self, begin: int, end: int) -> Columns:
@@ -212,7 +188,7 @@ class Sweep:
         """Numbers that differ between runs: one for a deviation, or one per joint."""
         found = []
         for name, one in self.vary.items():
-            if one.kind != distributions.FIXED:
+            if one.kind != FIXED:
                 each = [f"{name}.{joint}" for joint in self.scenario.joints] if one.each_joint else [name]
                 found += [DrawnColumn(column, name, i, one) for i, column in enumerate(each)]
         posterior = self.identified.columns.values() if self.identified else ()
@@ -221,10 +197,9 @@ class Sweep:
     @property
     def text(self) -> str:
         """Sweep as JSON; sweeps with equal text have equal results."""
-        values = {name: getattr(self, name) for name in _PLAIN}
-        vary = {name: one.as_yaml for name, one in self.vary.items()}
-        extra = {} if self.posterior is None else {"posterior": dict(self.posterior)}
-        return json.dumps({**values, "vary": vary, "success": dict(self.success), **extra}, indent=1)
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        values["vary"] = {name: one.as_yaml for name, one in self.vary.items()}
+        return json.dumps({name: value for name, value in values.items() if value is not None}, indent=1)
 
     def _check(self, name: str, one: Distribution) -> None:
         """Raise ParameterError unless every value of a distribution is one of the deviation."""
@@ -232,7 +207,7 @@ class Sweep:
             raise ParameterError(f"'vary' has '{name}'; expected some of {', '.join(PARAMETERS)}")
         if one.each_joint and PARAMETERS[name].per != JOINT:
             raise ParameterError(f"'{name}' has each_joint; expected one value for all joints")
-        if one.kind == distributions.FIXED:
+        if one.kind == FIXED:
             given, most = len(one.numbers), PARAMETERS[name].width(self.scenario.robot.n)
             if given not in (1, most):
                 expected = "a single one" if most == 1 else f"1 or {most}"
@@ -244,13 +219,10 @@ class Sweep:
             raise ParameterError(f"'vary': {error}, for every draw") from None
 
 
-_PLAIN = ("name", "scenario_text", "runs", "duration", "seed", "settle_after", "band", "lost")
-
-
 def from_text(text: str) -> Sweep:
     """Return the sweep described by Sweep.text."""
     values = json.loads(text)
-    return Sweep(**values | {"vary": distributions.varied(values["vary"])})
+    return Sweep(**values | {"vary": draws.varied(values["vary"])})
 
 
 def run_part(text: str, begin: int, end: int) -> Columns:
@@ -260,5 +232,5 @@ def run_part(text: str, begin: int, end: int) -> Columns:
 
 def _built(text: str) -> Sweep:
     sweep = from_text(text)
-    sweep.loop.build()
+    sweep.loop.program.build()
     return sweep

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -13,9 +12,9 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from fjr_core.config import ros_yaml
+from fjr_core.config.parameter import resembling
 from fjr_core.errors import ParameterError
-from fjr_design.uncertainty import distributions
-from fjr_design.uncertainty.distributions import Distribution
+from fjr_design.batch.draws import FIXED, FORM, Distribution, varied
 from fjr_design.uncertainty.posterior import read_identification
 from fjr_msgs_py.scenarios import installed, library
 
@@ -40,12 +39,12 @@ def read(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of Sweep that a parsed document gives, but for scenario and posterior; raise ParameterError."""
     check_keys(document, KEYS)
     given = {key: mapping(key, document.get(key, {})) for key in MAPPINGS}
-    vary = distributions.varied(given["vary"])
+    vary = varied(given["vary"])
     posterior = document.get(POSTERIOR, "")
     if not isinstance(posterior, str):
         raise ParameterError(f"has {posterior!r} as '{POSTERIOR}'; expected the path of an identification.json")
-    if not posterior and not any(one.kind != distributions.FIXED for one in vary.values()):
-        raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {distributions.FORM}")
+    if not posterior and not any(one.kind != FIXED for one in vary.values()):
+        raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {FORM}")
     success = {name: number(f"success.{name}", value) for name, value in given["success"].items()}
     wholes = {key: whole(key, document[key]) for key in WHOLE if key in document}
     numbers = {key: number(key, document[key]) for key in SECONDS if key in document}
@@ -63,15 +62,15 @@ def usual(sample_period: float) -> dict[str, Distribution]:
         "motor_damping": {"log_uniform": [0.5, 2.0], "each_joint": True},
         "delay": {"uniform": [0.0, sample_period]},
     }
-    return distributions.varied(document)
+    return varied(document)
 
 
 def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -> None:
     """Raise ParameterError for an unknown key, with the one it resembles; where: section, as a start of the message."""
     for key in given:
         if key not in keys:
-            close = difflib.get_close_matches(str(key), keys, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else f"expected some of {', '.join(keys)}"
+            close = resembling(str(key), keys)
+            hint = f"did you mean '{close}'?" if close else f"expected some of {', '.join(keys)}"
             raise ParameterError(f"{where}has '{key}'; {hint}")
 
 
@@ -84,19 +83,19 @@ def mapping(name: str, value: object, where: str = "") -> Mapping[str, Any]:
 
 def whole(name: str, value: object, where: str = "") -> int:
     """Return a whole number of the file; raise ParameterError for anything else."""
-    if not _is_finite(value) or value != int(value):
+    if not is_finite(value) or value != int(value):
         raise ParameterError(f"{where}has {value!r} as '{name}'; expected a whole number")
     return int(value)
 
 
 def number(name: str, value: object, where: str = "") -> float:
     """Return a finite number of the file; raise ParameterError for anything else."""
-    if not _is_finite(value):
+    if not is_finite(value):
         raise ParameterError(f"{where}has {value!r} as '{name}'; expected a number")
     return float(value)
 
 
-def _is_finite(value: object) -> TypeGuard[int | float]:
+def is_finite(value: object) -> TypeGuard[int | float]:
     """Return whether a value is a number that is finite as a double."""
     return not isinstance(value, bool) and isinstance(value, (int, float)) and abs(value) <= sys.float_info.max
 
@@ -123,7 +122,7 @@ class Options:
         """Return the workers of a sweep: a cluster, or threads of this process, for which its loop is compiled."""
         if self.scheduler is not None:
             return cluster(self.scheduler)
-        sweep.loop.build()
+        sweep.loop.program.build()
         return threads(self.cores)
 
 

@@ -1,43 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fjr sweep`: run or resume the sweep of a scenario or sweep file, and report it.
+"""`fjr sweep`: run or resume the sweep of a scenario or sweep file, and report it as table, picture and HTML page.
 
-Beside the files of any study (study.py) its folder has summary.json, overview.png and report.html.
+Beside the files of any study (study.py) its folder has summary.json, overview.png and report.html: success and error
+over each drawn number, the most influential one first.
 """
 
 from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fjr_core.files.text_file import write_text
-from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
+from fjr_core.numerics.checks import Array
+from fjr_monitor.report import html
+from fjr_monitor.report.html import Line, Plot
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_picture
+from fjr_msgs_py.console.output import Result, finite, json_text, number, percent, plural, progress_bar
 
-from .sensitivity import Summary, summarised
+from ..batch.draws import FIXED, LOG_UNIFORM, unit_of
+from .sensitivity import Effect, ReadColumn, Summary, summarised
 from .study import Store, Workers, divided, open_store
 from .sweep import OUTCOMES, Sweep, run_part
 from .sweep_file import Options, planned
-from .sweep_page import sweep_plots, write_overview, write_page
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
 IN_PYTHON = "law or plant are evaluated in Python: the runs are not compiled, and --cores does not speed them up"
 ENOUGH = 200
 """Number of runs from which the sensitivities are significant."""
-SHOWN = ("rms", "peak", "final", "settling", "effort_peak", "power")
+IN_TABLE = ("rms", "peak", "final", "settling", "effort_peak", "power")
 LARGEST_PART, SMALLEST_PART, PARTS = 1000, 10, 200
+INFLUENCE = (
+    "Share of the variance of success, and of log RMS error, that each parameter explains alone (first-order "
+    "sensitivity)."
+)
+HOW = (
+    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. The same runs are in "
+    "table.parquet and summary.json in the same folder. Needs no network."
+)
+PLOTTED = 4  # drawn parameters
+DOTS = 4000
+GOOD, BAD, LOST = "c1", "c2", "bad"
+BINS = 40  # of the distribution
+ABOVE = 1.5  # times the largest error: where unstable runs are drawn
+ERROR = "RMS error, worst joint [rad]"
+WIDTH = 42  # characters of a line over a plot
 
 
 def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     """Run or resume a sweep, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
     check_and_warn(plan)
-    if plan.loop.in_python:
+    if plan.loop.program.in_python:
         print(f"fjr: {IN_PYTHON}", file=sys.stderr)
-    with open_store(options.output / plan.name, plan.text, plan.loop.fingerprint) as store:
+    with open_store(options.output / plan.name, plan.text, plan.loop.program.fingerprint) as store:
         with options.workers(plan) as workers:
             carry_out(plan, store, workers, stop)
-        return _shown(plan, store)
+        summary = summarised(plan, store.column)
+        write_text(store.folder / "summary.json", json_text(asdict(summary), indent=1) + "\n")
+        plots, page = sweep_plots(plan, store.column, summary), store.folder / "report.html"
+        write_overview(plan, summary, plots, store.folder / "overview.png")
+        write_page(plan, summary, plots, page)
+    text = f"{table(plan, summary)}\nopen {page}; all runs: {store.table}"
+    return Result(text, {**asdict(summary), "page": page, "table": store.table})
 
 
 def check_and_warn(plan: Sweep) -> None:
@@ -73,16 +108,6 @@ def carry_out(plan: Sweep, store: Store, workers: Workers, stop: threading.Event
     return store.table
 
 
-def _shown(plan: Sweep, store: Store) -> Result:
-    summary = summarised(plan, store.column)
-    write_text(store.folder / "summary.json", json_text(asdict(summary), indent=1) + "\n")
-    plots = sweep_plots(plan, store.column, summary)
-    write_overview(plan, summary, plots, store.folder / "overview.png")
-    page = write_page(plan, summary, plots, store.folder / "report.html")
-    text = f"{table(plan, summary)}\nopen {page}; all runs: {store.table}"
-    return Result(text, {**asdict(summary), "page": page, "table": store.table})
-
-
 def table(plan: Sweep, summary: Summary) -> str:
     """Format the results as a table."""
     share = f"{percent(summary.succeeded / summary.runs)} of {summary.runs} succeed"
@@ -92,7 +117,7 @@ def table(plan: Sweep, summary: Summary) -> str:
         f"{plan.name}: {share} {interval}, {summary.stable} are stable{stopped}",
         f"  {'':14}{'median':>12}{'95 %':>12}{'99 %':>12}{'worst':>12}",
     ]
-    for name in SHOWN:
+    for name in IN_TABLE:
         values = "".join(f"{number(value):>12}" for value in summary.quantiles[name])
         lines.append(f"  {name:14}{values} {OUTCOMES[name][1]}")
     hint = "most influential" if summary.runs >= ENOUGH else "most influential (estimate)"
@@ -100,3 +125,168 @@ def table(plan: Sweep, summary: Summary) -> str:
     for effect in summary.effects[:5]:
         lines.append(f"  {effect.name:28}{percent(effect.success, 0):>10}{percent(effect.error, 0):>12}")
     return "\n".join(lines)
+
+
+def headline(sweep: Sweep, summary: Summary) -> str:
+    """Return the result of a sweep as a sentence."""
+    return f"{sweep.name}: {percent(summary.succeeded / summary.runs)} of {summary.runs:,} runs succeed"
+
+
+def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> None:
+    """Write the page as one self-contained file."""
+    limits = "".join(
+        f", {OUTCOMES[name][0]} at most {limit:g} {OUTCOMES[name][1]}" for name, limit in sweep.success.items()
+    )
+    outcomes = [
+        [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in OUTCOMES.items()
+    ]
+    html.write_page(
+        path,
+        "monte_carlo.html",
+        headline(sweep, summary),
+        plots,
+        kicker=f"sweep of {summary.runs:,} runs",
+        notes=[
+            f"a run succeeds when it is stable, not stopped by a limit of the controller{limits}",
+            f"errors are evaluated from {sweep.settle_after:g} s on; unstable: beyond {sweep.lost:.3g} rad",
+            *(f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED),
+        ],
+        tiles=[
+            (percent(summary.succeeded / summary.runs), "succeed"),
+            (f"{percent(summary.low)} to {percent(summary.high)}", "95 % interval of that share"),
+            (percent(summary.stable / summary.runs), "are stable"),
+            (number(summary.quantiles["rms"][1], "rad"), "RMS error that 95 % of the stable runs keep"),
+        ],
+        tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],
+        effects=[
+            (one.name, *(number(float(edge), unit_of(one.name)) for edge in one.edges[[0, -1]]), one.success, one.error)
+            for one in summary.effects
+        ],
+        influence_text=INFLUENCE,
+        json=html.as_json(finite(asdict(summary))),
+        footer=HOW,
+    )
+
+
+def sweep_plots(sweep: Sweep, column: ReadColumn, summary: Summary) -> list[Plot]:
+    """Return the plots: of each of the PLOTTED most influential parameters, then of all runs."""
+    rms = np.max([column(f"rms.{joint}") for joint in sweep.scenario.joints], axis=0)
+    success, plots = column("success"), []
+    logarithmic = {each.column for each in sweep.drawn if each.distribution.kind == LOG_UNIFORM}
+    for i, effect in enumerate(summary.effects[:PLOTTED]):
+        log = effect.name in logarithmic
+        plots += [_share(i, effect, log), _runs(i, effect, log, column(effect.name), rms, success)]
+    plots.append(_distribution(rms, success))
+    return [plot for plot in plots if not plot.is_empty]
+
+
+def _share(number: int, effect: Effect, log: bool) -> Plot:
+    """Plot the success rate over a parameter, in bins of equal probability."""
+    lines = [
+        Line("95 %: to", _held(effect.high), GOOD, 0.8, step=True),
+        Line("from", _held(effect.low), GOOD, 0.8, step=True),
+        Line("success", _held(effect.share), GOOD, 2.0, step=True),
+    ]
+    return Plot(
+        f"share-{number}",
+        f"{effect.name} explains {percent(effect.success, 0)} of the variance of success",
+        "Success rate in bins of equal probability, with its 95 % interval.",
+        effect.edges,
+        lines,
+        x_label=_label(effect.name),
+        y_label="success rate [%]",
+        x_log=log,
+        y_range=(-3.0, 103.0),
+        time=False,
+        band=(0, 1),
+    )
+
+
+def _held(shares: Array) -> Array:
+    """Return shares of the bins as percentages at the edges."""
+    return 100.0 * np.append(shares, shares[-1:])
+
+
+def _runs(number: int, effect: Effect, log: bool, values: Array, rms: Array, success: NDArray[np.bool_]) -> Plot:
+    """Plot the first DOTS runs as dots over a parameter."""
+    order = np.argsort(values[:DOTS], kind="stable")
+    drawn, error, good = values[order], rms[order], success[order]
+    stable = np.isfinite(error) & (error > 0)
+    edge = ABOVE * float(error[stable].max(initial=1e-12))
+    lines = [
+        Line("succeeds", np.where(good & stable, error, np.nan), GOOD, dots=True),
+        Line("fails", np.where(~good & stable, error, np.nan), BAD, dots=True),
+        Line("unstable (upper edge)", np.where(stable, np.nan, edge), LOST, dots=True),
+    ]
+    seen = [line for line in lines if np.isfinite(line.values).any()]
+    return Plot(
+        f"runs-{number}",
+        f"{effect.name} explains {percent(effect.error, 0)} of the variance of log RMS error",
+        f"One dot per run{f', the first {DOTS}' if len(values) > DOTS else ''}.",
+        drawn,
+        [Line("run", order.astype(float), "grey", unseen=True), *seen],
+        x_label=_label(effect.name),
+        y_label=ERROR,
+        x_log=log,
+        y_log=True,
+        time=False,
+    )
+
+
+def _distribution(rms: Array, success: NDArray[np.bool_]) -> Plot:
+    """Plot a histogram of the errors of the stable runs."""
+    stable = np.isfinite(rms) & (rms > 0)
+    errors = rms[stable] if stable.any() else np.ones(1)
+    edges = np.geomspace(errors.min() / 1.001, errors.max() * 1.001, BINS + 1)
+    good, bad = (np.histogram(rms[which], edges)[0] for which in (stable & success, stable & ~success))
+    lines = [
+        Line("succeed", np.append(good, 0.0), GOOD, 1.2, step=True, fill=True),
+        Line("fail", np.append(bad, 0.0), BAD, 1.2, step=True, fill=True),
+    ]
+    return Plot(
+        "distribution",
+        f"{percent(float(stable.mean()))} of the runs are stable",
+        "Stable runs by their error; log axis.",
+        edges,
+        lines,
+        x_label=ERROR,
+        y_label="runs",
+        x_log=True,
+        time=False,
+        y_range=(0.0, None),
+        wide=True,
+    )
+
+
+def _label(name: str) -> str:
+    unit = unit_of(name)
+    return f"{name} [{unit}]" if unit else f"{name} (factor)"
+
+
+def write_overview(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> None:
+    """Write the picture: a column for each parameter that has plots, the most influential one first."""
+    places = {plot.name: plot for plot in plots}
+    columns = min(PLOTTED, len(summary.effects)) + 1
+    names = [[f"{row}-{column}" for column in range(columns - 1)] for row in ("share", "runs")]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(2, columns, squeeze=False)
+        for row, ax in zip([*names[0], "", *names[1], "distribution"], axes.flat, strict=True):
+            if row in places:
+                draw_plot(ax, places[row], WIDTH)
+        _indices(axes[0, -1], summary)
+        title = f"{headline(sweep, summary)}, each of {sweep.duration:g} s"
+        figure.suptitle(title, fontsize=13, x=0.01, ha="left")
+
+    write_picture(path, (3.1 * columns, 7.0), draw)
+
+
+def _indices(ax: Axes, summary: Summary) -> None:
+    shown = summary.effects[: 2 * PLOTTED][::-1]
+    rows = np.arange(len(shown))
+    ax.barh(rows + 0.2, [effect.success for effect in shown], 0.36, color=COLOURS[1], label="success")
+    ax.barh(rows - 0.2, [effect.error for effect in shown], 0.36, color=GREY, label="log RMS error")
+    ax.set_yticks(rows, [effect.name for effect in shown])
+    ax.set(title="Part of the variance", xlim=(0, 1))
+    ax.grid(axis="y", visible=False)
+    ax.legend(loc="lower right", **LEGEND)

@@ -28,7 +28,7 @@ from fjr_core.stability.linearization import spectral_radius
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
 from .study import Columns, once
 from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures, from_text
-from .sweep_file import number, whole
+from .sweep_file import check_keys, number, whole
 
 INFEASIBLE = 1e6
 """Cost of points that violate a constraint, at least; the cost of others is far below."""
@@ -107,9 +107,9 @@ class Goal:
             violation = max(violation, 1e-12)
         return Score(at, share, violation, cost)
 
-    def refused(self, violation: float = WORST) -> Score:
+    def refused(self) -> Score:
         """Return the score of a point without gains."""
-        return Score({name: float("inf") for name in FIGURES}, 0.0, violation, INFEASIBLE * (1 + violation))
+        return Score(dict.fromkeys(FIGURES, float("inf")), 0.0, WORST, INFEASIBLE * (1 + WORST))
 
 
 GOAL = tuple(each.name for each in fields(Goal))
@@ -119,8 +119,9 @@ HERE = "'tune' "  # start of a message about it
 MOST = 10**7  # candidates, draws
 
 
-def given_goal(section: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what a section `tune` gives of GOAL and of SIZE; raise ParameterError."""
+def given_goal(section: Mapping[str, Any], keys: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what a section `tune` gives of GOAL and of SIZE; raise ParameterError, also for other than these keys."""
+    check_keys(section, keys, HERE)
     goal: dict[str, Any] = {}
     for key in (key for key in GOAL if key in section):
         given = section[key]
@@ -135,11 +136,6 @@ def given_goal(section: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, An
         if not 1 <= count <= MOST:
             raise ParameterError(f"{HERE}has {count} as '{key}'; expected 1 to {MOST}")
     return goal, size
-
-
-def joined(parts: list[Figures]) -> Figures:
-    """Concatenate the figures of several parts."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def quantile(values: Array, share: float) -> float:
@@ -269,30 +265,17 @@ def run_candidate(text: str, point: Point, begin: int, end: int) -> Columns:
 
 def _built(text: str) -> TuningStudy:
     study = study_of(text)
-    study.sweep.loop.build()
+    study.sweep.loop.program.build()
     _ = study.coordinates
     return study
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A point of the search with its score on the draws of the search."""
-
-    point: Point
-    score: Score
-
-
-@dataclass(frozen=True)
 class Found:
-    """Result of a search: all candidates in order, the start first, and the point that is best in the selection."""
+    """Result of a search: the score of each candidate, the start first, and the point that is best in the selection."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: Mapping[Point, Score]
     chosen: Point
-
-    @property
-    def start(self) -> Candidate:
-        """The start of the search."""
-        return self.candidates[0]
 
 
 def search(study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[Figures]]) -> Found:
@@ -305,18 +288,18 @@ def search(study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[
         return [study.score(*each) for each in zip(points, figures(points, runs), strict=True)]
 
     start = study.origin
-    kept = [Candidate(start, evaluate([start], study.search_runs)[0])]
+    kept = {start: evaluate([start], study.search_runs)[0]}
     strategy = _strategy(len(start), study.sweep.seed)
     while len(kept) < study.candidates and not strategy.stop():
         asked = strategy.ask()
         points = [tuple(float(each) for each in point) for point in asked]
         scores = evaluate(points, study.search_runs)
         strategy.tell(asked, [score.cost for score in scores])
-        kept += [Candidate(*each) for each in zip(points, scores, strict=True)]
-    ranked = sorted(kept[1:], key=lambda one: one.score.cost)[:FINALISTS]
-    finalists = [start, *(one.point for one in ranked)]
+        kept |= dict(zip(points, scores, strict=True))
+    ranked = sorted((point for point in kept if point != start), key=lambda point: kept[point].cost)
+    finalists = [start, *ranked[:FINALISTS]]
     costs = [score.cost for score in evaluate(finalists, study.selection_runs)]
-    return Found(tuple(kept), finalists[int(np.argmin(costs))])
+    return Found(kept, finalists[int(np.argmin(costs))])
 
 
 def _strategy(dimension: int, seed: int) -> Any:

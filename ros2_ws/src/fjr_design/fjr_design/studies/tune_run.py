@@ -33,11 +33,10 @@ from . import sweep_file
 from .coordinates import RULE, SCENARIO
 from .study import Store, Workers, divided, open_store
 from .sweep import OUTCOMES
-from .sweep_file import Options, check_keys, described, file_of
+from .sweep_file import Options, described, file_of
 from .sweep_run import PROGRESS, check_and_warn
 from .tune import (
     GOAL,
-    HERE,
     OF_SCENARIO,
     SIZE,
     Figures,
@@ -48,7 +47,6 @@ from .tune import (
     Score,
     TuningStudy,
     given_goal,
-    joined,
     quantile,
     run_candidate,
     search,
@@ -98,7 +96,8 @@ def kept_figures(
     store.run(workers, run_candidate, jobs, stop)
     for _, _, begin, end in jobs.values():
         on_progress(end - begin)
-    return [joined([store.read(_key(point, *part)) for part in parts]) for point in points]
+    kept = [[store.read(_key(point, *part)) for part in parts] for point in points]
+    return [{name: np.concatenate([part[name] for part in each]) for name in each[0]} for each in kept]
 
 
 def _key(point: Point, begin: int, end: int) -> str:
@@ -123,8 +122,7 @@ def planned(name: str | None, options: Options, law: str | None, numbers: Mappin
     chosen = law or law_of(document)
     overrides = {**options.overrides, **({TYPE.name: chosen} if chosen else {})}
     sweep, section = described(path, document, replace(options, overrides=overrides))
-    check_keys(section, (LAW, *GOAL, *SIZE), HERE)
-    goal, size = given_goal({**section, **numbers})
+    goal, size = given_goal({**section, **numbers}, (LAW, *GOAL, *SIZE))
     return TuningStudy(sweep, Goal(**goal), **size)
 
 
@@ -146,7 +144,7 @@ def tune(
             return found[0]
 
         study = with_better_start(study, run)
-        with open_store(folder, study.text, study.sweep.loop.fingerprint) as store:
+        with open_store(folder, study.text, study.sweep.loop.program.fingerprint) as store:
             total = study.searched + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
@@ -229,7 +227,7 @@ def _draw(tuned: Tuned, figure: Figure) -> None:
 def _front(ax: Axes, tuned: Tuned, name: str) -> None:
     """Draw all candidates on the draws of the search, those on the front joined, start and choice marked."""
     found, quantile = tuned.found, tuned.study.goal.quantile
-    scores = [one.score for one in found.candidates]
+    scores = list(found.candidates.values())
     x, y = (np.array([score.figures[key] for score in scores]) for key in (name, "rms"))
     kept = np.array([score.feasible for score in scores])
     finite = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
@@ -237,9 +235,8 @@ def _front(ax: Axes, tuned: Tuned, name: str) -> None:
     ax.plot(x[finite & kept], 1e3 * y[finite & kept], ".", ms=4, color=COLOURS[5], label="keeps the constraints")
     best = pareto(x, y, finite & (kept if kept.any() else True))
     ax.plot(x[best], 1e3 * y[best], "-", drawstyle="steps-post", color=COLOURS[0], lw=1.5, label="Pareto front")
-    points = [one.point for one in found.candidates]
-    at = [points.index(found.start.point), points.index(found.chosen)]
-    for i, marker, label in zip(at, "s*", ("start of the search", "chosen"), strict=True):
+    chosen = list(found.candidates).index(found.chosen)
+    for i, marker, label in ((0, "s", "start of the search"), (chosen, "*", "chosen")):
         if finite[i]:
             ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)
     ax.set(xscale="log", yscale="log", xlabel=AXES[name], ylabel="RMS error [mrad]")
@@ -251,11 +248,8 @@ def pareto(x: Array, y: Array, among: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the indices of the points that no other one beats in both values, by increasing x."""
     order = np.flatnonzero(among)
     order = order[np.lexsort((y[order], x[order]))]
-    best: list[int] = []
-    for i in order:
-        if not best or y[i] < y[best[-1]]:
-            best.append(int(i))
-    return np.array(best, dtype=np.intp)
+    least = np.minimum.accumulate(np.append(np.inf, y[order]))[:-1]
+    return order[y[order] < least]
 
 
 def _distribution(ax: Axes, scenario: Figures, chosen: Figures) -> None:

@@ -18,9 +18,8 @@ robot has none.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -35,14 +34,13 @@ from fjr_core.errors import GainsError
 from fjr_core.extensions.law_registry import V_DPBC, LawKind, law_kind
 from fjr_core.law.gains import Gains
 from fjr_core.law.interfaces import StaticLaw
-from fjr_core.law.linearized import rest_position, slope_at_rest
+from fjr_core.law.linearized import equilibria_at, rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-
-from ..baselines.lqr import velocity_matrices
+from fjr_core.stability.linear_controller import plant_in_velocities
 
 BANDWIDTH_TOLERANCE = 0.01  # relative, of equal bandwidths
 PEAK_TOLERANCE = 0.1  # relative, of equal peak efforts
@@ -73,7 +71,7 @@ class BaselineTarget:
         self._jets = np.asarray(reference.jets(0.0))
         self.q_0 = np.array(self._jets[0])
         self.start = start or (rest_position(robot, self.q_0) + START_ERROR, np.zeros(2 * robot.n))
-        self._A, self._B = velocity_matrices(robot, self.q_0)
+        (self._A,), (self._B,) = plant_in_velocities(equilibria_at(robot, self.q_0[None]))
         self._root = np.linalg.cholesky(robot.M_l(self.q_0)).T
         limits = robot.limits
         known = limits is not None and np.isfinite(limits.effort).all()
@@ -129,7 +127,7 @@ class BaselineTarget:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A law of a kind for a target, with its gains, bandwidth [rad/s] and peak effort.
+    """A law of a kind for a target, with its bandwidth [rad/s] and peak effort.
 
     omega [rad/s], damping: the two numbers of the tuning rule, NaN for v-dPBC with given gains.
     """
@@ -137,7 +135,6 @@ class Tuning:
     kind: LawKind
     target: BaselineTarget
     law: StaticLaw
-    gains: Any
     omega: float
     damping: float
     bandwidth: float
@@ -166,17 +163,16 @@ class Tuning:
         return f"{bandwidth}, peak effort {self.peak / self.target.peak:.2g} times the target{saturated}"
 
 
-def tune(name: str, baseline_target: BaselineTarget, compile: bool = False, retune: bool = False) -> Tuning:
+def tune(name: str, baseline_target: BaselineTarget, retune: bool = False) -> Tuning:
     """Tune the law of this name to the target.
 
-    compile: build the law as machine code. retune: tune v-dPBC too; false: it keeps the gains of the target. Raises
-    ParameterError for an unknown name, GainsError if no gains are stable.
+    retune: tune v-dPBC too; false: it keeps the gains of the target. Raises ParameterError for an unknown name,
+    GainsError if no gains are stable.
     """
     kind, y = law_kind(name), baseline_target
     if kind.name == V_DPBC and not retune:
-        return Tuning(kind, y, TrackingLaw(y.robot, y.gains, compile), y.gains, np.nan, np.nan, y.bandwidth, y.peak)
-    found = _Family(kind, y).chosen()
-    return replace(found, law=kind.make(y.robot, found.gains, compile)) if compile else found
+        return Tuning(kind, y, y.law, np.nan, np.nan, y.bandwidth, y.peak)
+    return _Family(kind, y).chosen()
 
 
 class _Family:
@@ -225,9 +221,8 @@ class _Family:
         omega = grid[i]
         if i > 0:
             omega = _root(lambda w: self._bandwidth(w, damping) - target, grid[i - 1], grid[i], 1e-3)
-        law, gains = self._law(omega, damping)
-        y = self.target
-        return Tuning(self.kind, y, law, gains, omega, damping, y.bandwidth_of(law), y.peak_of(law))
+        law, y = self._law(omega, damping), self.target
+        return Tuning(self.kind, y, law, omega, damping, y.bandwidth_of(law), y.peak_of(law))
 
     def _of_peak(self, low: Tuning, high: Tuning) -> Tuning:
         """Search the damping ratio between two laws of target bandwidth for the target peak effort."""
@@ -247,18 +242,16 @@ class _Family:
     def _bandwidth(self, omega: float, damping: float) -> float:
         """Return the bandwidth [rad/s]; 0 if the gains violate the condition of the paper or the loop is unstable."""
         try:
-            return self.target.bandwidth_of(self._law(omega, damping)[0])
+            return self.target.bandwidth_of(self._law(omega, damping))
         except GainsError:
             return 0.0
 
-    def _law(self, omega: float, damping: float) -> tuple[StaticLaw, Any]:
-        """Return law and gains; the functions of the first law serve all."""
+    def _law(self, omega: float, damping: float) -> StaticLaw:
+        """Return the law; the functions of the first one serve all."""
         y = self.target
         gains = self.kind.tuning_rule(y.robot, y.q_0, omega, damping, y.sample_period)
-        if self._first is None:
-            self._first = self.kind.make(y.robot, gains)
-            return self._first, gains
-        return self._first.with_gains(gains), gains
+        self._first = self._first or self.kind.make(y.robot, gains)
+        return self._first.with_gains(gains)
 
 
 def _root(f: Callable[[float], float], low: float, high: float, tolerance: float) -> float:

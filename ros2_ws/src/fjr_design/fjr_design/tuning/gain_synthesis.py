@@ -30,9 +30,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.stability.linearization import SampledLoop, checked_times, closed_form
-from fjr_design.stability.sampled_loop import FEW
 
-from ..stability.fast_modes import late_spring
+from ..stability.sampled_loop import FEW, late_spring
 from ..uncertainty.drawn_loops import DrawnLoops, DrawnPlants, in_common
 
 SPEED_FACTORS = (2.0, 1.4, 1.0)  # c: ratio of Lambda and K_md M_m^-1 to the rate

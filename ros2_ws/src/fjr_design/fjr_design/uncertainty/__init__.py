@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot that differs from its model: stated distributions, posteriors, loops of drawn plants."""
+"""The robot that differs from its model: the posterior of an identification, loops of drawn plants."""

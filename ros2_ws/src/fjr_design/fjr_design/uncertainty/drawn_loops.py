@@ -185,16 +185,16 @@ def _held(A: Array, B: Array, times: Array, frequency: float) -> tuple[Array, Ar
     return Phi / scale, Gamma / size
 
 
-def draws_needed(share: float, confidence: float = CONFIDENCE) -> int:
-    """Return how many draws, none of which is lost, show that at most this share is, with this confidence."""
-    return int(np.ceil(np.log(1 - confidence) / np.log(1 - share)))
+def draws_needed(share: float) -> int:
+    """Return how many draws, none of which is lost, show with CONFIDENCE that at most this share is."""
+    return int(np.ceil(np.log(1 - CONFIDENCE) / np.log(1 - share)))
 
 
-def largest_share(lost: int, of: int, confidence: float = CONFIDENCE) -> float:
-    """Return the upper bound of the share that is lost, with this confidence (C. Clopper, E. Pearson, 1934)."""
+def largest_share(lost: int, of: int) -> float:
+    """Return the upper bound of the share that is lost, with CONFIDENCE (C. Clopper, E. Pearson, 1934)."""
     from scipy.special import betaincinv  # loaded on use: see law/gains.py
 
-    return 1.0 if lost >= of else float(betaincinv(lost + 1, of - lost, confidence))
+    return 1.0 if lost >= of else float(betaincinv(lost + 1, of - lost, CONFIDENCE))
 
 
 FACTORS = (0.7, 0.8, 1.2, 1.3)

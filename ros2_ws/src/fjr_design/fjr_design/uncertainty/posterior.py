@@ -23,9 +23,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.deviations import DEVIATIONS, POINT
 from fjr_design.batch import draws
+from fjr_design.batch.draws import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
 
-from . import distributions
-from .distributions import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
 from .drawn_loops import DrawnPlants
 
 IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
@@ -129,21 +128,12 @@ class Identification:
                 f"{', '.join(joints)}"
             )
 
-    def kept_at_prior(self, names: Sequence[str]) -> list[str]:
-        """Return "parameter of joint" for those of these parameters that no draw changes, because they are unknown."""
-        return [
-            f"{each.name} of {each.joint}" if each.joint else each.name
-            for each in self.estimates
-            if each.verdict == UNKNOWN and each.name in names
-        ]
-
     def draws(self, count: int, seed: int, first: int = 0, widest: float = WHOLE) -> Array:
         """Return the draws (count, len(estimates)) from the number `first` on; UNKNOWN parameters keep their prior.
 
         widest: standard deviations at which z is truncated; the default leaves the posterior whole.
         """
-        words = draws.rows((seed, distributions.stream(STREAM)), first, count, len(self.mean))
-        normal = distributions.standard_normal(draws.unit(words), widest)
+        normal = draws.standard_normal(draws.uniform(STREAM, seed, first, count, len(self.mean)), widest)
         w, v = np.linalg.eigh(self.covariance)
         z = self.mean + normal @ (v * np.sqrt(np.maximum(w, 0.0))) @ v.T
         drawn = np.tile([each.value for each in self.estimates], (len(normal), 1))
@@ -174,43 +164,38 @@ class Identification:
         }
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Identification:
-        """Return the identification of `as_dict`."""
-        return cls(
-            tuple(values["joints"]),
-            tuple(Estimate(**each) for each in values["estimates"]),
-            tuple(values["free"]),
-            tuple(values["coordinates"]),
-            np.array(values["mean"], dtype=float),
-            np.array(values["covariance"], dtype=float).reshape(len(values["mean"]), -1),
-        )
+    def from_dict(cls, values: Any) -> Identification:
+        """Return the identification of `as_dict`; raises ParameterError for other values."""
+        try:
+            found = cls(
+                tuple(values["joints"]),
+                tuple(Estimate(**each) for each in values["estimates"]),
+                tuple(values["free"]),
+                tuple(values["coordinates"]),
+                np.array(values["mean"], dtype=float),
+                np.array(values["covariance"], dtype=float).reshape(len(values["mean"]), -1),
+            )
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise ParameterError(
+                f"is no identification ({error!r}); expected the file identification.json of an identified robot"
+            ) from None
+        p = len(found.free)
+        shapes = len(found.coordinates), found.mean.shape, found.covariance.shape
+        if shapes != (p, (p,), (p, p)) or not all(0 <= i < len(found.estimates) for i in found.free):
+            raise ParameterError(f"has a posterior of sizes {shapes} for {p} parameters; expected equal sizes")
+        if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
+            raise ParameterError("has a posterior that is not finite; expected finite means and covariances")
+        return found
 
 
 def read_identification(path: Path) -> Identification:
     """Return the identification in a file, identification.json; raises ParameterError, which names the file."""
     try:
-        return parsed_identification(json.loads(read_text(path)))
+        return Identification.from_dict(json.loads(read_text(path)))
     except OSError as error:
         raise ParameterError(f"cannot read identification {path}: {error.strerror}") from None
     except (ValueError, ParameterError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
         raise ParameterError(f"{path}: {error}") from None
-
-
-def parsed_identification(values: object) -> Identification:
-    """Return the identification of plain values; raises ParameterError."""
-    try:
-        found = Identification.from_dict(values)  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise ParameterError(
-            f"is no identification ({error!r}); expected the file identification.json of an identified robot"
-        ) from None
-    p = len(found.free)
-    shapes = len(found.coordinates), found.mean.shape, found.covariance.shape
-    if shapes != (p, (p,), (p, p)) or not all(0 <= i < len(found.estimates) for i in found.free):
-        raise ParameterError(f"has a posterior of sizes {shapes} for {p} parameters; expected equal sizes")
-    if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
-        raise ParameterError("has a posterior that is not finite; expected finite means and covariances")
-    return found
 
 
 def drawn_plants(found: Identification, robot: Robot, count: int, seed: int, widened: float = 1.0) -> DrawnPlants:
@@ -276,7 +261,7 @@ class PosteriorDraws:
 
     def drawn(self, seed: int, first: int, count: int) -> dict[str, Array]:
         """Return the draws by deviation, (count, n), (count,) or (count, 3), of the runs from `first` on."""
-        table = self.found.draws(count, seed, first, distributions.WIDEST)
+        table = self.found.draws(count, seed, first, draws.WIDEST)
         return {one.name: self._drawn(name, table) for name, one in NAMES.items() if one.name in self.columns}
 
     def _drawn(self, name: str, table: Array) -> Array:

@@ -16,10 +16,10 @@ import casadi as ca
 import numpy as np
 import yaml
 
-from fjr_core.config.plant import PERIOD_JITTER, imperfection_parameters, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
+from fjr_core.config.plant import sensor_errors
 from fjr_core.config.robot import description
-from fjr_core.config.scenario import Scenario
+from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import ParameterError
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.vdpbc import TrackingLaw
@@ -30,21 +30,22 @@ from fjr_core.numerics.checks import MOTOR
 from fjr_core.numerics.parameter_field import Parameter, declared
 from fjr_core.runtime.events import KINDS, SENTENCES, level_of
 from fjr_core.runtime.safety_settings import Settings
-from fjr_core.simulation.imperfections import NAMES, ChannelErrors, Imperfections, SensorErrors
+from fjr_core.simulation.imperfections import NAMES, Imperfections, SensorErrors
 from fjr_core.simulation.nonideal_plant import NonidealPlant, layout
 from fjr_core.urdf.tree import parse_xml
 from fjr_core.version import __version__
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 
 from ..c_code import comment, filled, number, numbers, quoted
-from ..project import recorded_case
-from ..step_code import exportable, step_code
+from ..project import exportable, recorded_case, step_code
 
 TAG = "ros2_control"
 _GROUP = "imperfections."
 DYNAMICS = {field: declared(Imperfections)[field] for field in NAMES}
 SENSORS = {field: each for field, each in declared(SensorErrors).items() if field != "velocities"}
 """Declarations of the parameters by field; their names are those of imperfections.* without the group."""
+EXPORTED = {each.name for each in (*DYNAMICS.values(), *SENSORS.values())} | {"state_delay", "command_delay", "seed"}
+"""Names of the imperfections that the arm has."""
 SAMPLES = 400
 LONGEST_NAME = 60
 CERTIFIED = ("V", "H", "dissipation", "dissipated", "u_law", "drive")
@@ -218,26 +219,21 @@ def parameters_of(scenario: Scenario) -> dict[str, object]:
     """
     values, robot, n = scenario.plant_values, scenario.plant.robot, scenario.plant.robot.n
     _ = build_imperfections(values, robot), sensor_errors(values, n)
-    known: dict[str, Parameter] = {each.name: each for each in imperfection_parameters(n)}
-    names = [each.name for each in (*DYNAMICS.values(), *SENSORS.values())] + ["state_delay", "command_delay", "seed"]
-    found = {name: (values[_GROUP + name], known[_GROUP + name].default) for name in names}
     return {
         "initial_link_position": tuple(scenario.x0[:n].tolist()),
         "initial_motor_position": tuple(scenario.x0[n : 2 * n].tolist()),
-        **{name: value for name, (value, default) in found.items() if value != default},
+        **{name: values[_GROUP + name] for name in _imperfect(scenario) if name in EXPORTED},
     }
 
 
 def not_exported(scenario: Scenario) -> list[str]:
     """Return the names of the scenario's imperfections that the exported arm does not have."""
-    values, defaults = scenario.plant_values, ChannelErrors()
-    fields = ("jitter", "loss", "repetition")
-    channel = {f: declared(ChannelErrors)[f].name for f in fields}
-    names = {
-        f"{_GROUP}{side}_{name}": getattr(defaults, f) for side in ("state", "command") for f, name in channel.items()
-    }
-    names |= {PERIOD_JITTER.name: 0.0, f"{_GROUP}publish_velocity": True}
-    return [name for name, default in names.items() if values[name] != default]
+    return [_GROUP + name for name in _imperfect(scenario) if name not in EXPORTED]
+
+
+def _imperfect(scenario: Scenario) -> list[str]:
+    """Return the names, without the group, of imperfections.* that are not the defaults."""
+    return [name.removeprefix(_GROUP) for name in left_out(scenario) if name.startswith(_GROUP)]
 
 
 def with_hardware(urdf: str, package: str, joints: Sequence[str], clock: str, parameters: Mapping[str, object]) -> str:
