@@ -14,7 +14,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 from fjr_core.stability.linearization import linearize
 from fjr_monitor.diagnosis.causes import closed_loop
-from fjr_monitor.diagnosis.delay_estimation import acting_sums, effort_delay, needed
+from fjr_monitor.diagnosis.delay_estimation import ActingSums, effort_delay, needed
 from fjr_monitor.diagnosis.diagnosis import diagnose, innovations, with_findings
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
@@ -83,8 +83,7 @@ def test_wrong_plant_parameter_is_a_model_mismatch(name: str, value: float) -> N
 def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
     seen = record(delay=delay)
     found = innovations(seen, LAW)
-    sums = acting_sums([found], effort_delay([found], LAW.robot), LAW.robot)
-    age = sums.acting(found, needed(found, LAW.robot)).age
+    age = ActingSums([found], effort_delay([found], LAW.robot), LAW.robot).acting(found).age
     assert age * PERIOD == pytest.approx(delay, abs=0.02 * PERIOD)
     verdict = diagnose(seen, LAW)
     assert (verdict.kind, verdict.causes) == ("degraded", ("delay",))

@@ -21,15 +21,7 @@ from fjr_core.stability.linearization import linearize
 
 from . import thresholds
 from .causes import CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
-from .delay_estimation import (
-    AFTER,
-    BEFORE,
-    ActingSums,
-    acting_sums,
-    effort_delay,
-    foreseen,
-    needed,
-)
+from .delay_estimation import AFTER, BEFORE, ActingSums, effort_delay, foreseen
 from .fault_isolation import MOST_STATES, isolate
 from .grading import BlockStatistics
 from .record import PART, Innovations, Record, T
@@ -46,19 +38,17 @@ def innovations(
     record: Record,
     law: TrackingLaw,
     series: CertificateSeries | None = None,
-    before: Array | None = None,
     valued: bool = True,
 ) -> Innovations:
     """Return the innovations of the intervals that `Record.consecutive` selects; of a part, those that end in it.
 
-    series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
-    state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
+    series: certificate along the record; None: it is computed here. valued: false leaves V, its slope and the effort of
+    the law NaN, in half the time.
     """
     (k, n), balance, prediction = record.u.shape, Certificate(law), Prediction(law)
     if series is None and valued:
         series = balance.along(record.position, record.velocity, record.jets)
-    sent, dt = record.held(before), np.diff(record.t)
-    first = record.consecutive(before)
+    sent, dt, first = record.held, np.diff(record.t), record.consecutive()
     older = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
@@ -131,18 +121,16 @@ class PartwiseDiagnosis:
         self._unsaturated: tuple[Innovations, Array] | None = None
         self._intervals = 0
         self._moving = False
-        self._parts = _Parts(law)
         self._second: _SecondPass | None = None
 
     def first_pass(self, part: Record) -> None:
         """Take a part of the record for the first time."""
         with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
-            found, begin = self._parts.add(part, None, valued=False), self._parts.begin
+            found = innovations(part, self._law, valued=False)
             self._reference.add(part.jets[:, 0], part.begin)
             self.visited.add(part.position[:, : self._law.robot.n], part.begin)
-        self._intervals += len(found) - begin
-        self._innovations = with_ends(self._innovations, found.rows(slice(begin, None)))
-        self._parts.done(found, len(found) - begin)
+        self._intervals += len(found)
+        self._innovations = with_ends(self._innovations, found)
         self._ends = with_ends(self._ends, part.new)
         self._moving |= bool(np.isfinite(part.velocity).any())
 
@@ -177,12 +165,12 @@ class PartwiseDiagnosis:
         return with_findings(diagnosis, findings)
 
     def _acted(self, by_torque: bool = True) -> ActingSums:
-        """Return what classifies the acting efforts; by_torque: as of DelaySums.delay."""
+        """Return what classifies the acting efforts; by_torque: as of effort_delay."""
         found, half = self._innovations, MOST_STATES // 2
         assert found is not None  # a record has a part
         parts = [found] if self._intervals <= MOST_STATES else [found.rows(slice(half)), found.rows(slice(half, None))]
         age = effort_delay(parts, self._law.robot, self._timed, by_torque)
-        return acting_sums(parts, age, self._law.robot, self._timed)
+        return ActingSums(parts, age, self._law.robot, self._timed)
 
     def _without_saturation(self) -> tuple[Innovations, Array]:
         """Return the innovations at both ends in which no motor was saturated, and the effort that acted late (k, n).
@@ -191,11 +179,11 @@ class PartwiseDiagnosis:
         """
         found = self._innovations
         assert found is not None  # a record has a part
-        required, usual = needed(found, self._law.robot), foreseen(found)
-        free = ~(self._acted().acting(found, required).cut != 0).any(axis=1)
+        usual = foreseen(found)
+        free = ~(self._acted().acting(found).cut != 0).any(axis=1)
         moved = self._acted(by_torque=False)
         if moved.age.late:
-            acted = moved.acting(found, required)
+            acted = moved.acting(found)
             usual = usual + acted.late + acted.lost
         return found.rows(free), usual[free]
 
@@ -257,33 +245,11 @@ class Visited:
         return law.proven_rate(domain, most_boxes=bounds.few_boxes(law.robot))
 
 
-class _Parts:
-    """The latest intervals of a record that comes in parts: `found`, of which the first `begin` are done."""
-
-    def __init__(self, law: TrackingLaw) -> None:
-        self._law = law
-        self._efforts: Array | None = None
-        self.found: Innovations | None = None
-        self.begin = 0
-
-    def add(self, part: Record, series: CertificateSeries | None, valued: bool = True) -> Innovations:
-        """Add the intervals of the next part; return all that are kept."""
-        known = self._efforts is not None and len(self._efforts) > part.begin
-        before = self._efforts[-part.begin - 1] if known else None  # type: ignore[index]
-        found = innovations(part, self._law, series, before, valued)
-        self._efforts = part.held(before)
-        self.found = found if self.found is None else self.found.followed_by(found)
-        return self.found
-
-    def done(self, found: Innovations, count: int) -> None:
-        """Note that `count` more intervals are done; keep BEFORE of these and the later ones."""
-        end = self.begin + count
-        self.begin = min(end, BEFORE)
-        self.found = found.rows(slice(end - self.begin, None))
-
-
 class _SecondPass:
-    """Second pass over the parts of a record: storage budget, tracking errors by cause and growth of V, by blocks."""
+    """Second pass over the parts of a record: storage budget, tracking errors by cause and growth of V, by blocks.
+
+    Kept are the latest intervals, of which the first `_begin`, at most BEFORE, are done.
+    """
 
     def __init__(
         self,
@@ -304,21 +270,23 @@ class _SecondPass:
         self._propagation = CausePropagation(law.robot, closed_loop(law, visited, period), whole)
         self._statistics = BlockStatistics(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
         self._growth = StorageGrowth(total)
-        self._parts, self._period = _Parts(law), period
+        self._kept: Innovations | None = None
+        self._begin, self._period = 0, period
 
     def add(self, part: Record, series: CertificateSeries | None) -> None:
         """Add a part; the intervals at its end wait for those that follow."""
-        found = self._parts.add(part, series)
+        found = innovations(part, self._law, series)
+        kept = self._kept = found if self._kept is None else self._kept.followed_by(found)
         self._sample_period, self._limit = part.sample_period, part.effort_limit
-        whole = (len(found) - self._parts.begin - AFTER) // thresholds.BLOCK * thresholds.BLOCK
+        whole = (len(kept) - self._begin - AFTER) // thresholds.BLOCK * thresholds.BLOCK
         if whole > 0:
-            self._process(found, whole, whole)
+            self._process(kept, whole, whole)
 
     def result(self) -> Diagnosis:
         """Return the diagnosis without findings."""
-        if (found := self._parts.found) is not None:
-            left = len(found) - self._parts.begin
-            self._process(found, left // thresholds.BLOCK * thresholds.BLOCK, left)
+        if (kept := self._kept) is not None:
+            left = len(kept) - self._begin
+            self._process(kept, left // thresholds.BLOCK * thresholds.BLOCK, left)
         figures = {**self._growth.figures, "spectral radius": self._radius}
         first, last = self._growth.thirds
         if self._radius >= 1 and not (last < thresholds.FALLEN * first):
@@ -339,8 +307,8 @@ class _SecondPass:
 
     def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
         """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
-        robot, period, limit, begin = self._robot, self._sample_period, self._limit, self._parts.begin
-        acted = self._acting.acting(kept, needed(kept, robot))
+        robot, period, limit, begin = self._robot, self._sample_period, self._limit, self._begin
+        acted = self._acting.acting(kept)
         blocks = slice(begin, begin + in_blocks)
         ahead = slice(begin, begin + in_blocks + 1)  # one more, whose law effort shows what a gap missed
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
@@ -348,4 +316,6 @@ class _SecondPass:
         self._statistics.add(budget, made)
         self._growth.add(kept.rows(slice(begin, begin + count)), self._sample_period, limit)
         self._growth.figures["effort age"] = acted.age * self._period
-        self._parts.done(kept, count)
+        end = begin + count
+        self._begin = min(end, BEFORE)
+        self._kept = kept.rows(slice(end - self._begin, None))

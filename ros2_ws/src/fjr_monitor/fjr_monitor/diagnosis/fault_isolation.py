@@ -20,8 +20,8 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
-from .record import Innovations, Record
-from .residuals import FEWEST_BLOCKS, block_means, deviation, explained, residuals
+from .record import Innovations, Record, blocks_of
+from .residuals import FEWEST_BLOCKS, deviation, explained, residuals
 from .thresholds import BLOCK, LONGEST_GAP
 from .torque_faults import EXPLAINED, UNKNOWN, torque_fault
 
@@ -137,7 +137,7 @@ def velocity_faults(record: Record, names: Sequence[str]) -> tuple[Finding, ...]
     dq, ddq = record.velocity, np.gradient(record.velocity, axis=0)  # ddq times the sample period
     mean = (dq[first + 1] + dq[first]) / 2 - (ddq[first + 1] - ddq[first]) / 12  # trapezoidal rule, first correction
     change = np.gradient(slope, axis=0) / np.median(dt)
-    D, V, dD = (block_means(values, block) for values in (slope, mean, change))
+    D, V, dD = (blocks_of(values, block).mean(axis=1) for values in (slope, mean, change))
     found: list[tuple[float, Finding]] = []
     for channel in range(D.shape[1]):
         e = V[:, channel] - D[:, channel]

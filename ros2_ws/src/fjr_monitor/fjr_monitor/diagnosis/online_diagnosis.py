@@ -27,7 +27,7 @@ from fjr_monitor.diagnosis.causes import (
     rises,
     storage_budget,
 )
-from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting_sums, effort_delay, needed
+from fjr_monitor.diagnosis.delay_estimation import ActingSums, EffortDelay, effort_delay
 from fjr_monitor.diagnosis.grading import BlockStatistics
 from fjr_monitor.diagnosis.record import Innovations
 from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
@@ -176,8 +176,7 @@ class OnlineDiagnosis:
     def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
         seen = self._intervals.last(size + OLDEST, self._new)
-        sums = acting_sums([seen], self._age, self._law.robot)
-        acted = sums.acting(seen, needed(seen, self._law.robot)).rows(slice(-size, None))
+        acted = ActingSums([seen], self._age, self._law.robot).acting(seen).rows(slice(-size, None))
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)

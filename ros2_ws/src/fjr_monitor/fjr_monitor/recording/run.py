@@ -25,7 +25,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import STARTS_REFUSED, STOPS
 from fjr_core.runtime.library import constant
 from fjr_core.runtime.velocity_observer import VelocityObserver
-from fjr_monitor.diagnosis.record import LEAD, PART, Record
+from fjr_monitor.diagnosis.record import LEAD, PART, Record, held_efforts
 from fjr_monitor.recording.bag import Bag, JointTable
 from fjr_monitor.recording.files import Times
 from fjr_monitor.recording.signals import REFERENCE, AnsweredStates, States, first_of_each_stamp, match_stamps
@@ -134,6 +134,7 @@ class Recording:
         reference, stop = RecordedReference(self.scenario), StopFinder(self._answered.events)
         estimate = EstimatedStates(self.scenario) if reader.estimated else None
         certificate, torques, count, first_sent = self._certificate(), ExternalTorques(self.scenario), 0, 0
+        held: Array = np.zeros((0, len(self.joints)))
         for states, u, answered, new, recorded in self._answered.windows():
             begin = min(LEAD, count, new.start)  # states of the part before, which the next one repeats
             cut = slice(new.start - begin, new.stop)
@@ -146,8 +147,11 @@ class Recording:
                 seen = replace(seen, position=position, velocity=velocity)
             first_sent, count = first_sent or int(seen.publish_time[0]), count + new.stop - new.start
             stop.add(seen.stamp, seen.publish_time, t)
+            before = held[-begin - 1] if len(held) > begin else None
+            held = held_efforts(u, before)
             yield RunData(
                 begin=begin,
+                before=before,
                 certify=certificate,
                 observe=torques.of,
                 measured=seen.position if estimate is None else measured,
