@@ -15,7 +15,7 @@ from mcap.records import Message
 
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Table
-from fjr_monitor.recording.files import BagError, Contents, Times, Topic, files_of, read_file
+from fjr_monitor.recording.files import BagError, Contents, Times, Topic, read_files
 from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
 
 JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
@@ -116,18 +116,11 @@ def read_bag(path: str | Path, namespace: str = "") -> Bag:
 
     namespace: of the topics, empty or with a leading slash.
     """
-    path, contents, complete = bag_folder(Path(path)), Contents(), True
-    for file in files_of(path):
-        messages = read_file(file, contents)
-        while True:
-            try:
-                topic, message = next(messages)
-            except StopIteration as end:
-                complete &= bool(end.value)
-                break
-            topic.note(message)
+    path, contents = bag_folder(Path(path)), Contents()
+    for topic, message in read_files(path, contents):
+        topic.note(message)
     topics = {name: topic for name, topic in contents.topics.items() if topic.count}
-    return Bag(path, topics, complete, namespace, tuple(contents.notes))
+    return Bag(path, topics, contents.complete, namespace, tuple(contents.notes))
 
 
 def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator[tuple[str, Message]]:
@@ -137,20 +130,18 @@ def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator
     """
     ahead: list[tuple[int, str, Message]] = []
     size, wanted = 0, frozenset(names)
-    contents = Contents(wanted=wanted)
-    for file in files_of(bag_folder(path)):
-        for topic, message in read_file(file, contents):
-            if topic.name not in wanted:
-                continue
-            ahead.append((message.publish_time if sent else message.log_time, topic.name, message))
-            size += len(message.data)
-            if len(ahead) > AHEAD_MESSAGES or size > AHEAD_BYTES:
-                ahead.sort(key=itemgetter(0))
-                half = max(1, len(ahead) // 2)
-                for _, name, each in ahead[:half]:
-                    yield name, each
-                del ahead[:half]
-                size = sum(len(each.data) for _, _, each in ahead)
+    for topic, message in read_files(bag_folder(path), Contents(wanted=wanted)):
+        if topic.name not in wanted:
+            continue
+        ahead.append((message.publish_time if sent else message.log_time, topic.name, message))
+        size += len(message.data)
+        if len(ahead) > AHEAD_MESSAGES or size > AHEAD_BYTES:
+            ahead.sort(key=itemgetter(0))
+            half = max(1, len(ahead) // 2)
+            for _, name, each in ahead[:half]:
+                yield name, each
+            del ahead[:half]
+            size = sum(len(each.data) for _, _, each in ahead)
     ahead.sort(key=itemgetter(0))
     for _, name, message in ahead:
         yield name, message

@@ -319,10 +319,9 @@ class StopFinder:
 
     def __init__(self, events: Sequence[tuple[Any, int]]) -> None:
         first: tuple[Any, int] = next((each for each in events if each[0].name in HEADINGS), (None, 0))
-        self._event, when = first
+        self._event, sent = first
         pairs = {} if self._event is None else {pair.key: pair.value for pair in self._event.values}
-        self._stamped = STAMP in pairs
-        self._when = int(pairs.get(STAMP, when))
+        self._stamped, self._when = STAMP in pairs, int(pairs.get(STAMP, sent))
         self._at = 0.0
 
     def add(self, stamps: Any, sent: Any, t: Any) -> None:

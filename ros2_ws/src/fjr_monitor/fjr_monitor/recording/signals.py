@@ -46,9 +46,10 @@ class States(JointTable):
 
 
 class RecordedStates:
-    """States from tables of the topic; notes: one sentence for each signal that is missing from the start of the bag.
+    """States from tables of the topic.
 
     known_torque: whether the motors' torque is measured. left_out: number of states that were not complete.
+    other_names, no_motors: a sentence if joint names differ, if the motor side is not measured; else empty.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario) -> None:
@@ -57,7 +58,8 @@ class RecordedStates:
         self._ratio = np.concatenate([np.ones(self._n), np.asarray(self._measured.gear_ratio)])  # of links, motors
         self.left_out = 0
         self.known_torque = False
-        self._foreign, self.notes = self._names(bag)
+        self._foreign, self.other_names = self._names(bag)
+        self.no_motors = ""
         self._needed: Rows | None = None  # columns of position and velocity without which a state is left out
         self.estimated = False
         self._wants_estimate = scenario.controller_values["measurement.velocity"] != "measured"
@@ -84,10 +86,10 @@ class RecordedStates:
         self.known_torque = bool(np.isfinite(table.effort[:, n:]).any())
         self.estimated = (self._wants_estimate or not moving) and not np.isnan(position).all(axis=0).any()
         if np.isnan(position[:, n:]).all():
-            self.notes = (*self.notes, f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power")
+            self.no_motors = f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power"
 
-    def _names(self, bag: Bag) -> tuple[bool, tuple[str, ...]]:
-        """Return whether joints of the scenario are missing, and a note if the joint names differ."""
+    def _names(self, bag: Bag) -> tuple[bool, str]:
+        """Return whether joints of the scenario are missing, and a sentence if the joint names differ."""
         topic, joints = bag.held(STATES), self._joints
         first = [message for _, message in islice(in_order(bag.path, (topic.name,)), SCANNED_MESSAGES)]
         bag.table(topic, joints)  # raises for another type
@@ -97,10 +99,10 @@ class RecordedStates:
         if missing:
             return True, (
                 f"the states name {', '.join(named) or 'no joint'}; the scenario's robot has {', '.join(missing)}: "
-                "another robot's, of which only the timing is shown (give its scenario by --scenario)",
+                "another robot's, of which only the timing is shown (give its scenario by --scenario)"
             )
         note = f"the states name {', '.join(more)}, too, which the scenario's robot does not have"
-        return False, (note,) if more else ()
+        return False, note if more else ""
 
     def _positions(self, table: JointTable) -> Array:
         """Return link and motor positions (k, 2n) [rad]; q_m = q_l + K^-1 tau where the joint torque is measured."""
@@ -291,9 +293,6 @@ class AnsweredStates:
     def _select_notes(self) -> tuple[str, ...]:
         """Return the notes on bag, states and commands."""
         section, reader = self.section, self.reader
-        torn = () if self._bag.complete else ("the bag was not closed: shown is what was written until then",)
-        left_out = (f"{reader.left_out} states are incomplete or not finite and left out",) if reader.left_out else ()
-        jumps = f"time jumps back {self.jumps} times: shown is the longest of {self.jumps + 1} parts"
         unknown = "no effort of the controller, no latency"
         commands = ""
         if self.topic is None:
@@ -305,10 +304,16 @@ class AnsweredStates:
                 f"{ANSWERS} was not recorded: a command of {EFFORTS} is taken to answer the last state sent before it"
             )
         tail, end = (section.last - self.last) * 1e-9, (self.last - section.start) * 1e-9
-        silent = f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown"
-        said = [jumps] * bool(self.jumps) + [commands] * bool(commands) + [silent] * (tail > TAIL)
-        names_first = reader.notes[:1] if reader.notes and "motor side" not in reader.notes[0] else ()
-        return (*torn, *names_first, *left_out, *reader.notes[len(names_first) :], *said)
+        said = (
+            "" if self._bag.complete else "the bag was not closed: shown is what was written until then",
+            reader.other_names,
+            f"{reader.left_out} states are incomplete or not finite and left out" if reader.left_out else "",
+            reader.no_motors,
+            f"time jumps back {self.jumps} times: shown is the longest of {self.jumps + 1} parts" if self.jumps else "",
+            commands,
+            f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown" if tail > TAIL else "",
+        )
+        return tuple(note for note in said if note)
 
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:

@@ -143,7 +143,7 @@ class Report:
     def steady_error(self, write: Formatter = number) -> str:
         """Return the largest error after 2 s, e.g. 1.4e-4 rad (joint2)."""
         error, joint = self.tracking.max_error_after_2s_rad, self.tracking.max_error_after_2s_joint
-        return write(np.nan, "") if error is None else write(error, self._joint(joint).position_unit) + self._at(joint)
+        return write(error, self._joint(joint).position_unit) + self._at(joint)
 
     def _joint(self, name: str | None) -> JointMetrics:
         """Return the metrics of a joint, of the first one for None."""
