@@ -184,8 +184,7 @@ class StorageGrowth:
         if not len(found):
             return
         risen = rises(found, limit, *self._last)
-        foreign_last = bool(foreign(found.rows(slice(-1, None)), limit)[0])
-        self._last = (float(risen[1, -1]), np.inf if foreign_last else float(found.V1[-1]))
+        self._last = float(risen[1, -1]), float(risen[0, -1]) or np.inf  # 0: not the effort of the law
         self.highest = highest(np.hstack([self.highest, risen]))
         third, places = max(1, self._total // 3), self._done + np.arange(len(found))
         for i, rows in enumerate((places < third, places >= self._total - third)):

@@ -245,12 +245,9 @@ def _median(counts: Sequence[int] | NDArray[np.int64]) -> float:
 
 def _clipped(sent: Array, acting: Array, largest: Array) -> NDArray[np.bool_]:
     """Return where (k, n) the motor is saturated: at its largest torque for CLIPPED_FOR intervals, commanded more."""
+    from scipy.ndimage import binary_opening  # loaded on use: the running nodes measure no torque
+
     size = np.abs(acting)
     at_most = size >= (1 - thresholds.CLIPPED_LEVEL) * largest
     flags = at_most & (np.abs(sent) > (1 + thresholds.CLIPPED_BY) * size) & (sent * acting > 0)
-    kept = np.zeros_like(flags)
-    for j, column in enumerate(flags.T):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
-        for start, end in edges.reshape(-1, 2):
-            kept[start:end, j] = end - start >= thresholds.CLIPPED_FOR
-    return kept
+    return np.asarray(binary_opening(flags, np.ones((thresholds.CLIPPED_FOR, 1))))

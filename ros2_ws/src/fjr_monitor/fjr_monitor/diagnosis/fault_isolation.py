@@ -27,7 +27,7 @@ from .torque_faults import EXPLAINED, UNKNOWN, torque_fault
 
 CONTRADICTION = 5.0
 """Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
-SLIPS, SLIP = 2, 0.01
+JUMPS, OTHERS = 2, 0.01
 """Blocks in which a position jumps, and the share of the power that others have, if an encoder slips."""
 DISCRETISED = 5e-4
 """Difference relative to the speed that is attributed to discretisation."""
@@ -144,7 +144,7 @@ def velocity_faults(record: Record, names: Sequence[str]) -> tuple[Finding, ...]
         noise = deviation(e[:, None])[0]
         sigma = float(np.hypot(noise, DISCRETISED * np.sqrt(np.mean(D[:, channel] ** 2)) + 1e-9))
         power = float(np.mean(e**2)) / sigma**2
-        slipped = np.sort(e**2)[:-SLIPS].sum() < SLIP * np.sum(e**2)
+        slipped = np.sort(e**2)[:-JUMPS].sum() < OTHERS * np.sum(e**2)
         if power > CONTRADICTION**2 and not slipped:
             found.append((power, _contradicted(channel, e, noise, D, dD, names)))
     return tuple(finding for _, finding in sorted(found, key=lambda each: -each[0]))

@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -47,11 +48,7 @@ VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy
 
 Status = Literal["stopped", "late", "holding", "degraded", "violated", "unknown"]
 Formatter = Callable[[float, str], str]  # (value, unit) -> text
-
-
-def four_digits(value: float, unit: str) -> str:
-    """Return a value and its unit with four digits."""
-    return number(value, unit, 4)
+FOUR_DIGITS: Formatter = partial(number, digits=4)
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ class Report:
         """Return the effort unit of the joints: N m, N, or both."""
         return joined(each.effort_unit for each in self.joints)
 
-    def peak_effort(self, write: Formatter = four_digits) -> str:
+    def peak_effort(self, write: Formatter = FOUR_DIGITS) -> str:
         """Return the peak effort, e.g. 43.1 N m (joint2)."""
         joint = self.tracking.peak_effort_joint
         return write(self.tracking.peak_effort_nm, self._joint(joint).effort_unit) + self._at(joint)
@@ -131,7 +128,7 @@ class Report:
         at = self._at(self.tracking.largest_share_joint)
         return "" if share is None else f"{percent(share, 0)} of its limit{at}"
 
-    def peak_effort_and_share(self, write: Formatter = four_digits) -> str:
+    def peak_effort_and_share(self, write: Formatter = FOUR_DIGITS) -> str:
         """Return both, e.g. 43.1 N m (joint2), 68 % of its limit (joint4)."""
         return ", ".join(filter(None, (self.peak_effort(write), self.effort_share())))
 
@@ -220,16 +217,11 @@ class Metrics:
             return unknown("V does not include the disturbance estimate (robust.* is enabled)")
         return self._diagnosis.result(self.run.velocities_measured)
 
-    def _contact(self, verdict: Diagnosis) -> Contact | None:
-        """Return the contact of a run whose verdict has an external torque, None for others."""
-        joints = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
-        law = self.run.scenario.certified_law
-        return contact(self.run, law, joints) if joints and law else None
-
     def report(self, name: str, duration: float, **more: Any) -> Report:
         """Return the report of `duration` seconds of stamped time; more: fields that the bag does not hold."""
-        run, verdict = self.run, self.verdict()
-        touched = self._contact(verdict)
+        run, verdict, law = self.run, self.verdict(), self.run.scenario.certified_law
+        joints = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
+        touched = contact(run, law, joints) if joints and law else None
         lost = {topic: each.lost for topic, each in sorted(run.bag.topics.items())}
         versions: dict[str, str] = {}
         for each in VERSIONS:
