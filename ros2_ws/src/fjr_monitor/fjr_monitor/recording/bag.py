@@ -8,7 +8,6 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.records import Message
@@ -88,12 +87,14 @@ class Bag:
             return JointTable(times, times, values, values, values)
         (first,) = topic.decode(topic.messages[:1])
         arrays = joint_state_arrays([message.data for message in topic.messages], first)
-        if arrays is None:
-            found = topic.decoded
-            stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
-            return JointTable(stamps, topic.publish_time, *(_columns(found, what, joints) for what in FIELDS))
-        stamp, columns = arrays
-        return JointTable(stamp, topic.publish_time, *(_named(columns[what], first.name, joints) for what in FIELDS))
+        if arrays is not None:
+            stamp, columns = arrays
+            named = [_named(columns[what], first.name, joints) for what in FIELDS]
+            return JointTable(stamp, topic.publish_time, *named)
+        found = topic.decoded  # messages differ in names or lengths
+        stamp = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
+        rows = [[_named(np.atleast_2d(getattr(m, what)), m.name, joints) for m in found] for what in FIELDS]
+        return JointTable(stamp, topic.publish_time, *map(np.concatenate, rows))
 
     def batches(self, names: Collection[str], leading: str, size: int) -> Iterator[dict[str, Topic]]:
         """Yield the messages of topics, as they were sent, in batches of `size` messages of the leading topic.
@@ -172,11 +173,6 @@ def _efforts(topic: Topic, n: int) -> JointTable:
     times = np.array([sent for sent, _ in valid], dtype=np.int64)
     nothing = np.full((len(valid), n), np.nan)
     return JointTable(times, times, nothing, nothing, np.array([data for _, data in valid]).reshape(-1, n))
-
-
-def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:
-    """Return the field `what` of the named joints, (k, n), of messages that differ in names or lengths."""
-    return np.concatenate([_named(np.atleast_2d(getattr(each, what)), each.name, joints) for each in messages])
 
 
 def header_stamp(data: bytes) -> int:

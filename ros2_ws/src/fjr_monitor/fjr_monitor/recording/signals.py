@@ -200,18 +200,14 @@ class AnsweredStates:
         for states, new, tables in self._tables((*self._topics, *([REFERENCE] if self._bag.holds(REFERENCE) else []))):
             inside = (states.number >= section.number) & (states.number < section.end_number)
             states, new = states.rows(inside), new[inside]
-            fresh, around = (
-                section.rows(states, those, after, self._duration)
-                for those, after in ((new, last), (np.ones_like(new), section.start - 1))
-            )
+            fresh = section.rows(states, new, last, self._duration)
+            around = section.rows(states, np.ones_like(new), section.start - 1, self._duration)
             fresh, around = (rows[states.stamp[rows] <= self.last] for rows in (fresh, around))
             if not len(fresh):
                 continue
             u, answered = self._commands(states, tables, section)
-            place, last = (
-                int(np.searchsorted(states.stamp[around], states.stamp[fresh[0]])),
-                int(states.stamp[fresh[-1]]),
-            )
+            begin, last = states.stamp[fresh[[0, -1]]]
+            place = int(np.searchsorted(states.stamp[around], begin))
             rows = slice(place, place + len(fresh))
             yield states.rows(around), u[around], answered[around], rows, tables.get(REFERENCE)
 

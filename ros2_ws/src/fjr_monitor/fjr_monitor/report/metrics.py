@@ -21,7 +21,7 @@ from fjr_core.config.law import robust as build_robust
 from fjr_core.files.text_file import write_text
 from fjr_core.law.rate import NO_RATE
 from fjr_core.model.robot import joined
-from fjr_monitor.diagnosis.diagnosis import PartwiseDiagnosis
+from fjr_monitor.diagnosis.diagnosis import FirstPass, SecondPass
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import EXTERNAL, Diagnosis, unknown
 from fjr_monitor.recording.run import ControllerStop, Recording, RunData
@@ -174,14 +174,15 @@ class Metrics:
 
     def __init__(self, run: Recording) -> None:
         self.run = run
-        self._diagnosis: PartwiseDiagnosis | None = None
+        self._diagnosis: SecondPass | None = None
         rate = NO_RATE
         if (law := run.scenario.certified_law) is not None:
             scales = JointTolerances.of(run.scenario.controller_values, run.scenario.robot)
-            self._diagnosis = PartwiseDiagnosis(law, run.states, run.step, not run.lockstep, scales)
+            first = FirstPass(law, run.states, run.step, not run.lockstep, scales)
             for part in run.parts():
-                self._diagnosis.first_pass(part)
-            rate = self._diagnosis.visited.rate(law)
+                first.add(part)
+            rate = first.visited.rate(law)
+            self._diagnosis = SecondPass(first, rate.beta)
         self.efforts_known = self.energy_known = self._storage_known = False
         self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
         self.tracked, self.balance = Tracked(run), Balance()
@@ -200,7 +201,7 @@ class Metrics:
             self.decay.add(part)
             self.balance.add(flow)
             if self._diagnosis is not None:
-                self._diagnosis.second_pass(part, self.decay.beta, part.certificate)
+                self._diagnosis.add(part, part.certificate)
             also(part, flow)
             self.seconds = float(part.t[-1])
 
