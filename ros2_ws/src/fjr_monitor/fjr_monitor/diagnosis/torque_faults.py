@@ -132,7 +132,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
         return (external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names),)
     if len(several) > MOST_KINDS:
         what = f"{names[joint]}: no one kind of fault explains the residual torque better than others"
-        return (Finding(UNKNOWN, names[joint], "", np.nan, "", share, what),)
+        return (Finding(UNKNOWN, names[joint], share=share, sentence=what),)
     first = several[0]
     what = " or ".join(each.place(names) for each in several) + f" explains {100 * share:.0f} % of the residual torque"
     since = float(seen.t[first.onset]) if first.onset else 0.0
@@ -160,9 +160,8 @@ def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:
         return None
     joint, side = names[best % n], (LINK, MOTOR, JOINT)[best // n]
     what = f"{joint if side == JOINT else f'{side} of {joint}'}: torques of no known kind of fault"
-    return Finding(
-        UNKNOWN, joint, side, np.nan, "", share, f"{what} explain {100 * share:.0f} % of the residual torque"
-    )
+    said = f"{what} explain {100 * share:.0f} % of the residual torque"
+    return Finding(UNKNOWN, joint, side, share=share, sentence=said)
 
 
 def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
@@ -183,7 +182,7 @@ def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
         return None
     concerned = ", ".join(names[j] for j in np.flatnonzero(felt))
     share = float((size[:, :n] ** 2).sum() / (size**2).sum())
-    return Finding(EXTERNAL, concerned, LINK, np.nan, "", share, f"{EXTERNAL} on {concerned}")
+    return Finding(EXTERNAL, concerned, LINK, share=share, sentence=f"{EXTERNAL} on {concerned}")
 
 
 def unexplained(nearest: FittedFault, share: float, names: Sequence[str]) -> Finding:
@@ -191,4 +190,4 @@ def unexplained(nearest: FittedFault, share: float, names: Sequence[str]) -> Fin
     sentence = "no single fault explains the residual torque"
     if share >= NEAREST:
         sentence += f"; the nearest, {nearest.kind} ({nearest.fault.place(names)}), explains {100 * share:.0f} %"
-    return Finding(UNKNOWN, "", "", np.nan, "", share, sentence)
+    return Finding(UNKNOWN, "", share=share, sentence=sentence)

@@ -192,7 +192,7 @@ class AnsweredStates:
         self.notes = self._select_notes()  # on bag, states and commands
 
     def windows(self) -> Iterator[tuple[States, Array, Times, slice, JointTable | None]]:
-        """Yield states of the run and their commands, as of `commands_of`; rows of the new states among them.
+        """Yield states of the run and their commands, as of `_commands`; rows of the new states among them.
 
         Last in each: the recorded reference about these states, None: none was recorded.
         """
@@ -278,13 +278,30 @@ class AnsweredStates:
         return best
 
     def _commands(self, states: States, tables: dict[str, JointTable], section: Section) -> tuple[Array, Times]:
-        """Return efforts and send times of the commands to states of a section."""
-        if self.topic is None:
-            return commands_of(states, None, False)
-        table = tables[self.topic]
+        """Return the command of each of k states: u (k, n) [N m], send time (k,) [ns]; NaN and -1 without a command.
+
+        Commands are matched by stamp where they carry one; else each state has the first one sent after it and before
+        the next state. states, commands: of a section.
+        """
+        time, stamped = states.publish_time, self.topic == ANSWERS
+        nothing = np.full((len(time), len(self._joints)), np.nan), np.full(len(time), -1, dtype=np.int64)
+        if self.topic is None or not len(time):
+            return nothing
+        table, begin = tables[self.topic], section.first_sent
         end = section.last_sent + AFTERWARDS if section.end_number < END else END
-        inside = (table.publish_time >= section.first_sent) & (table.publish_time <= end)
-        return commands_of(states, table.rows(inside), self.topic == ANSWERS)
+        if stamped:
+            begin, end = max(begin, time[0]), min(end, time[-1] + AFTERWARDS)
+        table = table.rows((table.publish_time >= begin) & (table.publish_time <= end))
+        if not len(table.stamp):
+            return nothing
+        if stamped:
+            table = table.rows(first_of_each_stamp(table.stamp))
+            place, found = match_stamps(states.stamp, table.stamp)
+        else:
+            place = np.searchsorted(table.publish_time, time)
+            found, place = place < len(table.stamp), np.minimum(place, len(table.stamp) - 1)
+            found &= table.publish_time[place] < np.append(time[1:], END)
+        return np.where(found[:, None], table.effort[place], np.nan), np.where(found, table.publish_time[place], -1)
 
     def _select_notes(self) -> tuple[str, ...]:
         """Return the notes on bag, states and commands."""
@@ -315,27 +332,6 @@ class AnsweredStates:
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
     """Return the row of the first message of each stamp, in order of time; duplicated messages are dropped."""
     return np.unique(stamp, return_index=True)[1]
-
-
-def commands_of(states: States, table: JointTable | None, stamped: bool) -> tuple[Array, Times]:
-    """Return the command of each of k states: u (k, n) [N m], send time (k,) [ns]; NaN and -1 without a command.
-
-    Commands are matched by stamp where they carry one; else each state has the first one sent after it and before the
-    next state.
-    """
-    time, n = states.publish_time, states.position.shape[1] // 2
-    if table is not None and stamped and len(time):
-        table = table.rows((table.publish_time >= time[0]) & (table.publish_time <= time[-1] + AFTERWARDS))
-        table = table.rows(first_of_each_stamp(table.stamp))
-    if table is None or not len(table.stamp) or not len(time):
-        return np.full((len(time), n), np.nan), np.full(len(time), -1, dtype=np.int64)
-    if stamped:
-        place, found = match_stamps(states.stamp, table.stamp)
-    else:
-        place = np.searchsorted(table.publish_time, time)
-        found, place = place < len(table.stamp), np.minimum(place, len(table.stamp) - 1)
-        found &= table.publish_time[place] < np.append(time[1:], np.iinfo(np.int64).max)
-    return np.where(found[:, None], table.effort[place], np.nan), np.where(found, table.publish_time[place], -1)
 
 
 def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
