@@ -43,11 +43,6 @@ class EffortDelay(NamedTuple):
     fraction: float = 0.0
     measured: bool = False
 
-    @property
-    def late(self) -> bool:
-        """Return whether the delay is not zero."""
-        return self.whole > 0 or self.fraction > 0
-
 
 @dataclass(frozen=True)
 class Acting(Table):

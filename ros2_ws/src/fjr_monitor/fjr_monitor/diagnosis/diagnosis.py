@@ -151,7 +151,7 @@ class FirstPass:
         late = foreseen(found)
         free = ~(self.acting().acting(found).cut != 0).any(axis=1)
         moved = self.acting(by_torque=False)
-        if moved.age.late:
+        if moved.age.whole or moved.age.fraction:
             acted = moved.acting(found)
             late = late + acted.late + acted.lost
         return isolate(self._ends, found.rows(free), late[free], self.law, self.axes.names)

@@ -21,7 +21,7 @@ from fjr_core.runtime.events import Finding
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
 from .record import Innovations, Record, blocks_of
-from .residuals import FEWEST_BLOCKS, deviation, explained, residuals
+from .residuals import FEWEST_BLOCKS, deviation, explained_share, residuals
 from .thresholds import BLOCK, LONGEST_GAP
 from .torque_faults import EXPLAINED, UNKNOWN, torque_fault
 
@@ -163,7 +163,7 @@ def _contradicted(channel: int, e: Array, noise: float, D: Array, dD: Array, nam
             fits.append((float(((e - factor * x) ** 2).sum()), factor, kind, k))
     left, factor, kind, k = min(fits)
     total, noisy = float((e**2).sum()), len(e) * noise**2
-    share = explained(left - noisy, total - noisy)
+    share = explained_share(left - noisy, total - noisy)
     size, unit, what = np.nan, "", "contradicts the slope of the position"
     if share < EXPLAINED or (kind == "velocity delay" and factor < 0):
         kind = UNKNOWN

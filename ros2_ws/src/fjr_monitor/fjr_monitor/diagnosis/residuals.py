@@ -146,7 +146,7 @@ def over_rows(function: Callable[[Array], Array], rows: Array, columns: int) -> 
     return values.reshape(len(values), len(rows), columns).transpose(1, 0, 2)
 
 
-def explained(left: float, total: float) -> float:
+def explained_share(left: float, total: float) -> float:
     """Return the share of a sum of squares that a fit explains; left: what it leaves. Both less what noise makes."""
     return float(np.clip(1 - max(left, 0.0) / max(total, 1e-300), 0.0, 1.0))
 

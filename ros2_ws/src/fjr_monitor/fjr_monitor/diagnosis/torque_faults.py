@@ -16,7 +16,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
 from .hypotheses import JOINT, LINK, MOTOR, Hypothesis, hypotheses
-from .residuals import Residuals, explained
+from .residuals import Residuals, explained_share
 from .verdict import EXTERNAL
 
 UNKNOWN = "unknown"
@@ -122,7 +122,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
     fitted = fits(seen)
     best = fitted[0]
-    share = explained(best.left - noise, total - noise)
+    share = explained_share(best.left - noise, total - noise)
     equal = [each for each in fitted if not _clearly(best.left, each.left, seen.r.size)]
     simplest = min(each.fault.unknowns for each in equal)
     kinds = {(each.kind, each.fault.joint): each for each in reversed(equal) if each.fault.unknowns == simplest}
@@ -154,7 +154,7 @@ def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:
     left = float((y**2).sum()) - ((y @ directions.T) ** 2).sum(axis=0)
     of_noise = len(y) * (seen.noise / seen.sigma) ** 2
     best, total, noise = int(np.argmin(left)), float((y**2).sum()), float(of_noise.sum())
-    share = explained(left[best] - noise + float(directions[best] ** 2 @ of_noise), total - noise)
+    share = explained_share(left[best] - noise + float(directions[best] ** 2 @ of_noise), total - noise)
     others = left[np.arange(3 * n) % n != best % n]
     if share < EXPLAINED or not all(_clearly(left[best], each, y.size) for each in others):
         return None
