@@ -154,19 +154,24 @@ def test_begin_of_a_fault_of_the_robot_is_the_likeliest() -> None:
     assert finding.since == pytest.approx(0.8, abs=0.04)
 
 
+def found_in(seen: Record, signs: Array, drawn: bool) -> Finding:
+    """Return what is found if torques of 0.1 N m times `signs` (4,) act in a record; drawn: anew in each block."""
+    found, rng, noise = innovations(seen, law()), np.random.default_rng(2), np.full(4, 1e-3)
+    left = residuals(found, np.zeros((len(found), 2)), law())
+    assert left is not None
+    size = 0.1 * (rng.standard_normal((len(left.r), 1)) if drawn else np.ones((len(left.r), 1)))
+    r = size * signs + noise * rng.standard_normal(left.r.shape)
+    (finding,) = torque_fault(replace(left, r=r, sigma=noise, noise=noise), NAMES)
+    return finding
+
+
 @pytest.mark.parametrize(("joints", "named"), [((0,), True), ((0, 1), False)])
 def test_kinds_that_fit_equally_well_are_named_together(joints: tuple[int, ...], named: bool) -> None:
     """At rest a wrong stiffness leaves the torque of an offset; torques on two joints have no single cause."""
     q = np.array([0.4, -0.3])
     start = MODEL.state(q, q + np.linalg.solve(MODEL.K, MODEL.grad_P_l(q)), *np.zeros((2, 2)))
     still = recorded(law(), fjr.Sine([0.0, 0.0], [1.0, 1.0], q), start, round(DURATION / PERIOD))
-    found = innovations(still, law())
-    seen = residuals(found, np.zeros((len(found), 2)), law())
-    assert seen is not None
-    noise = np.full(4, 1e-3)
-    torque = sum(0.1 * (np.eye(4)[j] - np.eye(4)[2 + j]) for j in joints)
-    r = torque + noise * np.random.default_rng(1).standard_normal(seen.r.shape)
-    (finding,) = torque_fault(replace(seen, r=r, sigma=noise, noise=noise), NAMES)
+    finding = found_in(still, sum(np.eye(4)[j] - np.eye(4)[2 + j] for j in joints), drawn=False)
     assert (finding.joint == "shoulder") is named
     assert ({"stiffness", "position offset"} <= {*finding.kind.split(" or ")}) is named or finding.kind == UNKNOWN
 
@@ -177,13 +182,8 @@ def test_kinds_that_fit_equally_well_are_named_together(joints: tuple[int, ...],
 )
 def test_place_of_an_unknown_torque_is_named(channels: tuple[int, ...], joint: str, side: str) -> None:
     """A torque that is drawn anew in each block fits no kind; on a link and another joint's motor it has no place."""
-    found = innovations(record(), law())
-    seen = residuals(found, np.zeros((len(found), 2)), law())
-    assert seen is not None
-    rng, noise = np.random.default_rng(2), np.full(4, 1e-3)
     signs = sum(np.eye(4)[channel] * (-1) ** i for i, channel in enumerate(channels))
-    r = 0.1 * rng.standard_normal((len(seen.r), 1)) * signs + noise * rng.standard_normal(seen.r.shape)
-    (finding,) = torque_fault(replace(seen, r=r, sigma=noise, noise=noise), NAMES)
+    finding = found_in(record(), signs, drawn=True)
     assert (finding.kind, finding.joint, finding.side) == (UNKNOWN, joint, side)
 
 

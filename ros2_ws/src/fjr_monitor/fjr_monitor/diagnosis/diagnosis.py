@@ -90,7 +90,8 @@ def diagnose(
     faults are then not isolated, nor in a loop that is unstable at its sample period. size: states processed at once.
     """
     step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
-    first = FirstPass(law, len(record.t), step, bool(record.known_latency().any()), axes)
+    axes, timed = axes or JointTolerances.plain(law.robot.n), bool(record.known_latency().any())
+    first = FirstPass(law, len(record.t), step, timed, axes)
     for part in record.parts(size):
         first.add(part)
     second = SecondPass(first, beta)
@@ -100,21 +101,15 @@ def diagnose(
 
 
 class FirstPass:
-    """What the parts of a record, which is never in memory as a whole, say before a SecondPass diagnoses it.
+    """What the parts of a record, which is never in memory as a whole, say before a SecondPass diagnoses it."""
 
-    Memory does not grow with the record, except by one number for each BLOCK of intervals.
-    """
-
-    def __init__(
-        self, law: TrackingLaw, states: int, step: float, timed: bool, axes: JointTolerances | None = None
-    ) -> None:
+    def __init__(self, law: TrackingLaw, states: int, step: float, timed: bool, axes: JointTolerances) -> None:
         """Start without parts of a record, of which is known what follows.
 
         states: their number. step [s]: median time between two. timed: whether latencies are known. axes: names, units
-        and tolerances of the joints; None: JointTolerances.plain.
+        and tolerances of the joints.
         """
-        self.law, self.axes = law, axes or JointTolerances.plain(law.robot.n)
-        self.step, self._timed = step, timed
+        self.law, self.axes, self.step, self._timed = law, axes, step, timed
         self.reference = Visited(law.robot.n, states, CONFIGURATIONS)  # a diverging robot may be anywhere else
         self.visited = Visited(law.robot.n, states, VISITED)
         self.intervals, self.moving = 0, False
@@ -160,10 +155,10 @@ class FirstPass:
 class SecondPass:
     """Diagnosis of a record by its parts, added once more: storage budget, errors by cause and growth of V, by blocks.
 
-    Kept are the latest intervals, of which the first `_begin`, at most BEFORE, are done.
+    Kept are the latest intervals, of which the first `_begin`, at most BEFORE, are done, and one number for each BLOCK.
     """
 
-    def __init__(self, first: FirstPass, beta: float | None = None) -> None:
+    def __init__(self, first: FirstPass, beta: float | None) -> None:
         """Start without parts; beta [1/s]: guaranteed rate of V, as of diagnose."""
         self._first, self._law, self._robot, self._period = first, first.law, first.law.robot, first.step
         self._kept: Innovations | None = None
@@ -195,7 +190,7 @@ class SecondPass:
             if whole > 0:
                 self._process(kept, whole, whole)
 
-    def result(self, velocities_measured: bool = True) -> Diagnosis:
+    def result(self, velocities_measured: bool) -> Diagnosis:
         """Return the diagnosis of all parts, with the faults that explain it; velocities_measured: as of diagnose."""
         if not self._first.moving:
             return unknown("the states hold no velocities")
