@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -36,16 +37,14 @@ def law() -> fjr.TrackingLaw:
     return fjr.TrackingLaw(MODEL, fjr.synthesize(MODEL, 8.0, PERIOD))
 
 
-def record(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Record:
-    """Run the loop with another robot than the model, or with offsets (4n,) of positions and velocities."""
-    by = np.zeros(8) if offset is None else offset
+def record(robot: fjr.Robot = MODEL, **faults: Any) -> Record:
+    """Run the loop with another robot than the model, or with faults of sensors or efforts (loops.recorded)."""
     reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    samples = round(DURATION / PERIOD)
-    return recorded(law(), reference, np.zeros(8), samples, robot, lambda q, dq: (q + by[:4], dq + by[4:]))
+    return recorded(law(), reference, np.zeros(8), round(DURATION / PERIOD), robot, **faults)
 
 
-def verdict(robot: fjr.Robot = MODEL, offset: Array | None = None) -> Diagnosis:
-    return diagnose(record(robot, offset), law(), axes=AXES)
+def verdict(robot: fjr.Robot = MODEL, **faults: Any) -> Diagnosis:
+    return diagnose(record(robot, **faults), law(), axes=AXES)
 
 
 def test_healthy_run_has_no_finding() -> None:
@@ -109,13 +108,6 @@ def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:
     assert finding.size == pytest.approx(largest, rel=0.05)
 
 
-@pytest.mark.parametrize(("channel", "joint", "side"), [(0, "shoulder", "link"), (3, "elbow", "motor")])
-def test_position_sensor_offset_is_estimated_in_rad(channel: int, joint: str, side: str) -> None:
-    (finding,) = verdict(offset=1e-3 * np.eye(8)[channel]).findings
-    assert (finding.kind, finding.joint, finding.side, finding.unit) == ("position offset", joint, side, "rad")
-    assert finding.size == pytest.approx(1e-3, rel=0.02)
-
-
 def encoder(kind: str, channel: int, size: float, begin: float) -> Sensed:
     """Return what an encoder with a fault measures, whose velocity is the rate of its position."""
     taken, one = itertools.count(), np.eye(4)[channel]
@@ -123,6 +115,7 @@ def encoder(kind: str, channel: int, size: float, begin: float) -> Sensed:
     def sensed(q: Array, dq: Array) -> tuple[Array, Array]:
         since = PERIOD * next(taken) - begin
         error, rate = {
+            "position offset": (size * np.ones(4), np.zeros(4)),
             "encoder gain": (size / 100 * q, size / 100 * dq),
             "eccentricity": (size * np.sin(q + 0.3), size * np.cos(q + 0.3) * dq),
             "encoder drift": (size * since, size * np.ones(4)),
@@ -134,36 +127,42 @@ def encoder(kind: str, channel: int, size: float, begin: float) -> Sensed:
 
 
 @pytest.mark.parametrize(
-    ("kind", "size", "begin"),
+    ("kind", "size", "unit", "begin"),
     [
-        ("encoder gain", -2.0, 0.0),
-        ("eccentricity", 5e-3, 0.0),
-        ("encoder drift", 2e-3, 0.0),
-        ("encoder slip", 2e-3, 0.7),
+        ("position offset", 1e-3, "rad", 0.0),
+        ("encoder gain", -2.0, "%", 0.0),
+        ("eccentricity", 5e-3, "rad", 0.0),
+        ("encoder drift", 2e-3, "rad/s", 0.0),
+        ("encoder slip", 2e-3, "rad", 0.7),
     ],
 )
 @pytest.mark.parametrize(("channel", "joint", "side"), [(0, "shoulder", "link"), (3, "elbow", "motor")])
 def test_faulty_encoder_is_named_with_its_size_and_begin(
-    channel: int, joint: str, side: str, kind: str, size: float, begin: float
+    channel: int, joint: str, side: str, kind: str, size: float, unit: str, begin: float
 ) -> None:
-    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    sensed = encoder(kind, channel, size, begin)
-    seen = recorded(law(), reference, np.zeros(8), round(DURATION / PERIOD), sensed=sensed)
-    (finding,) = diagnose(seen, law(), axes=AXES).findings
-    assert (finding.kind, finding.joint, finding.side) == (kind, joint, side)
-    assert finding.size == pytest.approx(size, rel=0.05)
+    (finding,) = verdict(sensed=encoder(kind, channel, size, begin)).findings
+    assert (finding.kind, finding.joint, finding.side, finding.unit) == (kind, joint, side, unit)
+    assert finding.size == pytest.approx(size, rel=0.02 if kind == "position offset" else 0.05)
     assert finding.since == pytest.approx(begin, abs=0.04)
 
 
 def test_begin_of_a_fault_of_the_robot_is_the_likeliest() -> None:
     """The motor of the elbow loses a tenth of its torque after 0.8 s."""
     taken = itertools.count()
-    weak = lambda u: u * (1 - [0.0, 0.1] * np.array(next(taken) * PERIOD >= 0.8))  # noqa: E731
-    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-    seen = recorded(law(), reference, np.zeros(8), round(DURATION / PERIOD), acting=weak)
-    (finding,) = diagnose(seen, law(), axes=AXES).findings
+    (finding,) = verdict(acting=lambda u: u * (1 - [0.0, 0.1] * np.array(next(taken) * PERIOD >= 0.8))).findings
     assert (finding.kind, finding.joint, finding.side) == ("torque constant", "elbow", "motor")
     assert finding.since == pytest.approx(0.8, abs=0.04)
+
+
+def found_in(seen: Record, signs: Array, drawn: bool) -> Finding:
+    """Return what is found if torques of 0.1 N m times `signs` (4,) act in a record; drawn: anew in each block."""
+    found, rng, noise = innovations(seen, law()), np.random.default_rng(2), np.full(4, 1e-3)
+    left = residuals(found, np.zeros((len(found), 2)), law())
+    assert left is not None
+    size = 0.1 * (rng.standard_normal((len(left.r), 1)) if drawn else np.ones((len(left.r), 1)))
+    r = size * signs + noise * rng.standard_normal(left.r.shape)
+    (finding,) = torque_fault(replace(left, r=r, sigma=noise, noise=noise), NAMES)
+    return finding
 
 
 @pytest.mark.parametrize(("joints", "named"), [((0,), True), ((0, 1), False)])
@@ -172,13 +171,7 @@ def test_kinds_that_fit_equally_well_are_named_together(joints: tuple[int, ...],
     q = np.array([0.4, -0.3])
     start = MODEL.state(q, q + np.linalg.solve(MODEL.K, MODEL.grad_P_l(q)), *np.zeros((2, 2)))
     still = recorded(law(), fjr.Sine([0.0, 0.0], [1.0, 1.0], q), start, round(DURATION / PERIOD))
-    found = innovations(still, law())
-    seen = residuals(found, np.zeros((len(found), 2)), law())
-    assert seen is not None
-    noise = np.full(4, 1e-3)
-    torque = sum(0.1 * (np.eye(4)[j] - np.eye(4)[2 + j]) for j in joints)
-    r = torque + noise * np.random.default_rng(1).standard_normal(seen.r.shape)
-    (finding,) = torque_fault(replace(seen, r=r, sigma=noise, noise=noise), NAMES)
+    finding = found_in(still, sum(np.eye(4)[j] - np.eye(4)[2 + j] for j in joints), drawn=False)
     assert (finding.joint == "shoulder") is named
     assert ({"stiffness", "position offset"} <= {*finding.kind.split(" or ")}) is named or finding.kind == UNKNOWN
 
@@ -189,13 +182,8 @@ def test_kinds_that_fit_equally_well_are_named_together(joints: tuple[int, ...],
 )
 def test_place_of_an_unknown_torque_is_named(channels: tuple[int, ...], joint: str, side: str) -> None:
     """A torque that is drawn anew in each block fits no kind; on a link and another joint's motor it has no place."""
-    found = innovations(record(), law())
-    seen = residuals(found, np.zeros((len(found), 2)), law())
-    assert seen is not None
-    rng, noise = np.random.default_rng(2), np.full(4, 1e-3)
     signs = sum(np.eye(4)[channel] * (-1) ** i for i, channel in enumerate(channels))
-    r = 0.1 * rng.standard_normal((len(seen.r), 1)) * signs + noise * rng.standard_normal(seen.r.shape)
-    (finding,) = torque_fault(replace(seen, r=r, sigma=noise, noise=noise), NAMES)
+    finding = found_in(record(), signs, drawn=True)
     assert (finding.kind, finding.joint, finding.side) == (UNKNOWN, joint, side)
 
 

@@ -28,7 +28,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import momentum_matrix
 from fjr_core.stability.linearization import SampledLoop
 from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
-from fjr_monitor.diagnosis.record import Innovations
+from fjr_monitor.diagnosis.record import Innovations, blocks_of
 
 from .thresholds import AT_LIMIT, BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE
 from .verdict import MISMATCH, SATURATION
@@ -127,21 +127,14 @@ def _persistent(found: Innovations, acted: Acting, usual: Array, robot: Robot) -
     The residual excludes the known deviations of the effort.
     """
     effort = acted.cut + acted.late + acted.lost + usual
-    slope, errors = _sums(found.slope), blocks_of(found.error - state_change(found, effort, robot))
+    slope, errors = _sums(found.slope), blocks_of(found.error - state_change(found, effort, robot), BLOCK)
     gain: Array = (slope * errors.mean(axis=1)).sum(axis=1)
     deviation: Array = np.sqrt((slope**2 * errors.var(axis=1)).sum(axis=1) / BLOCK)
     return gain, deviation
 
 
-def blocks_of(values: Array) -> Array:
-    """Return values (k, ...) as (b, BLOCK, ...) without an incomplete last block."""
-    count = len(values) // BLOCK
-    return values[: count * BLOCK].reshape(count, BLOCK, *values.shape[1:])
-
-
 def _sums(values: Array) -> Array:
-    sums: Array = blocks_of(values).sum(axis=1)
-    return sums
+    return np.asarray(blocks_of(values, BLOCK).sum(axis=1))
 
 
 def rises(found: Innovations, limit: Array, lowest: float = np.inf, before: float = np.nan) -> Array:
@@ -191,8 +184,7 @@ class StorageGrowth:
         if not len(found):
             return
         risen = rises(found, limit, *self._last)
-        foreign_last = bool(foreign(found.rows(slice(-1, None)), limit)[0])
-        self._last = (float(risen[1, -1]), np.inf if foreign_last else float(found.V1[-1]))
+        self._last = float(risen[1, -1]), float(risen[0, -1]) or np.inf  # 0: not the effort of the law
         self.highest = highest(np.hstack([self.highest, risen]))
         third, places = max(1, self._total // 3), self._done + np.arange(len(found))
         for i, rows in enumerate((places < third, places >= self._total - third)):
@@ -246,7 +238,7 @@ class CausePropagation:
         count, n, loops = len(found) // BLOCK * BLOCK, self._robot.n, self.loops
         before, total = (0, count) if self._total is None else (self._done, self._total)
         w = disturbances(found, acted, self._robot, period, limit)[:count]
-        noise = w[:, :, 0] - np.repeat(blocks_of(w[:, :, 0]).mean(axis=1), BLOCK, axis=0)
+        noise = w[:, :, 0] - np.repeat(blocks_of(w[:, :, 0], BLOCK).mean(axis=1), BLOCK, axis=0)
         w = np.concatenate([w, noise[:, :, None]], axis=2)
         steps = np.maximum(1, np.round(found.dt / period)).astype(int)
         made = np.zeros((count, len(CAUSES) + 1, n))
@@ -259,7 +251,7 @@ class CausePropagation:
         self._done += count
         causes, measured = made[:, :-1], found.tracking[:count]
         values = causes, made[:, -1], measured - causes.sum(axis=1), measured
-        peaks, noise, *rest = (np.abs(blocks_of(each)).max(axis=1) for each in values)
+        peaks, noise, *rest = (np.abs(blocks_of(each, BLOCK)).max(axis=1) for each in values)
         return CauseErrors(peaks, np.minimum(noise, peaks[:, 0]), *rest)
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.record import Innovations, Table
+from fjr_monitor.diagnosis.record import Innovations, Table, blocks_of
 
 from . import thresholds
 
@@ -41,11 +42,6 @@ class EffortDelay(NamedTuple):
     whole: int = 0
     fraction: float = 0.0
     measured: bool = False
-
-    @property
-    def late(self) -> bool:
-        """Return whether the delay is not zero."""
-        return self.whole > 0 or self.fraction > 0
 
 
 @dataclass(frozen=True)
@@ -85,107 +81,98 @@ def _effort(robot: Robot) -> Array:
     return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)
 
 
-class DelaySums:
-    """Sums of products of the changes from block to block; only changes remove slow disturbances.
+def effort_delay(
+    parts: Sequence[Innovations], robot: Robot, timed: bool | None = None, by_torque: bool = True
+) -> EffortDelay:
+    """Return the input delay that best explains the effort that the motor equation requires in parts of intervals.
 
-    Columns for each joint: required - sent, sent, efforts one sample older less newer (OLDEST of them), measured torque
-    at the end and at the start of the interval less sent.
+    timed: as of regular_intervals. by_torque: by the measured torque, too; false: by the motion alone, since the
+    measured torque may be faulty. A delay is accepted if it explains more than a factor on each effort, which a wrong
+    motor inertia would make.
     """
+    changes = [_changes(found, robot, timed) for found in parts]
+    products = sum((each @ each.transpose(0, 2, 1) for each in changes), np.zeros((robot.n, _COLUMNS, _COLUMNS)))
+    total = products.sum(axis=0)
+    difference, newest, *steps, after, before = np.eye(_COLUMNS)
+    undelayed = _square(total, difference)
+    yy, yb, bb = (products[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+    explained = np.divide(yb**2, bb, out=np.zeros_like(bb), where=bb > 0)  # by a constant factor on each effort
+    scaled = float(np.maximum(yy - explained, 0.0).sum())
+    fits = [_fit(total, difference - sum(steps[:d], np.zeros(_COLUMNS)), step) for d, step in enumerate(steps)]
+    whole = min(range(thresholds.OLDEST), key=lambda d: fits[d][1])
+    fraction, left = fits[whole]
+    accepted = left < min((1 - thresholds.DELAY_EXPLAINS) * undelayed, scaled)
+    if by_torque and all(np.isfinite(found.after).all() and np.isfinite(found.before).all() for found in parts):
+        measured, residual = _fit(total, difference - after, before - after)
+        if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:
+            unmixed, sent = _square(total, difference - after), _square(total, newest)
+            mixed = residual < (1 - thresholds.HALF_WAY) * unmixed and unmixed > thresholds.NEGLIGIBLE * sent
+            return EffortDelay(0, measured if mixed else 0.0, True)
+    if not accepted:
+        return EffortDelay()
+    return EffortDelay(whole + 1) if fraction > 1 - thresholds.EXACT else EffortDelay(whole, fraction)
 
-    def __init__(self, n: int) -> None:
-        self._products = np.zeros((n, _COLUMNS, _COLUMNS))
-        self._measured = True
 
-    def add(self, found: Innovations, required: Array, regular: NDArray[np.bool_]) -> None:
-        """Add consecutive intervals, with the mean over the regular ones (k,) of each block.
+def _changes(found: Innovations, robot: Robot, timed: bool | None) -> Array:
+    """Return the changes (n, columns, b) from block to block of the means over the regular intervals of each.
 
-        required (k, n) [N m]: effort that the motor equation requires. Blocks are shorter than BLOCK in a short record.
-        """
-        sent = found.sent
-        block = int(np.clip((len(found) - thresholds.OLDEST) // FEWEST_CHANGES, 1, thresholds.BLOCK))
-        delayed = [_delayed(sent, d) for d in range(thresholds.OLDEST + 1)]
-        steps = [older - newer for newer, older in zip(delayed, delayed[1:], strict=False)]
-        columns = np.stack([required - sent, sent, *steps, found.after - sent, found.before - sent], axis=2)
-        used = regular[thresholds.OLDEST :]
-        count = len(used) // block
-        rows = used[: count * block].reshape(count, block)
-        values = columns[thresholds.OLDEST :][: count * block].reshape(count, block, *columns.shape[1:])
-        share = rows.mean(axis=1)
-        with np.errstate(all="ignore"):
-            means = np.where(rows[:, :, None, None], values, 0.0).mean(axis=1) / share[:, None, None]
-        full = share > 0.5
-        changes = np.diff(means, axis=0)[full[1:] & full[:-1]].transpose(1, 2, 0)
-        self._products += changes @ changes.transpose(0, 2, 1)
-        self._measured &= bool(np.isfinite(found.after).all() and np.isfinite(found.before).all())
+    Only changes remove slow disturbances. Columns for each joint: required - sent, sent, efforts one sample older less
+    newer (OLDEST of them), measured torque at the end and at the start of the interval less sent. Blocks are shorter
+    than BLOCK in a short record.
+    """
+    sent, required, regular = found.sent, needed(found, robot), regular_intervals(found, timed)
+    block = int(np.clip((len(found) - thresholds.OLDEST) // FEWEST_CHANGES, 1, thresholds.BLOCK))
+    delayed = [_delayed(sent, d) for d in range(thresholds.OLDEST + 1)]
+    steps = [older - newer for newer, older in pairwise(delayed)]
+    columns = np.stack([required - sent, sent, *steps, found.after - sent, found.before - sent], axis=2)
+    rows, values = (blocks_of(each[thresholds.OLDEST :], block) for each in (regular, columns))
+    share = rows.mean(axis=1)
+    with np.errstate(all="ignore"):
+        means = np.where(rows[:, :, None, None], values, 0.0).mean(axis=1) / share[:, None, None]
+    full = share > 0.5
+    return np.asarray(np.diff(means, axis=0)[full[1:] & full[:-1]].transpose(1, 2, 0))
 
-    def delay(self, by_torque: bool = True) -> EffortDelay:
-        """Return the input delay that best explains the effort that the motor equation requires.
 
-        by_torque: by the measured torque, too; false: by the motion alone, since the measured torque may be faulty.
-        A delay is accepted if it explains more than a factor on each effort, which a wrong motor inertia would make.
-        """
-        difference, _, *steps, after, before = np.eye(_COLUMNS)
-        undelayed = self._square(difference)
-        yy, yb, bb = (self._products[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
-        explained = np.divide(yb**2, bb, out=np.zeros_like(bb), where=bb > 0)  # by a constant factor on each effort
-        scaled = float(np.maximum(yy - explained, 0.0).sum())
-        fits = [self._fit(difference - sum(steps[:d], np.zeros(_COLUMNS)), step) for d, step in enumerate(steps)]
-        whole = min(range(thresholds.OLDEST), key=lambda d: fits[d][1])
-        fraction, left = fits[whole]
-        accepted = left < min((1 - thresholds.DELAY_EXPLAINS) * undelayed, scaled)
-        if self._measured and by_torque:
-            measured, residual = self._fit(difference - after, before - after)
-            if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:
-                unmixed, sent = self._square(difference - after), self._square(np.eye(_COLUMNS)[1])
-                mixed = residual < (1 - thresholds.HALF_WAY) * unmixed and unmixed > thresholds.NEGLIGIBLE * sent
-                return EffortDelay(0, measured if mixed else 0.0, True)
-        if not accepted:
-            return EffortDelay()
-        return EffortDelay(whole + 1) if fraction > 1 - thresholds.EXACT else EffortDelay(whole, fraction)
+def _square(products: Array, of: Array) -> float:
+    """Return the sum of squares of a combination of columns with these products, which rounding may make negative."""
+    used = np.flatnonzero(of)
+    return max(0.0, float(of[used] @ products[np.ix_(used, used)] @ of[used]))
 
-    def _square(self, of: Array) -> float:
-        """Return the sum of squares of a combination of the columns, which rounding may make negative."""
-        used = np.flatnonzero(of)
-        return max(0.0, float(of[used] @ self._products.sum(axis=0)[np.ix_(used, used)] @ of[used]))
 
-    def _fit(self, y: Array, b: Array) -> tuple[float, float]:
-        """Fit the fraction, 0 to 1, of b in y; return it and the residual sum of squares."""
-        used = np.flatnonzero((y != 0) | (b != 0))
-        products = self._products.sum(axis=0)[np.ix_(used, used)]
-        power, shared = float(b[used] @ products @ b[used]), float(b[used] @ products @ y[used])
-        fraction = float(np.clip(shared / power, 0.0, 1.0)) if power > 0 else 0.0
-        return fraction, self._square(y - fraction * b)
+def _fit(products: Array, y: Array, b: Array) -> tuple[float, float]:
+    """Fit the fraction, 0 to 1, of b in y, combinations of columns; return it and the residual sum of squares."""
+    used = np.flatnonzero((y != 0) | (b != 0))
+    square = products[np.ix_(used, used)]
+    power, shared = float(b[used] @ square @ b[used]), float(b[used] @ square @ y[used])
+    fraction = float(np.clip(shared / power, 0.0, 1.0)) if power > 0 else 0.0
+    return fraction, _square(products, y - fraction * b)
 
 
 class ActingSums:
     """How many samples old the acting efforts are, if the delay is as given, and whether any acts for part of one."""
 
-    def __init__(self, age: EffortDelay, n: int) -> None:
-        self.age = age
+    def __init__(self, parts: Sequence[Innovations], age: EffortDelay, robot: Robot, timed: bool | None = None) -> None:
+        """parts, timed: as of effort_delay."""
+        self.age, self._robot = age, robot
         self._counts = np.zeros(BEFORE, dtype=np.int64)
         self._mixed = self._changed = 0.0
-        self._largest = np.zeros(n)
+        self._largest = np.zeros(robot.n)
+        for found in parts:
+            required, regular = needed(found, robot), regular_intervals(found, timed)
+            samples, newer, older = _newer(found, age, required)
+            changes = regular[1:] & regular[:-1]
+            changes[: thresholds.OLDEST] = False
+            self._counts += np.bincount(samples, minlength=BEFORE)
+            self._mixed += _squares(required - newer, changes)
+            self._changed += _squares(newer - older, changes)
+            self._largest = np.maximum(self._largest, np.abs(found.after).max(axis=0, initial=0.0))
 
-    def add(self, found: Innovations, required: Array, regular: NDArray[np.bool_]) -> None:
-        """Add consecutive intervals, as DelaySums.add."""
-        samples, newer, older = _newer(found, self.age, required)
-        changes = regular[1:] & regular[:-1]
-        changes[: thresholds.OLDEST] = False
-        self._counts += np.bincount(samples, minlength=BEFORE)
-        self._mixed += _squares(required - newer, changes)
-        self._changed += _squares(newer - older, changes)
-        self._largest = np.maximum(self._largest, np.abs(found.after).max(axis=0, initial=0.0))
-
-    def acting(self, found: Innovations, required: Array) -> Acting:
-        """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost.
-
-        required (k, n) [N m]: effort that the motor equation requires; used if the torque was not measured.
-        """
+    def acting(self, found: Innovations) -> Acting:
+        """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost."""
         age = self.age
-        samples, newer, older = _newer(found, age, required)
-        cut = np.zeros(found.sent.shape, dtype=bool)
-        if age.measured:
-            cut = _clipped(found.sent, found.after, self._largest)
+        samples, newer, older = _newer(found, age, needed(found, self._robot))
+        shape = found.sent.shape
+        cut = _clipped(found.sent, found.after, self._largest) if age.measured else np.zeros(shape, dtype=bool)
         whole = self._mixed <= thresholds.MIXED * self._changed  # no change in an interval
         usual = _median(self._counts)
         if not (whole or age.measured):  # by chance another effort is nearest
@@ -202,24 +189,6 @@ class ActingSums:
             lost=np.where(lost, difference, zero),
             age=total,
         )
-
-
-def effort_delay(
-    parts: Sequence[Innovations], robot: Robot, timed: bool | None = None, by_torque: bool = True
-) -> EffortDelay:
-    """Estimate the input delay from parts of consecutive intervals; timed: as of regular_intervals."""
-    sums = DelaySums(robot.n)
-    for found in parts:
-        sums.add(found, needed(found, robot), regular_intervals(found, timed))
-    return sums.delay(by_torque)
-
-
-def acting_sums(parts: Sequence[Innovations], age: EffortDelay, robot: Robot, timed: bool | None = None) -> ActingSums:
-    """Return what classifies the acting efforts if the delay is `age`; parts, timed: as of effort_delay."""
-    sums = ActingSums(age, robot.n)
-    for found in parts:
-        sums.add(found, needed(found, robot), regular_intervals(found, timed))
-    return sums
 
 
 def regular_intervals(found: Innovations, timed: bool | None = None) -> NDArray[np.bool_]:
@@ -271,12 +240,9 @@ def _median(counts: Sequence[int] | NDArray[np.int64]) -> float:
 
 def _clipped(sent: Array, acting: Array, largest: Array) -> NDArray[np.bool_]:
     """Return where (k, n) the motor is saturated: at its largest torque for CLIPPED_FOR intervals, commanded more."""
+    from scipy.ndimage import binary_opening  # loaded on use: the running nodes measure no torque
+
     size = np.abs(acting)
     at_most = size >= (1 - thresholds.CLIPPED_LEVEL) * largest
     flags = at_most & (np.abs(sent) > (1 + thresholds.CLIPPED_BY) * size) & (sent * acting > 0)
-    kept = np.zeros_like(flags)
-    for j, column in enumerate(flags.T):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
-        for start, end in edges.reshape(-1, 2):
-            kept[start:end, j] = end - start >= thresholds.CLIPPED_FOR
-    return kept
+    return np.asarray(binary_opening(flags, np.ones((thresholds.CLIPPED_FOR, 1))))

@@ -21,15 +21,7 @@ from fjr_core.stability.linearization import linearize
 
 from . import thresholds
 from .causes import CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
-from .delay_estimation import (
-    AFTER,
-    BEFORE,
-    ActingSums,
-    acting_sums,
-    effort_delay,
-    foreseen,
-    needed,
-)
+from .delay_estimation import AFTER, BEFORE, ActingSums, effort_delay, foreseen
 from .fault_isolation import MOST_STATES, isolate
 from .grading import BlockStatistics
 from .record import PART, Innovations, Record, T
@@ -46,19 +38,17 @@ def innovations(
     record: Record,
     law: TrackingLaw,
     series: CertificateSeries | None = None,
-    before: Array | None = None,
     valued: bool = True,
 ) -> Innovations:
     """Return the innovations of the intervals that `Record.consecutive` selects; of a part, those that end in it.
 
-    series: certificate along the record; None: it is computed here. before (n,) [N m]: effort sent before the first
-    state, NaN or None: none. valued: false leaves V, its slope and the effort of the law NaN, in half the time.
+    series: certificate along the record; None: it is computed here. valued: false leaves V, its slope and the effort of
+    the law NaN, in half the time.
     """
     (k, n), balance, prediction = record.u.shape, Certificate(law), Prediction(law)
     if series is None and valued:
         series = balance.along(record.position, record.velocity, record.jets)
-    sent, dt = record.held(before), np.diff(record.t)
-    first = record.consecutive(before)
+    sent, dt, first = record.held, np.diff(record.t), record.consecutive()
     older = sent[np.maximum(first - 1, 0)]
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
@@ -100,104 +90,154 @@ def diagnose(
     faults are then not isolated, nor in a loop that is unstable at its sample period. size: states processed at once.
     """
     step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
-    running = PartwiseDiagnosis(law, len(record.t), step, bool(record.known_latency().any()), axes)
+    axes, timed = axes or JointTolerances.plain(law.robot.n), bool(record.known_latency().any())
+    first = FirstPass(law, len(record.t), step, timed, axes)
     for part in record.parts(size):
-        running.first_pass(part)
+        first.add(part)
+    second = SecondPass(first, beta)
     for part in record.parts(size):
-        running.second_pass(part, beta)
-    return running.result(velocities_measured)
+        second.add(part)
+    return second.result(velocities_measured)
 
 
-class PartwiseDiagnosis:
-    """Diagnosis of a record that is never in memory as a whole: `first_pass` of all parts, then `second_pass` of all.
+class FirstPass:
+    """What the parts of a record, which is never in memory as a whole, say before a SecondPass diagnoses it."""
 
-    Memory does not grow with the record, except by one number for each BLOCK of intervals.
-    """
-
-    def __init__(
-        self, law: TrackingLaw, states: int, step: float, timed: bool, axes: JointTolerances | None = None
-    ) -> None:
+    def __init__(self, law: TrackingLaw, states: int, step: float, timed: bool, axes: JointTolerances) -> None:
         """Start without parts of a record, of which is known what follows.
 
         states: their number. step [s]: median time between two. timed: whether latencies are known. axes: names, units
-        and tolerances of the joints; None: JointTolerances.plain.
+        and tolerances of the joints.
         """
-        self._law, self._axes = law, axes or JointTolerances.plain(law.robot.n)
-        self._step, self._timed = step, timed
-        self._reference = Visited(law.robot.n, states, CONFIGURATIONS)  # a diverging robot may be anywhere else
-        self.visited = Visited(law.robot.n, states, VISITED)  # known once all parts had their first pass
+        self.law, self.axes, self.step, self._timed = law, axes, step, timed
+        self.reference = Visited(law.robot.n, states, CONFIGURATIONS)  # a diverging robot may be anywhere else
+        self.visited = Visited(law.robot.n, states, VISITED)
+        self.intervals, self.moving = 0, False
         self._ends: Record | None = None
         self._innovations: Innovations | None = None
-        self._unsaturated: tuple[Innovations, Array] | None = None
-        self._intervals = 0
-        self._moving = False
-        self._parts = _Parts(law)
-        self._second: _SecondPass | None = None
 
-    def first_pass(self, part: Record) -> None:
-        """Take a part of the record for the first time."""
+    def add(self, part: Record) -> None:
+        """Add a part."""
         with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
-            found, begin = self._parts.add(part, None, valued=False), self._parts.begin
-            self._reference.add(part.jets[:, 0], part.begin)
-            self.visited.add(part.position[:, : self._law.robot.n], part.begin)
-        self._intervals += len(found) - begin
-        self._innovations = with_ends(self._innovations, found.rows(slice(begin, None)))
-        self._parts.done(found, len(found) - begin)
+            found = innovations(part, self.law, valued=False)
+            self.reference.add(part.jets[:, 0], part.begin)
+            self.visited.add(part.position[:, : self.law.robot.n], part.begin)
+        self.intervals += len(found)
+        self._innovations = with_ends(self._innovations, found)
         self._ends = with_ends(self._ends, part.new)
-        self._moving |= bool(np.isfinite(part.velocity).any())
+        self.moving |= bool(np.isfinite(part.velocity).any())
 
-    def second_pass(self, part: Record, beta: float | None = None, series: CertificateSeries | None = None) -> None:
-        """Take a part for the second time, once all had their first pass.
-
-        beta [1/s]: guaranteed rate of V, as of diagnose. series: certificate along the part; None: it is computed here.
-        """
-        with np.errstate(all="ignore"):
-            if self._unsaturated is None:
-                self._unsaturated = self._without_saturation()
-            if not self._intervals:
-                return
-            if self._second is None:
-                visited, acted = np.concatenate(self._reference.some), self._acted()
-                beta = self._law.rate(visited).beta if beta is None else beta
-                self._second = _SecondPass(self._law, self._axes, beta, self._step, visited, acted, self._intervals)
-            self._second.add(part, series)
-
-    def result(self, velocities_measured: bool = True) -> Diagnosis:
-        """Return the diagnosis of all parts, with the faults that explain it; velocities_measured: as of diagnose."""
-        if not self._moving:
-            return unknown("the states hold no velocities")
-        with np.errstate(all="ignore"):
-            none = unknown("no state with a command is followed by another state")
-            diagnosis = self._second.result() if self._second else none
-            if not velocities_measured or diagnosis.figures.get("spectral radius", 0.0) >= 1:
-                return diagnosis  # the model needs measured velocities and close samples
-            assert self._ends is not None  # a record has a part
-            assert self._unsaturated is not None
-            findings = isolate(self._ends, *self._unsaturated, self._law, self._axes.names)
-        return with_findings(diagnosis, findings)
-
-    def _acted(self, by_torque: bool = True) -> ActingSums:
-        """Return what classifies the acting efforts; by_torque: as of DelaySums.delay."""
+    def acting(self, by_torque: bool = True) -> ActingSums:
+        """Return what classifies the acting efforts; by_torque: as of effort_delay."""
         found, half = self._innovations, MOST_STATES // 2
         assert found is not None  # a record has a part
-        parts = [found] if self._intervals <= MOST_STATES else [found.rows(slice(half)), found.rows(slice(half, None))]
-        age = effort_delay(parts, self._law.robot, self._timed, by_torque)
-        return acting_sums(parts, age, self._law.robot, self._timed)
+        parts = [found] if self.intervals <= MOST_STATES else [found.rows(slice(half)), found.rows(slice(half, None))]
+        age = effort_delay(parts, self.law.robot, self._timed, by_torque)
+        return ActingSums(parts, age, self.law.robot, self._timed)
 
-    def _without_saturation(self) -> tuple[Innovations, Array]:
-        """Return the innovations at both ends in which no motor was saturated, and the effort that acted late (k, n).
+    def faults(self) -> tuple[Finding, ...]:
+        """Return the faults that explain the record at both ends, where no motor was saturated.
 
         The measured torque reveals a saturated motor; how late efforts act is known by the motion alone.
         """
         found = self._innovations
         assert found is not None  # a record has a part
-        required, usual = needed(found, self._law.robot), foreseen(found)
-        free = ~(self._acted().acting(found, required).cut != 0).any(axis=1)
-        moved = self._acted(by_torque=False)
-        if moved.age.late:
-            acted = moved.acting(found, required)
-            usual = usual + acted.late + acted.lost
-        return found.rows(free), usual[free]
+        assert self._ends is not None
+        late = foreseen(found)
+        free = ~(self.acting().acting(found).cut != 0).any(axis=1)
+        moved = self.acting(by_torque=False)
+        if moved.age.whole or moved.age.fraction:
+            acted = moved.acting(found)
+            late = late + acted.late + acted.lost
+        return isolate(self._ends, found.rows(free), late[free], self.law, self.axes.names)
+
+
+class SecondPass:
+    """Diagnosis of a record by its parts, added once more: storage budget, errors by cause and growth of V, by blocks.
+
+    Kept are the latest intervals, of which the first `_begin`, at most BEFORE, are done, and one number for each BLOCK.
+    """
+
+    def __init__(self, first: FirstPass, beta: float | None) -> None:
+        """Start without parts; beta [1/s]: guaranteed rate of V, as of diagnose."""
+        self._first, self._law, self._robot, self._period = first, first.law, first.law.robot, first.step
+        self._kept: Innovations | None = None
+        self._begin = 0
+        if not first.intervals:
+            return
+        with np.errstate(all="ignore"):
+            self._visited, self._acting = np.concatenate(first.reference.some), first.acting()
+            self._beta = self._law.rate(self._visited).beta if beta is None else beta
+            self._radius = float(linearize(self._law, self._visited).radii(self._period).max())
+            whole = first.intervals // thresholds.BLOCK * thresholds.BLOCK
+            loops = closed_loop(self._law, self._visited, self._period)
+            self._propagation = CausePropagation(self._robot, loops, whole)
+            decay = float(np.exp(-2 * self._beta * thresholds.BLOCK * self._period))
+            self._statistics, self._growth = BlockStatistics(decay, first.axes), StorageGrowth(first.intervals)
+
+    def add(self, part: Record, series: CertificateSeries | None = None) -> None:
+        """Add a part; the intervals at its end wait for those that follow.
+
+        series: certificate along the part; None: it is computed here.
+        """
+        if not self._first.intervals:
+            return
+        with np.errstate(all="ignore"):
+            found = innovations(part, self._law, series)
+            kept = self._kept = found if self._kept is None else self._kept.followed_by(found)
+            self._sample_period, self._limit = part.sample_period, part.effort_limit
+            whole = (len(kept) - self._begin - AFTER) // thresholds.BLOCK * thresholds.BLOCK
+            if whole > 0:
+                self._process(kept, whole, whole)
+
+    def result(self, velocities_measured: bool) -> Diagnosis:
+        """Return the diagnosis of all parts, with the faults that explain it; velocities_measured: as of diagnose."""
+        if not self._first.moving:
+            return unknown("the states hold no velocities")
+        with np.errstate(all="ignore"):
+            diagnosis = unknown("no state with a command is followed by another state")
+            if self._kept is not None:
+                diagnosis = self._diagnosed(self._kept)
+            if not velocities_measured or diagnosis.figures.get("spectral radius", 0.0) >= 1:
+                return diagnosis  # the model needs measured velocities and close samples
+            return with_findings(diagnosis, self._first.faults())
+
+    def _diagnosed(self, kept: Innovations) -> Diagnosis:
+        """Return the diagnosis without findings; kept: the intervals that wait."""
+        left = len(kept) - self._begin
+        self._process(kept, left // thresholds.BLOCK * thresholds.BLOCK, left)
+        figures = {**self._growth.figures, "spectral radius": self._radius}
+        first, last = self._growth.thirds
+        if self._radius >= 1 and not (last < thresholds.FALLEN * first):
+            return violated(NO_DECAY, (SAMPLING,), figures)
+        grown = growth(self._growth.highest, self._statistics.floor(self._first.axes.storage(self._law)))
+        return self._with_delay(self._statistics.conclude(grown, figures))
+
+    def _with_delay(self, diagnosis: Diagnosis) -> Diagnosis:
+        """Return the diagnosis with the age of the effort as a share of the delay margin of the loop."""
+        late = diagnosis.figures["effort age"]
+        loops = importing.module_if_there("fjr_design.stability.sampled_loop")
+        if late < thresholds.EXACT * self._period or loops is None:
+            return diagnosis
+        margin = self._period * loops.check(self._law, self._period, 0.0, self._visited).delay_margin
+        share = f", {late / margin:.0%} of the delay margin" if margin else ""
+        sentence = f"{diagnosis.sentence}; the effort acts {1e3 * late:.3g} ms late{share}"
+        return replace(diagnosis, sentence=sentence, figures={**diagnosis.figures, "delay margin": margin})
+
+    def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
+        """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
+        robot, period, limit, begin = self._robot, self._sample_period, self._limit, self._begin
+        acted = self._acting.acting(kept)
+        blocks = slice(begin, begin + in_blocks)
+        ahead = slice(begin, begin + in_blocks + 1)  # one more, whose law effort shows what a gap missed
+        budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
+        made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
+        self._statistics.add(budget, made)
+        self._growth.add(kept.rows(slice(begin, begin + count)), self._sample_period, limit)
+        self._growth.figures["effort age"] = acted.age * self._period
+        end = begin + count
+        self._begin = min(end, BEFORE)
+        self._kept = kept.rows(slice(end - self._begin, None))
 
 
 def with_findings(diagnosis: Diagnosis, findings: tuple[Finding, ...]) -> Diagnosis:
@@ -255,97 +295,3 @@ class Visited:
             return law.rate(np.concatenate(self.some))
         domain = Domain(self._least - self._step, self._largest + self._step)
         return law.proven_rate(domain, most_boxes=bounds.few_boxes(law.robot))
-
-
-class _Parts:
-    """The latest intervals of a record that comes in parts: `found`, of which the first `begin` are done."""
-
-    def __init__(self, law: TrackingLaw) -> None:
-        self._law = law
-        self._efforts: Array | None = None
-        self.found: Innovations | None = None
-        self.begin = 0
-
-    def add(self, part: Record, series: CertificateSeries | None, valued: bool = True) -> Innovations:
-        """Add the intervals of the next part; return all that are kept."""
-        known = self._efforts is not None and len(self._efforts) > part.begin
-        before = self._efforts[-part.begin - 1] if known else None  # type: ignore[index]
-        found = innovations(part, self._law, series, before, valued)
-        self._efforts = part.held(before)
-        self.found = found if self.found is None else self.found.followed_by(found)
-        return self.found
-
-    def done(self, found: Innovations, count: int) -> None:
-        """Note that `count` more intervals are done; keep BEFORE of these and the later ones."""
-        end = self.begin + count
-        self.begin = min(end, BEFORE)
-        self.found = found.rows(slice(end - self.begin, None))
-
-
-class _SecondPass:
-    """Second pass over the parts of a record: storage budget, tracking errors by cause and growth of V, by blocks."""
-
-    def __init__(
-        self,
-        law: TrackingLaw,
-        axes: JointTolerances,
-        beta: float,
-        period: float,
-        visited: Array,
-        acted: ActingSums,
-        total: int,
-    ) -> None:
-        """visited (m, n): configurations of the reference. total: number of intervals."""
-        self._law, self._visited, self._acting = law, visited, acted
-        self._robot, self._beta = law.robot, beta
-        self._tolerated = axes.storage(law)
-        self._radius = float(linearize(law, visited).radii(period).max())
-        whole = total // thresholds.BLOCK * thresholds.BLOCK
-        self._propagation = CausePropagation(law.robot, closed_loop(law, visited, period), whole)
-        self._statistics = BlockStatistics(float(np.exp(-2 * beta * thresholds.BLOCK * period)), axes)
-        self._growth = StorageGrowth(total)
-        self._parts, self._period = _Parts(law), period
-
-    def add(self, part: Record, series: CertificateSeries | None) -> None:
-        """Add a part; the intervals at its end wait for those that follow."""
-        found = self._parts.add(part, series)
-        self._sample_period, self._limit = part.sample_period, part.effort_limit
-        whole = (len(found) - self._parts.begin - AFTER) // thresholds.BLOCK * thresholds.BLOCK
-        if whole > 0:
-            self._process(found, whole, whole)
-
-    def result(self) -> Diagnosis:
-        """Return the diagnosis without findings."""
-        if (found := self._parts.found) is not None:
-            left = len(found) - self._parts.begin
-            self._process(found, left // thresholds.BLOCK * thresholds.BLOCK, left)
-        figures = {**self._growth.figures, "spectral radius": self._radius}
-        first, last = self._growth.thirds
-        if self._radius >= 1 and not (last < thresholds.FALLEN * first):
-            return violated(NO_DECAY, (SAMPLING,), figures)
-        grown = growth(self._growth.highest, self._statistics.floor(self._tolerated))
-        return self._with_delay(self._statistics.conclude(grown, figures))
-
-    def _with_delay(self, diagnosis: Diagnosis) -> Diagnosis:
-        """Return the diagnosis with the age of the effort as a share of the delay margin of the loop."""
-        late = diagnosis.figures["effort age"]
-        loops = importing.module_if_there("fjr_design.stability.sampled_loop")
-        if late < thresholds.EXACT * self._period or loops is None:
-            return diagnosis
-        margin = self._period * loops.check(self._law, self._period, 0.0, self._visited).delay_margin
-        share = f", {late / margin:.0%} of the delay margin" if margin else ""
-        sentence = f"{diagnosis.sentence}; the effort acts {1e3 * late:.3g} ms late{share}"
-        return replace(diagnosis, sentence=sentence, figures={**diagnosis.figures, "delay margin": margin})
-
-    def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
-        """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
-        robot, period, limit, begin = self._robot, self._sample_period, self._limit, self._parts.begin
-        acted = self._acting.acting(kept, needed(kept, robot))
-        blocks = slice(begin, begin + in_blocks)
-        ahead = slice(begin, begin + in_blocks + 1)  # one more, whose law effort shows what a gap missed
-        budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
-        made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
-        self._statistics.add(budget, made)
-        self._growth.add(kept.rows(slice(begin, begin + count)), self._sample_period, limit)
-        self._growth.figures["effort age"] = acted.age * self._period
-        self._parts.done(kept, count)

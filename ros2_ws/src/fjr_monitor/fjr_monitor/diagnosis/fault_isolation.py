@@ -20,14 +20,14 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
 
-from .record import Innovations, Record
-from .residuals import FEWEST_BLOCKS, block_means, deviation, explained, residuals
+from .record import Innovations, Record, blocks_of
+from .residuals import FEWEST_BLOCKS, deviation, explained_share, residuals
 from .thresholds import BLOCK, LONGEST_GAP
 from .torque_faults import EXPLAINED, UNKNOWN, torque_fault
 
 CONTRADICTION = 5.0
 """Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
-SLIPS, SLIP = 2, 0.01
+JUMPS, OTHERS = 2, 0.01
 """Blocks in which a position jumps, and the share of the power that others have, if an encoder slips."""
 DISCRETISED = 5e-4
 """Difference relative to the speed that is attributed to discretisation."""
@@ -137,14 +137,14 @@ def velocity_faults(record: Record, names: Sequence[str]) -> tuple[Finding, ...]
     dq, ddq = record.velocity, np.gradient(record.velocity, axis=0)  # ddq times the sample period
     mean = (dq[first + 1] + dq[first]) / 2 - (ddq[first + 1] - ddq[first]) / 12  # trapezoidal rule, first correction
     change = np.gradient(slope, axis=0) / np.median(dt)
-    D, V, dD = (block_means(values, block) for values in (slope, mean, change))
+    D, V, dD = (blocks_of(values, block).mean(axis=1) for values in (slope, mean, change))
     found: list[tuple[float, Finding]] = []
     for channel in range(D.shape[1]):
         e = V[:, channel] - D[:, channel]
         noise = deviation(e[:, None])[0]
         sigma = float(np.hypot(noise, DISCRETISED * np.sqrt(np.mean(D[:, channel] ** 2)) + 1e-9))
         power = float(np.mean(e**2)) / sigma**2
-        slipped = np.sort(e**2)[:-SLIPS].sum() < SLIP * np.sum(e**2)
+        slipped = np.sort(e**2)[:-JUMPS].sum() < OTHERS * np.sum(e**2)
         if power > CONTRADICTION**2 and not slipped:
             found.append((power, _contradicted(channel, e, noise, D, dD, names)))
     return tuple(finding for _, finding in sorted(found, key=lambda each: -each[0]))
@@ -163,7 +163,7 @@ def _contradicted(channel: int, e: Array, noise: float, D: Array, dD: Array, nam
             fits.append((float(((e - factor * x) ** 2).sum()), factor, kind, k))
     left, factor, kind, k = min(fits)
     total, noisy = float((e**2).sum()), len(e) * noise**2
-    share = explained(left - noisy, total - noisy)
+    share = explained_share(left - noisy, total - noisy)
     size, unit, what = np.nan, "", "contradicts the slope of the position"
     if share < EXPLAINED or (kind == "velocity delay" and factor < 0):
         kind = UNKNOWN

@@ -27,7 +27,7 @@ from fjr_monitor.diagnosis.causes import (
     rises,
     storage_budget,
 )
-from fjr_monitor.diagnosis.delay_estimation import EffortDelay, acting_sums, effort_delay, needed
+from fjr_monitor.diagnosis.delay_estimation import ActingSums, EffortDelay, effort_delay
 from fjr_monitor.diagnosis.grading import BlockStatistics
 from fjr_monitor.diagnosis.record import Innovations
 from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
@@ -140,22 +140,18 @@ class OnlineDiagnosis:
         if not self._blocks:
             return unknown("too few states with a command of the law")
         with np.errstate(all="ignore"):
-            return self._concluded()
-
-    def _concluded(self) -> Diagnosis:
-        seen = self._intervals.last(DELAY_WINDOW)
-        self._period, self._change = _usual(seen.dt), FORGETTING * self._change
-        if not seen.latency.any():
-            self._age = effort_delay([seen], self._law.robot)
-        self._propagation.loops = EMPTY  # linearise again at the current reference
-        risen = [each for _, _, each in self._blocks]
-        judged = BlockStatistics(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
-        for each in self._blocks:
-            judged.add(*each[:2])
-        grown = growth(np.hstack(risen), judged.floor(self._axes.storage(self._law)))
-        samples = self._age.whole + self._age.fraction
-        figures = {"effort age": samples * float(np.median(seen.dt)), "beta": self.beta, "last V": float(seen.V1[-1])}
-        return judged.conclude(grown, figures)
+            seen = self._intervals.last(DELAY_WINDOW)
+            self._period, self._change = _usual(seen.dt), FORGETTING * self._change
+            if not seen.latency.any():
+                self._age = effort_delay([seen], self._law.robot)
+            self._propagation.loops = EMPTY  # linearise again at the current reference
+            judged = BlockStatistics(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
+            for budget, made, _ in self._blocks:
+                judged.add(budget, made)
+            risen = np.hstack([each for _, _, each in self._blocks])
+            grown = growth(risen, judged.floor(self._axes.storage(self._law)))
+            age = (self._age.whole + self._age.fraction) * float(np.median(seen.dt))
+            return judged.conclude(grown, {"effort age": age, "beta": self.beta, "last V": float(seen.V1[-1])})
 
     def _process(self, count: int) -> None:
         """Add the oldest `count` blocks that are not yet processed; keep the last BLOCKS or a few more.
@@ -176,8 +172,7 @@ class OnlineDiagnosis:
     def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
         seen = self._intervals.last(size + OLDEST, self._new)
-        sums = acting_sums([seen], self._age, self._law.robot)
-        acted = sums.acting(seen, needed(seen, self._law.robot)).rows(slice(-size, None))
+        acted = ActingSums([seen], self._age, self._law.robot).acting(seen).rows(slice(-size, None))
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)

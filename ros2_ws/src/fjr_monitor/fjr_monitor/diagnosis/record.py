@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -59,6 +60,19 @@ class Table:
         return self.rows(np.r_[:most, k - most : k]) if k > 2 * most else self
 
 
+def blocks_of(values: NDArray[Any], size: int) -> NDArray[Any]:
+    """Return values (k, ...) as blocks (b, size, ...) of consecutive rows, without an incomplete last block."""
+    count = len(values) // size
+    return values[: count * size].reshape(count, size, *values.shape[1:])
+
+
+def held_efforts(u: Array, before: Array | None) -> Array:
+    """Return efforts (k, n) with the previous one in place of a missing one; before (n,): the one before all."""
+    came = np.isfinite(u).all(axis=1)
+    last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
+    return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan if before is None else before)
+
+
 @dataclass(frozen=True)
 class Record(Table):
     """Measured states and commands at k instants.
@@ -68,11 +82,11 @@ class Record(Table):
     state, or None. sent, answered (k,) [s]: send times of states and commands, or None. sample_period [s].
     effort_limit (n,) [N m]: inf for none. lockstep: the robot waits for each command, so that send times carry no
     information. begin: states that repeat the end of the part before, at most LEAD; 0: of a whole record or its first
-    part.
+    part. before (n,) [N m]: effort that was held before the first state, NaN or None: not known.
     Raises StateError for wrong shapes and a sample period that is not positive.
     """
 
-    SHARED: ClassVar[tuple[str, ...]] = ("sample_period", "effort_limit", "lockstep", "begin")
+    SHARED: ClassVar[tuple[str, ...]] = ("sample_period", "effort_limit", "lockstep", "begin", "before")
 
     t: Array
     position: Array
@@ -86,6 +100,7 @@ class Record(Table):
     effort_limit: Array
     lockstep: bool = False
     begin: int = 0
+    before: Array | None = None
 
     def __repr__(self) -> str:
         n = joints(self.u.shape[1])
@@ -105,22 +120,24 @@ class Record(Table):
     def new(self) -> Record:
         """The states that the part before does not have."""
         plain = Record(**{f.name: getattr(self, f.name) for f in fields(Record)})
-        return replace(plain.rows(slice(self.begin, None)), begin=0)
+        before = self.held[self.begin - 1] if self.begin else self.before
+        return replace(plain.rows(slice(self.begin, None)), begin=0, before=before)
 
     def parts(self, size: int = PART) -> Iterator[Record]:
         """Yield the record in parts of `size` states, each with the last LEAD states of the one before."""
         for start in range(0, len(self.t), size):
             begin = min(LEAD, start)
-            yield replace(self.rows(slice(start - begin, start + size)), begin=begin)
+            before = self.held[start - begin - 1] if start > begin else self.before
+            yield replace(self.rows(slice(start - begin, start + size)), begin=begin, before=before)
 
-    def consecutive(self, before: Array | None = None) -> NDArray[np.intp]:
+    def consecutive(self) -> NDArray[np.intp]:
         """Return the rows with two measured consecutive states, without a gap, with a reference and a known effort.
 
-        before: as of `held`. A gap is longer than LONGEST_GAP sample periods.
+        A gap is longer than LONGEST_GAP sample periods.
         """
         measured = (np.abs(np.hstack([self.position, self.velocity])) < HUGE).all(axis=1)
         good = np.asarray(measured & np.isfinite(self.jets).all(axis=(1, 2)))
-        dt, answered = np.diff(self.t), np.asarray(np.isfinite(self.held(before)).all(axis=1))
+        dt, answered = np.diff(self.t), np.asarray(np.isfinite(self.held).all(axis=1))
         pairs = good[:-1] & good[1:] & answered[:-1]
         pairs[: max(self.begin - 1, 0)] = False
         return np.flatnonzero(pairs & (dt > 0) & (dt < LONGEST_GAP * self.sample_period))
@@ -132,11 +149,10 @@ class Record(Table):
         known = np.nan_to_num(np.asarray(self.answered) - np.asarray(self.sent))
         return np.asarray(np.clip(known, 0.0, self.sample_period))
 
-    def held(self, before: Array | None = None) -> Array:
-        """Return u with the previous effort in place of a missing one; before (n,): the one before all, None: none."""
-        came = np.isfinite(self.u).all(axis=1)
-        last = np.maximum.accumulate(np.where(came, np.arange(len(self.u)), -1))
-        return np.where((last >= 0)[:, None], self.u[np.maximum(last, 0)], np.nan if before is None else before)
+    @cached_property
+    def held(self) -> Array:
+        """u (k, n) [N m] with the previous effort in place of a missing one."""
+        return held_efforts(self.u, self.before)
 
 
 @dataclass(frozen=True)

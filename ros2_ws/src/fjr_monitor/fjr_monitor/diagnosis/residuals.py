@@ -22,7 +22,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Prediction
 from fjr_core.numerics.checks import Array
 
-from .record import Innovations
+from .record import Innovations, blocks_of
 from .thresholds import BLOCK
 
 FEWEST_BLOCKS = 20
@@ -56,7 +56,7 @@ class Residuals:
 
     def means(self, values: Array) -> Array:
         """Return the block means (b, ...) of values (k, ...) of the intervals."""
-        return block_means(values, self.block)
+        return np.asarray(blocks_of(values, self.block).mean(axis=1))
 
     def placed(self, signals: dict[int, Array]) -> Array:
         """Return the block means (b, 2n, 1) of signals (k,), each in the equation of its number, zero elsewhere."""
@@ -68,7 +68,7 @@ class Residuals:
     @property
     def t(self) -> Array:
         """The times (b,) [s] at which the blocks begin, from the first interval on."""
-        dt = self.found.dt[: len(self.r) * self.block].reshape(len(self.r), self.block).sum(axis=1)
+        dt = blocks_of(self.found.dt, self.block).sum(axis=1)
         return np.cumsum(dt) - dt
 
     def of_encoder(self, channel: int) -> Callable[[Array, Array], Array]:
@@ -106,7 +106,7 @@ def residuals(found: Innovations, late: Array, law: TrackingLaw) -> Residuals | 
     (q, dq), ddq = np.split((first + second) / 2, 2, axis=1), (second - first)[:, 2 * n :] / found.dt[:, None]
     raw = torques(robot, first[:, : 2 * n], found.error[:, 2 * n :], found.dt)
     raw[:, n:] -= late @ robot.B_m.T
-    u, r = found.sent + late, block_means(raw, block)
+    u, r = found.sent + late, blocks_of(raw, block).mean(axis=1)
     spring = np.abs(springs.torques(robot, q[:, n:] - q[:, :n]))
     scale = np.hstack([spring, spring + np.abs(u @ robot.B_m.T)])
     noise = sensor_noise(found, raw, robot, block)
@@ -146,14 +146,7 @@ def over_rows(function: Callable[[Array], Array], rows: Array, columns: int) -> 
     return values.reshape(len(values), len(rows), columns).transpose(1, 0, 2)
 
 
-def block_means(values: Array, block: int) -> Array:
-    """Return the means of `block` consecutive rows; a remainder is ignored."""
-    count = len(values) // block
-    means: Array = values[: count * block].reshape(count, block, *values.shape[1:]).mean(axis=1)
-    return means
-
-
-def explained(left: float, total: float) -> float:
+def explained_share(left: float, total: float) -> float:
     """Return the share of a sum of squares that a fit explains; left: what it leaves. Both less what noise makes."""
     return float(np.clip(1 - max(left, 0.0) / max(total, 1e-300), 0.0, 1.0))
 

@@ -16,7 +16,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
 from .hypotheses import JOINT, LINK, MOTOR, Hypothesis, hypotheses
-from .residuals import Residuals, explained
+from .residuals import Residuals, explained_share
 from .verdict import EXTERNAL
 
 UNKNOWN = "unknown"
@@ -122,7 +122,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
     fitted = fits(seen)
     best = fitted[0]
-    share = explained(best.left - noise, total - noise)
+    share = explained_share(best.left - noise, total - noise)
     equal = [each for each in fitted if not _clearly(best.left, each.left, seen.r.size)]
     simplest = min(each.fault.unknowns for each in equal)
     kinds = {(each.kind, each.fault.joint): each for each in reversed(equal) if each.fault.unknowns == simplest}
@@ -132,7 +132,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
         return (external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names),)
     if len(several) > MOST_KINDS:
         what = f"{names[joint]}: no one kind of fault explains the residual torque better than others"
-        return (Finding(UNKNOWN, names[joint], "", np.nan, "", share, what),)
+        return (Finding(UNKNOWN, names[joint], share=share, sentence=what),)
     first = several[0]
     what = " or ".join(each.place(names) for each in several) + f" explains {100 * share:.0f} % of the residual torque"
     since = float(seen.t[first.onset]) if first.onset else 0.0
@@ -154,15 +154,14 @@ def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:
     left = float((y**2).sum()) - ((y @ directions.T) ** 2).sum(axis=0)
     of_noise = len(y) * (seen.noise / seen.sigma) ** 2
     best, total, noise = int(np.argmin(left)), float((y**2).sum()), float(of_noise.sum())
-    share = explained(left[best] - noise + float(directions[best] ** 2 @ of_noise), total - noise)
+    share = explained_share(left[best] - noise + float(directions[best] ** 2 @ of_noise), total - noise)
     others = left[np.arange(3 * n) % n != best % n]
     if share < EXPLAINED or not all(_clearly(left[best], each, y.size) for each in others):
         return None
     joint, side = names[best % n], (LINK, MOTOR, JOINT)[best // n]
     what = f"{joint if side == JOINT else f'{side} of {joint}'}: torques of no known kind of fault"
-    return Finding(
-        UNKNOWN, joint, side, np.nan, "", share, f"{what} explain {100 * share:.0f} % of the residual torque"
-    )
+    said = f"{what} explain {100 * share:.0f} % of the residual torque"
+    return Finding(UNKNOWN, joint, side, share=share, sentence=said)
 
 
 def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
@@ -183,7 +182,7 @@ def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
         return None
     concerned = ", ".join(names[j] for j in np.flatnonzero(felt))
     share = float((size[:, :n] ** 2).sum() / (size**2).sum())
-    return Finding(EXTERNAL, concerned, LINK, np.nan, "", share, f"{EXTERNAL} on {concerned}")
+    return Finding(EXTERNAL, concerned, LINK, share=share, sentence=f"{EXTERNAL} on {concerned}")
 
 
 def unexplained(nearest: FittedFault, share: float, names: Sequence[str]) -> Finding:
@@ -191,4 +190,4 @@ def unexplained(nearest: FittedFault, share: float, names: Sequence[str]) -> Fin
     sentence = "no single fault explains the residual torque"
     if share >= NEAREST:
         sentence += f"; the nearest, {nearest.kind} ({nearest.fault.place(names)}), explains {100 * share:.0f} %"
-    return Finding(UNKNOWN, "", "", np.nan, "", share, sentence)
+    return Finding(UNKNOWN, "", share=share, sentence=sentence)

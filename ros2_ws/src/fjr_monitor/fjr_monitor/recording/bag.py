@@ -8,14 +8,13 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.records import Message
 
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Table
-from fjr_monitor.recording.files import BagError, Contents, Times, Topic, files_of, read_file
+from fjr_monitor.recording.files import BagError, Contents, Times, Topic, read_files
 from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
 
 JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
@@ -88,12 +87,14 @@ class Bag:
             return JointTable(times, times, values, values, values)
         (first,) = topic.decode(topic.messages[:1])
         arrays = joint_state_arrays([message.data for message in topic.messages], first)
-        if arrays is None:
-            found = topic.decoded
-            stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
-            return JointTable(stamps, topic.publish_time, *(_columns(found, what, joints) for what in FIELDS))
-        stamp, columns = arrays
-        return JointTable(stamp, topic.publish_time, *(_named(columns[what], first.name, joints) for what in FIELDS))
+        if arrays is not None:
+            stamp, columns = arrays
+            named = [_named(columns[what], first.name, joints) for what in FIELDS]
+            return JointTable(stamp, topic.publish_time, *named)
+        found = topic.decoded  # messages differ in names or lengths
+        stamp = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found], dtype=np.int64)
+        rows = [[_named(np.atleast_2d(getattr(m, what)), m.name, joints) for m in found] for what in FIELDS]
+        return JointTable(stamp, topic.publish_time, *map(np.concatenate, rows))
 
     def batches(self, names: Collection[str], leading: str, size: int) -> Iterator[dict[str, Topic]]:
         """Yield the messages of topics, as they were sent, in batches of `size` messages of the leading topic.
@@ -116,18 +117,11 @@ def read_bag(path: str | Path, namespace: str = "") -> Bag:
 
     namespace: of the topics, empty or with a leading slash.
     """
-    path, contents, complete = bag_folder(Path(path)), Contents(), True
-    for file in files_of(path):
-        messages = read_file(file, contents)
-        while True:
-            try:
-                topic, message = next(messages)
-            except StopIteration as end:
-                complete &= bool(end.value)
-                break
-            topic.note(message)
+    path, contents = bag_folder(Path(path)), Contents()
+    for topic, message in read_files(path, contents):
+        topic.note(message)
     topics = {name: topic for name, topic in contents.topics.items() if topic.count}
-    return Bag(path, topics, complete, namespace, tuple(contents.notes))
+    return Bag(path, topics, contents.complete, namespace, tuple(contents.notes))
 
 
 def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator[tuple[str, Message]]:
@@ -137,20 +131,18 @@ def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator
     """
     ahead: list[tuple[int, str, Message]] = []
     size, wanted = 0, frozenset(names)
-    contents = Contents(wanted=wanted)
-    for file in files_of(bag_folder(path)):
-        for topic, message in read_file(file, contents):
-            if topic.name not in wanted:
-                continue
-            ahead.append((message.publish_time if sent else message.log_time, topic.name, message))
-            size += len(message.data)
-            if len(ahead) > AHEAD_MESSAGES or size > AHEAD_BYTES:
-                ahead.sort(key=itemgetter(0))
-                half = max(1, len(ahead) // 2)
-                for _, name, each in ahead[:half]:
-                    yield name, each
-                del ahead[:half]
-                size = sum(len(each.data) for _, _, each in ahead)
+    for topic, message in read_files(bag_folder(path), Contents(wanted=wanted)):
+        if topic.name not in wanted:
+            continue
+        ahead.append((message.publish_time if sent else message.log_time, topic.name, message))
+        size += len(message.data)
+        if len(ahead) > AHEAD_MESSAGES or size > AHEAD_BYTES:
+            ahead.sort(key=itemgetter(0))
+            half = max(1, len(ahead) // 2)
+            for _, name, each in ahead[:half]:
+                yield name, each
+            del ahead[:half]
+            size = sum(len(each.data) for _, _, each in ahead)
     ahead.sort(key=itemgetter(0))
     for _, name, message in ahead:
         yield name, message
@@ -181,11 +173,6 @@ def _efforts(topic: Topic, n: int) -> JointTable:
     times = np.array([sent for sent, _ in valid], dtype=np.int64)
     nothing = np.full((len(valid), n), np.nan)
     return JointTable(times, times, nothing, nothing, np.array([data for _, data in valid]).reshape(-1, n))
-
-
-def _columns(messages: Sequence[Any], what: str, joints: Sequence[str]) -> Array:
-    """Return the field `what` of the named joints, (k, n), of messages that differ in names or lengths."""
-    return np.concatenate([_named(np.atleast_2d(getattr(each, what)), each.name, joints) for each in messages])
 
 
 def header_stamp(data: bytes) -> int:

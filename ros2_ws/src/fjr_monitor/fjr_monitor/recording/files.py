@@ -12,7 +12,7 @@ import re
 import sqlite3
 import struct
 import zlib
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -107,21 +107,23 @@ class Topic:
 class Contents:
     """What the files of a bag hold so far: topics by name, number of messages, and one sentence for each loss.
 
-    wanted: topics whose messages are needed; None: all. A reader may leave out the others.
+    wanted: topics whose messages are needed; None: all. A reader may leave out the others. complete: all files were
+    closed by the recorder.
     """
 
     topics: dict[str, Topic] = field(default_factory=dict)
     count: int = 0
     notes: list[str] = field(default_factory=list)
     wanted: Collection[str] | None = None
+    complete: bool = True
 
     def topic(self, name: str, type_name: str, definition: str) -> Topic:
         """Return the topic of this name; add it if it is new."""
         return self.topics.setdefault(name, Topic(name, type_name, definition))
 
 
-Messages = Generator[tuple[Topic, Message], None, bool]
-"""The messages of a file, each with its topic; the value at the end is whether the file was closed."""
+Messages = Iterator[tuple[Topic, Message]]
+"""Messages, each with its topic."""
 
 
 def files_of(path: Path) -> list[Path]:
@@ -141,11 +143,13 @@ def files_of(path: Path) -> list[Path]:
     raise BagError(f"{path} is not a bag: expected a folder with .mcap or .db3 files in it, or such a file")
 
 
-def read_file(path: Path, contents: Contents) -> Messages:
-    """Yield the messages of one of files_of; topics, losses and the number of messages are added to `contents`."""
-    if path.is_file() and path.stat().st_size == 0:
-        return False
-    return (yield from READERS.get(path.suffix, read_compressed)(path, contents))
+def read_files(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of a bag's files; topics, losses and the number of messages are added to `contents`."""
+    for file in files_of(path):
+        if file.is_file() and file.stat().st_size == 0:
+            contents.complete = False
+        else:
+            yield from READERS.get(file.suffix, read_compressed)(file, contents)
 
 
 def read_mcap(path: Path, contents: Contents) -> Messages:
@@ -161,7 +165,7 @@ def read_mcap(path: Path, contents: Contents) -> Messages:
     if not read and (file.damage or file.invalid):
         raise BagError(f"{path} is not a readable MCAP file: it is damaged at byte {(file.damage or [0])[0]}")
     contents.notes += file.losses(path.name, read)
-    return file.closed
+    contents.complete &= file.closed
 
 
 class _McapFile:
@@ -182,7 +186,7 @@ class _McapFile:
         self._index: list[ChunkIndex] = []
         self._count: int | None = None  # messages; None: not in the summary
 
-    def messages(self) -> Iterator[tuple[Topic, Message]]:
+    def messages(self) -> Messages:
         """Yield all undamaged messages."""
         summary = self._summary()
         try:
@@ -218,7 +222,7 @@ class _McapFile:
         summary = self._bytes(begin, end + FOOTER.size - 4 - begin)
         return summary[: end - HEAD.size - begin] if checksum in (0, zlib.crc32(summary)) else b""
 
-    def _in_sequence(self) -> Iterator[tuple[Topic, Message]]:
+    def _in_sequence(self) -> Messages:
         """Yield messages from front to back."""
         position = len(MAGIC)
         while position < self._size:
@@ -244,7 +248,7 @@ class _McapFile:
             checksum = zlib.crc32(self._bytes(position, min(BLOCK, end - position)), checksum)
         return checksum == wanted
 
-    def _undamaged(self, position: int, kind: int, content: bytes) -> Iterator[tuple[Topic, Message]]:
+    def _undamaged(self, position: int, kind: int, content: bytes) -> Messages:
         """Yield the messages of the record at a position; note damage."""
         try:
             data = unpacked(content) if kind == Opcode.CHUNK else HEAD.pack(kind, len(content)) + content
@@ -252,7 +256,7 @@ class _McapFile:
         except UNREADABLE:
             self.damage.append(position)
 
-    def _inside(self, data: bytes) -> Iterator[tuple[Topic, Message]]:
+    def _inside(self, data: bytes) -> Messages:
         """Yield the messages among records one after the other; raise ValueError if the last is incomplete."""
         wanted, topics = self._contents.wanted, self._topics
         for kind, begin, end in records(data):
@@ -348,10 +352,10 @@ def read_sqlite(path: Path, contents: Contents) -> Messages:
             raise BagError(f"{path} is not a readable SQLite bag: {error}") from error
         read = plural(contents.count - before, "message")
         contents.notes.append(f"{path.name} is damaged; {read} read, those behind the damage are lost")
-        return False
+        contents.complete = False
+        return
     if invalid:
         contents.notes.append(f"{path.name}: {plural(invalid, 'message')} of no known topic or without a time left out")
-    return True
 
 
 def read_compressed(folder: Path, contents: Contents) -> Messages:
@@ -367,7 +371,6 @@ def read_compressed(folder: Path, contents: Contents) -> Messages:
                     yield topic, Message(connection.id, time, data, time, 0)
     except Exception as error:  # any error of the library
         raise BagError(f"{folder} is not a readable compressed bag: {error or type(error).__name__}") from error
-    return True
 
 
 READERS: dict[str, Callable[[Path, Contents], Messages]] = {".mcap": read_mcap, ".db3": read_sqlite}

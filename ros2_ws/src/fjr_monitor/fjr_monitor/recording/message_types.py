@@ -73,8 +73,5 @@ def _nested_types(node: Any) -> set[str]:
     """Return all type names (package/msg/Name) that a parsed definition refers to."""
     if isinstance(node, str):
         return {node} if node.count("/") == 2 else set()
-    if isinstance(node, dict):
-        return set().union(*(_nested_types(value) for value in node.values()))
-    if isinstance(node, (tuple, list)):
-        return set().union(*(_nested_types(value) for value in node))
-    return set()
+    parts = node.values() if isinstance(node, dict) else node if isinstance(node, (tuple, list)) else ()
+    return set().union(*map(_nested_types, parts))

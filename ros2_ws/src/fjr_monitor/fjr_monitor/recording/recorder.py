@@ -87,10 +87,7 @@ class BagWriter:
         """Add one message; times [ns] since the epoch, sequence: number by its publisher."""
         self._mcap.add_message(channel.id, log_time, data, publish_time, sequence & 0xFFFFFFFF)
         channel.count += 1
-        if log_time < self._first_time:
-            self._first_time = log_time
-        if log_time > self._last_time:
-            self._last_time = log_time
+        self._first_time, self._last_time = min(self._first_time, log_time), max(self._last_time, log_time)
 
     def flush(self) -> None:
         """End the current chunk and write it to the file."""

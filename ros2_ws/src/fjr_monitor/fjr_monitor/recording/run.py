@@ -25,7 +25,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import STARTS_REFUSED, STOPS
 from fjr_core.runtime.library import constant
 from fjr_core.runtime.velocity_observer import VelocityObserver
-from fjr_monitor.diagnosis.record import LEAD, PART, Record
+from fjr_monitor.diagnosis.record import LEAD, PART, Record, held_efforts
 from fjr_monitor.recording.bag import Bag, JointTable
 from fjr_monitor.recording.files import Times
 from fjr_monitor.recording.signals import REFERENCE, AnsweredStates, States, first_of_each_stamp, match_stamps
@@ -91,9 +91,10 @@ class Recording:
     """A run in a bag, from the first state with a command on; raises BagError.
 
     duration [s] of stamped time; infinite: up to the last state that has a command. states: their number. step [s]:
-    median time between two. sample_period [s]. effort_limit (n,) [N m]. notes: one sentence for each missing or
-    substituted signal; those on reference and velocities, reference_mismatch [rad] and stop are known once the parts
-    were read. counters: last /diagnostics of each name. size: states of a part.
+    median time between two. start: stamp of the first one [ns]. sample_period [s]. effort_limit (n,) [N m].
+    velocities_measured: else an observer estimates them. notes: one sentence for each missing or substituted signal;
+    those on reference and velocities, reference_mismatch [rad] and stop are known once the parts were read. counters:
+    last /diagnostics of each name. size: states of a part.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario, duration: float = np.inf, size: int = PART) -> None:
@@ -104,40 +105,27 @@ class Recording:
         self.reference_mismatch = float("nan")
         self.stop: ControllerStop | None = None
         self._answered = answered = AnsweredStates(bag, scenario, duration, size)
-        self.counters, self.states = answered.counters, answered.count
+        self.counters, self.states, self.start = answered.counters, answered.count, answered.section.start
+        self.velocities_measured = not answered.reader.estimated
         nominal, seen = scenario.sample_period, answered.section.steps.quantile(0.5) * 1e-9
         known = seen > 0
         other = known and abs(seen - nominal) > OTHER_RATE * nominal
         self.step, self.sample_period = (seen if known else nominal), (seen if other else nominal)
         rate = f"the scenario's robot sends them every {nominal * 1e3:g} ms"
         self._rate_note = (f"states came every {seen * 1e3:.4g} ms; {rate}",) if other else ()
-        self._notes_of_parts: tuple[str, ...] = ()
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """One sentence for each missing or substituted signal."""
-        return (*self._answered.notes, *self._notes_of_parts, *self._rate_note)
-
-    @property
-    def start(self) -> int:
-        """Stamp [ns] of the first state."""
-        return self._answered.section.start
-
-    @property
-    def velocities_measured(self) -> bool:
-        """Whether velocities are measured; else an observer estimates them."""
-        return not self._answered.reader.estimated
+        self.notes = (*answered.notes, *self._rate_note)
 
     def parts(self) -> Iterator[RunData]:
         """Yield the run in parts; each repeats up to LEAD states of the one before."""
-        start, reader = self._answered.section.start, self._answered.reader
         reference, stop = RecordedReference(self.scenario), StopFinder(self._answered.events)
-        estimate = EstimatedStates(self.scenario) if reader.estimated else None
+        estimate = None if self.velocities_measured else EstimatedStates(self.scenario)
+        torque_is_known = self._answered.reader.known_torque
         certificate, torques, count, first_sent = self._certificate(), ExternalTorques(self.scenario), 0, 0
+        held: Array = np.zeros((0, len(self.joints)))
         for states, u, answered, new, recorded in self._answered.windows():
             begin = min(LEAD, count, new.start)  # states of the part before, which the next one repeats
             cut = slice(new.start - begin, new.stop)
-            t = np.asarray((states.stamp - start) * 1e-9, dtype=np.float64)
+            t = np.asarray((states.stamp - self.start) * 1e-9, dtype=np.float64)
             jets = reference.jets(recorded, states.stamp, t)[cut]
             seen, u, answered, t = states.rows(cut), u[cut], answered[cut], t[cut]
             if estimate is not None:
@@ -146,12 +134,15 @@ class Recording:
                 seen = replace(seen, position=position, velocity=velocity)
             first_sent, count = first_sent or int(seen.publish_time[0]), count + new.stop - new.start
             stop.add(seen.stamp, seen.publish_time, t)
+            before = held[-begin - 1] if len(held) > begin else None
+            held = held_efforts(u, before)
             yield RunData(
                 begin=begin,
+                before=before,
                 certify=certificate,
                 observe=torques.of,
                 measured=seen.position if estimate is None else measured,
-                u_applied=seen.effort @ np.linalg.inv(self.scenario.robot.B_m).T if reader.known_torque else None,
+                u_applied=seen.effort @ np.linalg.inv(self.scenario.robot.B_m).T if torque_is_known else None,
                 sample_period=self.sample_period,
                 lockstep=self.lockstep,
                 effort_limit=self.effort_limit,
@@ -167,7 +158,8 @@ class Recording:
         self.reference_mismatch, self.stop = reference.mismatch, stop.stop()
         estimated = "no velocities were measured: positions and velocities are an observer's ({:g} rad/s)"
         estimates = () if estimate is None else (estimated.format(estimate.bandwidth),)
-        self._notes_of_parts = (*estimates, *reference.notes(self.bag.holds(REFERENCE)))
+        found = *estimates, *reference.notes(self.bag.holds(REFERENCE))
+        self.notes = (*self._answered.notes, *found, *self._rate_note)
 
     def _certificate(self) -> Callable[[RunData], CertificateSeries]:
         """Return the certificate along a part; of another law than v-dPBC only what the robot alone determines."""
@@ -315,10 +307,9 @@ class StopFinder:
 
     def __init__(self, events: Sequence[tuple[Any, int]]) -> None:
         first: tuple[Any, int] = next((each for each in events if each[0].name in HEADINGS), (None, 0))
-        self._event, when = first
+        self._event, sent = first
         pairs = {} if self._event is None else {pair.key: pair.value for pair in self._event.values}
-        self._stamped = STAMP in pairs
-        self._when = int(pairs.get(STAMP, when))
+        self._stamped, self._when = STAMP in pairs, int(pairs.get(STAMP, sent))
         self._at = 0.0
 
     def add(self, stamps: Any, sent: Any, t: Any) -> None:

@@ -46,9 +46,10 @@ class States(JointTable):
 
 
 class RecordedStates:
-    """States from tables of the topic; notes: one sentence for each signal that is missing from the start of the bag.
+    """States from tables of the topic.
 
     known_torque: whether the motors' torque is measured. left_out: number of states that were not complete.
+    other_names, no_motors: a sentence if joint names differ, if the motor side is not measured; else empty.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario) -> None:
@@ -57,7 +58,8 @@ class RecordedStates:
         self._ratio = np.concatenate([np.ones(self._n), np.asarray(self._measured.gear_ratio)])  # of links, motors
         self.left_out = 0
         self.known_torque = False
-        self._foreign, self.notes = self._names(bag)
+        self._foreign, self.other_names = self._names(bag)
+        self.no_motors = ""
         self._needed: Rows | None = None  # columns of position and velocity without which a state is left out
         self.estimated = False
         self._wants_estimate = scenario.controller_values["measurement.velocity"] != "measured"
@@ -84,10 +86,10 @@ class RecordedStates:
         self.known_torque = bool(np.isfinite(table.effort[:, n:]).any())
         self.estimated = (self._wants_estimate or not moving) and not np.isnan(position).all(axis=0).any()
         if np.isnan(position[:, n:]).all():
-            self.notes = (*self.notes, f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power")
+            self.no_motors = f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power"
 
-    def _names(self, bag: Bag) -> tuple[bool, tuple[str, ...]]:
-        """Return whether joints of the scenario are missing, and a note if the joint names differ."""
+    def _names(self, bag: Bag) -> tuple[bool, str]:
+        """Return whether joints of the scenario are missing, and a sentence if the joint names differ."""
         topic, joints = bag.held(STATES), self._joints
         first = [message for _, message in islice(in_order(bag.path, (topic.name,)), SCANNED_MESSAGES)]
         bag.table(topic, joints)  # raises for another type
@@ -97,10 +99,10 @@ class RecordedStates:
         if missing:
             return True, (
                 f"the states name {', '.join(named) or 'no joint'}; the scenario's robot has {', '.join(missing)}: "
-                "another robot's, of which only the timing is shown (give its scenario by --scenario)",
+                "another robot's, of which only the timing is shown (give its scenario by --scenario)"
             )
         note = f"the states name {', '.join(more)}, too, which the scenario's robot does not have"
-        return False, (note,) if more else ()
+        return False, note if more else ""
 
     def _positions(self, table: JointTable) -> Array:
         """Return link and motor positions (k, 2n) [rad]; q_m = q_l + K^-1 tau where the joint torque is measured."""
@@ -190,7 +192,7 @@ class AnsweredStates:
         self.notes = self._select_notes()  # on bag, states and commands
 
     def windows(self) -> Iterator[tuple[States, Array, Times, slice, JointTable | None]]:
-        """Yield states of the run and their commands, as of `commands_of`; rows of the new states among them.
+        """Yield states of the run and their commands, as of `_commands`; rows of the new states among them.
 
         Last in each: the recorded reference about these states, None: none was recorded.
         """
@@ -198,18 +200,14 @@ class AnsweredStates:
         for states, new, tables in self._tables((*self._topics, *([REFERENCE] if self._bag.holds(REFERENCE) else []))):
             inside = (states.number >= section.number) & (states.number < section.end_number)
             states, new = states.rows(inside), new[inside]
-            fresh, around = (
-                section.rows(states, those, after, self._duration)
-                for those, after in ((new, last), (np.ones_like(new), section.start - 1))
-            )
+            fresh = section.rows(states, new, last, self._duration)
+            around = section.rows(states, np.ones_like(new), section.start - 1, self._duration)
             fresh, around = (rows[states.stamp[rows] <= self.last] for rows in (fresh, around))
             if not len(fresh):
                 continue
             u, answered = self._commands(states, tables, section)
-            place, last = (
-                int(np.searchsorted(states.stamp[around], states.stamp[fresh[0]])),
-                int(states.stamp[fresh[-1]]),
-            )
+            begin, last = states.stamp[fresh[[0, -1]]]
+            place = int(np.searchsorted(states.stamp[around], begin))
             rows = slice(place, place + len(fresh))
             yield states.rows(around), u[around], answered[around], rows, tables.get(REFERENCE)
 
@@ -280,20 +278,34 @@ class AnsweredStates:
         return best
 
     def _commands(self, states: States, tables: dict[str, JointTable], section: Section) -> tuple[Array, Times]:
-        """Return efforts and send times of the commands to states of a section."""
-        if self.topic is None:
-            return commands_of(states, None, False)
-        table = tables[self.topic]
+        """Return the command of each of k states: u (k, n) [N m], send time (k,) [ns]; NaN and -1 without a command.
+
+        Commands are matched by stamp where they carry one; else each state has the first one sent after it and before
+        the next state. states, commands: of a section.
+        """
+        time, stamped = states.publish_time, self.topic == ANSWERS
+        nothing = np.full((len(time), len(self._joints)), np.nan), np.full(len(time), -1, dtype=np.int64)
+        if self.topic is None or not len(time):
+            return nothing
+        table, begin = tables[self.topic], section.first_sent
         end = section.last_sent + AFTERWARDS if section.end_number < END else END
-        inside = (table.publish_time >= section.first_sent) & (table.publish_time <= end)
-        return commands_of(states, table.rows(inside), self.topic == ANSWERS)
+        if stamped:
+            begin, end = max(begin, time[0]), min(end, time[-1] + AFTERWARDS)
+        table = table.rows((table.publish_time >= begin) & (table.publish_time <= end))
+        if not len(table.stamp):
+            return nothing
+        if stamped:
+            table = table.rows(first_of_each_stamp(table.stamp))
+            place, found = match_stamps(states.stamp, table.stamp)
+        else:
+            place = np.searchsorted(table.publish_time, time)
+            found, place = place < len(table.stamp), np.minimum(place, len(table.stamp) - 1)
+            found &= table.publish_time[place] < np.append(time[1:], END)
+        return np.where(found[:, None], table.effort[place], np.nan), np.where(found, table.publish_time[place], -1)
 
     def _select_notes(self) -> tuple[str, ...]:
         """Return the notes on bag, states and commands."""
         section, reader = self.section, self.reader
-        torn = () if self._bag.complete else ("the bag was not closed: shown is what was written until then",)
-        left_out = (f"{reader.left_out} states are incomplete or not finite and left out",) if reader.left_out else ()
-        jumps = f"time jumps back {self.jumps} times: shown is the longest of {self.jumps + 1} parts"
         unknown = "no effort of the controller, no latency"
         commands = ""
         if self.topic is None:
@@ -305,36 +317,21 @@ class AnsweredStates:
                 f"{ANSWERS} was not recorded: a command of {EFFORTS} is taken to answer the last state sent before it"
             )
         tail, end = (section.last - self.last) * 1e-9, (self.last - section.start) * 1e-9
-        silent = f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown"
-        said = [jumps] * bool(self.jumps) + [commands] * bool(commands) + [silent] * (tail > TAIL)
-        names_first = reader.notes[:1] if reader.notes and "motor side" not in reader.notes[0] else ()
-        return (*torn, *names_first, *left_out, *reader.notes[len(names_first) :], *said)
+        said = (
+            "" if self._bag.complete else "the bag was not closed: shown is what was written until then",
+            reader.other_names,
+            f"{reader.left_out} states are incomplete or not finite and left out" if reader.left_out else "",
+            reader.no_motors,
+            f"time jumps back {self.jumps} times: shown is the longest of {self.jumps + 1} parts" if self.jumps else "",
+            commands,
+            f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown" if tail > TAIL else "",
+        )
+        return tuple(note for note in said if note)
 
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
     """Return the row of the first message of each stamp, in order of time; duplicated messages are dropped."""
     return np.unique(stamp, return_index=True)[1]
-
-
-def commands_of(states: States, table: JointTable | None, stamped: bool) -> tuple[Array, Times]:
-    """Return the command of each of k states: u (k, n) [N m], send time (k,) [ns]; NaN and -1 without a command.
-
-    Commands are matched by stamp where they carry one; else each state has the first one sent after it and before the
-    next state.
-    """
-    time, n = states.publish_time, states.position.shape[1] // 2
-    if table is not None and stamped and len(time):
-        table = table.rows((table.publish_time >= time[0]) & (table.publish_time <= time[-1] + AFTERWARDS))
-        table = table.rows(first_of_each_stamp(table.stamp))
-    if table is None or not len(table.stamp) or not len(time):
-        return np.full((len(time), n), np.nan), np.full(len(time), -1, dtype=np.int64)
-    if stamped:
-        place, found = match_stamps(states.stamp, table.stamp)
-    else:
-        place = np.searchsorted(table.publish_time, time)
-        found, place = place < len(table.stamp), np.minimum(place, len(table.stamp) - 1)
-        found &= table.publish_time[place] < np.append(time[1:], np.iinfo(np.int64).max)
-    return np.where(found[:, None], table.effort[place], np.nan), np.where(found, table.publish_time[place], -1)
 
 
 def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:

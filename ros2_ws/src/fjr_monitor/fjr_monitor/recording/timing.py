@@ -49,9 +49,7 @@ class CountedTimes:
         if not self.count:
             return float("nan")
         ends, place = np.cumsum(self._counts), share * (self.count - 1)
-        low, high = (
-            self._values[np.searchsorted(ends, each, side="right")] for each in (int(place), int(np.ceil(place)))
-        )
+        low, high = self._values[np.searchsorted(ends, [int(place), int(np.ceil(place))], side="right")]
         return float(low + (place - int(place)) * (high - low))
 
     def histogram(self, edges: Array) -> Array:

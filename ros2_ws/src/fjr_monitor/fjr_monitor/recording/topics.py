@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -112,9 +111,8 @@ def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> 
 
 
 def _published(node: Node) -> str:
-    published = sorted(name for name, _ in node.get_topic_names_and_types() if node.count_publishers(name))
-    with suppress(ValueError):
-        published.remove("/parameter_events")
+    topics = (name for name, _ in node.get_topic_names_and_types() if name != "/parameter_events")
+    published = sorted(name for name in topics if node.count_publishers(name))
     return f"published are {', '.join(published) or 'none'}"
 
 

@@ -119,23 +119,16 @@ def side_by_side_plots(runs: Sequence[RunSummary]) -> list[Plot]:
 
 def transients(runs: Sequence[RunSummary]) -> list[Plot]:
     """Return the plots of link position and effort of one joint over the first TRANSIENT seconds, on linear axes."""
-    shown = [(run, run.data.states["t"] <= TRANSIENT) for run in runs]
-    times = np.unique(np.concatenate([run.data.states["t"][early] for run, early in shown]))
-    reference = shown[0][0].data.states
-
-    def lines(name: str) -> list[Line]:
-        columns = [(run, run.data.states["t"], run.data.states[name][:, 0]) for run, _ in shown]
-        return [
-            Line(run.label, np.interp(times, t, column, np.nan, np.nan), colour(i), 2.0)
-            for i, (run, t, column) in enumerate(columns)
-        ]
-
+    times = np.unique(np.concatenate([run.data.states["t"] for run in runs]))
+    times = times[times <= TRANSIENT]
+    links, efforts = (_lines(runs, times, [run.data.states[name][:, 0] for run in runs], 2.0) for name in ("q_l", "u"))
+    reference = runs[0].data.states
     desired = Line("reference", np.interp(times, reference["t"], reference["q_ld"][:, 0]), "grey", 4.0)
     position, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("q_l", "position"), ("u", "effort")))
     alike, apart = "Link position: both joints converge alike", "Effort: the softer joint needs far more"
     return [
-        Plot("positions", alike, "The first joint.", times, [desired, *lines("q_l")], y_label=position, place="claim"),
-        Plot("efforts", apart, "The first joint.", times, lines("u"), y_label=effort, place="claim"),
+        Plot("positions", alike, "The first joint.", times, [desired, *links], y_label=position, place="claim"),
+        Plot("efforts", apart, "The first joint.", times, efforts, y_label=effort, place="claim"),
     ]
 
 
@@ -163,11 +156,15 @@ def _over_time(
     """Plot values over the union of the runs' times."""
     rows = [decimated([column], DRAWN // len(runs)) for column in values]
     times = np.unique(np.concatenate([run.data.states["t"][keep] for run, keep in zip(runs, rows, strict=True)]))
-    lines = [
-        Line(run.label, np.interp(times, run.data.states["t"][keep], column[keep], np.nan, np.nan), colour(i), 1.3)
-        for i, (run, keep, column) in enumerate(zip(runs, rows, values, strict=True))
+    return Plot(name, title, caption, times, _lines(runs, times, values, 1.3), y_label=label, y_log=True)
+
+
+def _lines(runs: Sequence[RunSummary], times: Array, values: Sequence[Array], width: float) -> list[Line]:
+    """Return the lines of the runs' values at times (k,); gaps outside of a run."""
+    return [
+        Line(run.label, np.interp(times, run.data.states["t"], column, np.nan, np.nan), colour(i), width)
+        for i, (run, column) in enumerate(zip(runs, values, strict=True))
     ]
-    return Plot(name, title, caption, times, lines, y_label=label, y_log=True)
 
 
 def _distribution(name: str, title: str, what: str, runs: Sequence[RunSummary], values: Sequence[CountedTimes]) -> Plot:

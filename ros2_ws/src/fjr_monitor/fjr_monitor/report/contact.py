@@ -19,7 +19,8 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import innovations
-from fjr_monitor.diagnosis.residuals import block_means, torques
+from fjr_monitor.diagnosis.record import blocks_of
+from fjr_monitor.diagnosis.residuals import torques
 from fjr_monitor.diagnosis.torque_faults import QUIET
 from fjr_monitor.recording.bag import JointTable
 from fjr_monitor.recording.run import Recording
@@ -93,7 +94,8 @@ def _residual_torques(run: Recording, law: TrackingLaw) -> tuple[Array, Array, A
     for part in run.parts():
         found, first = innovations(part, law, valued=False), part.consecutive()
         torque = torques(law.robot, found.states[:, 0, : 2 * n], found.error[:, 2 * n :], found.dt)[:, :n]
-        parts.append([block_means(each, TOGETHER) for each in (part.t[first] + found.dt / 2, part.q_l[first], torque)])
+        columns = part.t[first] + found.dt / 2, part.q_l[first], torque
+        parts.append([blocks_of(each, TOGETHER).mean(axis=1) for each in columns])
     t, q, torque = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return t, q, torque
 

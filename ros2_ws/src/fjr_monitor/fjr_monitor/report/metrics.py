@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +21,7 @@ from fjr_core.config.law import robust as build_robust
 from fjr_core.files.text_file import write_text
 from fjr_core.law.rate import NO_RATE
 from fjr_core.model.robot import joined
-from fjr_monitor.diagnosis.diagnosis import PartwiseDiagnosis
+from fjr_monitor.diagnosis.diagnosis import FirstPass, SecondPass
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import EXTERNAL, Diagnosis, unknown
 from fjr_monitor.recording.run import ControllerStop, Recording, RunData
@@ -47,11 +48,7 @@ VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy
 
 Status = Literal["stopped", "late", "holding", "degraded", "violated", "unknown"]
 Formatter = Callable[[float, str], str]  # (value, unit) -> text
-
-
-def four_digits(value: float, unit: str) -> str:
-    """Return a value and its unit with four digits."""
-    return number(value, unit, 4)
+FOUR_DIGITS: Formatter = partial(number, digits=4)
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ class Report:
         """Return the effort unit of the joints: N m, N, or both."""
         return joined(each.effort_unit for each in self.joints)
 
-    def peak_effort(self, write: Formatter = four_digits) -> str:
+    def peak_effort(self, write: Formatter = FOUR_DIGITS) -> str:
         """Return the peak effort, e.g. 43.1 N m (joint2)."""
         joint = self.tracking.peak_effort_joint
         return write(self.tracking.peak_effort_nm, self._joint(joint).effort_unit) + self._at(joint)
@@ -131,7 +128,7 @@ class Report:
         at = self._at(self.tracking.largest_share_joint)
         return "" if share is None else f"{percent(share, 0)} of its limit{at}"
 
-    def peak_effort_and_share(self, write: Formatter = four_digits) -> str:
+    def peak_effort_and_share(self, write: Formatter = FOUR_DIGITS) -> str:
         """Return both, e.g. 43.1 N m (joint2), 68 % of its limit (joint4)."""
         return ", ".join(filter(None, (self.peak_effort(write), self.effort_share())))
 
@@ -143,7 +140,7 @@ class Report:
     def steady_error(self, write: Formatter = number) -> str:
         """Return the largest error after 2 s, e.g. 1.4e-4 rad (joint2)."""
         error, joint = self.tracking.max_error_after_2s_rad, self.tracking.max_error_after_2s_joint
-        return write(np.nan, "") if error is None else write(error, self._joint(joint).position_unit) + self._at(joint)
+        return write(error, self._joint(joint).position_unit) + self._at(joint)
 
     def _joint(self, name: str | None) -> JointMetrics:
         """Return the metrics of a joint, of the first one for None."""
@@ -177,14 +174,15 @@ class Metrics:
 
     def __init__(self, run: Recording) -> None:
         self.run = run
-        self._diagnosis: PartwiseDiagnosis | None = None
+        self._diagnosis: SecondPass | None = None
         rate = NO_RATE
         if (law := run.scenario.certified_law) is not None:
             scales = JointTolerances.of(run.scenario.controller_values, run.scenario.robot)
-            self._diagnosis = PartwiseDiagnosis(law, run.states, run.step, not run.lockstep, scales)
+            first = FirstPass(law, run.states, run.step, not run.lockstep, scales)
             for part in run.parts():
-                self._diagnosis.first_pass(part)
-            rate = self._diagnosis.visited.rate(law)
+                first.add(part)
+            rate = first.visited.rate(law)
+            self._diagnosis = SecondPass(first, rate.beta)
         self.efforts_known = self.energy_known = self._storage_known = False
         self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
         self.tracked, self.balance = Tracked(run), Balance()
@@ -203,7 +201,7 @@ class Metrics:
             self.decay.add(part)
             self.balance.add(flow)
             if self._diagnosis is not None:
-                self._diagnosis.second_pass(part, self.decay.beta, part.certificate)
+                self._diagnosis.add(part, part.certificate)
             also(part, flow)
             self.seconds = float(part.t[-1])
 
@@ -220,16 +218,11 @@ class Metrics:
             return unknown("V does not include the disturbance estimate (robust.* is enabled)")
         return self._diagnosis.result(self.run.velocities_measured)
 
-    def _contact(self, verdict: Diagnosis) -> Contact | None:
-        """Return the contact of a run whose verdict has an external torque, None for others."""
-        joints = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
-        law = self.run.scenario.certified_law
-        return contact(self.run, law, joints) if joints and law else None
-
     def report(self, name: str, duration: float, **more: Any) -> Report:
         """Return the report of `duration` seconds of stamped time; more: fields that the bag does not hold."""
-        run, verdict = self.run, self.verdict()
-        touched = self._contact(verdict)
+        run, verdict, law = self.run, self.verdict(), self.run.scenario.certified_law
+        joints = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
+        touched = contact(run, law, joints) if joints and law else None
         lost = {topic: each.lost for topic, each in sorted(run.bag.topics.items())}
         versions: dict[str, str] = {}
         for each in VERSIONS:

@@ -25,7 +25,7 @@ DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
 
 @dataclass(frozen=True)
 class JointMetrics:
-    """Metrics of one joint. Errors in rad, efforts in N m, times in s; None: unknown or not applicable.
+    """Metrics of one joint. Errors in rad, efforts in N m, times in s; NaN or None: unknown or not applicable.
 
     position_unit, effort_unit: units of errors and efforts of this joint; m and N for a prismatic joint.
     """
@@ -36,13 +36,13 @@ class JointMetrics:
     initial_error_rad: float
     peak_error_rad: float
     rms_error_rad: float
-    peak_error_after_2s_rad: float | None
-    rms_error_after_2s_rad: float | None
+    peak_error_after_2s_rad: float
+    rms_error_after_2s_rad: float
     settling_time_2_percent_s: float | None  # to within 2 % of the largest initial error of all joints
     peak_effort_nm: float
     rms_effort_nm: float
     effort_limit_nm: float
-    saturated_fraction: float | None  # of the commands; None without a limit
+    saturated_fraction: float  # of the commands; NaN without a limit
 
 
 @dataclass(frozen=True)
@@ -60,34 +60,29 @@ class Tracking:
     effort_limit_by_joint_nm: dict[str, float]  # null: no limit
     largest_share_of_effort_limit: float | None  # of all joints with a limit; null: no limit
     initial_error_rad: float
-    max_error_after_2s_rad: float | None
-    rms_error_after_2s_rad: float | None
+    max_error_after_2s_rad: float  # null: the run is shorter; likewise the next
+    rms_error_after_2s_rad: float
     settling_time_2_percent_s: float | None  # |error| stays within 2 % of the initial one
     saturated_fraction: float | None  # commands with any joint at its limit; null: no limit
     reference_mismatch_rad: float  # recorded minus planned reference: a cross-check, near 0
 
 
-class Errors:
-    """Number, largest value and sum of squares of the errors of each joint."""
+class Sizes:
+    """Number, largest and root mean square (n,) of the values of each joint that are known; NaN without any."""
 
     def __init__(self, n: int) -> None:
-        self.count, self.largest, self._squares = 0, np.zeros(n), np.zeros(n)
+        self.count, self.largest, self._squares = np.zeros(n, dtype=int), np.full(n, np.nan), np.zeros(n)
 
-    def add(self, values: Array) -> None:
-        """Add absolute values (k, n)."""
-        self.count += len(values)
-        self.largest = np.maximum(self.largest, values.max(axis=0, initial=0.0))
-        self._squares += (values**2).sum(axis=0)
+    def add(self, sizes: Array) -> None:
+        """Add absolute values (k, n), NaN where not known."""
+        self.count += (~np.isnan(sizes)).sum(axis=0)
+        self.largest = np.fmax(self.largest, np.fmax.reduce(sizes, axis=0, initial=np.nan))
+        self._squares += np.nansum(sizes**2, axis=0)
 
     @property
     def rms(self) -> Array:
-        """Return the root mean squares (n,)."""
-        return np.asarray(np.sqrt(self._squares / max(1, self.count)))
-
-    @property
-    def rms_of_all(self) -> float:
-        """Return the root mean square of all joints."""
-        return float(np.sqrt(self._squares.sum() / max(1, self.count * len(self._squares))))
+        """Return the root mean squares."""
+        return np.asarray(np.sqrt(self._squares / np.where(self.count, self.count, np.nan)))
 
 
 class Settling:
@@ -119,11 +114,10 @@ class Tracked:
     def __init__(self, run: Recording) -> None:
         n = len(run.joints)
         self._run, self._limit = run, run.effort_limit
-        self._errors, self._late = Errors(n), Errors(n)
+        self._errors, self._late, self._efforts = Sizes(n), Sizes(n), Sizes(n)
         self._initial: Array | None = None
         self._settling = Settling(np.nan, n + 1)
-        self._peak = np.full(n, np.nan)
-        self._sent, self._squares, self._at_limit = np.zeros(n, dtype=int), np.zeros(n), np.zeros(n, dtype=int)
+        self._at_limit = np.zeros(n, dtype=int)
         self._commands = self._saturated = 0
 
     def add(self, part: RunData) -> None:
@@ -135,11 +129,8 @@ class Tracked:
         self._errors.add(size)
         self._late.add(size[t >= STEADY_AFTER])
         self._settling.add(t, np.column_stack([size, size.max(axis=1)]))
-        known = np.isfinite(u)
-        self._peak = np.fmax(self._peak, np.fmax.reduce(u, axis=0))
-        self._sent += known.sum(axis=0)
-        self._squares += (np.where(known, u, 0.0) ** 2).sum(axis=0)
-        at_limit, whole = known & (u >= AT_LIMIT * self._limit), known.all(axis=1)
+        self._efforts.add(u)
+        at_limit, whole = np.isfinite(u) & (u >= AT_LIMIT * self._limit), np.isfinite(u).all(axis=1)
         self._at_limit += at_limit.sum(axis=0)
         self._commands += int(whole.sum())
         self._saturated += int((at_limit[whole]).any(axis=1).sum())
@@ -147,22 +138,23 @@ class Tracked:
     def joints(self) -> list[JointMetrics]:
         """Return the metrics of every joint."""
         assert self._initial is not None  # a run has a state
-        late, sent = self._late.count > 0, np.maximum(self._sent, 1)
+        errors, late, efforts = self._errors, self._late, self._efforts
+        at_limit = self._at_limit / np.where(efforts.count, efforts.count, np.nan)
         return [
             JointMetrics(
                 joint=joint,
                 position_unit=units.position,
                 effort_unit=units.effort,
                 initial_error_rad=float(self._initial[j]),
-                peak_error_rad=float(self._errors.largest[j]),
-                rms_error_rad=float(self._errors.rms[j]),
-                peak_error_after_2s_rad=float(self._late.largest[j]) if late else None,
-                rms_error_after_2s_rad=float(self._late.rms[j]) if late else None,
+                peak_error_rad=float(errors.largest[j]),
+                rms_error_rad=float(errors.rms[j]),
+                peak_error_after_2s_rad=float(late.largest[j]),
+                rms_error_after_2s_rad=float(late.rms[j]),
                 settling_time_2_percent_s=self._settling.time(j),
-                peak_effort_nm=float(self._peak[j]),
-                rms_effort_nm=float(np.sqrt(self._squares[j] / sent[j])) if self._sent[j] else np.nan,
+                peak_effort_nm=float(efforts.largest[j]),
+                rms_effort_nm=float(efforts.rms[j]),
                 effort_limit_nm=float(limit),
-                saturated_fraction=float(self._at_limit[j] / sent[j]) if self._sent[j] and np.isfinite(limit) else None,
+                saturated_fraction=float(at_limit[j]) if np.isfinite(limit) else np.nan,
             )
             for j, (joint, units, limit) in enumerate(zip(self._run.joints, self._run.units, self._limit, strict=True))
         ]
@@ -170,21 +162,21 @@ class Tracked:
     def tracking(self) -> Tracking:
         """Return the metrics of all joints."""
         assert self._initial is not None
-        joints, late = self._run.joints, self._late.count > 0
-        (peak, peak_at), (share, share_at) = (self._largest(each) for each in (self._peak, self._peak / self._limit))
-        worst, worst_at = self._largest(self._late.largest) if late else (None, None)
+        joints, peaks = self._run.joints, self._efforts.largest
+        (peak, peak_at), (share, share_at) = (self._largest(each) for each in (peaks, peaks / self._limit))
+        worst, worst_at = self._largest(self._late.largest)
         limited = self._commands and np.isfinite(self._limit).any()
         return Tracking(
             peak_effort_nm=peak,
             peak_effort_joint=peak_at,
             largest_share_joint=share_at if share > 0 else None,
             max_error_after_2s_joint=worst_at,
-            peak_effort_by_joint_nm=dict(zip(joints, self._peak.tolist(), strict=True)),
+            peak_effort_by_joint_nm=dict(zip(joints, peaks.tolist(), strict=True)),
             effort_limit_by_joint_nm=dict(zip(joints, self._limit.tolist(), strict=True)),
             largest_share_of_effort_limit=share if share > 0 else None,
             initial_error_rad=float(self._initial.max()),
             max_error_after_2s_rad=worst,
-            rms_error_after_2s_rad=self._late.rms_of_all if late else None,
+            rms_error_after_2s_rad=float(np.sqrt(np.mean(self._late.rms**2))),
             settling_time_2_percent_s=self._settling.time(len(joints)),
             saturated_fraction=self._saturated / self._commands if limited else None,
             reference_mismatch_rad=self._run.reference_mismatch,

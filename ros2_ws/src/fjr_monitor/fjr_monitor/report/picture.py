@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fjr_monitor.report.html import Line, Plot, drawable
+from fjr_msgs_py.console.output import SUPERSCRIPT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +24,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 GREY = "#666666"
 SHADES = {**{f"c{i}": shade for i, shade in enumerate(COLOURS, 1)}, "grey": "#A6A9B1", "bad": "#C0243C"}
 """By the names of page.css."""
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 SMALL = 8  # font size of captions and legends
 FEW = 6  # ticks of a logarithmic axis; with more, powers of ten only
 LEGEND: dict[str, Any] = {"fontsize": SMALL, "framealpha": 0.8, "edgecolor": "none", "markerscale": 3.0}
@@ -82,7 +82,7 @@ def draw_plot(ax: Axes, plot: Plot, width: int) -> None:
     if plot.x_log:
         _label_log_axis(ax, *ax.get_xlim())
     if plot.y_log:  # in plain text: Matplotlib's own formulas take a tenth of the drawing
-        ax.yaxis.set_major_formatter(lambda value, _: f"10{str(round(np.log10(value))).translate(SUPERSCRIPTS)}")
+        ax.yaxis.set_major_formatter(lambda value, _: f"10{str(round(np.log10(value))).translate(SUPERSCRIPT)}")
     ax.yaxis.get_offset_text().set_horizontalalignment("right")  # beside the caption
     ax.minorticks_off()  # on log axes each is drawn by five artists, a third of the drawing time
     if any(artist.get_label()[:1] not in ("", "_") for artist in (*ax.lines, *ax.collections)):

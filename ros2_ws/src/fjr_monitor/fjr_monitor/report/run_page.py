@@ -90,7 +90,7 @@ class RunPlots:
         report = self._report
         worst, settled = report.tracking.max_error_after_2s_rad, report.tracking.settling_time_2_percent_s
         title = f"The error begins at {report.initial_error()}"
-        if worst is not None and np.isfinite(worst):
+        if np.isfinite(worst):
             goes = "falls" if worst < report.tracking.initial_error_rad else "goes"
             title = f"The error {goes} from {report.initial_error()} to {report.steady_error()}"
         caption = "Tracking error of each joint; log axis."

@@ -28,12 +28,15 @@ FRAMES = 900  # of the motion of an arm; the page interpolates between them
 
 
 class Columns:
-    """Columns of numbers, decimated: no value of a column is above or below those that are kept of its bucket."""
+    """Columns of numbers, decimated: no value of a column is above or below those that are kept of its bucket.
+
+    kept: parts of each column, by its name.
+    """
 
     def __init__(self, rows: int) -> None:
         """rows: how many will come."""
         self._width = 1 if rows <= EVERY else -(-rows // BUCKETS)
-        self._kept: dict[str, list[Array]] = {}
+        self.kept: dict[str, list[Array]] = {}
 
     def add(self, **columns: Array) -> None:
         """Add rows of columns (k,) or of several columns (k, m)."""
@@ -43,17 +46,12 @@ class Columns:
             each = [column for values in columns.values() for column in values.reshape(k, -1).T]
             rows = extremes(np.array(each), -(-k // self._width))
         for name, values in columns.items():
-            self._kept.setdefault(name, []).append(values[rows])
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the columns."""
-        return tuple(self._kept)
+            self.kept.setdefault(name, []).append(values[rows])
 
     def __getitem__(self, name: str) -> Array:
         """Return the rows of a column that are kept."""
-        self._kept[name] = [np.concatenate(self._kept[name])]
-        return self._kept[name][0]
+        self.kept[name] = [np.concatenate(self.kept[name])]
+        return self.kept[name][0]
 
 
 class Shown:

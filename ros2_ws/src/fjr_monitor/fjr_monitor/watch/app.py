@@ -190,7 +190,10 @@ class FjrWatch:
         ]
         self._every = [
             (self._subscribe(DiagnosticArray, names.DIAGNOSTICS, 100), self._on_diagnostics),
-            (self._subscribe(DiagnosticStatus, own[names.EVENTS], 100), self._on_event),
+            (
+                self._subscribe(DiagnosticStatus, own[names.EVENTS], 100),
+                lambda m: watched.event(self._now, m.level[0], m.name, m.message),
+            ),
         ]
         self._joints: list[str] = []
         self._named_efforts = False
@@ -248,9 +251,6 @@ class FjrWatch:
             values = {pair.key: pair.value for pair in status.values}
             health = NodeHealth(status.name, status.level[0], status.message, values.get("state", ""))
             self._watched.health(self._now, health)
-
-    def _on_event(self, message: DiagnosticStatus) -> None:
-        self._watched.event(self._now, message.level[0], message.name, message.message)
 
 
 def _by_name(message: JointState, values: Sequence[float]) -> dict[str, float]:

@@ -39,13 +39,8 @@ class BrowserPage:
             self._server = _Server((HOST, port), self, page(title))
         except OSError as error:
             raise PortError(f"port {port} cannot be used ({error.strerror}); expected a free one, or 0") from None
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
-        self._thread.start()
-
-    @property
-    def url(self) -> str:
-        """Return the address of the page."""
-        return f"http://{HOST}:{self._server.server_port}/"
+        self.url = f"http://{HOST}:{self._server.server_port}/"
+        threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
 
     def show(self, view: Mapping[str, Any], urdf: str) -> None:
         """Send a view (View as a dictionary) to the open pages, and the scene of the URDF if it has changed."""

@@ -62,7 +62,7 @@ def render(view: View, width: int = WIDE) -> RenderableType:
     return Group(*parts)
 
 
-def log_bar(value: float, width: int = ERROR_BAR) -> str:
+def log_bar(value: float, width: int) -> str:
     """Return a logarithmic bar of a magnitude."""
     low, high = ERROR_DECADES
     share = (math.log10(value) - low) / (high - low) if value > 0 else 0.0
@@ -70,7 +70,7 @@ def log_bar(value: float, width: int = ERROR_BAR) -> str:
     return ("█" * whole + (BLOCKS[rest] if rest else "")).ljust(width)
 
 
-def signed_bar(value: float, largest: float, width: int = EFFORT_BAR) -> str:
+def signed_bar(value: float, largest: float, width: int) -> str:
     """Return a bar from the centre to the left (negative) or right, full at +-largest."""
     half = width // 2
     length = min(half, round(half * min(1.0, abs(value) / largest))) if largest > 0 and math.isfinite(value) else 0
