@@ -121,14 +121,6 @@ def test_starts_on_the_corners_of_the_tube_end_below_the_offset(law: fjr.Trackin
     assert np.any(errors.max(axis=(0, 1)) > 0.02 * found.offset)
 
 
-def test_a_smaller_gain_has_a_smaller_rate() -> None:
-    rates = [
-        sampled_contraction(fjr.TrackingLaw(fjr.single_link(), replace(fjr.PAPER_GAINS, K_ld=K_ld)), FAST_SINE, H)
-        for K_ld in (0.6, 0.3)
-    ]
-    assert rates[0].rate > 1.2 * rates[1].rate  # type: ignore[union-attr]
-
-
 def test_a_delay_beyond_the_margin_is_not_proven() -> None:
     law, period = joint(), 5e-3
     margin = fjr.check(law, period, configurations=FAST_SINE.configurations(16)).delay_margin
