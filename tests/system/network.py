@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
-import tempfile
 from contextlib import suppress
-from typing import IO
+
+from system.executables import Executable
 
 TIME_LIMIT = 120.0  # s
-ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
 
 
 class RefusedError(Exception):
@@ -24,7 +22,7 @@ class Network:
 
     def __init__(self) -> None:
         self.left, self.right = (f"fjr-{side}-{os.getpid()}" for side in ("left", "right"))
-        self._started: list[tuple[subprocess.Popen[bytes], IO[bytes]]] = []
+        self._started: list[Executable] = []
 
     def __enter__(self) -> Network:
         try:
@@ -35,29 +33,19 @@ class Network:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for process, said in self._started:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            said.close()
+        for each in self._started:
+            each.kill()
         self._remove()
 
-    def start(self, namespace: str, *command: str) -> subprocess.Popen[bytes]:
+    def start(self, namespace: str, command: list[str]) -> Executable:
         """Start a command in a namespace."""
-        said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed at the exit)
-        process = subprocess.Popen(
-            ["ip", "netns", "exec", namespace, *command],
-            stdout=subprocess.DEVNULL,
-            stderr=said,
-            start_new_session=True,
-            env={**os.environ, **ENVIRONMENT},
-        )
-        self._started.append((process, said))
-        return process
+        words = ["ip", "netns", "exec", namespace, *command]
+        self._started.append(Executable(words, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET"))
+        return self._started[-1]
 
     def words(self) -> str:
-        """Return the standard error of all started processes."""
-        return "\n".join(os.pread(said.fileno(), 100_000, 0).decode() for _, said in self._started)
+        """Return the output of all started processes."""
+        return "\n".join(each.said_so_far() for each in self._started)
 
     def sent(self, namespace: str) -> int:
         """Return the number of packets sent from a namespace."""

@@ -199,7 +199,7 @@ def test_waiting_for_one_view_or_message_ends_and_names_domain_and_remedy(ros: R
         assert said.endswith("; start the nodes, or set the ROS_DOMAIN_ID in which they run\n")
 
 
-# Folders of the runs of a scenario: none is overwritten, and the name of the scenario links to the newest.
+# Folders of the runs of a scenario.
 
 
 def new_run(link: Path, text: str) -> Path:
@@ -209,13 +209,6 @@ def new_run(link: Path, text: str) -> Path:
         (run.path / "bag" / "bag_0.mcap").write_text(text)
         run.keep()
     return run.path
-
-
-def test_every_run_is_kept_and_the_link_points_to_the_newest(tmp_path: Path) -> None:
-    runs = [new_run(tmp_path / "arm", str(k)) for k in range(3)]
-    assert [run.name for run in runs] == ["arm-001", "arm-002", "arm-003"]
-    assert [(run / "bag" / "bag_0.mcap").read_text() for run in runs] == ["0", "1", "2"]
-    assert (tmp_path / "arm").resolve() == runs[-1]
 
 
 def test_run_that_could_not_start_leaves_no_folder(tmp_path: Path) -> None:

@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 
 from envsetup.workspace import quote_paths
-from fjr_bringup.node_process import executable
 from fjr_core.files.text_file import write_text
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.report.write import write_with_fallback
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.node.loading import ensure_log_folder
 from system.bags import TALKER
+from system.executables import installed
 from time_limits import HANG
 
 LIMIT, SENT = 100_000, 1500  # bytes; limit on the file size, for messages of 100 bytes and more
@@ -67,7 +67,7 @@ def test_full_disk_ends_only_the_recording(tmp_path: Path) -> None:
 def test_a_full_disk_ends_a_run_with_a_sentence_and_what_was_recorded_is_reported(tmp_path: Path) -> None:
     room = 4_000_000  # bytes of a file, some chunks of the bag; shared memory of the middleware is made of files, too
     options = ("--lockstep", "--duration", "3600", "--no-report", "--output", str(tmp_path))
-    done = limited(resource.RLIMIT_FSIZE, room, str(executable("fjr_bringup", "fjr")), "run", "paper_k31", *options)
+    done = limited(resource.RLIMIT_FSIZE, room, *installed("fjr", "run", "paper_k31", *options))
     assert done.returncode == Exit.FAILED, done.stderr
     assert "what was not recorded is not judged" in done.stderr
     assert "Traceback" not in done.stderr
@@ -78,26 +78,23 @@ def test_a_full_disk_ends_a_run_with_a_sentence_and_what_was_recorded_is_reporte
     assert not (tmp_path / "paper_k31" / "report.html").exists()
 
 
-TOO_LITTLE = [
-    ("fjr_bringup", "fjr", resource.RLIMIT_NOFILE, 24, "the limit of open files is 24; expected at least 64"),
-    (
-        "fjr_plant",
-        "plant_node",
+TOO_LITTLE = {
+    "fjr": (resource.RLIMIT_NOFILE, 24, "fjr: the limit of open files is 24; expected at least 64"),
+    "plant": (
         resource.RLIMIT_AS,
         600_000_000,
-        "the limit of address space is 600000000 bytes; expected at least 1200000000",
+        "plant_node: the limit of address space is 600000000 bytes; expected at least 1200000000",
     ),
-]
+}
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(("package", "name", "kind", "limit", "sentence"), TOO_LITTLE)
-def test_too_few_descriptors_or_too_little_memory_is_one_sentence(
-    package: str, name: str, kind: int, limit: int, sentence: str
-) -> None:
-    done = limited(kind, limit, str(executable(package, name)))
+@pytest.mark.parametrize("program", TOO_LITTLE)
+def test_too_few_descriptors_or_too_little_memory_is_one_sentence(program: str) -> None:
+    kind, limit, sentence = TOO_LITTLE[program]
+    done = limited(kind, limit, *installed(program))
     assert done.returncode == 1
-    assert done.stderr.startswith(f"{name}: {sentence}")
+    assert done.stderr.startswith(sentence)
     assert done.stderr.count("\n") == 1
 
 

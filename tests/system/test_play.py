@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import tracemalloc
@@ -21,7 +20,7 @@ from fjr_monitor.recording.topics import due
 from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.node.participant import own_node
 from system.bags import JOINT_STATE, STORE, joint_state, text_message
-from system.executables import Start, documented_keys, fjr_here, wait_for
+from system.executables import Start, documented_keys, fjr_here, fjr_json, wait_for
 
 pytestmark = pytest.mark.system
 STATES, EFFORTS, MODEL = "/left/joint_states", "/left/joint_commands", "/left/robot_description"
@@ -71,8 +70,7 @@ def test_bag_without_metadata_is_played_in_order_until_ctrl_c_without_commands_t
 
 def test_named_topics_and_efforts_are_played_to_the_end(tmp_path: Path) -> None:
     bag = written(tmp_path / "bag", StoragePlugin.MCAP, 5)
-    said = fjr_here("play", str(bag), STATES, EFFORTS, "--efforts", "--rate", "100", "--json")
-    found, _ = json.JSONDecoder().raw_decode(said)
+    found = fjr_json("play", str(bag), STATES, EFFORTS, "--efforts", "--rate", "100")
     assert found == {"messages": {STATES: 5, EFFORTS: 5}, "complete": True}
     assert set(found) == documented_keys()["play"]
     assert [due(each, 5_000_000_000, 2.0) for each in (5_000_000_000, 6_000_000_000, 8_000_000_000)] == [0.0, 0.5, 1.5]

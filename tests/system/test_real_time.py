@@ -16,15 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros, nanoseconds, seconds
-from system.executables import NODES, PROGRAMS, SLOW, documented_keys, fjr, fjr_here, running, scenario, wait_for
+from system.executables import SLOW, documented_keys, fjr, fjr_here, installed, running, scenario, wait_for
 from system.network import Network, RefusedError
 from system.shared_runs import Recorded, messages, recorded_run
 from system.test_running_nodes import MOTION, T, holding, motion_file
-from time_limits import HANG
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
@@ -48,23 +46,21 @@ def network(monkeypatch) -> Iterator[Network]:
 
 def run(network: Network, folder: Path) -> tuple[Recorded, float]:
     """Run plant and recorder on the left, the controller on the right; return what was recorded and the last error."""
-    node = {
-        name: [str(executable(*NODES[name])), "--ros-args", "--params-file", scenario("paper_k31")] for name in NODES
-    }
-    recorder = str(executable(*PROGRAMS["fjr"])), "record", *RECORDED, "--output", str(folder / "bag"), "--force"
-    processes = [network.start(network.left, *command) for command in (recorder, node["plant"])]
-    processes.append(network.start(network.right, *node["controller"]))
+    arguments = "--ros-args", "--params-file", scenario("paper_k31")
+    recorder = installed("fjr", "record", *RECORDED, "--output", str(folder / "bag"), "--force")
+    started = [network.start(network.left, command) for command in (recorder, installed("plant", *arguments))]
+    started.append(network.start(network.right, installed("controller", *arguments)))
 
     def recorded() -> bool:
         """Return whether the bag has SECONDS of references."""
-        assert all(process.poll() is None for process in processes), network.words()
+        assert all(each.process.poll() is None for each in started), network.words()
         topic = read_bag(folder / "bag").topics.get(RECORDED[-1]) if any((folder / "bag").glob("*.mcap")) else None
         return topic is not None and topic.last - topic.first > SECONDS * 1e9
 
     wait_for(recorded, "the motion")
-    for process in reversed(processes):
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=HANG) == 0, network.words()
+    for each in reversed(started):
+        each.signal(signal.SIGINT)
+        assert each.end()[0] == 0, network.words()
     seen = recorded_run(folder, "")
     assert np.isfinite(seen.u).all()
     return seen, float(np.max(seen.error[seen.t > SETTLED]))
