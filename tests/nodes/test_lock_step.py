@@ -121,9 +121,7 @@ def test_silent_controller_ends_the_plant_with_a_sentence(ros: Ros, peer: Peer, 
         "the state of 1.003000000 s was not answered for 0.3 s (lockstep_timeout); expected a message on "
         "/joint_commands with that stamp and an effort for every joint, "
     )
-    said = [""]  # only standard error reports it here, soon after
-    ros.until(lambda: said.append(capfd.readouterr().err) or f"ended: {node.ended}" in "".join(said), "the sentence")
-    ros.settle()
+    ros.until_said(capfd, f"ended: {node.ended}")  # only standard error reports it here, soon after
     count = len(peer.states)
     peer.command_publisher.publish(answer(peer.states[-1], 1.0))
     ros.settle(100)

@@ -126,10 +126,8 @@ def test_malformed_commands_are_refused_counted_and_logged_once_by_kind(ros: Ros
     ros.until(lambda: len(peer.states) > count)
     assert not in_motion(peer), "the motion must not have started"
     peer.reported(node, "command refused: wrong lengths", 4)
-    said, wanted = [""], [sentence for *_, sentence in BAD_COMMANDS if sentence]
-    ros.until(lambda: said.append(capfd.readouterr().err) or all(each in "".join(said) for each in wanted), "the log")
-    ros.settle()
-    assert "".join([*said, capfd.readouterr().err]).count("command refused") == len(wanted)
+    wanted = [sentence for *_, sentence in BAD_COMMANDS if sentence]
+    assert ros.until_said(capfd, *wanted).count("command refused") == len(wanted)
 
 
 def test_a_pause_stops_publication_and_motion_and_a_reset_returns_after_a_silence(ros: Ros, peer: Peer) -> None:

@@ -35,7 +35,16 @@ def efforts(run: Path) -> list[float]:
     return [float(message.data[0]) for _, message in messages(run, "/effort_controller/commands")]
 
 
-CALM = ("--force", "--set", "realtime_priority:=0", "--set", "publish_rate:=200.0", "--set", "state_timeout:=600.0")
+CALM = (
+    "--force",
+    "--no-report",
+    "--set",
+    "realtime_priority:=0",
+    "--set",
+    "publish_rate:=200.0",
+    "--set",
+    "state_timeout:=600.0",
+)
 """In real time with little processor time: lock-step takes all there is."""
 
 
@@ -126,10 +135,11 @@ def test_no_node_joins_a_run_and_a_publisher_of_states_that_stays_ends_it(
     ros: Ros, start: Start, tmp_path: Path, quick: None
 ) -> None:
     command, nodes = running(ros, start, tmp_path, *CALM)
-    code, said = start("plant").end()
+    plant, controller = start("plant"), start("controller")
+    code, said = plant.end()
     assert code == 1
     assert re.search("states of joint1 are published on /joint_states by (/fjr_plant|an unknown node); expected", said)
-    code, said = start("controller").end()
+    code, said = controller.end()
     assert code == 1
     assert "expected nobody else to command the robot" in said
     assert all(map(is_alive, nodes.values()))

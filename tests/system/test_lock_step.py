@@ -78,11 +78,19 @@ ARMS = ("left", "right")
 
 def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
     observer, clocks = Listener(ros, only=("diagnostics",)), {arm: [] for arm in ARMS}
-    for arm, heard in clocks.items():
-        observer.create_subscription(Clock, f"/{arm}/clock", heard.append, 5000)
     for arm in ARMS:
         for node, timed in (("plant", "lockstep:=true"), ("controller", "use_sim_time:=true")):
             start(node, "--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, "-r", f"/clock:=/{arm}/clock")
+    names = ("fjr_plant", "fjr_controller", "fjr_controller: certificate")
+    expected = {(f"{arm}/{name}", f"{arm}/single_link") for arm in ARMS for name in names}
+
+    def parts() -> set[tuple[str, str]]:
+        return {(each.name, each.hardware_id) for message in observer.diagnostics for each in message.status}
+
+    ros.until(lambda: len(parts()) >= len(expected), "the reports of both arms")
+    assert parts() == expected
+    for arm, heard in clocks.items():  # last, as thousands of messages a second keep the others waiting
+        observer.create_subscription(Clock, f"/{arm}/clock", heard.append, 5000)
 
     def times(arm: str) -> list[tuple[int, int]]:
         return [(message.clock.sec, message.clock.nanosec) for message in clocks[arm]]
@@ -90,11 +98,3 @@ def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(r
     ros.until(lambda: all(len(set(times(arm))) > 300 for arm in ARMS), "both clocks")
     assert all(times(arm) == sorted(times(arm)) for arm in ARMS)
     assert observer.count_publishers("/clock") == 0
-    parts = ("fjr_plant", "fjr_controller", "fjr_controller: certificate")
-    expected = {(f"{arm}/{part}", f"{arm}/single_link") for arm in ARMS for part in parts}
-
-    def parts() -> set[tuple[str, str]]:
-        return {(each.name, each.hardware_id) for message in observer.diagnostics for each in message.status}
-
-    ros.until(lambda: len(parts()) >= len(expected), "the reports of both arms")
-    assert parts() == expected
