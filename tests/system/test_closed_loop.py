@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ import pytest
 from fjr_core.config.scenario import load_scenario
 from fjr_core.runtime.events import State
 from system.executables import scenario
-from system.shared_runs import DURATION, Recorded, messages, record, recorded_run, shared_run
+from system.shared_runs import DURATION, Recorded, messages, recorded_run, shared_run
 from tracking.tracked import Loop
 
 pytestmark = pytest.mark.system
@@ -50,19 +49,25 @@ def test_peak_effort_is_that_of_the_paper_and_the_last_effort_zero(recorded: Rec
     assert last.data.tolist() == [0.0]
 
 
-@pytest.mark.parametrize("name", [*PEAK, "arm7"])
-def test_nodes_agree_with_fjr_core(name: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Lock-step over ROS equals the sampled loop of fjr_core to rounding if no ramp or rate limit acts."""
-    loaded = load_scenario(scenario(name))
-    if name in PEAK:
-        nodes = recorded_run(shared_run(tmp_path_factory, name), "")
-    else:
-        rates = ", ".join([".inf"] * loaded.robot.n)
-        nodes = record(name, 0.5, tmp_path, "start.ramp_time:=0.0", f"limits.effort_rate:=[{rates}]")
-    run = loaded.simulate(DURATION[name] if name in PEAK else 0.5)
-    k = len(run.t)
-    assert np.max(np.abs(nodes.q_l[:k] - run.x[:, : loaded.robot.n])) <= 1e-9
-    assert np.max(np.abs(nodes.u[:k] - run.u)) <= (1e-9 if name in PEAK else 1e-8) * np.max(np.abs(run.u))
+@paper
+def test_nodes_agree_with_fjr_core(recorded: Recorded) -> None:
+    """Lock-step over ROS equals the sampled loop of fjr_core to rounding if no ramp or limit acts."""
+    run = load_scenario(scenario(recorded.folder.name)).simulate(DURATION[recorded.folder.name])
+    agree(recorded, run.x, run.u)
+
+
+@arms
+def test_nodes_agree_with_the_control_step_beside_a_plant(recorded: Recorded) -> None:
+    made = load_scenario(scenario(recorded.folder.name))
+    loop = Loop(made.law, made.reference, made.settings, made.x0)
+    loop.run(1.5)  # through the start
+    agree(recorded, np.array(loop.states), np.array(loop.efforts))
+
+
+def agree(nodes: Recorded, x: np.ndarray, u: np.ndarray) -> None:
+    k, n = u.shape
+    assert np.max(np.abs(nodes.q_l[:k] - x[:, :n])) <= 1e-9
+    assert np.max(np.abs(nodes.u[:k] - u)) <= 1e-9 * np.max(np.abs(u))
 
 
 def test_the_report_has_the_errors_and_efforts_of_the_bag(recorded: Recorded) -> None:
