@@ -10,9 +10,8 @@ from typing import Any
 
 from sensor_msgs.msg import JointState
 
-from faults.peers import Tamper
+from faults.peers import EVENTS, Tamper
 from faults.rig import SECOND, Rig
-from faults.watcher import EVENTS
 
 Act = Callable[[Rig], tuple[int, int]]
 """Inject a fault; return the true stamps [ns] of its begin and end."""

@@ -22,8 +22,19 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 
 from faults.measures import THRESHOLD, Anchor, Motion, Sine
-from faults.peers import Relay, Remote, Tamper
-from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
+from faults.peers import (
+    COMMANDS,
+    DIAGNOSTICS,
+    EFFORTS,
+    REFERENCE,
+    STATES,
+    TRUE_STATES,
+    Heard,
+    Relay,
+    Remote,
+    Tamper,
+    Watcher,
+)
 from fjr_core.config import ros_yaml
 from fjr_msgs_py.node.scheduling import prioritised
 from fjr_plant.lock_step import START as LOCKSTEP_START

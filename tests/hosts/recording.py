@@ -14,8 +14,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from faults.fault_rows import JOINT, Row
+from faults.peers import COMMANDS, STATES
 from faults.rig import NOTHING, SECOND, STEPPED, Rig
-from faults.watcher import COMMANDS, STATES
 from fjr_core.config.scenario import parse_scenario
 from fjr_design.batch import Draws
 from fjr_design.studies.sweep import scenario_loop

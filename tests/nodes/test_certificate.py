@@ -119,6 +119,23 @@ def test_a_sample_period_that_is_too_long_is_diagnosed(ros: Ros) -> None:
     ros.until(lambda: ("violated", "sampling") in hearer.verdicts(), "the verdict")
 
 
+@pytest.mark.parametrize(
+    ("robust", "sentence"),
+    [
+        ({"robust__residual_gain": [60.0]}, "V does not include the disturbance estimate (robust.*"),
+        ({"robust__delay": 0.001}, "no diagnosis: the effort is the law's for a predicted state (robust.delay)"),
+    ],
+    ids=["estimate", "prediction"],
+)
+def test_robust_action_has_no_diagnosis_but_a_storage_with_rates(ros: Ros, robust, sentence: str) -> None:
+    hearer = running(ros, 1, {}, robust, certificates=True)
+    assert {verdict for verdict, _ in hearer.verdicts()} == {"unknown"}
+    assert sentence in hearer.verdict_messages()[-1]
+    _, values = read_certificate(hearer.certificates[-1])
+    assert np.isfinite(values).all()
+    assert values.bound == -1
+
+
 def test_the_certificate_can_be_disabled(ros: Ros) -> None:
     assert ros.controller(certificate=False).count_publishers("fjr_controller/certificate") == 0
 
