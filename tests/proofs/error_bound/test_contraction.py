@@ -21,8 +21,8 @@ from fjr_proofs.error_bound.peak_gains import CellModels, peak_gains
 from proofs.error_bound.test_error_bound import STILL, joint, two_link
 
 H = 1e-3
-FAST_SINE = fjr.Sine(0.3, 10.0)
-SHORT = fjr.Sine([0.1, 0.1], [10.0, 10.0], [0.3, 0.0])
+FAST_SINE = fjr.Sine(0.15, 20.0)
+SHORT = fjr.Sine([0.05, 0.05], [20.0, 20.0], [0.3, 0.0])
 
 
 def late_runs(law: fjr.TrackingLaw, reference: fjr.Sine, starts: Array, delays: Array, period: float) -> Array:
