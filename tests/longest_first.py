@@ -49,7 +49,6 @@ LONGEST_FIRST = (
     "system/test_new_command.py",
     "system/test_export_commands.py",
     "system/test_results.py",
-    "system/test_paper_claim.py",
     "system/test_fjr_report.py",
     "system/test_wheels.py",
     "system/test_other_joints.py",

@@ -20,8 +20,8 @@ from fjr_core.config.scenario import parse_scenario
 from fjr_design.batch import Draws
 from fjr_design.studies.sweep import scenario_loop
 from fjr_msgs_py.names import CONTROLLER, state_names
+from hosts.efforts import Efforts
 from hosts.inputs import Input, Kind, Sequence, with_ticks
-from hosts.step_hosts import Efforts
 from system.executables import scenario as file_of
 
 NOISE = {"position_noise": 1e-6, "velocity_noise": 1e-3}
