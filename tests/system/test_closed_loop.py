@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from fjr_core.config.scenario import load_scenario
 from fjr_core.runtime.events import State
@@ -201,23 +202,23 @@ SIDES = ("left", "right")
 
 def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
     observer, clocks = Listener(ros, only=("diagnostics",)), {arm: [] for arm in SIDES}
-    for arm in SIDES:
-        for node, timed in (("plant", "lockstep:=true"), ("controller", "use_sim_time:=true")):
-            start(node, "--ros-args", "-r", f"__ns:=/{arm}", "-p", timed, "-r", f"/clock:=/{arm}/clock")
+    paused = ("-p", "lockstep:=true", "-p", "start_paused:=true", "-p", "advance_samples:=2500")
+    for arm, heard in clocks.items():
+        observer.create_subscription(Clock, f"/{arm}/clock", heard.append, 5000)
+        for node, timed in (("plant", paused), ("controller", ("-p", "use_sim_time:=true"))):
+            start(node, "--ros-args", "-r", f"__ns:=/{arm}", *timed, "-r", f"/clock:=/{arm}/clock")
+    advanced = [observer.request(Trigger, f"/{arm}/fjr_plant/advance") for arm in SIDES]
     names = ("fjr_plant", "fjr_controller", "fjr_controller: certificate")
     expected = {(f"{arm}/{name}", f"{arm}/single_link") for arm in SIDES for name in names}
 
     def parts() -> set[tuple[str, str]]:
         return {(each.name, each.hardware_id) for message in observer.diagnostics for each in message.status}
 
+    ros.until(lambda: all(each.done() for each in advanced), "the samples of both arms")
     ros.until(lambda: len(parts()) >= len(expected), "the reports of both arms")
     assert parts() == expected
-    for arm, heard in clocks.items():  # last, as thousands of messages a second keep the others waiting
-        observer.create_subscription(Clock, f"/{arm}/clock", heard.append, 5000)
-
-    def times(arm: str) -> list[tuple[int, int]]:
-        return [(message.clock.sec, message.clock.nanosec) for message in clocks[arm]]
-
-    ros.until(lambda: all(len(set(times(arm))) > 300 for arm in SIDES), "both clocks")
-    assert all(times(arm) == sorted(times(arm)) for arm in SIDES)
+    for heard in clocks.values():
+        times = [(message.clock.sec, message.clock.nanosec) for message in heard]
+        assert len(set(times)) > 300
+        assert times == sorted(times)
     assert observer.count_publishers("/clock") == 0
