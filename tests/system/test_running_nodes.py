@@ -13,12 +13,12 @@ import pytest
 import yaml
 from rcl_interfaces.srv import GetParameters
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from fjr_bringup import clients
 from fjr_bringup.clients import PlantClient
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros
+from system.bags import STORE
 from system.executables import SLOW, TIME_LIMIT, Start, documented_keys, fjr_here, fjr_json, running, wait_for
 from time_limits import Limit
 
@@ -68,7 +68,7 @@ def test_record_keeps_the_named_topics_and_overwrites_nothing(loop: None, tmp_pa
     said = fjr_here("record", *named, "--duration", "5", *output)
     assert "nothing came on /other" in said
     assert "messages of 2 topics" in said
-    with AnyReader([tmp_path / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+    with AnyReader([tmp_path / "bag"], default_typestore=STORE) as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
         assert set(counts) == {"/left/joint_states", "/left/joint_commands"}
         connection, _, raw = next(reader.messages())
