@@ -7,7 +7,7 @@ The default is 60 deterministic examples; FJR_FUZZ_EXAMPLES=5000 tries 5000 rand
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
@@ -92,7 +92,7 @@ def places(document: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return found
 
 
-def changed(document: Any, path: tuple[Any, ...], value: Any) -> Any:
+def changed(document: Any, path: Sequence[Any], value: Any) -> Any:
     """Return the document with another value at a path."""
     if not path:
         return value

@@ -15,7 +15,7 @@ import pytest
 from fjr_core.config.scenario import load_scenario
 from fjr_engines.drawing import ORANGE, DrawnArm
 from fjr_msgs_py.console.ending import Exit
-from system.executables import PROGRAMS, Executable, fjr_here, scenario, wait_for
+from system.executables import Executable, fjr_here, installed, scenario, wait_for
 
 SHADES = 100  # an empty screen has one or two
 
@@ -67,7 +67,7 @@ def test_the_obstacle_stands_beside_the_arm() -> None:
 @pytest.mark.system
 def test_the_viewer_shows_the_arm_beside_a_run(screen: Path, tmp_path: Path) -> None:
     asked = ("run", "paper_k31", "--viewer", "--duration", "600", "--output", str(tmp_path / "runs"))
-    run = Executable(*PROGRAMS["fjr"], *asked)
+    run = Executable(installed("fjr", *asked))
     try:
         wait_for(lambda: len(set(screen.read_bytes()[4096:])) > SHADES, "a picture of the arm")
         run.signal(signal.SIGINT)

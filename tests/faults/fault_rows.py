@@ -1,15 +1,204 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rows of the fault table: each fault, the behaviour of the arm and the bounds on the result."""
+"""The rows of the fault table: how each fault is injected into the running nodes, the behaviour of the arm, the bounds.
+
+Each act waits for full motion and returns begin and end of the fault.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from faults import fault_injection
-from faults.fault_injection import Act, tampered
-from faults.rig import DIRECT, RELAYED, STEPPED, Setting
+from sensor_msgs.msg import JointState
+
+from faults.peers import EVENTS, Tamper
+from faults.rig import DIRECT, RELAYED, SECOND, STEPPED, Rig, Setting
+
+Act = Callable[[Rig], tuple[int, int]]
+"""Inject a fault; return the true stamps [ns] of its begin and end."""
+
+
+def nothing(rig: Rig) -> tuple[int, int]:
+    begin = rig.until_full_motion()
+    return begin, begin
+
+
+def tampered(seconds: float, how: Callable[[], Tamper]) -> Act:
+    """Modify the states in the relay for `seconds`."""
+
+    def act(rig: Rig) -> tuple[int, int]:
+        begin = rig.full_motion
+        return begin, rig.tamper(begin, seconds, how())
+
+    return act
+
+
+def clock_jumped(seconds: float, jump: int) -> Act:
+    """Shift the stamps by whole seconds for a while; the reference restarts when they jump back."""
+
+    def act(rig: Rig) -> tuple[int, int]:
+        begin, zero = rig.full_motion, rig.anchors[-1].zero
+        rig.anchor(zero - jump * SECOND, begin)
+        end = rig.tamper(begin, seconds, jumped(jump))
+        begun = rig.first_stamp_from(end)
+        rig.anchor(begun, begun)
+        return begin, end
+
+    return act
+
+
+def controller_killed(rig: Rig) -> tuple[int, int]:
+    """Kill and restart the controller; the fault ends with the first command of the new one."""
+    begin = rig.until_full_motion()
+    rig.kill("controller")
+    rig.start("controller")
+    return begin, rig.anchor_in_reference(rig.started["controller"])
+
+
+def plant_killed(rig: Rig) -> tuple[int, int]:
+    """Kill and restart the plant; the fault ends with the first state of the new one, stamped by its own start time."""
+    begin = rig.until_full_motion()
+    rig.kill("plant")
+    rig.start("plant")
+    return begin, rig.first_stamp_from(rig.started["plant"])
+
+
+def plant_set(seconds: float, **imperfections: Any) -> Act:
+    """Set imperfections of the running plant for a while, then reset them."""
+    values = {f"imperfections.{name}": value for name, value in imperfections.items()}
+
+    def act(rig: Rig) -> tuple[int, int]:
+        begin = rig.until_full_motion()
+        assert rig.remote.set("fjr_plant", values) == ""
+        rig.until_stamp(begin + round(seconds * SECOND))
+        assert rig.remote.set("fjr_plant", dict.fromkeys(values, 0.0)) == ""
+        return begin, rig.robot_time
+
+    return act
+
+
+NONSENSE = {
+    "gains.K_ld": [-1.0],
+    "gains.Pi_l": [math.nan],
+    "gains.Lambda_m": [15.0, 15.0],
+    "gains.K_md": "a lot",
+    "limits.effort": [-5.0],
+    "reference.frequency": [math.inf],
+    "recovery.join_time": -1.0,
+    "on_stop": "pray",
+    "joints": ["another"],
+    "no.such.parameter": 1.0,
+}
+
+
+def nonsense(rig: Rig) -> tuple[int, int]:
+    """Set invalid parameters; each is refused with a reason and the old value remains."""
+    begin = rig.until_full_motion()
+    for name, value in NONSENSE.items():
+        known = rig.remote.get("fjr_controller", name)
+        assert rig.remote.set("fjr_controller", {name: value}), f"{name} = {value} was accepted"
+        assert rig.remote.get("fjr_controller", name) == known
+    return begin, rig.now
+
+
+def second_controller(rig: Rig) -> tuple[int, int]:
+    """Start a second controller, which is refused and ends."""
+    begin = rig.until_full_motion()
+    code, said = rig.ended(rig.start("controller", "-r", "__node:=second", key="second"))
+    assert code == 1, said
+    assert "Traceback" not in said
+    ends = [line for line in said.splitlines() if line.startswith(("ended: ", "cannot start: "))]
+    assert ["expected nobody else to command the robot" in line for line in ends] == [True], said
+    return begin, rig.now
+
+
+def intruder(seconds: float) -> Act:
+    """Send zero efforts from another node for a while, until the controller has reported it."""
+
+    def act(rig: Rig) -> tuple[int, int]:
+        begin = rig.until_full_motion()
+        rig.remote.intrude(2e-3, len(rig.setting.reference.amplitude))
+        rig.until_stamp(begin + round(seconds * SECOND))
+        rig.until(lambda: reported(rig), "the controller's report of another node")
+        rig.remote.retreat()
+        return begin, rig.now
+
+    def reported(rig: Rig) -> bool:
+        return any("other controllers" in event.name for event in rig.watcher.messages(EVENTS))
+
+    return act
+
+
+# Modifications of states in the relay; each function returns a new one, which may remember messages.
+
+
+def dropped() -> Tamper:
+    return lambda message: ()
+
+
+def twice() -> Tamper:
+    return lambda message: (message, message)
+
+
+def not_a_number() -> Tamper:
+    """Make a position and a velocity alternately NaN and infinite."""
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        bad = math.nan if message.header.stamp.nanosec // 1_000_000 % 2 else math.inf
+        message.position[0] = bad
+        message.velocity[-1] = -bad
+        yield message
+
+    return tamper
+
+
+def renamed() -> Tamper:
+    def tamper(message: JointState) -> Iterable[JointState]:
+        message.name = [f"{name}_of_another_arm" for name in message.name]
+        yield message
+
+    return tamper
+
+
+def frozen() -> Tamper:
+    """Repeat the first message."""
+    first: list[JointState] = []
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        first.append(message)
+        del first[1:]
+        yield first[0]
+
+    return tamper
+
+
+def aged(samples: int) -> Tamper:
+    """Send a message that is `samples` older before each message."""
+    past: deque[JointState] = deque(maxlen=samples + 1)
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        past.append(message)
+        yield past[0]
+        yield message
+
+    return tamper
+
+
+def jumped(seconds: int) -> Tamper:
+    """Shift the stamps by whole seconds."""
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        message.header.stamp.sec += seconds
+        yield message
+
+    return tamper
+
+
+# The rows.
+
 
 STATE_TIMEOUT, JOIN_TIME = 0.1, 0.5  # s
 SAFE = {"state_timeout": STATE_TIMEOUT, "start.join_time": JOIN_TIME, "recovery.join_time": JOIN_TIME}
@@ -52,11 +241,11 @@ class Row:
 
 
 def lossy(share: float) -> Act:
-    return fault_injection.plant_set(2.0, state_loss=share, command_loss=share)
+    return plant_set(2.0, state_loss=share, command_loss=share)
 
 
 def late(seconds: float) -> Act:
-    return fault_injection.plant_set(2.0, state_delay=seconds)
+    return plant_set(2.0, state_delay=seconds)
 
 
 def tracking(name: str, act: Act, peak: float, **more: Any) -> Row:
@@ -67,18 +256,18 @@ def tracking(name: str, act: Act, peak: float, **more: Any) -> Row:
 FALLS = "swings down without effort; a 0.5 s transition leads back to the reference"
 LATER = ("silences", "recoveries")
 ROWS = [
-    Row("no fault", "tracks", fault_injection.nothing, 0.1),
-    Row("kill -9 of the controller, then restart", FALLS, fault_injection.controller_killed, 2.5, mode=DIRECT),
+    Row("no fault", "tracks", nothing, 0.1),
+    Row("kill -9 of the controller, then restart", FALLS, controller_killed, 2.5, mode=DIRECT),
     Row(
         "kill -9 of the plant, then restart",
         "restarts in its initial state; a transition leads to the reference",
-        fault_injection.plant_killed,
+        plant_killed,
         2.5,
         counted=LATER,
         mode=DIRECT,
     ),
-    Row("no states for 200 ms", FALLS, tampered(0.2, fault_injection.dropped), 1.0, counted=LATER),
-    Row("no states for 2 s", FALLS, tampered(2.0, fault_injection.dropped), 2.0, counted=LATER, another=True),
+    Row("no states for 200 ms", FALLS, tampered(0.2, dropped), 1.0, counted=LATER),
+    Row("no states for 2 s", FALLS, tampered(2.0, dropped), 2.0, counted=LATER, another=True),
     tracking("1 % of states and of commands lost, 2 s", lossy(0.01), 1e-3, another=True),
     tracking("10 % of states and of commands lost, 2 s", lossy(0.1), 1e-3),
     *(tracking(f"states {ms} ms late, 2 s", late(ms * 1e-3), 1e-3, another=True) for ms in (1, 3, 5)),
@@ -94,52 +283,50 @@ ROWS = [
     Row(
         "NaN and infinity in every state, 200 ms",
         FALLS,
-        tampered(0.2, fault_injection.not_a_number),
+        tampered(0.2, not_a_number),
         1.0,
         counted=("state refused: not finite", *LATER),
     ),
     Row(
         "joint names of another arm, 200 ms",
         FALLS,
-        tampered(0.2, fault_injection.renamed),
+        tampered(0.2, renamed),
         1.0,
         counted=("state refused: missing joints", *LATER),
     ),
-    Row(
-        "every state sent twice, 1 s", "tracks", tampered(1.0, fault_injection.twice), 0.1, counted=("states repeated",)
-    ),
+    Row("every state sent twice, 1 s", "tracks", tampered(1.0, twice), 0.1, counted=("states repeated",)),
     Row(
         "one state repeated, 200 ms",
         "holds the effort of that state; a transition leads back to the reference",
-        tampered(0.2, fault_injection.frozen),
+        tampered(0.2, frozen),
         1.0,
         counted=("states repeated", "forward jumps", "recoveries"),
     ),
     Row(
         "each state preceded by one 50 ms older, 1 s",
         "tracks",
-        tampered(1.0, lambda: fault_injection.aged(50)),
+        tampered(1.0, lambda: aged(50)),
         0.1,
         counted=("states older than the last",),
     ),
     Row(
         "stamps jump 10 s forward, then back after 0.5 s",
         "recovers to the reference at the new time; after the jump back the reference restarts",
-        fault_injection.clock_jumped(0.5, 10),
+        clock_jumped(0.5, 10),
         2.5,
         counted=("forward jumps", "recoveries", "reference restarts"),
     ),
     Row(
         "a second controller is started",
         "tracks; the second controller refuses to start and exits",
-        fault_injection.second_controller,
+        second_controller,
         0.1,
         mode=DIRECT,
     ),
     Row(
         "another node sends zero efforts, 1 s",
         "tracks less accurately; the controller reports the other node",
-        fault_injection.intruder(1.0),
+        intruder(1.0),
         1.0,
         counted=("other controllers",),
         mode=DIRECT,
@@ -147,14 +334,14 @@ ROWS = [
     Row(
         "parameters set to invalid values",
         "tracks; each value is refused, the old one stays",
-        fault_injection.nonsense,
+        nonsense,
         0.1,
         mode=DIRECT,
     ),
     Row(
         "arm7: no states for 200 ms",
         "holds its weight; a 1 s transition leads back to the reference",
-        tampered(0.2, fault_injection.dropped),
+        tampered(0.2, dropped),
         1.0,
         counted=LATER,
         setting=ARM,
@@ -163,7 +350,7 @@ ROWS = [
     Row(
         "arm7: no states for 2 s",
         "falls (it has no brakes); outside its range the controller stops and holds the weight",
-        fault_injection.plant_set(2.0, state_loss=1.0),
+        plant_set(2.0, state_loss=1.0),
         10.0,
         None,
         counted=("silences", "stops"),
@@ -173,7 +360,7 @@ ROWS = [
     Row(
         "arm7: kill -9 of the plant, then restart",
         "a transition leads to the reference",
-        fault_injection.plant_killed,
+        plant_killed,
         1.5,
         counted=("silences",),
         mode=DIRECT,

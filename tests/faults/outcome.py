@@ -12,8 +12,8 @@ import numpy as np
 
 from faults.fault_rows import Row
 from faults.measures import fits
+from faults.peers import STATES
 from faults.rig import SECOND, STEPPED, Rig
-from faults.watcher import STATES
 
 STALL = SECOND // 20  # half of state_timeout: a longer silence is a fault that no row injected
 START = 5.0  # s in which nodes that were started track

@@ -22,12 +22,23 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 
 from faults.measures import THRESHOLD, Anchor, Motion, Sine
-from faults.peers import Relay, Remote, Tamper
-from faults.watcher import COMMANDS, DIAGNOSTICS, EFFORTS, REFERENCE, STATES, TRUE_STATES, Heard, Watcher
+from faults.peers import (
+    COMMANDS,
+    DIAGNOSTICS,
+    EFFORTS,
+    REFERENCE,
+    STATES,
+    TRUE_STATES,
+    Heard,
+    Relay,
+    Remote,
+    Tamper,
+    Watcher,
+)
 from fjr_core.config import ros_yaml
 from fjr_msgs_py.node.scheduling import prioritised
 from fjr_plant.lock_step import START as LOCKSTEP_START
-from system.executables import NODES, Executable, scenario
+from system.executables import NODES, Executable, installed, scenario
 from time_limits import Limit
 
 LIMIT = 40.0  # s on an idle machine; a longer wait for an event is a failure
@@ -114,8 +125,7 @@ class Rig:
         remaps = ["-r", f"joint_states:={TRUE_STATES}"] if self.relay and node == "plant" else []
         words = ("--ros-args", "--params-file", str(self._file), *remaps, *self._executor, *arguments)
         self.started[key or node] = time.time_ns()
-        with mock.patch.dict(os.environ, WITHOUT_SHARED_MEMORY):
-            self._running[key or node] = Executable(*NODES[node], *words)
+        self._running[key or node] = Executable(installed(node, *words), **WITHOUT_SHARED_MEMORY)
         return key or node
 
     def start_both(self) -> None:

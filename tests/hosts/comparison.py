@@ -14,10 +14,10 @@ from rclpy.context import Context
 from rclpy.logging import LoggingSeverity, get_logger_effective_level, set_logger_level
 
 from fjr_core.config.scenario import Scenario
-from hosts.inputs import Kind, Sequence
-from hosts.node_hosts import EXECUTORS, NodeHost
-from hosts.step_hosts import (
+from hosts.efforts import (
+    EXECUTORS,
     Efforts,
+    NodeHost,
     Replay,
     c_program,
     campaign_efforts,
@@ -25,6 +25,7 @@ from hosts.step_hosts import (
     program_efforts,
     reference_replay,
 )
+from hosts.inputs import Kind, Sequence
 
 ROS2_CONTROL = "ros2_control"
 HOSTS = (*EXECUTORS, "campaign", "C", ROS2_CONTROL)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
-from faults.watcher import stamp_of
+from faults.peers import stamp_of
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader, deserialised
 

@@ -14,13 +14,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from faults.fault_rows import JOINT, Row
+from faults.peers import COMMANDS, STATES
 from faults.rig import NOTHING, SECOND, STEPPED, Rig
-from faults.watcher import COMMANDS, STATES
 from fjr_core.config.scenario import parse_scenario
 from fjr_design.batch import Draws, scenario_loop
 from fjr_msgs_py.names import CONTROLLER, state_names
+from hosts.efforts import Efforts
 from hosts.inputs import Input, Kind, Sequence, with_ticks
-from hosts.step_hosts import Efforts
 from system.executables import scenario as file_of
 
 NOISE = {"position_noise": 1e-6, "velocity_noise": 1e-3}

@@ -11,24 +11,23 @@ import yaml
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from faults import fault_injection
-from faults.fault_injection import NONSENSE
-from faults.fault_rows import JOINT
+from faults import fault_rows
+from faults.fault_rows import JOINT, NONSENSE
 from faults.peers import Tamper
 from hosts import recording
 from hosts.comparison import HOSTS, Comparison
+from hosts.efforts import reference_replay
 from hosts.inputs import Input, Kind, Sequence, with_ticks
-from hosts.step_hosts import reference_replay
 
 pytestmark = pytest.mark.system
 FAULTS: dict[range, Tamper] = {
-    range(100, 130): fault_injection.not_a_number(),
-    range(150, 160): fault_injection.renamed(),
-    range(180, 200): fault_injection.twice(),
-    range(220, 240): fault_injection.aged(15),
-    range(260, 280): fault_injection.frozen(),
-    range(300, 450): fault_injection.dropped(),
-    range(550, 600): fault_injection.jumped(10),
+    range(100, 130): fault_rows.not_a_number(),
+    range(150, 160): fault_rows.renamed(),
+    range(180, 200): fault_rows.twice(),
+    range(220, 240): fault_rows.aged(15),
+    range(260, 280): fault_rows.frozen(),
+    range(300, 450): fault_rows.dropped(),
+    range(550, 600): fault_rows.jumped(10),
 }
 """Faults of the states by the samples at which they act."""
 LIMITED = {"controller": {"limits.effort": [1.5]}}

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
@@ -115,6 +116,13 @@ class Ros:
         while not happened():
             assert not limit.passed(), f"{what} did not come within {TIME_LIMIT} s of a free machine"
             self.executor.spin_once(timeout_sec=0.05)
+
+    def until_said(self, capfd: pytest.CaptureFixture[str], *words: str) -> str:
+        """Spin until standard error has these words; return it, with what is said until no event is pending."""
+        said = [""]
+        self.until(lambda: said.append(capfd.readouterr().err) or all(word in "".join(said) for word in words), "a log")
+        self.settle()
+        return "".join([*said, capfd.readouterr().err])
 
     def settle(self, rounds: int = 50) -> None:
         """Spin until no event is pending: `rounds` consecutive waits, each of which may handle one event."""

@@ -30,21 +30,14 @@ class Hearer(Listener):
         if certificates:
             self.create_subscription(Float64MultiArray, "fjr_controller/certificate", self.certificates.append, 1000)
 
-    def _statuses(self) -> list[DiagnosticStatus]:
+    def statuses(self) -> list[DiagnosticStatus]:
+        """Return the diagnoses."""
         return [status for message in self.diagnostics for status in message.status if status.name == STATUS]
 
     def verdicts(self) -> list[tuple[str, str]]:
         """Return (kind, causes) of each diagnosis."""
-        values = [{value.key: value.value for value in status.values} for status in self._statuses()]
+        values = [{value.key: value.value for value in status.values} for status in self.statuses()]
         return [(value["verdict"], value["causes"]) for value in values]
-
-    def verdict_messages(self) -> list[str]:
-        """Return the sentence of each diagnosis."""
-        return [status.message for status in self._statuses()]
-
-    def levels(self) -> dict[str, bytes]:
-        """Return the level of the last diagnosis of each kind."""
-        return {status.values[0].value: status.level for status in self._statuses()}
 
 
 def running(
@@ -61,7 +54,7 @@ def running(
 def test_each_state_of_a_healthy_loop_has_its_certificate_and_the_law_holds(ros: Ros) -> None:
     hearer = running(ros, 2, {}, {}, certificates=True)
     assert hearer.verdicts()[1:] == [("holding", "")] * len(hearer.verdicts()[1:])
-    assert hearer.levels()["holding"] == DiagnosticStatus.OK
+    assert hearer.statuses()[-1].level == DiagnosticStatus.OK
     assert hearer.certificates[0].layout.dim[0].label.split(",") == list(LABELS)
     ros.until(lambda: len(hearer.certificates) > 300)
     answered = {nanoseconds(command): command.effort[0] for command in hearer.commands}
@@ -97,9 +90,8 @@ def test_each_state_of_a_healthy_loop_has_its_certificate_and_the_law_holds(ros:
 def test_a_cause_is_graded_on_the_diagnostics(ros: Ros, grade: str, cause: str, plant: Any, controller: Any) -> None:
     hearer = running(ros, 2, plant, controller)
     assert hearer.verdicts()[-1] == (grade, cause)
-    level = {"degraded": DiagnosticStatus.WARN, "violated": DiagnosticStatus.ERROR}[grade]
-    assert hearer.levels()[grade] == level
-    message = hearer.verdict_messages()[-1]
+    level, message = hearer.statuses()[-1].level, hearer.statuses()[-1].message
+    assert level == {"degraded": DiagnosticStatus.WARN, "violated": DiagnosticStatus.ERROR}[grade]
     assert f"{cause} makes " in message
     assert " mrad at joint1" in message
     assert message.startswith("Degraded: ") == (grade == "degraded")
@@ -117,6 +109,23 @@ def test_a_sample_period_that_is_too_long_is_diagnosed(ros: Ros) -> None:
     moving = {"initial_link_velocity": [1.0], "initial_motor_velocity": [1.0]}
     ros.plant(lockstep=True, publish_rate=65.0, initial_link_position=[0.0], **moving)
     ros.until(lambda: ("violated", "sampling") in hearer.verdicts(), "the verdict")
+
+
+@pytest.mark.parametrize(
+    ("robust", "sentence"),
+    [
+        ({"robust__residual_gain": [60.0]}, "V does not include the disturbance estimate (robust.*"),
+        ({"robust__delay": 0.001}, "no diagnosis: the effort is the law's for a predicted state (robust.delay)"),
+    ],
+    ids=["estimate", "prediction"],
+)
+def test_robust_action_has_no_diagnosis_but_a_storage_with_rates(ros: Ros, robust, sentence: str) -> None:
+    hearer = running(ros, 1, {}, robust, certificates=True)
+    assert {verdict for verdict, _ in hearer.verdicts()} == {"unknown"}
+    assert sentence in hearer.statuses()[-1].message
+    _, values = read_certificate(hearer.certificates[-1])
+    assert np.isfinite(values).all()
+    assert values.bound == -1
 
 
 def test_the_certificate_can_be_disabled(ros: Ros) -> None:

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller node with a peer in the role of the robot driver."""
+"""The controller node, with v-dPBC or another law, with a peer in the role of the robot driver."""
 
 from __future__ import annotations
 
 from unittest.mock import Mock
 
 import numpy as np
+import pytest
+from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 import fjr_core as fjr
+from fjr_core.config.law import control_law
+from fjr_core.extensions.law_registry import LAWS
 from nodes.harness import Peer, Ros, nanoseconds, stamped
 from nodes.managed import Manager
 
@@ -40,6 +44,36 @@ def test_every_state_is_answered_with_effort_reference_and_tracking_error(ros: R
     node.stop()
     ros.until(lambda: len(peer.efforts) == len(peer.commands) == 22, "the last command")
     assert list(peer.efforts[-1].data) == list(peer.commands[-1].effort) == [0.0]
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])
+def test_publishes_the_effort_of_the_selected_law_without_a_certificate(ros: Ros, peer: Peer, name: str, capfd) -> None:
+    node = ros.controller(law__type=name, law__start_error=[0.5])
+    law = control_law(node.values, fjr.single_link()).sampled
+    memory, sent = law.memory, 0.0
+    for k in range(5):
+        t, position, velocity = 0.001 * k, [0.5 - 0.01 * k, 0.5 + 0.02 * k], [0.1 * k, -0.1 * k]
+        command = peer.ask(stamped(t, position, velocity))
+        jets, dt = fjr.Sine(1.0, 1.0).jets(t).T, 0.001 if k else 0.0
+        expected, _, memory = law.step_function(position, velocity, jets, law.gain_values, memory, sent, dt)
+        sent = command.effort[0]
+        np.testing.assert_allclose(sent, float(expected), rtol=1e-8)
+    assert f"the law {name} has no certificate: none is published" in capfd.readouterr().err
+    assert node.count_publishers("fjr_controller/certificate") == 0
+    (result,) = node.set_parameters([Parameter("gains.K_ld", value=[1.2])])
+    assert not result.successful
+    assert result.reason == f"parameters 'gains.*' are of the law v_dpbc; the law is {name}"
+    assert node.set_parameters([Parameter("reference.amplitude", value=[0.5])])[0].successful
+
+
+def test_gravity_hold_uses_the_motor_damping_of_the_law(ros: Ros, peer: Peer) -> None:
+    node = ros.controller(
+        law__type="pd_gravity", on_stop="gravity_hold", limits__tracking_error=[0.1], recovery__join_time=0.0
+    )
+    law = control_law(node.values, fjr.single_link())
+    command = peer.ask(stamped(0.0, 0.5, [0.0, 0.3]))
+    wanted = 0.8 * np.sin(0.5) - law.hold_damping[0, 0] * 0.3
+    assert command.effort[0] == pytest.approx(wanted)
 
 
 def with_fields(**fields: list[float]):

@@ -243,11 +243,10 @@ def test_plant_logs_waiting_and_start_of_motion(ros: Ros, manager: Manager, lock
     node = ros.plant(lockstep=lockstep)
     ros.controller(use_sim_time=lockstep)
     ros.until(lambda: node._robot.time > 0, "motion")
-    said = [""]
-    ros.until(lambda: said.append(capfd.readouterr().err) or "moving: " in "".join(said), "the line of the log")
+    said = ros.until_said(capfd, "moving: ")
     topic, first = ("/joint_commands", "answer") if lockstep else ("/effort_controller/commands", "command")
     time = "in lock-step" if lockstep else "with the clock"
-    assert infos("".join(said), "fjr_plant") == [
+    assert infos(said, "fjr_plant") == [
         f"configured: joint1 at 1000 Hz {time}; waiting for commands on {topic}",
         f"moving: the first {first} has arrived",
     ]

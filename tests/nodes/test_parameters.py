@@ -18,6 +18,8 @@ import fjr_core as fjr
 import own_code
 from fjr_controller.controller_node import SUCCESS, ControllerNode
 from fjr_core.config import ros_yaml
+from fjr_core.config.scenario import parse_scenario
+from fjr_core.robust.law import RobustLaw
 from fjr_msgs_py.node.command_line import parameter_rules
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Peer, Ros, stamped
@@ -280,6 +282,22 @@ def test_law_and_options_change_while_the_node_is_unconfigured(ros: Ros) -> None
     done, reason = set_one("law.options.K_p", 40.0)
     assert not done
     assert "'law.options.K_p' can be set only while the node is unconfigured" in reason
+
+
+def test_a_scenario_builds_the_law_of_the_parameters() -> None:
+    text = "/**/fjr_controller:\n  ros__parameters:\n    robust: {residual_gain: [30.0], delay: 0.002, hold: 0.002}\n"
+    scenario = parse_scenario("robust", text)
+    assert isinstance(scenario.sampled_law, RobustLaw)
+    assert scenario.sampled_law.robust.residual_gain == 30.0
+    assert scenario.sampled_law.lead == 0.003
+    assert scenario.warnings == ("fjr_controller: parameter 'robust.hold' is 0.002 s; the states' period is 0.001 s",)
+    assert len(scenario.simulate(0.05).u) == 51
+    slow = parse_scenario("slow", text.replace("residual_gain: [30.0], delay: 0.002", "integral_gain: [5.0]"))
+    assert slow.warnings == scenario.warnings
+    with pytest.raises(fjr.ParameterError, match="parameter 'robust.integral_gain': integral_gain is "):
+        parse_scenario("bad", text.replace("residual_gain: [30.0]", "integral_gain: [-1.0]"))
+    with pytest.raises(fjr.ParameterError, match="with 'law.type' 'friction_observer': .* of 0"):
+        parse_scenario("bad", text.replace("robust:", "law: {type: friction_observer}\n    robust:"))
 
 
 # A motion from a file, which the controller reads when it is configured.

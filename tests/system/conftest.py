@@ -13,7 +13,7 @@ import pytest
 
 from isolation import leased_domain, without_proofs
 from system.browser import Browser
-from system.executables import PROGRAMS, Executable, Start
+from system.executables import Executable, Start, installed
 
 
 @pytest.fixture(scope="session")
@@ -34,7 +34,7 @@ def start() -> Iterator[Start]:
     started: list[Executable] = []
 
     def starter(program: str, *arguments: str) -> Executable:
-        started.append(Executable(*PROGRAMS[program], *arguments))
+        started.append(Executable(installed(program, *arguments)))
         return started[-1]
 
     yield starter

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -13,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 from unittest import mock
 
 from ament_index_python.packages import get_package_share_directory
@@ -29,10 +30,11 @@ TIME_LIMIT = 60.0  # s on an idle machine
 class Executable:
     """A running executable; `end` returns its exit code and standard error."""
 
-    def __init__(self, package: str, name: str, *arguments: str) -> None:
+    def __init__(self, command: Sequence[str], **environment: str) -> None:
+        """command: of `installed`, or any other; environment: variables that it has beside those of this process."""
         self._said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed in kill)
         self.process = subprocess.Popen(
-            [str(executable(package, name)), *arguments], stdout=self._said, stderr=self._said, start_new_session=True
+            command, stdout=self._said, stderr=self._said, start_new_session=True, env={**os.environ, **environment}
         )
 
     def signal(self, number: int) -> None:
@@ -89,8 +91,7 @@ def wait_for(condition: Callable[[], bool], what: str) -> None:
 
 def fjr(*arguments: str, code: int = 0) -> str:
     """Run the `fjr` command to its end with an exit code; return its output."""
-    command = [executable("fjr_bringup", "fjr"), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG)
+    done = subprocess.run(installed("fjr", *arguments), capture_output=True, text=True, timeout=HANG)
     assert done.returncode == code, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout + done.stderr
@@ -103,6 +104,12 @@ def fjr_here(*arguments: str, code: int = 0, codes: Collection[int] = ()) -> str
         ended = main(arguments)
     assert ended in (codes or (code,)), output.getvalue() + errors.getvalue()
     return output.getvalue() + errors.getvalue()
+
+
+def fjr_json(*arguments: str, code: int = 0) -> dict[str, Any]:
+    """Return the document that `fjr` prints with --json; warnings may follow it."""
+    found: dict[str, Any] = json.JSONDecoder().raw_decode(fjr_here(*arguments, "--json", code=code))[0]
+    return found
 
 
 def python_here(text: str, file: Path) -> str:
@@ -119,6 +126,13 @@ def scenario(name: str) -> str:
 
 NODES = {"plant": ("fjr_plant", "plant_node"), "controller": ("fjr_controller", "controller_node")}
 PROGRAMS = {**NODES, "fjr": ("fjr_bringup", "fjr")}
+
+
+def installed(program: str, *arguments: str) -> list[str]:
+    """Return the command that starts a program of PROGRAMS."""
+    return [str(executable(*PROGRAMS[program])), *arguments]
+
+
 Start = Callable[..., Executable]
 """The fixture `start`: start a program of PROGRAMS with arguments; what runs at the end of the test is killed."""
 SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_timeout:=600.0")}
@@ -128,7 +142,7 @@ SLOW = {"plant": ("-p", "publish_rate:=200.0"), "controller": ("-p", "state_time
 @contextmanager
 def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[dict[str, Executable]]:
     """Run plant and controller with ROS arguments of each and `more` of both."""
-    started = {node: Executable(*NODES[node], "--ros-args", *parameters[node], *more) for node in NODES}
+    started = {node: Executable(installed(node, "--ros-args", *parameters[node], *more)) for node in NODES}
     try:
         yield started
     finally:
@@ -137,7 +151,6 @@ def running(parameters: Mapping[str, Sequence[str]], *more: str) -> Iterator[dic
 
 
 # The keys of the JSON that each command prints, as docs/tables/json.md lists them.
-
 
 ROW = re.compile(r"^\| (`fjr [^|]*) \| ([^|]*) \|$", re.MULTILINE)
 OPTIONAL = re.compile(r"; with [^;]*")

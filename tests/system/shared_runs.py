@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from nodes.harness import nanoseconds
+from system.bags import STORE
 from system.executables import fjr_here
 
 TRIES = 3
@@ -97,7 +97,7 @@ def recorded_run(folder: Path, said: str) -> Recorded:
 
 def messages(folder: Path, *topics: str) -> Iterator[tuple[str, Any]]:
     """Yield topic and message, in order, of topics in the bag of a run; of all without names."""
-    with AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
+    with AnyReader([folder / "bag"], default_typestore=STORE) as bag:
         wanted = [connection for connection in bag.connections if not topics or connection.topic in topics]
         for connection, _, raw in bag.messages(wanted):
             yield connection.topic, bag.deserialize(raw, connection.msgtype)

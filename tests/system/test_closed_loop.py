@@ -1,18 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The installed scenarios over ROS 2: two processes in lock-step, evaluated from the bag by an independent reader."""
+"""The installed scenarios over ROS 2: two processes in lock-step, evaluated from the bag by an independent reader.
+
+Runs are bit-identical, also beside a recorder that stands still; two arms run apart.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import signal
+import time
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from fjr_core.config.scenario import load_scenario
 from fjr_core.runtime.events import State
-from system.executables import scenario
-from system.shared_runs import DURATION, Recorded, messages, record, recorded_run, shared_run
+from fjr_plant.lock_step import START
+from nodes.harness import Listener, Ros, nanoseconds
+from nodes.plants import PERIOD
+from system.executables import Start, scenario, wait_for
+from system.shared_runs import DURATION, Recorded, is_complete, messages, recorded_run, shared_run
 from tracking.tracked import Loop
 
 pytestmark = pytest.mark.system
@@ -50,19 +63,25 @@ def test_peak_effort_is_that_of_the_paper_and_the_last_effort_zero(recorded: Rec
     assert last.data.tolist() == [0.0]
 
 
-@pytest.mark.parametrize("name", [*PEAK, "arm7"])
-def test_nodes_agree_with_fjr_core(name: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Lock-step over ROS equals the sampled loop of fjr_core to rounding if no ramp or rate limit acts."""
-    loaded = load_scenario(scenario(name))
-    if name in PEAK:
-        nodes = recorded_run(shared_run(tmp_path_factory, name), "")
-    else:
-        rates = ", ".join([".inf"] * loaded.robot.n)
-        nodes = record(name, 0.5, tmp_path, "start.ramp_time:=0.0", f"limits.effort_rate:=[{rates}]")
-    run = loaded.simulate(DURATION[name] if name in PEAK else 0.5)
-    k = len(run.t)
-    assert np.max(np.abs(nodes.q_l[:k] - run.x[:, : loaded.robot.n])) <= 1e-9
-    assert np.max(np.abs(nodes.u[:k] - run.u)) <= (1e-9 if name in PEAK else 1e-8) * np.max(np.abs(run.u))
+@paper
+def test_nodes_agree_with_fjr_core(recorded: Recorded) -> None:
+    """Lock-step over ROS equals the sampled loop of fjr_core to rounding if no ramp or limit acts."""
+    run = load_scenario(scenario(recorded.folder.name)).simulate(DURATION[recorded.folder.name])
+    agree(recorded, run.x, run.u)
+
+
+@arms
+def test_nodes_agree_with_the_control_step_beside_a_plant(recorded: Recorded) -> None:
+    made = load_scenario(scenario(recorded.folder.name))
+    loop = Loop(made.law, made.reference, made.settings, made.x0)
+    loop.run(1.5)  # through the start
+    agree(recorded, np.array(loop.states), np.array(loop.efforts))
+
+
+def agree(nodes: Recorded, x: np.ndarray, u: np.ndarray) -> None:
+    k, n = u.shape
+    assert np.max(np.abs(nodes.q_l[:k] - x[:, :n])) <= 1e-9
+    assert np.max(np.abs(nodes.u[:k] - u)) <= 1e-9 * np.max(np.abs(u))
 
 
 def test_the_report_has_the_errors_and_efforts_of_the_bag(recorded: Recorded) -> None:
@@ -121,3 +140,85 @@ def test_a_fall_within_the_limits_does_not_end_in_a_stop(at: float, lost: float)
     loop.run_through_transition(0.1)
     assert loop.tracker.state is State.TRACKING, loop.tracker.reason
     assert np.abs(loop.efforts[before:]).max() < 1.5 * largest
+
+
+# Lock-step between processes.
+
+
+SAMPLES = 2000
+STAMPED = ("/joint_states", "/joint_commands", "/fjr_controller/reference", "/fjr_controller/tracking_error")
+EFFORTS = "/effort_controller/commands"
+
+
+def payloads(folder: Path) -> dict[str, dict[int, bytes]]:
+    """Return the bytes of all numbers of each topic by stamp [ns]; of repeated messages the first, to exclude timing.
+
+    An effort has no stamp; it gets that of the stamped command that was published with it. The recording may end
+    between the two.
+    """
+    found: dict[str, list] = {topic: [] for topic in (*STAMPED, EFFORTS)}
+    for topic, message in messages(folder, *found):
+        found[topic].append(message)
+    stamps = {topic: list(map(nanoseconds, found[topic])) for topic in STAMPED}
+    bits = {topic: first(stamps[topic], map(numbers, found[topic])) for topic in STAMPED}
+    return {**bits, EFFORTS: first(stamps["/joint_commands"], (message.data.tobytes() for message in found[EFFORTS]))}
+
+
+def numbers(message: Any) -> bytes:
+    names = "".join(message.name).encode()
+    return names + b"".join(getattr(message, field).tobytes() for field in ("position", "velocity", "effort"))
+
+
+def first(stamps: list[int], data: Iterable[bytes]) -> dict[int, bytes]:
+    """Return the first message of each stamp, of the first samples only: the length of a run may vary."""
+    return {stamp: bits for stamp, bits in reversed(list(zip(stamps, data, strict=False))) if stamp < END}
+
+
+END = START + SAMPLES * PERIOD
+
+
+def test_two_runs_of_two_processes_are_bit_identical_though_a_recorder_stands_still_for_a_while(
+    start: Start, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    options = ("--lockstep", "--no-report", "--duration", "3", "--output", str(tmp_path))
+    run = start("fjr", "run", "paper_k31", *options)
+    wait_for(lambda: "running for" in run.said_so_far(), "the run")
+    os.kill(run.recorder(), signal.SIGSTOP)
+    time.sleep(0.2)  # the nodes compute some thousand samples
+    os.kill(run.recorder(), signal.SIGCONT)
+    code, said = run.end()
+    assert code == 0, said
+    assert is_complete(tmp_path / "paper_k31")
+    one, other = map(payloads, (shared_run(tmp_path_factory, "paper_k31"), tmp_path / "paper_k31"))
+    expected = {START + k * PERIOD for k in range(SAMPLES)}
+    for topic in (*STAMPED, EFFORTS):
+        assert set(one[topic]) == expected, topic
+        assert one[topic] == other[topic], topic
+
+
+SIDES = ("left", "right")
+"""Two arms in one ROS domain, each with a separate clock."""
+
+
+def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
+    observer, clocks = Listener(ros, only=("diagnostics",)), {arm: [] for arm in SIDES}
+    paused = ("-p", "lockstep:=true", "-p", "start_paused:=true", "-p", "advance_samples:=2500")
+    for arm, heard in clocks.items():
+        observer.create_subscription(Clock, f"/{arm}/clock", heard.append, 5000)
+        for node, timed in (("plant", paused), ("controller", ("-p", "use_sim_time:=true"))):
+            start(node, "--ros-args", "-r", f"__ns:=/{arm}", *timed, "-r", f"/clock:=/{arm}/clock")
+    advanced = [observer.request(Trigger, f"/{arm}/fjr_plant/advance") for arm in SIDES]
+    names = ("fjr_plant", "fjr_controller", "fjr_controller: certificate")
+    expected = {(f"{arm}/{name}", f"{arm}/single_link") for arm in SIDES for name in names}
+
+    def parts() -> set[tuple[str, str]]:
+        return {(each.name, each.hardware_id) for message in observer.diagnostics for each in message.status}
+
+    ros.until(lambda: all(each.done() for each in advanced), "the samples of both arms")
+    ros.until(lambda: len(parts()) >= len(expected), "the reports of both arms")
+    assert parts() == expected
+    for heard in clocks.values():
+        times = [(message.clock.sec, message.clock.nanosec) for message in heard]
+        assert len(set(times)) > 300
+        assert times == sorted(times)
+    assert observer.count_publishers("/clock") == 0

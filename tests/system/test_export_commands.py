@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -13,7 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from system.executables import fjr_here
+from system.executables import fjr_here, fjr_json
 from time_limits import HANG
 
 pytestmark = pytest.mark.system
@@ -91,8 +90,7 @@ def test_the_package_builds_without_warnings_and_its_test_passes(tmp_path: Path)
 def test_the_command_writes_a_whole_package(tmp_path: Path) -> None:
     folder = tmp_path / "arm"
     change = "--set", "imperfections.actuator_lag:=[0.002, 0.002]", "--set", "imperfections.state_jitter:=0.001"
-    said = fjr_here("export-ros2-control", "two_link", str(folder), "--package", "arm", *change, "--json")
-    output, _ = json.JSONDecoder().raw_decode(said)
+    output = fjr_json("export-ros2-control", "two_link", str(folder), "--package", "arm", *change)
     assert output["package"] == "arm"
     assert output["not_exported"] == ["imperfections.state_jitter"]
     assert sorted(output["files"]) == sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

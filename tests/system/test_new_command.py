@@ -18,7 +18,7 @@ from fjr_core.urdf.typical_joints import joints_without_inertia
 from fjr_design.scaffold.arm import arm_of, published
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.gains_block import with_gains
-from system.executables import fjr_here, scenario
+from system.executables import fjr_here, fjr_json, scenario
 from two_link_urdf import joint, two_link_urdf
 
 pytestmark = pytest.mark.system
@@ -44,7 +44,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_files_are_accepted_and_the_report_of_a_run_repeats_the_guesses(made: Path) -> None:
-    said = json.loads(fjr_here("check", str(made / "arm.yaml"), "--json").partition("fjr: ")[0])
+    said = fjr_json("check", str(made / "arm.yaml"))
     assert said["stable"]
     assert said["warnings"][0].startswith(GUESS.format("2 joints"))
     assert said["rows"]["reference"] == "within the position limits; within the velocity limits"

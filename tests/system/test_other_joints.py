@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,7 +19,7 @@ from fjr_core.runtime.control_step import ControlStep
 from fjr_design.cli.check import check
 from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit
-from system.executables import fjr_here
+from system.executables import fjr_here, fjr_json
 from tracking.tracked import sample
 from watch_text import text
 
@@ -118,15 +117,9 @@ NEAR = [part for name, value in AT.items() for part in ("--set", f"initial_link_
 NEAR += ["--set", "initial_motor_position:=[0.34, 0.01]", "--set", "initial_motor_velocity:=[1.0, 2.1]"]
 
 
-def checked(*arguments: str) -> dict[str, Any]:
-    """Return the JSON values of a check, which the warnings follow."""
-    values: dict[str, Any] = json.JSONDecoder().raw_decode(fjr_here("check", *arguments, "--json"))[0]
-    return values
-
-
 def test_check_has_the_rate_of_straight_springs_the_tangents_and_warns_of_a_start_that_diverges() -> None:
     """The shipped start is 0.3 rad off; a start on the reference tracks."""
-    far, straight, near = (checked(*each) for each in (HARD, HARD[:1], (*HARD, *NEAR)))
+    far, straight, near = (fjr_json("check", *each) for each in (HARD, HARD[:1], (*HARD, *NEAR)))
     assert far["beta_per_s"] == straight["beta_per_s"]
     assert far["beta_is_proven"]
     assert far["stable"]
@@ -152,7 +145,7 @@ def test_a_run_keeps_the_certificate_and_no_wiring_fault_is_seen(tmp_path: Path,
 
 
 def test_check_says_which_springs_of_a_table_are_stiffer_and_which_softer() -> None:
-    found = checked(*TABLE)
+    found = fjr_json("check", *TABLE)
     assert found["stable"]
     softer, stiffer = (
         [float(each) for each in part.split("[")[1].split("]")[0].split(",")]

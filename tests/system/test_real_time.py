@@ -7,21 +7,22 @@ These tests run alone (tests/conftest.py), so they stand in one file: others wai
 from __future__ import annotations
 
 import json
+import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros, nanoseconds, seconds
-from system.executables import NODES, PROGRAMS, SLOW, documented_keys, fjr, fjr_here, running, scenario, wait_for
-from system.network import Network, RefusedError
+from system.executables import SLOW, Executable, documented_keys, fjr, fjr_here, installed, running, scenario, wait_for
 from system.shared_runs import Recorded, messages, recorded_run
 from system.test_running_nodes import MOTION, T, holding, motion_file
 from time_limits import HANG
@@ -32,6 +33,85 @@ SECONDS = 3.0  # of stamped time
 AUXILIARY_RATE = 100  # Hz, of the topics for observers in real time
 SETTLED = 2.0  # s; the initial error of 0.5 rad has decayed by then
 RECORDED = ("/joint_states", "/joint_commands", "/fjr_controller/reference")
+
+
+class RefusedError(Exception):
+    """Reason why namespaces are not available."""
+
+
+class Network:
+    """Two network namespaces `left` and `right`, joined by a veth pair, each like a separate computer.
+
+    Use as a context. Raises RefusedError.
+    """
+
+    def __init__(self) -> None:
+        self.left, self.right = (f"fjr-{side}-{os.getpid()}" for side in ("left", "right"))
+        self._started: list[Executable] = []
+
+    def __enter__(self) -> Network:
+        try:
+            self._build()
+        except RefusedError:
+            self._remove()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for each in self._started:
+            each.kill()
+        self._remove()
+
+    def start(self, namespace: str, command: list[str]) -> Executable:
+        """Start a command in a namespace."""
+        words = ["ip", "netns", "exec", namespace, *command]
+        self._started.append(Executable(words, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET"))
+        return self._started[-1]
+
+    def words(self) -> str:
+        """Return the output of all started processes."""
+        return "\n".join(each.said_so_far() for each in self._started)
+
+    def sent(self, namespace: str) -> int:
+        """Return the number of packets sent from a namespace."""
+        shown = ip("-n", namespace, "-s", "-j", "link", "show", "dev", "veth")
+        return int(json.loads(shown)[0]["stats64"]["tx"]["packets"])
+
+    def impair(self, delay: str, loss: str) -> None:
+        """Delay and lose packets in both directions with `tc netem`; raises RefusedError."""
+        for namespace in (self.left, self.right):
+            netem = ("qdisc", "add", "dev", "veth", "root", "netem", "delay", delay, "loss", loss)
+            _run("tc", "-n", namespace, *netem)
+
+    def _build(self) -> None:
+        ip("netns", "add", self.left)
+        ip("netns", "add", self.right)
+        ip("link", "add", "veth", "netns", self.left, "type", "veth", "peer", "name", "veth", "netns", self.right)
+        for number, namespace in enumerate((self.left, self.right), start=1):
+            ip("-n", namespace, "address", "add", f"10.77.0.{number}/24", "dev", "veth")
+            for device in ("lo", "veth"):
+                ip("-n", namespace, "link", "set", device, "up")
+            ip("-n", namespace, "route", "add", "default", "dev", "veth")  # multicast, which discovery uses, needs one
+
+    def _remove(self) -> None:
+        for namespace in (self.left, self.right):
+            with suppress(RefusedError):
+                ip("netns", "del", namespace)
+
+
+def ip(*arguments: str) -> str:
+    """Run `ip`; raises RefusedError with its error message."""
+    return _run("ip", *arguments)
+
+
+def _run(*command: str) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=HANG)
+    except FileNotFoundError:
+        raise RefusedError(f"`{command[0]}` is not installed") from None
+    if done.returncode:
+        raise RefusedError(f"`{' '.join(command)}`: {done.stderr.strip()}")
+    return done.stdout
 
 
 @pytest.fixture
@@ -48,23 +128,21 @@ def network(monkeypatch) -> Iterator[Network]:
 
 def run(network: Network, folder: Path) -> tuple[Recorded, float]:
     """Run plant and recorder on the left, the controller on the right; return what was recorded and the last error."""
-    node = {
-        name: [str(executable(*NODES[name])), "--ros-args", "--params-file", scenario("paper_k31")] for name in NODES
-    }
-    recorder = str(executable(*PROGRAMS["fjr"])), "record", *RECORDED, "--output", str(folder / "bag"), "--force"
-    processes = [network.start(network.left, *command) for command in (recorder, node["plant"])]
-    processes.append(network.start(network.right, *node["controller"]))
+    arguments = "--ros-args", "--params-file", scenario("paper_k31")
+    recorder = installed("fjr", "record", *RECORDED, "--output", str(folder / "bag"), "--force")
+    started = [network.start(network.left, command) for command in (recorder, installed("plant", *arguments))]
+    started.append(network.start(network.right, installed("controller", *arguments)))
 
     def recorded() -> bool:
         """Return whether the bag has SECONDS of references."""
-        assert all(process.poll() is None for process in processes), network.words()
+        assert all(each.process.poll() is None for each in started), network.words()
         topic = read_bag(folder / "bag").topics.get(RECORDED[-1]) if any((folder / "bag").glob("*.mcap")) else None
         return topic is not None and topic.last - topic.first > SECONDS * 1e9
 
     wait_for(recorded, "the motion")
-    for process in reversed(processes):
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=HANG) == 0, network.words()
+    for each in reversed(started):
+        each.signal(signal.SIGINT)
+        assert each.end()[0] == 0, network.words()
     seen = recorded_run(folder, "")
     assert np.isfinite(seen.u).all()
     return seen, float(np.max(seen.error[seen.t > SETTLED]))

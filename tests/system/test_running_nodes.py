@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import signal
 from collections.abc import Iterator, Mapping
@@ -14,13 +13,13 @@ import pytest
 import yaml
 from rcl_interfaces.srv import GetParameters
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from fjr_bringup import clients
 from fjr_bringup.clients import PlantClient
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros
-from system.executables import SLOW, TIME_LIMIT, Start, documented_keys, fjr_here, running, wait_for
+from system.bags import STORE
+from system.executables import SLOW, TIME_LIMIT, Start, documented_keys, fjr_here, fjr_json, running, wait_for
 from time_limits import Limit
 
 pytestmark = pytest.mark.system
@@ -69,7 +68,7 @@ def test_record_keeps_the_named_topics_and_overwrites_nothing(loop: None, tmp_pa
     said = fjr_here("record", *named, "--duration", "5", *output)
     assert "nothing came on /other" in said
     assert "messages of 2 topics" in said
-    with AnyReader([tmp_path / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+    with AnyReader([tmp_path / "bag"], default_typestore=STORE) as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
         assert set(counts) == {"/left/joint_states", "/left/joint_commands"}
         connection, _, raw = next(reader.messages())
@@ -112,7 +111,7 @@ def test_installed_ros2_is_recommended_instead_without_force(tmp_path: Path, mon
 
 
 def test_request_is_a_mapping_or_the_only_value_and_may_be_refused(loop: None) -> None:
-    said = json.loads(fjr_here("call", "left/fjr_plant/pause", "{data: true}", "--json", *WAIT))
+    said = fjr_json("call", "left/fjr_plant/pause", "{data: true}", *WAIT)
     assert said["success"] is True
     assert "paused" in said["message"]
     assert "running" in fjr_here("call", "left/fjr_plant/pause", "false", *WAIT)
@@ -127,7 +126,7 @@ def test_parameter_takes_the_value_in_the_declared_type(loop: None, ros: Ros) ->
         ("imperfections.motor_coulomb_friction", "[0.01]", [0.01]),
         ("advance_samples", "7", 7),
     ):
-        said = json.loads(fjr_here("set", PLANT, parameter, text, "--json", *WAIT))
+        said = fjr_json("set", PLANT, parameter, text, *WAIT)
         assert said == {"node": PLANT, "parameter": parameter, "value": sent}
         assert set(said) == documented_keys()["set"]
         (found,) = asked.call(GetParameters, f"{PLANT}/get_parameters", names=[parameter]).values
@@ -157,7 +156,7 @@ def test_a_wrong_name_or_value_ends_in_one_sentence(loop: None, line: str) -> No
 def test_lifecycle_reads_and_changes_the_state_and_refuses_what_is_not_offered(loop: None) -> None:
     assert f"{CONTROLLER} is active; transitions: deactivate, shutdown" in fjr_here("lifecycle", CONTROLLER, *WAIT)
     for transition, state in (("deactivate", "inactive"), ("activate", "active")):
-        said = json.loads(fjr_here("lifecycle", CONTROLLER, transition, "--json", *WAIT))
+        said = fjr_json("lifecycle", CONTROLLER, transition, *WAIT)
         assert said["state"] == state
         assert set(said) == documented_keys()["lifecycle"]
     said = fjr_here("lifecycle", CONTROLLER, "configure", *WAIT, code=1)

@@ -11,6 +11,7 @@ import struct
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -221,7 +222,13 @@ def write_bag(loop: LockStepLoop, folder: Path) -> None:
 
 def _joint_state(joints: list[str], stamp: int, **fields: Array) -> bytes:
     values = [fields.get(name, np.zeros(0)) for name in FIELDS]
-    return _filled(joint_state(joints, map(len, values)), values, stamp)
+    return _filled(_form(tuple(joints), tuple(map(len, values))), values, stamp)
+
+
+@cache
+def _form(joints: tuple[str, ...], lengths: tuple[int, ...]) -> Form:
+    """Return the layout of a JointState, which all messages of a topic have."""
+    return joint_state(joints, lengths)
 
 
 def _filled(form: Form, values: list[Array], stamp: int | None = None) -> bytes:
