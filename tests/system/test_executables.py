@@ -20,8 +20,8 @@ from system.executables import NODES, Executable, Start, wait_for
 pytestmark = pytest.mark.system
 
 
-def test_a_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, start: Start) -> None:
-    """A node without messages: below, by the other signal too."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, start: Start, number: int) -> None:
     peer = Peer(ros)
     controller = start("controller")
 
@@ -32,11 +32,11 @@ def test_a_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros,
 
     ros.until(answered, "an answer")
     np.testing.assert_allclose(peer.commands[-1].effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
-    controller.signal(signal.SIGTERM)
+    controller.signal(number)
     ros.until(
         lambda: peer.efforts and peer.efforts[-1].data[0] == 0.0 == peer.commands[-1].effort[0], "the last effort"
     )
-    ended_by(controller, signal.SIGTERM)
+    ended_by(controller, number)
 
 
 def ended_by(executable: Executable, number: int) -> str:

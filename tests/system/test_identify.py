@@ -276,17 +276,15 @@ def test_a_robot_file_gets_gains(tmp_path: Path) -> None:
     assert "stable" in fjr_here("check", f"{target}")
 
 
-CURVE = (
-    "robot.torsion_deflection:=[0.05, 0.05, 0.1, 0.1]",
-    "robot.torsion_torque:=[2.5, 2.0, 8.0, 6.0]",
-    "limits.deflection:=[0.1, 0.06]",
-)
+TABLE = ("torsion_deflection:=[0.05, 0.05, 0.1, 0.1]", "torsion_torque:=[2.5, 2.0, 8.0, 6.0]")
 
 
 @pytest.mark.usefixtures("short_search")
-def test_the_motion_of_springs_with_a_curve_keeps_their_limits(tmp_path: Path) -> None:
+@pytest.mark.parametrize("curve", [("cubic_stiffness:=[4.0e3, 2.5e3]",), TABLE], ids=["cubic", "table"])
+def test_the_motion_of_springs_with_a_curve_keeps_their_limits(tmp_path: Path, curve: tuple[str, ...]) -> None:
     target = tmp_path / "moves.yaml"
-    sets = [part for each in CURVE for part in ("--set", each)]
+    given = *(f"robot.{each}" for each in curve), "limits.deflection:=[0.1, 0.06]"
+    sets = [part for each in given for part in ("--set", each)]
     fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", *sets)
     loop = load_scenario(target)
     assert loop.robot.curve

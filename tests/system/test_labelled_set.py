@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnosis is right on every bag of the labelled set, findings on a part of the faults.
-
-Bags of the real nodes: docs/tutorial.md, by tests/docs.
-"""
+"""The diagnosis is right on every bag of the labelled set and of the real nodes, findings on a part of the faults."""
 
 from __future__ import annotations
 
@@ -17,7 +14,12 @@ import pytest
 from bench.figures import placed
 from diagnosis_benchmark import faults
 from diagnosis_benchmark.cases import DEGRADED, HOLDING, TUNING_SEED, UNDECIDED, VALIDATION_SEED, VIOLATED, Case, cases
-from diagnosis_benchmark.tables import KINDS, NAMES, diagnosed, outcome, right, table
+from diagnosis_benchmark.lock_step import read_record
+from diagnosis_benchmark.tables import KINDS, NAMES, diagnosed, diagnosed_cause, outcome, right, table
+from fjr_core.config.scenario import load_scenario
+from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_msgs_py.console.ending import Exit
+from system.executables import fjr_here
 
 pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
@@ -56,6 +58,22 @@ def test_set_covers_all_causes_and_robots_and_the_page_shows_it() -> None:
 def test_diagnosis_of_each_bag_is_its_label(case: Case, tmp_path: Path) -> None:
     label, verdict = diagnosed(case, tmp_path / "bag")
     assert right(label, verdict), (label, verdict)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "wanted"),
+    [
+        pytest.param("imperfections.command_loss:=0.4", "loss", marks=pytest.mark.full),
+        ("limits.effort:=[0.75]", "saturation"),
+    ],
+)
+def test_diagnosis_of_bags_of_the_real_nodes(assignment: str, wanted: str, tmp_path: Path) -> None:
+    """The tutorial's page runs holding, sampling, delay and model mismatch; the set saturates the robot itself."""
+    arguments = ["run", "paper_k31", "--lockstep", "--no-report", "--duration", "1.25", "--output", str(tmp_path)]
+    fjr_here(*arguments, "--set", assignment, codes=(Exit.DONE, Exit.VIOLATED))
+    scenario = load_scenario(tmp_path / "paper_k31" / "scenario.yaml")
+    verdict = diagnose(read_record(tmp_path / "paper_k31" / "bag", scenario), scenario.tracking_law)
+    assert diagnosed_cause(verdict) == wanted, verdict
 
 
 # Labelled faults; that wrong wiring stops the controller before the arm moves far: test_wiring_faults.py.

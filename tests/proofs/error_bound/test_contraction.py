@@ -21,8 +21,8 @@ from fjr_proofs.error_bound.peak_gains import CellModels, peak_gains
 from proofs.error_bound.test_error_bound import STILL, joint, two_link
 
 H = 1e-3
-FAST_SINE = fjr.Sine(0.15, 20.0)
-SHORT = fjr.Sine([0.05, 0.05], [20.0, 20.0], [0.3, 0.0])
+FAST_SINE = fjr.Sine(0.3, 10.0)
+SHORT = fjr.Sine([0.1, 0.1], [10.0, 10.0], [0.3, 0.0])
 
 
 def late_runs(law: fjr.TrackingLaw, reference: fjr.Sine, starts: Array, delays: Array, period: float) -> Array:
@@ -119,6 +119,14 @@ def test_starts_on_the_corners_of_the_tube_end_below_the_offset(law: fjr.Trackin
     errors = np.abs(states[samples, :, :n] - reference.jets(H * samples)[:, None, 0])
     assert np.all(errors.max(axis=(0, 1)) < found.offset)
     assert np.any(errors.max(axis=(0, 1)) > 0.02 * found.offset)
+
+
+def test_a_smaller_gain_has_a_smaller_rate() -> None:
+    rates = [
+        sampled_contraction(fjr.TrackingLaw(fjr.single_link(), replace(fjr.PAPER_GAINS, K_ld=K_ld)), FAST_SINE, H)
+        for K_ld in (0.6, 0.3)
+    ]
+    assert rates[0].rate > 1.2 * rates[1].rate  # type: ignore[union-attr]
 
 
 def test_a_delay_beyond_the_margin_is_not_proven() -> None:

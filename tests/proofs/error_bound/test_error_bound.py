@@ -64,7 +64,7 @@ def paper(delay: float, **errors: float) -> ErrorBound:
 
 CASES = [
     (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
-    (two_link, TWO_LINK_SWING, T, {"link_mass": [0.1, 0.0]}),
+    (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
     (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
     (
         joint,
@@ -72,17 +72,15 @@ CASES = [
         T,
         {"payload_mass": 0.1, "payload_position": 0.02, "gravity_direction": 0.05, "link_central_inertia": 0.2},
     ),
-    (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.1, 0.0], "stiffness": [0.0, 0.02]}),
+    (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.1, 0.1], "stiffness": [0.05, 0.02]}),
 ]
 """A joint and two links, samples beside the period and on it, delays below and above a sample."""
 MORE = [
     (joint, SWING, 0.0, {}),
     (joint, SWING, T, {"payload": 0.2, "link_damping": 0.3, "motor_damping": 0.3, "gravity": 0.05}),
     (two_link, TWO_LINK_SWING, T, {}),
-    (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
     (joint, EACH_SECOND, 0.0, {"payload": 0.2}),
     (two_link, TWO_LINK_EACH_SECOND, T, {"payload": 0.1}),
-    (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.1, 0.1], "stiffness": [0.05, 0.02]}),
     (two_link, TWO_LINK_SWING, T, {"payload_mass": 0.1, "link_mass": 0.05, "motor_inertia": [0.1, 0.0]}),
 ]
 
@@ -258,7 +256,7 @@ def test_an_error_under_its_former_name_is_reported(capsys: pytest.CaptureFixtur
 def test_delay_and_every_error_enlarge_the_bound() -> None:
     assert paper(0.0).position < paper(T).position
     for name in {*PARAMETERS, *TORQUES} - {"payload_position", "link_central_inertia"}:
-        assert paper(T, **{name: 0.01}).position > paper(T).position, name
+        assert paper(T, **{name: 0.05}).position > paper(T).position, name
 
 
 def test_no_robot_with_a_delay_within_its_error_exceeds_the_bound() -> None:
@@ -316,8 +314,8 @@ def test_errors_too_large_for_a_tube_give_no_bound() -> None:
 
 @pytest.mark.parametrize(
     ("reference", "errors"),
-    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.6, "link_central_inertia": 0.6})],
-    ids=["millions of parts", "some parts"],
+    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.45, "link_central_inertia": 0.45})],
+    ids=["millions of parts", "a divisor whose interval contains zero"],
 )
 def test_several_large_errors_are_bounded_or_have_no_bound(reference: Reference, errors: dict[str, float]) -> None:
     found = bound_errors(joint(), reference, T, 5 * T, errors)
