@@ -29,18 +29,17 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ParameterError
 from ..model import springs
 from ..model.rigid_arm import RigidArm
 from ..model.robot import Robot
-from ..numerics.checks import Array, floats, freeze, positive
-from ..numerics.jit import compiled_from_inputs
-from ..numerics.one_line import brief, one_line
-from ..numerics.parameter_field import VECTOR, declared, parameter_field
+from ..numerics.checks import Array
+from ..numerics.one_line import one_line
+from ..numerics.parameter_field import VECTOR, parameter_field
 from ..numerics.symbolic import dense_function, symbols
 from ..runtime.library import TorqueObserverStruct
 from ..simulation.deviations import ChangedLinks, has_bodies
-from .external_torque import observer_function
+from ..simulation.imperfections import freeze_within_ranges
+from .external_torque import ExternalTorqueObserver, observer_function
 
 DAY = 86_400_000
 """Samples of 24 h at 1 kHz."""
@@ -78,12 +77,7 @@ class StatedErrors:
     __repr__ = one_line
 
     def __post_init__(self) -> None:
-        for name, parameter in declared(StatedErrors).items():
-            array = floats(name, getattr(self, name), ParameterError)
-            if array.shape not in ((), (self.n,)) or not np.all((array >= parameter.minimum) & (array < np.inf)):
-                expected = f"expected one or {self.n} numbers, {parameter.range}"
-                raise ParameterError(f"{name} is {array.tolist()}; {expected}")
-            freeze(self, name, np.broadcast_to(array, self.n).copy())
+        freeze_within_ranges(self, self.n)
 
     @property
     def deviations(self) -> Array:
@@ -106,35 +100,23 @@ def chi_squared_quantile(n: int, beyond: float) -> float:
     return low + high
 
 
-class ContactObserver:
+class ContactObserver(ExternalTorqueObserver):
     """External torques r on the links and their derivatives -Z by the stated errors.
 
-    bandwidth [1/s]: L above; ParameterError unless positive and finite. compile: to machine code (numerics.jit).
+    Its function keeps (3 n (1 + m),): p_l with its derivatives by the m errors, column by column; their rates without
+    tau; r and z [N m].
     """
 
-    def __repr__(self) -> str:
-        return f"ContactObserver({self.robot!r}, bandwidth={brief(self.bandwidth)} 1/s)"
+    name = "contact"
 
     def __init__(self, robot: Robot, bandwidth: float, errors: StatedErrors, compile: bool = False) -> None:
-        positive("bandwidth", bandwidth, ParameterError, "1/s")
-        self.robot, self.bandwidth, self.errors, self._compile = robot, float(bandwidth), errors, compile
+        super().__init__(robot, bandwidth, compile)
+        self.errors, self.stated = errors, str(errors.deviations.tolist())
 
     @cached_property
     def limit(self) -> float:
         """Square of the Mahalanobis distance beyond which there is contact."""
         return chi_squared_quantile(self.robot.n, WRONG / DAY)
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """The CasADi function (kept, position, velocity, bandwidth, dt) -> kept at this sample.
-
-        kept (3 n (1 + m),): p_l with its derivatives by the m errors, column by column; their rates without tau; r
-        and z [N m]. The rest is as of ExternalTorqueObserver.
-        """
-        if not self._compile:
-            return self._function()
-        stated = str(self.errors.deviations.tolist())
-        return compiled_from_inputs("contact", self.robot.fingerprint(), stated, self._function)
 
     def struct(self, ffi: Any) -> TorqueObserverStruct:
         """Return the observer for C; ffi: with the types of step.h."""
@@ -143,7 +125,7 @@ class ContactObserver:
 
     def _function(self) -> ca.Function:
         size = self.robot.n * (1 + len(self.errors.deviations))
-        return observer_function("contact", self.robot.n, size, self.momenta)
+        return observer_function(self.name, self.robot.n, size, self.momenta)
 
     @cached_property
     def momenta(self) -> ca.Function:

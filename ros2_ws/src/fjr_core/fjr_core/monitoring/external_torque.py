@@ -37,8 +37,13 @@ class ExternalTorqueObserver:
     bandwidth [1/s]: L above; ParameterError unless positive and finite. compile: to machine code (numerics.jit).
     """
 
+    name = "external_torque"
+    """Of the function, also in the code cache."""
+    stated = ""
+    """What the function depends on beside the robot."""
+
     def __repr__(self) -> str:
-        return f"ExternalTorqueObserver({self.robot!r}, bandwidth={brief(self.bandwidth)} 1/s)"
+        return f"{type(self).__name__}({self.robot!r}, bandwidth={brief(self.bandwidth)} 1/s)"
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
         positive("bandwidth", bandwidth, ParameterError, "1/s")
@@ -58,11 +63,11 @@ class ExternalTorqueObserver:
         """
         if not self._compile:
             return self._function()
-        return compiled_from_inputs("external_torque", self.robot.fingerprint(), "", self._function)
+        return compiled_from_inputs(self.name, self.robot.fingerprint(), self.stated, self._function)
 
     def _function(self) -> ca.Function:
         n, of_both_sides = self.robot.n, momenta(self.robot)
-        return observer_function("external_torque", n, n, lambda q, dq: [each[:n] for each in of_both_sides(q, dq)])
+        return observer_function(self.name, n, n, lambda q, dq: [each[:n] for each in of_both_sides(q, dq)])
 
     def along(self, t: Array, position: Array, velocity: Array, before: Array | None = None) -> Array:
         """Return what is kept (k, 3n) after each of k samples; its last n columns are the estimated torques [N m].

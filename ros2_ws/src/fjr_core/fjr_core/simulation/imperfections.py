@@ -22,7 +22,7 @@ from ..numerics.parameter_field import POINT, VECTOR, declared, parameter_field
 SIZES = {"payload_mass": 1, "payload_position": 3}  # of the others: one entry per joint
 
 
-def _freeze_within_ranges(owner: object, n: int) -> None:
+def freeze_within_ranges(owner: object, n: int) -> None:
     """Store the numbers declared by a frozen dataclass as arrays (n,), or as SIZES says; raise ParameterError."""
     for name, parameter in declared(type(owner)).items():
         if isinstance(parameter.default, bool):
@@ -122,7 +122,7 @@ class Imperfections:
     )
 
     def __post_init__(self) -> None:
-        _freeze_within_ranges(self, self.n)
+        freeze_within_ranges(self, self.n)
 
     @property
     def off(self) -> bool:
@@ -209,7 +209,7 @@ class SensorErrors:
     velocities: bool = parameter_field(True, "Publish velocities in the states", name="publish_velocity", dynamic=True)
 
     def __post_init__(self) -> None:
-        _freeze_within_ranges(self, self.n)
+        freeze_within_ranges(self, self.n)
 
     @property
     def off(self) -> bool:
