@@ -203,17 +203,6 @@ def _rows(points: Sequence[JointTrajectoryPoint], field: str, names: list[str]) 
     return rows
 
 
-@dataclass(frozen=True, eq=False)
-class Progress:
-    """Progress of an action: stamp [ns], desired and actual positions [rad] and velocities [rad/s], each (n,)."""
-
-    stamp: int
-    q_d: Array
-    dq_d: Array
-    q: Array
-    dq: Array
-
-
 class FollowMessages:
     """Reader and writer of the messages of FollowJointTrajectory; `kind` is the type of the action."""
 
@@ -234,15 +223,14 @@ class FollowMessages:
         """Return the result with an error code and its reason."""
         return self.kind.Result(error_code=code, error_string=sentence)
 
-    def feedback(self, progress: Progress) -> Any:
-        """Return the feedback: desired, actual, and error = desired - actual."""
+    def feedback(self, stamp: int, desired: Array, actual: Array) -> Any:
+        """Return the feedback at a stamp [ns], with error = desired - actual.
+
+        desired, actual (2, n): positions [rad] and velocities [rad/s].
+        """
         message = self.kind.Feedback(joint_names=self._joints)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(progress.stamp, 1_000_000_000)
-        rows = {
-            "desired": (progress.q_d, progress.dq_d),
-            "actual": (progress.q, progress.dq),
-            "error": (progress.q_d - progress.q, progress.dq_d - progress.dq),
-        }
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, SECOND)
+        rows = {"desired": desired, "actual": actual, "error": desired - actual}
         for name, (positions, velocities) in rows.items():
             point = getattr(message, name)
             point.positions, point.velocities = positions.tolist(), velocities.tolist()
