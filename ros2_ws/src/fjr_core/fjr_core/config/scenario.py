@@ -25,7 +25,7 @@ from ..motions.reference import Reference
 from ..numerics.checks import Array
 from ..robust.law import RobustLaw, sampled_law
 from ..runtime.control_step import ControlStep
-from ..runtime.measurement_model import OBSERVER, TORQUE, Measurement
+from ..runtime.measurement_model import Measurement
 from ..runtime.safety_settings import Settings
 from ..runtime.velocity_observer import VelocityObserver
 from ..simulation.closed_loop import Trajectory, simulate
@@ -77,10 +77,8 @@ class Scenario:
     @property
     def sensing(self) -> Sensing:
         """Sensing of the control law: velocity observer and torque sensor, from measurement.*."""
-        values = self.controller_values
-        observed = values["measurement.velocity"] == OBSERVER
-        bandwidth = parameter.number(values, OBSERVER_BANDWIDTH.name) if observed else None
-        return Sensing(bandwidth, by_torque=values["measurement.motor"] == TORQUE)
+        bandwidth = parameter.number(self.controller_values, OBSERVER_BANDWIDTH.name)
+        return Sensing(bandwidth if self.measurement.observed else None, self.measurement.by_torque)
 
     @cached_property
     def robot(self) -> Robot:
