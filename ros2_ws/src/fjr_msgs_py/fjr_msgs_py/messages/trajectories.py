@@ -108,7 +108,10 @@ class TrajectoryReader:
             )
         self._check_names(names)
         times = _times(points)
-        _reject_efforts(points)
+        for i, point in enumerate(points):
+            if len(point.effort):
+                sentence = f"point {i} has efforts; expected positions, velocities and accelerations"
+                raise MessageError("efforts", sentence)
         columns = np.array([self._joints.index(name) for name in names])
         positions = self._spread(_rows(points, "positions", names), columns)
         velocities = self._optional(points, "velocities", names, columns)
@@ -166,12 +169,6 @@ def _times(points: Sequence[JointTrajectoryPoint]) -> NDArray[np.int64]:
             f"point {i} is at {times[i] / SECOND:g} s; expected it after point {i - 1}, {times[i - 1] / SECOND:g} s",
         )
     return times
-
-
-def _reject_efforts(points: Sequence[JointTrajectoryPoint]) -> None:
-    for i, point in enumerate(points):
-        if len(point.effort):
-            raise MessageError("efforts", f"point {i} has efforts; expected positions, velocities and accelerations")
 
 
 def _stop_at_end(velocities: Array, names: list[str]) -> None:
