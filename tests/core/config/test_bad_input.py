@@ -19,8 +19,7 @@ import fjr_core as fjr
 from fjr_core.config import robot_file, ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_core.files import text_file
-from fjr_core.monitoring.contact import StatedErrors
-from fjr_core.monitoring.external_torque import ExternalTorqueObserver
+from fjr_core.monitoring.external_torque import ExternalTorqueObserver, StatedErrors
 from fjr_core.robust.law import Robust, RobustLaw
 from fjr_core.runtime.velocity_observer import error_radii
 from fjr_core.simulation.imperfections import Imperfections

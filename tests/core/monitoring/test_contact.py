@@ -12,8 +12,14 @@ from scipy import stats
 import fjr_core as fjr
 from core.oracles.cases import Array
 from core.oracles.chains import arm7
-from fjr_core.monitoring.contact import DAY, STICKING, WRONG, ContactObserver, StatedErrors
-from fjr_core.monitoring.external_torque import ExternalTorqueObserver
+from fjr_core.monitoring.external_torque import (
+    DAY,
+    STICKING,
+    WRONG,
+    ContactObserver,
+    ExternalTorqueObserver,
+    StatedErrors,
+)
 from fjr_core.runtime.library import step_library
 
 L = 40.0  # 1/s

@@ -25,9 +25,15 @@ def ros2_path() -> str | None:
     return shutil.which("ros2")
 
 
+def installed_command(ros2: str, fjr: str) -> str:
+    """Return the command `ros2 ...` if ROS 2's command line is installed, otherwise `fjr ...`."""
+    return f"ros2 {ros2}" if ros2_path() else f"fjr {fjr}"
+
+
 def play_command(bag: Path) -> str:
-    """Return the command that plays a bag, of ROS 2's command line if it is installed."""
-    return f"{'ros2 bag' if ros2_path() else 'fjr'} play {shlex.quote(str(bag))}"
+    """Return the command that plays a bag."""
+    name = shlex.quote(str(bag))
+    return installed_command(f"bag play {name}", f"play {name}")
 
 
 def refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
