@@ -305,17 +305,6 @@ class ControlStep:
         return self._array(jets).reshape(self.jets.shape)
 
     @property
-    def end(self) -> float:
-        """Return the stamp [ns] from which on the reference is constant; inf for never, or before the first sample."""
-        self.refresh()
-        reference = self.controller.supervisor.reference
-        if reference.zero == NEVER:
-            return np.inf
-        target = reference.target or self.ffi.addressof(reference, "held")
-        end = target.end + target.shift
-        return float(reference.zero + max(end, reference.segment.t1 if reference.joins else end) * 1e9)
-
-    @property
     def memory(self) -> Array:
         """Return the controller state (m,) of the law at the last sample, a view."""
         return self._view(self.controller, "law.memory")[: len(self._sampled.memory)]
