@@ -30,12 +30,11 @@ def freeze_within_ranges(owner: object, n: int) -> None:
         size, array = SIZES.get(name, n), checks.floats(name, getattr(owner, name), ParameterError)
         if not parameter.infinite:
             checks.finite(name, array, ParameterError)
-        if array.shape not in ((), (size,)):
-            raise ParameterError(f"{name} has shape {array.shape}; expected a scalar or ({size},)")
+        array = checks.filled(name, array, (size,), ParameterError)
         if not np.all((array >= parameter.minimum) & (array <= parameter.maximum)):
             unit = f" {parameter.unit}" if parameter.unit else ""
             raise ParameterError(f"{name} is {array.tolist()}{unit}; expected {parameter.range}{unit}")
-        checks.freeze(owner, name, np.broadcast_to(array, size).copy())
+        checks.freeze(owner, name, array)
 
 
 def _per_joint(default: float, name: str, unit: str, description: str, minimum: float = 0.0, **properties: Any) -> Any:
