@@ -39,7 +39,6 @@ from . import reference as reference_parameters
 from . import robot as robot_parameters
 from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement_parameters
 from .nodes import CONTROLLER, PLANT, checked_values
-from .obstacle import KIND, NONE
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class Scenario:
         names = {name for name in (*self.plant_values, *self.controller_values) if name.startswith("robot.")}
         own = self.plant_values[plant_parameters.TYPE.name] != plant_parameters.FLEXIBLE_JOINT
         same = (self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
-        return not own and self.plant_values[KIND] == NONE and all(same)
+        return not own and self.plant_values[plant_parameters.OBSTACLE_TYPE] == plant_parameters.NONE and all(same)
 
     @property
     def loop_delay(self) -> float:
