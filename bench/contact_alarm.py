@@ -28,7 +28,7 @@ from bench.figures import markdown, put
 from fjr_core.config.controller import contact_observer
 from fjr_core.config.scenario import Scenario
 from fjr_core.model.newton_euler import ChainAt, Mass, mass_of
-from fjr_core.monitoring.contact import STICKING
+from fjr_core.monitoring.external_torque import STICKING
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import c_library_of, compiled
 from fjr_core.numerics.symbolic import bind, dense_function, symbols

@@ -13,7 +13,7 @@ import trimesh
 import fjr_core as fjr
 from diagnosis_benchmark.lock_step import LockStepLoop, write_bag
 from engines.walls import Array, loaded, met, random_walls, unchanged
-from fjr_core.config.obstacle import Obstacle
+from fjr_core.config.plant import Obstacle
 from fjr_core.config.robot import description
 from fjr_core.errors import FjrError
 from fjr_core.urdf.tree import read_urdf

@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 import fjr_controller.components as control
 from fjr_controller.follow_action import Code, Tolerances, TrackedGoal, tolerances
 from fjr_core.model.robot import REVOLUTE
-from fjr_msgs_py.messages.trajectories import FollowMessages, Progress
+from fjr_msgs_py.messages.trajectories import FollowMessages
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager, trajectory
 
@@ -35,8 +35,8 @@ class StandIn(FollowMessages):
     def result(self, code: int, sentence: str) -> Any:
         return Fibonacci.Result(sequence=[code])
 
-    def feedback(self, progress: Any) -> Any:
-        return Fibonacci.Feedback(sequence=[round(1e6 * progress.q_d[0])])
+    def feedback(self, stamp: int, desired: np.ndarray, actual: np.ndarray) -> Any:
+        return Fibonacci.Feedback(sequence=[round(1e6 * desired[0, 0])])
 
 
 class Client:
@@ -210,7 +210,7 @@ def test_messages_carry_codes_feedback_and_tolerances() -> None:
     messages = FollowMessages(kind, JOINTS)
     result = messages.result(-4, "why")
     assert (result.error_code, result.error_string) == (-4, "why")
-    message = messages.feedback(Progress(3 * SECOND + 5, *(np.array([v, 2 * v]) for v in (1.0, 2.0, 4.0, 8.0))))
+    message = messages.feedback(3 * SECOND + 5, *np.array([[[1.0, 2.0], [2.0, 4.0]], [[4.0, 8.0], [8.0, 16.0]]]))
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 5)
     assert list(message.desired.positions) == [1.0, 2.0]
     assert list(message.actual.velocities) == [8.0, 16.0]

@@ -130,7 +130,6 @@ def test_a_reference_is_followed_after_the_brake_and_can_be_replaced_in_it() -> 
     tracker, duration, jets = joined(Hold([-1.5]), 1.0, 1.5, **limits)
     assert braking(tracker) > 0
     np.testing.assert_allclose(jets[-1], Hold([-1.5]).jets(0.0), atol=1e-9)
-    assert tracker.end == pytest.approx(SECOND + duration * 1e9)
     stamp = SECOND + round(0.1 * 1e9)
     here = tracker.jets_at(stamp)
     tracker.hold()
@@ -247,7 +246,6 @@ def test_a_matched_reference_takes_over_without_a_step(arm: str, ahead: int | No
     assert loop.commands[switch].state is State.TRACKING
     np.testing.assert_allclose(loop.commands[-1].jets, standing(np.full(law.robot.n, 0.2)), atol=1e-12)
     assert loop.error < 2e-3
-    assert loop.tracker.end == start + SECOND
     assert loop.tracker.bound_start == SECOND
 
 

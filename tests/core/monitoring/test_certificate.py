@@ -100,10 +100,6 @@ def test_mean_rate_of_V_over_a_step_is_of_third_order(of_the_law: bool) -> None:
     assert error(2e-4) / error(1e-4) == pytest.approx(8.0, rel=0.1)
 
 
-def test_zero_instants_are_allowed_and_wrong_shapes_refused() -> None:
+def test_zero_instants_are_allowed() -> None:
     balance = Certificate(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS))
     assert balance.along(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 5, 1))).V.shape == (0,)
-    with pytest.raises(fjr.StateError, match=r"jets has shape \(3, 4, 1\); expected \(3, 5, 1\)"):
-        balance.along(np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((3, 4, 1)))
-    with pytest.raises(fjr.StateError, match="u has shape"):
-        at(balance, np.zeros(2), np.zeros(2), np.zeros((5, 1)), np.zeros(2))

@@ -330,8 +330,6 @@ def test_a_reference_that_fails_is_nan_and_its_error_is_raised_once(
 
 
 REFUSED: dict[str, Any] = {
-    "expected a reference, e.g. fjr.Sine": np.sin,
-    "reference is the class Sine": fjr.Sine,
     "the reference has 1 joints; expected 2": fjr.Sine(1.0, 1.0),
     "the reference has 3 joints; expected 2": TimeShifted(fjr.Hold((0.1, 0.2, 0.3)), 1.0),
 }

@@ -11,8 +11,8 @@ from __future__ import annotations
 import difflib
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -29,7 +29,6 @@ from trajectory_msgs.msg import JointTrajectory
 from fjr_core.errors import FjrError
 from fjr_monitor.recording.message_types import interface_class
 from fjr_monitor.recording.topics import nodes_seen
-from fjr_msgs_py.node.participant import own_node
 
 POLL = 0.05  # s
 RETRY_AFTER = 2.0  # s without a response
@@ -177,7 +176,10 @@ class PlantClient(_Requests):
 
 
 class TrajectoryClient(_Requests):
-    """Send trajectories to the controller of a name such as /fjr_controller; create it with `trajectory_client`."""
+    """Send trajectories to the controller of a name such as /fjr_controller.
+
+    Raises ClientError if the controller does not respond.
+    """
 
     def __init__(self, node: Node, controller: str, stop: threading.Event) -> None:
         super().__init__(node, stop)
@@ -210,10 +212,3 @@ class TrajectoryClient(_Requests):
         """Spin until `happened()`; raise ClientError after RESPONSE_LIMIT or if stopped."""
         if not self._until(happened, RESPONSE_LIMIT):
             raise ClientError(f"{self._controller} {fault}; expected an active controller")
-
-
-@contextmanager
-def trajectory_client(controller: str, stop: threading.Event) -> Iterator[TrajectoryClient]:
-    """Yield a client in a context of its own; raise ClientError if the controller does not respond."""
-    with own_node("fjr_send") as node, closing(TrajectoryClient(node, controller, stop)) as client:
-        yield client

@@ -166,20 +166,16 @@ class _Run:
                 f"nodes in ROS domain {domain()}: {others}"
             )
 
+        def appeared() -> bool:
+            alone = not self._refuse_others(PASSING)  # ended ones stay in the graph for their lease
+            return alone and (node, self.enclave) in self._present() and signature in self.client.published_by(node)
+
         for condition, what in (
-            (lambda: self._appeared(node, signature), f"{node} to appear"),
+            (appeared, f"{node} to appear"),
             (lambda: not unconnected(), f"the recorder to be connected to {node}"),
             (lambda: self.client.discovered_by(node), f"{node} to discover the recorder"),
         ):
             self._wait(condition, what, seen)
-
-    def _appeared(self, node: str, signature: str) -> bool:
-        """Return whether our node publishes the topic `signature`, alone; raise RunError if others stay for PASSING.
-
-        Publishers that ended without notice stay in the graph for their lease.
-        """
-        alone = not self._refuse_others(PASSING)
-        return alone and (node, self.enclave) in self._present() and signature in self.client.published_by(node)
 
     def _present(self) -> list[tuple[str, str]]:
         """Return name and enclave of each node without a namespace."""

@@ -18,7 +18,7 @@ from fjr_core import FjrError, Measurement
 from fjr_core.config.controller import auxiliary_period, contact_observer
 from fjr_core.config.process import NATIVE, process_settings
 from fjr_core.runtime.control_step import Command, ControlStep
-from fjr_core.runtime.events import NEVER, STATES, State, joints_of
+from fjr_core.runtime.events import STATES, State, joints_of
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array, joint_state
@@ -288,7 +288,7 @@ class CommandLoop:
             self._certificate.on_records(records)
         listeners = [listener for listener, wants in self._listeners if wants()]
         for record in records if listeners else ():
-            sample, command = _sample_of(record), _command_of(record["command"])
+            sample, command = _sample_of(record), Command.of(record["command"])
             for listener in listeners:
                 listener(sample, command)
         states = records["command"]["state"]
@@ -303,18 +303,3 @@ def _sample_of(record: Any) -> JointSample:
     """Return the sample of a struct fjr_record, with the motor position that the law was evaluated at."""
     sample = record["sample"]
     return JointSample(int(sample["stamp"]), sample["link"], record["command"]["position"][len(sample["link"]) :])
-
-
-def _command_of(found: Any) -> Command:
-    """Return a struct fjr_command as the control step does."""
-    jets, start = found["jets"].reshape(-1, len(found["u"])), int(found["bound_start"])
-    return Command(
-        found["u"],
-        jets,
-        float(found["V"]),
-        found["velocity"],
-        STATES[found["state"]],
-        bool(found["restarted"]),
-        found["position"],
-        None if start == NEVER else start,
-    )

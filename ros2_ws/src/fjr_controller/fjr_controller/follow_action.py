@@ -26,7 +26,7 @@ from fjr_core.runtime.control_step import Command
 from fjr_core.runtime.events import State
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.trajectories import FollowMessages, Progress
+from fjr_msgs_py.messages.trajectories import FollowMessages
 
 from .planner import TrajectoryPlan
 from .trajectory_interface import TrajectoryInterface
@@ -171,11 +171,11 @@ class FollowAction:
             self._end(Outcome(Code.PATH_TOLERANCE_VIOLATED, "the controller has stopped"))
             return
         n = len(self._joints)
-        at = Progress(sample.stamp, command.jets[0], command.jets[1], sample.q_l, command.velocity[:n])
-        outcome = self._goal.check(at.stamp, at.q - at.q_d, at.dq - at.dq_d)
-        if at.stamp - self._last_feedback >= FEEDBACK_PERIOD or outcome is not None:
-            self._last_feedback = at.stamp
-            self._handle.publish_feedback(self._messages.feedback(at))
+        desired, actual = command.jets[:2], np.stack([sample.q_l, command.velocity[:n]])
+        outcome = self._goal.check(sample.stamp, *(actual - desired))
+        if sample.stamp - self._last_feedback >= FEEDBACK_PERIOD or outcome is not None:
+            self._last_feedback = sample.stamp
+            self._handle.publish_feedback(self._messages.feedback(sample.stamp, desired, actual))
         if outcome is not None:
             if outcome.code is not Code.SUCCESSFUL:
                 self._interface.hold()

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from fjr_core.config.obstacle import BOX, MJCF, TABLE, UP, Obstacle
+from fjr_core.config.plant import BOX, MJCF, TABLE, UP, Obstacle
 from fjr_core.errors import ParameterError
 from fjr_core.model.rigid_arm import rotation_to
 from fjr_core.model.robot import Robot

@@ -12,7 +12,7 @@ import sys
 import mujoco
 import numpy as np
 
-from fjr_core.config.obstacle import obstacle
+from fjr_core.config.plant import obstacle
 from fjr_core.config.robot import description, locked_positions
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array

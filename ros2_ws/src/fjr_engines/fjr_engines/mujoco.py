@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from fjr_core.config.obstacle import Obstacle
+from fjr_core.config.plant import Obstacle
 from fjr_core.errors import ParameterError
 from fjr_core.model.rigid_arm import tip_frame
 from fjr_core.numerics.checks import MOTOR, Array

@@ -13,9 +13,8 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from fjr_core.config.obstacle import Obstacle
 from fjr_core.config.parameter import Values
-from fjr_core.config.plant import ENGINE, OWN
+from fjr_core.config.plant import ENGINE, OWN, Obstacle
 from fjr_core.errors import ParameterError, RobotError
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot

@@ -12,8 +12,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError
-from fjr_core.config.obstacle import KIND, NONE, PRESENT
-from fjr_core.config.plant import initial_state, plant_parameters
+from fjr_core.config.plant import NONE, OBSTACLE_PRESENT, OBSTACLE_TYPE, initial_state, plant_parameters
 from fjr_core.config.plant import plant as build_plant
 from fjr_core.config.robot import description, robot_name
 from fjr_core.config.robot import robot as build_robot
@@ -96,8 +95,8 @@ class PlantNode(ParameterNode):
 
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Apply new imperfections, and put or take away the obstacle, from now on; an FjrError refuses them."""
-        if PRESENT in names and values[KIND] != NONE:
-            self._time_base.change(lambda: self._robot.obstruct(values[PRESENT]))
+        if OBSTACLE_PRESENT in names and values[OBSTACLE_TYPE] != NONE:
+            self._time_base.change(lambda: self._robot.obstruct(values[OBSTACLE_PRESENT]))
         if any(name.startswith("imperfections.") for name in names):
             motion, sensors, messages = errors_of(values, self._model)
 

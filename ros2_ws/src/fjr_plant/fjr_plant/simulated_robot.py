@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core import FjrError, ParameterError, Plant, Robot, StateError
-from fjr_core.config.obstacle import Obstacle, obstacle
-from fjr_core.config.plant import channel_errors, period_jitter, random_seed, sensor_errors
+from fjr_core.config.plant import Obstacle, channel_errors, obstacle, period_jitter, random_seed, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.model.springs import hardening
 from fjr_core.numerics.checks import Array

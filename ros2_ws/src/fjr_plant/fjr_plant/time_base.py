@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from fjr_core import FjrError
-from fjr_core.config.obstacle import KIND, NONE
+from fjr_core.config.plant import NONE, OBSTACLE_TYPE
 from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
@@ -109,7 +109,7 @@ class TimeBase(ABC):
         }
         self._events = Events(self._program, self._health, lambda data: self._read(data), others)
         self.plant = self._built()
-        if node.values[KIND] != NONE:
+        if node.values[OBSTACLE_TYPE] != NONE:
             self._show_contact()
         self._health.add_counters(lambda: self._events.counts(self.plant))
 

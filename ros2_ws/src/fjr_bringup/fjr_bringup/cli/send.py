@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 
-from fjr_bringup.clients import trajectory_client
+from fjr_bringup.clients import TrajectoryClient
 from fjr_core.config.controller import effort_limits
 from fjr_core.config.reference import motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
@@ -18,6 +19,7 @@ from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result
 from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.messages.trajectories import trajectory_message
+from fjr_msgs_py.node.participant import own_node
 from fjr_msgs_py.scenarios import library
 
 EXACT = 1e-6  # rad; largest difference between the smoothed motion and that of the transmitted points
@@ -34,16 +36,19 @@ def send_motion(
     """
     discover_quickly()
     node = absolute(f"{namespace.strip('/')}/{controller}".lstrip("/"))
-    with stoppable() as stop, trajectory_client(node, stop) as client:
+    with stoppable() as stop, own_node("fjr_send") as own, closing(TrajectoryClient(own, node, stop)) as client:
         smooth = motion_of_file(str(motion), tolerance, client.joints)
         warnings = _warnings(smooth, scenario, client.joints)
         for sentence in warnings:
             print(f"fjr: {sentence}", file=sys.stderr)
         points = waypoints(smooth, EXACT)
         client.send(trajectory_message(client.joints, points.times + lead, *points[1:]))
+    described = f"interpolated, {np.size(smooth.times)} samples"
+    if smooth.smoothed:
+        described = f"smoothed within {np.max(smooth.deviation):.2g} of the samples"
     sent = f"{len(points.times)} points, first sample after {lead:g} s, at rest after {lead + smooth.end:.6g} s"
     values = {"controller": node, "points": len(points.times), "lead_s": lead, "rest_s": lead + smooth.end}
-    return Result(f"accepted: {_described(smooth)}; {sent}", {**values, "warnings": warnings})
+    return Result(f"accepted: {described}; {sent}", {**values, "warnings": warnings})
 
 
 def _warnings(motion: SampledMotion, scenario: str | None, joints: tuple[str, ...]) -> list[str]:
@@ -56,9 +61,3 @@ def _warnings(motion: SampledMotion, scenario: str | None, joints: tuple[str, ..
             f"scenario {loaded.name} has the joints {loaded.joints}; expected {joints}, as the controller"
         )
     return motion_warnings(motion, loaded.robot, joints, effort_limits(loaded.controller_values, loaded.robot))
-
-
-def _described(motion: SampledMotion) -> str:
-    if motion.smoothed:
-        return f"smoothed within {np.max(motion.deviation):.2g} of the samples"
-    return f"interpolated, {len(np.asarray(motion.times))} samples"

@@ -10,8 +10,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..model.robot import Robot
-from ..monitoring.contact import ContactObserver
-from ..monitoring.external_torque import ExternalTorqueObserver
+from ..monitoring.external_torque import ContactObserver, ExternalTorqueObserver
 from ..motions.motion_limits import MotionLimits
 from ..numerics.checks import Array
 from ..numerics.parameter_field import declared

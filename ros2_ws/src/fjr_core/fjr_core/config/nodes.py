@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..errors import ParameterError
 from . import robot_file, ros_yaml
@@ -72,14 +72,6 @@ def given_to_nodes(document: Any) -> dict[str, dict[str, object]]:
     return given
 
 
-class Resolved(NamedTuple):
-    """Parameters of a node, the complete values by name, and the given names that are ignored."""
-
-    parameters: list[Parameter]
-    values: dict[str, Value]
-    ignored: list[str]
-
-
 def resolve(
     own: OwnParameters,
     given: Mapping[str, object],
@@ -87,8 +79,10 @@ def resolve(
     folder: Path,
     for_any_node: Set[str] = frozenset(),
     user_code: bool = True,
-) -> Resolved:
+) -> tuple[list[Parameter], dict[str, Value], list[str]]:
     """Return what a node makes of the values given to it and of the robot file that they name; raises ParameterError.
+
+    These are its parameters, the complete values by name, and the given names that are ignored.
 
     node: whose sections of that file count. folder: where relative paths in `given` start. user_code: see
     all_parameters. Ignored: options where no class of the user is named; names that files give to all nodes
@@ -107,7 +101,7 @@ def resolve(
     }
     ignored = taken.keys() & (foreign | unread_options(parameters, taken, user_code))
     refuse_unknown(own_names, taken.keys() - ignored, others)
-    return Resolved(parameters, complete(parameters, taken), sorted(ignored))
+    return parameters, complete(parameters, taken), sorted(ignored)
 
 
 def checked_values(

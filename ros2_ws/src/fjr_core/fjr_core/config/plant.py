@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the plant node: sampling, integration, initial state, lock-step, and imperfections.*.
+"""Parameters of the plant node: sampling, integration, initial state, lock-step, obstacle.* and imperfections.*.
 
-The imperfections, of which every one is off by default, are those of the robot, its sensors and its message channels
-(docs/measurements.md).
+The obstacle is what the arm may touch, at rest in the frame of its base. The imperfections, of which every one is off
+by default, are those of the robot, its sensors and its message channels (docs/measurements.md).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
 
 from ..errors import FjrError, ParameterError
 from ..extensions.python_code import own_plant
@@ -15,11 +19,12 @@ from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
-from ..numerics.parameter_field import declared
+from ..numerics.parameter_field import POINT, declared, parameter_field
 from ..simulation.imperfections import ChannelErrors, Imperfections, SensorErrors
-from .obstacle import obstacle_parameters
+from ..urdf.tree import is_xml
 from .parameter import VECTOR, Parameter, Values, number, options, read, table
 from .process import process_parameters
+from .robot import description, locked_positions
 
 FLEXIBLE_JOINT = "flexible_joint"
 ENGINES = ("mujoco", "drake")
@@ -88,7 +93,7 @@ _OWN = (
 def plant_parameters(n: int) -> list[Parameter]:
     """Return the plant node's own parameters for n joints."""
     own = [parameter.for_joints(n) for parameter in _OWN]
-    return [*own, *obstacle_parameters(), *imperfection_parameters(n), *process_parameters()]
+    return [*own, *table(_OBSTACLE, 0), *imperfection_parameters(n), *process_parameters()]
 
 
 def plant(values: Values, robot: Robot) -> Plant:
@@ -107,6 +112,58 @@ def initial_state(values: Values, robot: Robot) -> Array:
     return robot.state(**read(_INITIAL_STATE, values, robot.n))
 
 
+NONE, BOX, WALL, TABLE, MJCF = "none", "box", "wall", "table", "mjcf"
+UP = (0.0, 0.0, 1.0)
+ENGINE_OF_CONTACT = "mujoco"
+"""The engine that has contact."""
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A body that the arm may touch; the fields declare units and descriptions.
+
+    A box is aligned with the base. Wall and table are plates: `position` is the centre of the face out of which
+    `normal` points, which is up for a table; the last entry of `size` is the thickness behind it. mjcf: path, or text.
+    urdf: text with the shapes of the arm; locked: positions [rad, m] of its joints that do not move.
+    """
+
+    kind: str = parameter_field(
+        NONE, "What the arm may touch; expects engine: mujoco", name="type", choices=(NONE, BOX, WALL, TABLE, MJCF)
+    )
+    position: Array = parameter_field(
+        0.0, "Centre of the box, or of the face of wall or table, in the base frame", "m", shape=POINT
+    )
+    size: Array = parameter_field(
+        (1.0, 1.0, 0.1), "Lengths of the edges, of wall and table the thickness last", "m", minimum=1e-3, shape=POINT
+    )
+    normal: Array = parameter_field(UP, "Direction out of the face of a wall", shape=POINT, constraint="not zero")
+    mjcf: str = parameter_field("", "MJCF of bodies that do not move: a path, package:// or the XML text itself")
+    present: bool = parameter_field(True, "Whether the obstacle is there", dynamic=True)
+    urdf: str = ""
+    locked: Mapping[str, float] = field(default_factory=dict)
+
+
+_OBSTACLE = declared(Obstacle, "obstacle.")
+OBSTACLE_TYPE, OBSTACLE_PRESENT = (_OBSTACLE[each].name for each in ("kind", "present"))
+
+
+def obstacle(values: Values) -> Obstacle | None:
+    """Return the obstacle of the plant's values, None for none; raise ParameterError."""
+    found = Obstacle(**read(_OBSTACLE, values, 0), locked=locked_positions(values))
+    if found.kind == NONE:
+        return None
+    if values["engine"] != ENGINE_OF_CONTACT:
+        raise ParameterError(
+            f"parameter '{OBSTACLE_TYPE}' is '{found.kind}' with engine '{values['engine']}'; "
+            f"expected engine: {ENGINE_OF_CONTACT}, the one that has contact"
+        )
+    if not np.linalg.norm(found.normal) > 0:
+        raise ParameterError(f"parameter '{_OBSTACLE['normal'].name}' is {found.normal.tolist()}; expected a direction")
+    if found.kind == MJCF and not (is_xml(found.mjcf) or Path(found.mjcf).is_file()):
+        raise ParameterError(f"parameter '{_OBSTACLE['mjcf'].name}' is '{found.mjcf}'; expected a file, or XML text")
+    return replace(found, urdf=description(values))
+
+
 _GROUP = "imperfections."
 _DYNAMICS = declared(Imperfections, _GROUP)
 _SENSORS = declared(SensorErrors, _GROUP)
@@ -119,9 +176,9 @@ SEED = Parameter(f"{_GROUP}seed", 0, "Seed of noise, jitter and message loss; a 
 def _channel(side: str) -> dict[str, Parameter]:
     """Return the declarations of one channel, "state" or "command"; both share the one of `in_order`."""
     found = {}
-    for field, each in declared(ChannelErrors).items():
-        prefix = _GROUP if field == "in_order" else f"{_GROUP}{side}_"
-        found[field] = replace(each, name=prefix + each.name, description=each.description.format(f"{side}s"))
+    for argument, each in declared(ChannelErrors).items():
+        prefix = _GROUP if argument == "in_order" else f"{_GROUP}{side}_"
+        found[argument] = replace(each, name=prefix + each.name, description=each.description.format(f"{side}s"))
     return found
 
 

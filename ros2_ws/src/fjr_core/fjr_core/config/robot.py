@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..errors import ParameterError
 from ..model import closed_form_arms
 from ..model.robot import Robot
-from ..monitoring.contact import StatedErrors
+from ..monitoring.external_torque import StatedErrors
 from ..numerics.checks import joint_names
 from ..numerics.parameter_field import declared
 from ..urdf.robot import robot_from_urdf

@@ -25,7 +25,7 @@ from ..motions.reference import Reference
 from ..numerics.checks import Array
 from ..robust.law import RobustLaw, sampled_law
 from ..runtime.control_step import ControlStep
-from ..runtime.measurement_model import OBSERVER, TORQUE, Measurement
+from ..runtime.measurement_model import Measurement
 from ..runtime.safety_settings import Settings
 from ..runtime.velocity_observer import VelocityObserver
 from ..simulation.closed_loop import Trajectory, simulate
@@ -39,7 +39,6 @@ from . import reference as reference_parameters
 from . import robot as robot_parameters
 from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement_parameters
 from .nodes import CONTROLLER, PLANT, checked_values
-from .obstacle import KIND, NONE
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class Scenario:
         names = {name for name in (*self.plant_values, *self.controller_values) if name.startswith("robot.")}
         own = self.plant_values[plant_parameters.TYPE.name] != plant_parameters.FLEXIBLE_JOINT
         same = (self.plant_values.get(name) == self.controller_values.get(name) for name in names - {"robot.file"})
-        return not own and self.plant_values[KIND] == NONE and all(same)
+        return not own and self.plant_values[plant_parameters.OBSTACLE_TYPE] == plant_parameters.NONE and all(same)
 
     @property
     def loop_delay(self) -> float:
@@ -77,10 +76,8 @@ class Scenario:
     @property
     def sensing(self) -> Sensing:
         """Sensing of the control law: velocity observer and torque sensor, from measurement.*."""
-        values = self.controller_values
-        observed = values["measurement.velocity"] == OBSERVER
-        bandwidth = parameter.number(values, OBSERVER_BANDWIDTH.name) if observed else None
-        return Sensing(bandwidth, by_torque=values["measurement.motor"] == TORQUE)
+        bandwidth = parameter.number(self.controller_values, OBSERVER_BANDWIDTH.name)
+        return Sensing(bandwidth if self.measurement.observed else None, self.measurement.by_torque)
 
     @cached_property
     def robot(self) -> Robot:

@@ -86,9 +86,6 @@ class Laws(Mapping[str, LawKind]):
     def __getitem__(self, name: str) -> LawKind:
         return _V_DPBC if name == V_DPBC else self._all[name]
 
-    def __contains__(self, name: object) -> bool:
-        return name == V_DPBC or name in self._all
-
     def __iter__(self) -> Iterator[str]:
         return iter(self._all)
 

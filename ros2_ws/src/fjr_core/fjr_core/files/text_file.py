@@ -18,8 +18,8 @@ _OPEN = os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)  # a named pip
 DIGEST = ".sha256"
 
 
-def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST) -> bytes:
-    """Return the content of a regular file of at most `largest` bytes.
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """Return the content of a regular file of at most LARGEST bytes.
 
     Raises OSError with the reason as `strerror`, also for an invalid path, a file that is not regular and a file that
     is too large.
@@ -31,15 +31,15 @@ def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST) -> bytes:
     with open(descriptor, "rb") as stream:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             raise OSError(errno.EINVAL, "is not a regular file")
-        content = stream.read(largest + 1)
-    if len(content) > largest:
-        raise OSError(errno.EFBIG, f"is larger than {largest // 2**20} MiB")
+        content = stream.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise OSError(errno.EFBIG, f"is larger than {LARGEST // 2**20} MiB")
     return content
 
 
-def read_text(path: str | os.PathLike[str], largest: int = LARGEST) -> str:
+def read_text(path: str | os.PathLike[str]) -> str:
     """Return the UTF-8 text of a file; a byte order mark is dropped. Raises OSError, UnicodeDecodeError."""
-    return read_bytes(path, largest).decode("utf-8-sig")
+    return read_bytes(path).decode("utf-8-sig")
 
 
 def read_json(path: Path) -> dict[str, Any]:

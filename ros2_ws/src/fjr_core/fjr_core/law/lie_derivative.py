@@ -192,7 +192,7 @@ class Flow:
         return ca.vertcat(z, *(motion.ddq_l for motion in self._motions)), ca.vertcat(dz, *jerks)
 
     def _along(self, rates: tuple[ca.SX, ca.SX], *expressions: ca.SX) -> list[ca.SX]:
-        stacked = symbolic.directional(ca.vertcat(*expressions), *rates)
+        stacked = ca.jtimes(ca.vertcat(*expressions), *rates)
         return ca.vertsplit(stacked, [0, *accumulate(e.numel() for e in expressions)])
 
 

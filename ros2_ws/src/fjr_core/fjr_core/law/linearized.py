@@ -19,7 +19,7 @@ from ..model import springs
 from ..model.robot import Robot
 from ..motions.reference import JETS
 from ..numerics.checks import Array
-from ..numerics.symbolic import directional, symbols
+from ..numerics.symbolic import symbols
 from .gains import CheckedGains
 from .interfaces import StaticLaw
 
@@ -43,8 +43,6 @@ class Equilibria:
     @cached_property
     def deflections(self) -> Array:
         """Deflections of the springs (k, n) [rad] under the weights."""
-        if not self.robot.curve:
-            return np.asarray(self.weights @ np.linalg.inv(self.robot.K).T)
         return ca.DM(springs.deflection(self.robot, ca.DM(self.weights.T))).full().T
 
     @cached_property
@@ -181,4 +179,4 @@ def _slope(measured: ca.Function, kind: type) -> ca.Function:
     z, gains, d = symbols(kind, z=5 * n, gains=measured.size1_in("gains"), d=5 * n).values()
     position, velocity, q_ld = ca.vertsplit(z, [0, 2 * n, 4 * n, 5 * n])
     u, _ = measured(position, velocity, ca.horzcat(q_ld, ca.DM(n, JETS - 1)), gains)
-    return ca.Function("slope", [z, gains, d], [ca.densify(directional(u, z, d))], {"cse": True})
+    return ca.Function("slope", [z, gains, d], [ca.densify(ca.jtimes(u, z, d))], {"cse": True})

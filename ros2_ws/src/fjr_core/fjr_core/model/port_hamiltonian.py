@@ -70,7 +70,7 @@ def gradient_expression(robot: Elastic, x: ca.SX, links: RigidArm | None = None,
     the cubic one of the robot.
     """
     links = links or robot.links
-    q_l, q_m, _, _ = symbolic.blocks(x, robot.n)
+    q_l, q_m, _, _ = ca.vertsplit(x, robot.n)
     dq_l, dq_m = robot.velocity_expressions(x, links)
     spring = springs.torque(robot, q_m - q_l, cubic)
     dH_dq_l = -links.grad_T(q_l, dq_l) + links.grad_P_l(q_l) - spring
@@ -119,8 +119,7 @@ class Plant:
     def step_function(self) -> ca.Function:
         """The CasADi function (x, u, dt) -> x_next; compiled if requested."""
         copied = not self.compiles or self.dynamics.n_instructions() <= LONGEST_COPIED
-        function = step(self.integrator, self.dynamics, copied=copied)
-        return compiled(function) if self.compiles else function
+        return self.ready(step(self.integrator, self.dynamics, copied=copied))
 
     @cached_property
     def output_function(self) -> ca.Function:
@@ -130,10 +129,13 @@ class Plant:
         """
         n, robot = self.robot.n, self.robot
         x, u = ca.SX.sym("x", 4 * n), ca.SX.sym("u", n)
-        q_l, q_m, _, _ = symbolic.blocks(x, n)
+        q_l, q_m, _, _ = ca.vertsplit(x, n)
         torques = ca.vertcat(springs.torque(robot, q_m - q_l), symbolic.sparse(robot.B_m) @ u)
         outputs = {"q": x[: 2 * n], "dq": ca.vertcat(*robot.velocity_expressions(x)), "torques": torques}
-        function = dense_function("outputs", {"x": x, "u": u}, outputs)
+        return self.ready(dense_function("outputs", {"x": x, "u": u}, outputs))
+
+    def ready(self, function: ca.Function) -> ca.Function:
+        """Return the function, compiled if this plant is compiled."""
         return compiled(function) if self.compiles else function
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:

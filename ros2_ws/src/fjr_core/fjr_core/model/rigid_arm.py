@@ -16,7 +16,6 @@ from ..errors import RobotError
 from ..numerics import checks
 from ..numerics.checks import Array
 from ..numerics.one_line import joints, one_line
-from ..numerics.symbolic import directional
 
 EXACT = 1e-12  # tolerance: entries of rotations this close to 0, 1 or -1 are rounded
 
@@ -71,7 +70,7 @@ class ArmDynamics:
     def dM(self) -> ca.Function:
         """(q_l, dq_l, w) -> (d/dt M_l) w (n,) along dq_l, w constant."""
         q_l, dq_l, w = (ca.SX.sym(name, self.n) for name in ("q_l", "dq_l", "w"))
-        return ca.Function("dM", [q_l, dq_l, w], [directional(self.M_l(q_l) @ w, q_l, dq_l)])
+        return ca.Function("dM", [q_l, dq_l, w], [ca.jtimes(self.M_l(q_l) @ w, q_l, dq_l)])
 
     def E(self, q_l: ca.SX, dq_l: ca.SX, w: ca.SX) -> ca.SX:
         """Return the workless forces E_l w (n,), eq. (24): E_l = S_H - dM_l/2 = -C' = C - dM_l."""
@@ -116,7 +115,7 @@ def closed_form(
     """
     q_l, v, w, a = (ca.SX.sym(name, n) for name in ("q_l", "v", "w", "a"))
     M_l, P_l = inertia(q_l), potential(q_l)
-    dM_w, dM_v = directional(M_l @ w, q_l, v), directional(M_l @ v, q_l, w)
+    dM_w, dM_v = ca.jtimes(M_l @ w, q_l, v), ca.jtimes(M_l @ v, q_l, w)
     C_w = (dM_w + dM_v - ca.gradient(ca.dot(v, M_l @ w), q_l)) / 2
     return ArmDynamics(
         n=n,
@@ -232,7 +231,7 @@ class PayloadArm:
     def inertial_torque_of_mass(self, q_l: ca.SX, v: ca.SX, a: ca.SX) -> ca.SX:
         """Part of the payload in M_l a + C v (n,) [N m]: m J' times the acceleration J a + (d^2 p / dq_l^2)(v, v)."""
         point, J = self.end_effector.position(q_l, self.position), self._jacobian(q_l, self.position)
-        return self.mass * (J.T @ (J @ a + directional(directional(point, q_l, v), q_l, v)))
+        return self.mass * (J.T @ (J @ a + ca.jtimes(ca.jtimes(point, q_l, v), q_l, v)))
 
     @cached_property
     def _jacobian(self) -> ca.Function:

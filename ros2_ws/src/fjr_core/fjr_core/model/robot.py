@@ -139,10 +139,7 @@ class Robot:
 
     def deflection(self, tau: ArrayLike) -> Array:
         """Return the deflection q_m - q_l (n,) [rad] of the springs under torques tau (n,) [N m]."""
-        vector = self._vector("tau", tau)
-        if not self.curve:
-            return np.asarray(np.linalg.solve(self.K, vector))
-        return ca.DM(springs.deflection(self, ca.DM(vector))).full().ravel()
+        return ca.DM(springs.deflection(self, ca.DM(self._vector("tau", tau)))).full().ravel()
 
     def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
         """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eq. (35).
@@ -150,14 +147,14 @@ class Robot:
         Springs with a curve store its integral (model.springs).
         links: replaces the rigid arm of the robot, e.g. with a payload.
         """
-        q_l, q_m, p_l, p_m = symbolic.blocks(x, self.n)
+        q_l, q_m, p_l, p_m = ca.vertsplit(x, self.n)
         dq_l, dq_m = self.velocity_expressions(x, links)
         kinetic = (ca.dot(p_l, dq_l) + ca.dot(p_m, dq_m)) / 2
         return kinetic + (links or self.links).P_l(q_l) + springs.energy(self, q_m - q_l)
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """Return (dq_l, dq_m) = (M_l^-1 p_l, M_m^-1 p_m) as expressions; links as in hamiltonian_expression."""
-        q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
+        q_l, _, p_l, p_m = ca.vertsplit(x, self.n)
         M_l = (links or self.links).M_l(q_l)
         return symbolic.solve(M_l, p_l), ca.DM(np.linalg.inv(self.M_m)) @ p_m
 

@@ -18,8 +18,8 @@ from .robot import Robot
 def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
     """Return dx_v/dt (4n,) of eq. (38) as an expression; M_l, E_l and D at the measured x, P_l and spring at x_v."""
     links = robot.links
-    q_l = symbolic.blocks(x, robot.n)[0]
-    q_lv, q_mv, _, _ = symbolic.blocks(x_v, robot.n)
+    q_l = x[: robot.n]
+    q_lv, q_mv, _, _ = ca.vertsplit(x_v, robot.n)
     dq_l = robot.velocity_expressions(x)[0]
     dq_lv, dq_mv = velocities(robot, x_v, x)
     spring = springs.torque(robot, q_mv - q_lv)
@@ -30,8 +30,7 @@ def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX
 
 def velocities(robot: Robot, x_v: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return (dq_lv, dq_mv) = (M_l(q_l)^-1 p_lv, M_m^-1 p_mv), eq. (27), with the inertia at the measured q_l."""
-    q_l, n = symbolic.blocks(x, robot.n)[0], robot.n
-    return robot.velocity_expressions(ca.vertcat(q_l, x_v[n:]))
+    return robot.velocity_expressions(ca.vertcat(x[: robot.n], x_v[robot.n :]))
 
 
 class VirtualSystem:
@@ -68,5 +67,5 @@ class VirtualSystem:
         x_v, x, u = symbols.values()
         dx_v = derivative_expression(self.robot, **symbols)
         deltas = symbolic.symbols(delta_x_v=x_v.numel(), delta_u=u.numel())
-        variation = symbolic.directional(dx_v, ca.vertcat(x_v, u), ca.vertcat(*deltas.values()))
+        variation = ca.jtimes(dx_v, ca.vertcat(x_v, u), ca.vertcat(*deltas.values()))
         return dense_function("variational", {"x_v": x_v, "x": x, **deltas}, {"d_delta_x_v": variation})

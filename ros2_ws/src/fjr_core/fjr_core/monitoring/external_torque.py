@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate external torques on the links from spring torque and motion.
+"""Estimate external torques on the links from spring torque and motion, and distinguish contact from model errors.
 
     dp_l/dt = f + tau,   f = phi(q_m - q_l) + C' dq_l - grad P_l - D_l dq_l          the links of eq. (36)
     r = L (p_l - p_l(0) - integral of (f + r) dt)        dr/dt = L (tau - r)
@@ -16,19 +16,29 @@ Velocities of an observer of bandwidth w [rad/s] add the low-pass w^2 / (s + w)^
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
+from math import erfc, exp, gamma, sqrt
+from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
+from ..model import springs
+from ..model.rigid_arm import RigidArm
 from ..model.robot import Robot
 from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled_from_inputs
-from ..numerics.one_line import brief
+from ..numerics.one_line import brief, one_line
+from ..numerics.parameter_field import VECTOR, parameter_field
 from ..numerics.symbolic import PackedVector, dense_function, symbols
 from ..robust.disturbance_observer import momenta, next_residual
+from ..runtime.library import TorqueObserverStruct
 from ..runtime.velocity_observer import LONGEST_GAP
+from ..simulation.deviations import ChangedLinks, has_bodies
+from ..simulation.imperfections import freeze_within_ranges
 
 
 class ExternalTorqueObserver:
@@ -37,8 +47,13 @@ class ExternalTorqueObserver:
     bandwidth [1/s]: L above; ParameterError unless positive and finite. compile: to machine code (numerics.jit).
     """
 
+    name = "external_torque"
+    """Of the function, also in the code cache."""
+    stated = ""
+    """What the function depends on beside the robot."""
+
     def __repr__(self) -> str:
-        return f"ExternalTorqueObserver({self.robot!r}, bandwidth={brief(self.bandwidth)} 1/s)"
+        return f"{type(self).__name__}({self.robot!r}, bandwidth={brief(self.bandwidth)} 1/s)"
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
         positive("bandwidth", bandwidth, ParameterError, "1/s")
@@ -58,11 +73,11 @@ class ExternalTorqueObserver:
         """
         if not self._compile:
             return self._function()
-        return compiled_from_inputs("external_torque", self.robot.fingerprint(), "", self._function)
+        return compiled_from_inputs(self.name, self.robot.fingerprint(), self.stated, self._function)
 
     def _function(self) -> ca.Function:
         n, of_both_sides = self.robot.n, momenta(self.robot)
-        return observer_function("external_torque", n, n, lambda q, dq: [each[:n] for each in of_both_sides(q, dq)])
+        return observer_function(self.name, n, n, lambda q, dq: [each[:n] for each in of_both_sides(q, dq)])
 
     def along(self, t: Array, position: Array, velocity: Array, before: Array | None = None) -> Array:
         """Return what is kept (k, 3n) after each of k samples; its last n columns are the estimated torques [N m].
@@ -95,3 +110,128 @@ def observer_function(name: str, n: int, size: int, momentum: Callable[[ca.MX, c
 def _finite(values: ca.MX) -> ca.MX:
     """Return 1 if all values are finite, else 0."""
     return ca.sum1(ca.fabs(values)) < np.inf
+
+
+DAY = 86_400_000
+"""Samples of 24 h at 1 kHz."""
+WRONG = 0.355
+"""Mean of a Poisson distribution whose probability of 0 or 1 is 95 %."""
+STICKING = 0.01
+"""Speed [rad/s] below which the sign of Coulomb friction is uncertain."""
+LEARNING_PERIOD = 3.0
+"""Time between two updates of d^, in 1 / bandwidth: r then forgets its noise to 5 %."""
+DRIFT = 600.0
+"""Time [s] in which the errors may drift to others of the same distribution."""
+
+
+def _stated(default: float, description: str, unit: str = "", minimum: float = 0.0) -> Any:
+    return parameter_field(
+        default, f"Standard deviation of {description}", unit, minimum=minimum, maximum=1e6, shape=VECTOR
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StatedErrors:
+    """Standard deviations of the errors of the model of n joints; each field is a scalar or (n,), stored as (n,).
+
+    Shares are relative to the value of the model. Raises ParameterError unless all are at least 0, and the noise above.
+    """
+
+    n: int
+    link_mass: ArrayLike = _stated(0.05, "mass and inertia of each link, as a share")
+    joint_stiffness: ArrayLike = _stated(0.05, "joint_stiffness, as a share")
+    link_damping: ArrayLike = _stated(0.3, "link_damping, as a share")
+    link_coulomb_friction: ArrayLike = _stated(0.1, "the Coulomb friction of the links", "N m")
+    link_torque: ArrayLike = _stated(0.1, "a constant torque on each link, as by an offset of an encoder", "N m")
+    torque_noise: ArrayLike = _stated(0.1, "~/external_torque at standstill", "N m", 1e-9)
+
+    __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        freeze_within_ranges(self, self.n)
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations (m,) of the errors of the model, kind by kind."""
+        return np.concatenate([np.asarray(getattr(self, each.name)) for each in fields(self)[1:-1]])
+
+
+def chi_squared_quantile(n: int, beyond: float) -> float:
+    """Return what chi^2 of n degrees exceeds with the probability `beyond`, by bisection; a node does without SciPy.
+
+    P(chi^2 > 2 y) = erfc(sqrt(y)) (n odd) + exp(-y) sum_h y^h / Gamma(h + 1), h = n/2 - 1, n/2 - 2, .. >= 0
+    (Abramowitz and Stegun 26.4.4, 26.4.5).
+    """
+    powers = [n / 2 - k for k in range(1, n // 2 + 1)]
+    low, high = 0.0, 100.0 + 2 * n
+    for _ in range(80):
+        y = (low + high) / 2
+        tail = exp(-y) * sum(y**h / gamma(h + 1) for h in powers) + (erfc(sqrt(y)) if n % 2 else 0.0)
+        low, high = (y, high) if tail > beyond else (low, y)
+    return low + high
+
+
+class ContactObserver(ExternalTorqueObserver):
+    """External torques r on the links, and their derivatives -Z by the stated errors, which do not explain contact.
+
+    The stated errors d are independent and standard normal, in units of their standard deviations. The torques that the
+    links need are linear in d, so the momentum observer of the model without them obeys exactly
+
+        r = L(s) tau - Z d + v      dz_j/dt = L (dp_j/dt - f_j - z_j)      the same observer, of dp_l/dd_j and df/dd_j
+
+    with the noise v ~ N(0, N). Contact is where the Mahalanobis distance of what d does not explain exceeds its limit:
+
+        e' S^-1 e > limit        e = r + Z d^,   S = Z P Z' + N
+
+    The mean d^ and the covariance P start from 0 and 1, and a Kalman filter improves them while there is no contact
+    (runtime/contact.c). So the threshold of a joint, sqrt(limit S_ii), is large where the motion shows an error that is
+    not known yet, and shrinks to that of the noise. A. De Luca, R. Mattone, ICRA 2005, compare r with constants.
+
+    The limit is the quantile of chi^2 at which a day has at most 0.355 wrong samples on average: then at most one false
+    alarm in 24 h has 95 % probability. A sum over all samples needs no independence of theirs.
+
+    Its function keeps (3 n (1 + m),): p_l with its derivatives by the m errors, column by column; their rates without
+    tau; r and z [N m].
+    """
+
+    name = "contact"
+
+    def __init__(self, robot: Robot, bandwidth: float, errors: StatedErrors, compile: bool = False) -> None:
+        super().__init__(robot, bandwidth, compile)
+        self.errors, self.stated = errors, str(errors.deviations.tolist())
+
+    @cached_property
+    def limit(self) -> float:
+        """Square of the Mahalanobis distance beyond which there is contact."""
+        return chi_squared_quantile(self.robot.n, WRONG / DAY)
+
+    def struct(self, ffi: Any) -> TorqueObserverStruct:
+        """Return the observer for C; ffi: with the types of step.h."""
+        noise, period = np.asarray(self.errors.torque_noise), LEARNING_PERIOD / self.bandwidth
+        return TorqueObserverStruct(ffi, self.function, self.bandwidth, noise, self.limit, period, DRIFT)
+
+    def _function(self) -> ca.Function:
+        size = self.robot.n * (1 + len(self.errors.deviations))
+        return observer_function(self.name, self.robot.n, size, self.momenta)
+
+    @cached_property
+    def momenta(self) -> ca.Function:
+        """The function (position, velocity) -> p_l and dp_l/dt - tau (n (1 + m),), with derivatives by columns."""
+        n, robot = self.robot.n, self.robot
+        s = symbols(position=2 * n, velocity=2 * n)
+        q_l, dq_l, theta = s["position"][:n], s["velocity"][:n], ca.SX.sym("theta", len(self.errors.deviations))
+        mass, stiffness, damping, friction, constant = ca.vertsplit(theta, n)
+        links: RigidArm = robot.links
+        common = 1 + mass[0]  # of links whose bodies are not known
+        if has_bodies(robot.links):
+            links, common = ChangedLinks(robot.links, {"link_mass": 1 + mass}), 1.0
+        p = common * (links.M_l(q_l) @ dq_l)
+        spring = springs.torque(robot, s["position"][n:] - q_l)
+        f = common * (links.grad_T(q_l, dq_l) - links.grad_P_l(q_l))
+        f += (1 + stiffness) * spring - (1 + damping) * (ca.DM(robot.D_l) @ dq_l)
+        f += constant - friction * ca.tanh(dq_l / STICKING)
+        by = ca.substitute(ca.jacobian(ca.vertcat(p, f), theta), theta, 0)
+        by = by @ ca.diag(ca.DM(self.errors.deviations))
+        nominal = ca.substitute(ca.vertcat(p, f), theta, 0)
+        outputs = {"p": ca.horzcat(nominal[:n], by[:n, :]), "f": ca.horzcat(nominal[n:], by[n:, :])}
+        return dense_function("contact_momenta", s, {name: ca.vec(each) for name, each in outputs.items()}, cse=True)

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from ..model import springs
 from ..model.robot import Robot
 from ..numerics.checks import Array
-from ..numerics.symbolic import directional
 from .sampled_motion import SampledMotion
 
 SUBDIVISIONS = 4, 4096
@@ -58,12 +57,12 @@ def inverse_dynamics(robot: Robot) -> ca.Function:
     names = ("q", "dq", "ddq", "d3q", "d4q")
     q, dq, ddq, d3q, d4q = motion = [ca.SX.sym(name, robot.n) for name in names]
     tau = spring_torque(robot, q, dq, ddq)
-    dtau = directional(tau, ca.vertcat(q, dq, ddq), ca.vertcat(dq, ddq, d3q))
-    ddtau = directional(dtau, ca.vertcat(q, dq, ddq, d3q), ca.vertcat(dq, ddq, d3q, d4q))
+    dtau = ca.jtimes(tau, ca.vertcat(q, dq, ddq), ca.vertcat(dq, ddq, d3q))
+    ddtau = ca.jtimes(dtau, ca.vertcat(q, dq, ddq, d3q), ca.vertcat(dq, ddq, d3q, d4q))
     t, dt, ddt = torques = [ca.SX.sym(name, robot.n) for name in ("tau", "dtau", "ddtau")]
     zeta = springs.deflection(robot, t)
-    dzeta = directional(zeta, t, dt)
-    ddzeta = directional(dzeta, ca.vertcat(t, dt), ca.vertcat(dt, ddt))
+    dzeta = ca.jtimes(zeta, t, dt)
+    ddzeta = ca.jtimes(dzeta, ca.vertcat(t, dt), ca.vertcat(dt, ddt))
     deflections = ca.substitute([zeta, dzeta, ddzeta], torques, [tau, dtau, ddtau])
     theta, dtheta, ddtheta = (a + b for a, b in zip((q, dq, ddq), deflections, strict=True))
     torque = robot.M_m @ ddtheta + robot.D_m @ dtheta + tau

@@ -94,8 +94,8 @@ def check_motion(
         given = (reference.positions, reference.velocities, reference.accelerations)
         q, dq, ddq = (None if rows is None else np.asarray(rows)[first:] for rows in given)
         check_points(limits, np.asarray(q), dq, ddq, joints, first)
-    hull = reference.hull(t0, t1) if isinstance(reference, (PolynomialReference, PiecewisePolynomial)) else ()
-    if hull and not any(beyond(bounds, limits).any() for bounds in hull):
+    pieces = reference.pieces if isinstance(reference, PolynomialReference) else reference
+    if isinstance(pieces, PiecewisePolynomial) and not any(beyond(e, limits).any() for e in pieces.hull(t0, t1)):
         return
     e = reference.motion_bounds(t0, t1)
     for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):

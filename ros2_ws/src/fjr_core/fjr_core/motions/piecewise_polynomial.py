@@ -192,10 +192,6 @@ class PolynomialReference:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
         return self.pieces.motion_bounds(t0, t1)
 
-    def hull(self, t0: float, t1: float) -> tuple[Array, Array]:
-        """Return conservative bounds lower, upper (3, n) of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.pieces.hull(t0, t1)
-
 
 def _jerk_root() -> Array:
     """Return W (7, 10) with |W (near, far)|^2 the integral of the squared third derivative over s in (0, 1)."""

@@ -143,15 +143,9 @@ class MultiSine(Sines):
             raise TrajectoryError(f"amplitude has shape {amplitude.shape}; expected (m, n), a row for each sine")
         freeze(self, "amplitude", amplitude)
         for name in ("frequency", "phase"):
-            freeze(self, name, _table(name, getattr(self, name), amplitude.shape))
+            array = checks.finite(name, getattr(self, name), TrajectoryError)
+            freeze(self, name, checks.filled(name, array, amplitude.shape, TrajectoryError))
         freeze(self, "offset", checks.vector("offset", self.offset, amplitude.shape[1], TrajectoryError))
-
-
-def _table(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = checks.finite(name, value, TrajectoryError)
-    if array.shape not in ((), shape):
-        raise TrajectoryError(f"{name} has shape {array.shape}; expected a scalar or that of amplitude, {shape}")
-    return np.array(np.broadcast_to(array, shape))
 
 
 def common_period(frequency: Array) -> float | None:

@@ -35,12 +35,14 @@ def finite(name: str, value: ArrayLike, error: type[FjrError]) -> Array:
 
 def vector(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     """Return `value` as (n,); a scalar stands for n equal entries. Raises `error`."""
-    array = finite(name, value, error)
-    if array.ndim == 0:
-        return np.full(n, float(array))
-    if array.shape != (n,):
-        raise error(f"{name} has shape {array.shape}; expected a scalar or ({n},)")
-    return array
+    return filled(name, finite(name, value, error), (n,), error)
+
+
+def filled(name: str, array: Array, shape: tuple[int, ...], error: type[FjrError]) -> Array:
+    """Return an array of this shape; a scalar stands for equal entries. Raises `error`."""
+    if array.shape not in ((), shape):
+        raise error(f"{name} has shape {array.shape}; expected a scalar or {shape}")
+    return np.array(np.broadcast_to(array, shape))
 
 
 def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:

@@ -269,8 +269,7 @@ def record_type(ffi: Any, kind: Any) -> np.dtype[Any]:
     if kind.kind == "array":
         return np.dtype((record_type(ffi, kind.item), (kind.length,)))
     if kind.kind != "struct":
-        number = "f8" if kind.cname == "double" else f"i{ffi.sizeof(kind)}"
-        return np.dtype(number)
+        return np.dtype("f8" if kind.cname == "double" else f"i{ffi.sizeof(kind)}")
     fields = dict(kind.fields)
     return np.dtype(
         {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Contact: external torques on the links that the stated errors of the model do not explain (monitoring/contact.py).
+ * Contact: external torques on the links that the stated errors of the model do not explain, see ContactObserver.
  *
  *   e = r + Z d,  S = Z P Z' + N        contact: e' S^-1 e > limit, until it stays below a quarter of that for QUIET
  *

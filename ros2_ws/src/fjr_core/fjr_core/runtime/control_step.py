@@ -14,6 +14,7 @@ from ..errors import GainsError, StateError, UserCodeError
 from ..law.interfaces import StaticLaw, raise_failure
 from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
+from ..numerics.jit import record_type
 from ..numerics.symbolic import NumericFunction
 from ..robust.law import Robust, RobustLaw, sampled_law
 from .events import NEVER, STATES, Event, Journal, State
@@ -26,7 +27,7 @@ from .velocity_observer import VelocityObserver
 
 @dataclass(slots=True)
 class Command:
-    """The command for a sample; velocity and position are valid until the next command.
+    """The command for a sample.
 
     u (n,) [N m]: effort to send, always finite and within its limits. jets (5, n): reference at the sample's stamp.
     V [J]: storage, nan where u is not the law's effort (a stop, a non-finite effort). velocity, position (2n,):
@@ -43,6 +44,13 @@ class Command:
     restarted: bool
     position: Array
     bound_start: int | None = None
+
+    @classmethod
+    def of(cls, found: Any) -> Command:
+        """Return a record of struct fjr_command as a command, which shares its memory."""
+        u, V, state, restarted = found["u"], float(found["V"]), STATES[found["state"]], bool(found["restarted"])
+        jets, start = found["jets"].reshape(JETS, len(u)), _stamp(int(found["bound_start"]))
+        return cls(u, jets, V, found["velocity"], state, restarted, found["position"], start)
 
 
 class ControlStep:
@@ -97,6 +105,7 @@ class ControlStep:
         self._model = Model(self.library, self._sampled, functions, observer, measurement, simulated, self._law_failed)
         self.model = self._model.pointer
         self.controller, self.command_struct = ffi.new("struct fjr_controller *"), ffi.new("struct fjr_command *")
+        self._command_type = record_type(ffi, ffi.typeof("struct fjr_command"))
         self._sample = ffi.new("struct fjr_sample *")
         self._link, self._motor = self._view(self._sample, "link"), self._view(self._sample, "motor")
         self._dq_l, self._dq_m = self._view(self._sample, "velocity").reshape(2, n)
@@ -133,12 +142,8 @@ class ControlStep:
         """Return the command for a sample that arrived at `arrival` [ns, steady clock]; None: send nothing."""
         answered = self.step(sample.stamp, arrival, sample.q_l, sample.q_m, sample.dq_l, sample.dq_m)
         self._journal.update()
-        if not answered:
-            return None
-        c, restarted = self.command_struct, bool(self.command_struct.restarted)
-        state, start = STATES[c.state], _stamp(c.bound_start)
-        u, jets = self.u.copy(), self.jets.copy()
-        return Command(u, jets, c.V, self.velocity, state, restarted, self.position, start)
+        copied = bytes(self.ffi.buffer(self.command_struct))
+        return Command.of(np.frombuffer(copied, self._command_type)[0]) if answered else None
 
     def check_wiring(self) -> None:
         """Check the wiring with the last sample, after its command was sent; else the next step does it first.
@@ -298,17 +303,6 @@ class ControlStep:
         jets = self.ffi.new("double[]", self.jets.size)
         self.lib.fjr_jets_at(self.controller, stamp, jets)
         return self._array(jets).reshape(self.jets.shape)
-
-    @property
-    def end(self) -> float:
-        """Return the stamp [ns] from which on the reference is constant; inf for never, or before the first sample."""
-        self.refresh()
-        reference = self.controller.supervisor.reference
-        if reference.zero == NEVER:
-            return np.inf
-        target = reference.target or self.ffi.addressof(reference, "held")
-        end = target.end + target.shift
-        return float(reference.zero + max(end, reference.segment.t1 if reference.joins else end) * 1e9)
 
     @property
     def memory(self) -> Array:

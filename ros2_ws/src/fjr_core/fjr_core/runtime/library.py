@@ -44,6 +44,7 @@ SOURCES = (
     "auxiliary_rate.c",
 )
 """The C files in the order of their translation unit."""
+MOST = 8  # arguments, and results, of a function that the C files call
 _NUMBER = re.compile(r"^#define (\w+) ([\d.e+-]+)", re.MULTILINE)
 
 LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
@@ -118,10 +119,10 @@ class CFunction:
 class WorkSpace:
     """Memory for the temporary values of some functions in C."""
 
-    def __init__(self, ffi: Any, functions: Sequence[ca.Function], arguments: int = 8) -> None:
+    def __init__(self, ffi: Any, functions: Sequence[ca.Function]) -> None:
         most = {size: max(1, *(getattr(f, f"sz_{size}")() for f in functions)) for size in ("arg", "res", "iw", "w")}
-        self.arg = ffi.new("const double*[]", max(arguments, most["arg"]))
-        self.res = ffi.new("double*[]", max(arguments, most["res"]))
+        self.arg = ffi.new("const double*[]", max(MOST, most["arg"]))
+        self.res = ffi.new("double*[]", max(MOST, most["res"]))
         self.iw, self.w = ffi.new("long long[]", most["iw"]), ffi.new("double[]", most["w"])
 
     def lend(self, struct: Any) -> None:

@@ -43,11 +43,6 @@ class ReferenceTable:
     then: ReferenceTable | None = None
     function: Reference | None = None
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.position)
-
 
 def reference_table(reference: Any) -> ReferenceTable:
     """Return the table of a reference; raises TrajectoryError for an object that is none.
@@ -104,8 +99,8 @@ class ReferenceStruct:
     def _struct(self, table: ReferenceTable) -> Any:
         struct = self._kept(self._ffi.new("struct fjr_reference *"))
         joints = len(struct.position)
-        if table.n != joints:
-            raise TrajectoryError(f"the reference has {table.n} joints; expected {joints}")
+        if len(table.position) != joints:
+            raise TrajectoryError(f"the reference has {len(table.position)} joints; expected {joints}")
         struct.kind = self._ffi.typeof("enum fjr_reference_kind").relements[table.kind]
         struct.position = table.position.tolist()
         for name in _NUMBERS:

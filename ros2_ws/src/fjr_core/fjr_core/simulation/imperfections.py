@@ -22,7 +22,7 @@ from ..numerics.parameter_field import POINT, VECTOR, declared, parameter_field
 SIZES = {"payload_mass": 1, "payload_position": 3}  # of the others: one entry per joint
 
 
-def _freeze_within_ranges(owner: object, n: int) -> None:
+def freeze_within_ranges(owner: object, n: int) -> None:
     """Store the numbers declared by a frozen dataclass as arrays (n,), or as SIZES says; raise ParameterError."""
     for name, parameter in declared(type(owner)).items():
         if isinstance(parameter.default, bool):
@@ -30,12 +30,11 @@ def _freeze_within_ranges(owner: object, n: int) -> None:
         size, array = SIZES.get(name, n), checks.floats(name, getattr(owner, name), ParameterError)
         if not parameter.infinite:
             checks.finite(name, array, ParameterError)
-        if array.shape not in ((), (size,)):
-            raise ParameterError(f"{name} has shape {array.shape}; expected a scalar or ({size},)")
+        array = checks.filled(name, array, (size,), ParameterError)
         if not np.all((array >= parameter.minimum) & (array <= parameter.maximum)):
             unit = f" {parameter.unit}" if parameter.unit else ""
             raise ParameterError(f"{name} is {array.tolist()}{unit}; expected {parameter.range}{unit}")
-        checks.freeze(owner, name, np.broadcast_to(array, size).copy())
+        checks.freeze(owner, name, array)
 
 
 def _per_joint(default: float, name: str, unit: str, description: str, minimum: float = 0.0, **properties: Any) -> Any:
@@ -122,7 +121,7 @@ class Imperfections:
     )
 
     def __post_init__(self) -> None:
-        _freeze_within_ranges(self, self.n)
+        freeze_within_ranges(self, self.n)
 
     @property
     def off(self) -> bool:
@@ -209,7 +208,7 @@ class SensorErrors:
     velocities: bool = parameter_field(True, "Publish velocities in the states", name="publish_velocity", dynamic=True)
 
     def __post_init__(self) -> None:
-        _freeze_within_ranges(self, self.n)
+        freeze_within_ranges(self, self.n)
 
     @property
     def off(self) -> bool:

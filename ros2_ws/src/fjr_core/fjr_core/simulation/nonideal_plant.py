@@ -27,8 +27,7 @@ from ..model.port_hamiltonian import Elastic, Plant, derivative_expression, grad
 from ..model.rigid_arm import PayloadArm, RigidArm
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
-from ..numerics.jit import compiled
-from ..numerics.symbolic import PackedVector, blocks, dense_function, evaluate, sparse, symbols
+from ..numerics.symbolic import PackedVector, dense_function, evaluate, sparse, symbols
 from .imperfections import NAMES, SIZES, Imperfections
 
 SHORTEST_LAG = 1e-12  # s
@@ -103,7 +102,7 @@ class NonidealPlant:
             return self.plant.dynamics(x, applied), *ca.vertsplit(self.robot.to_velocity(x), n)
         robot = self.robot_of(p)
         dH = gradient_expression(robot, x, self.links_of(p), p.cubic)
-        _, _, dq_l, dq_m = blocks(dH, n)
+        _, _, dq_l, dq_m = ca.vertsplit(dH, n)
         return derivative_expression(robot, x, applied, dH), dq_l, dq_m
 
     def _imperfect_torques(
@@ -139,8 +138,7 @@ class NonidealPlant:
         on_m += (
             sparse(robot.B_m) @ self._actuators(s["a"], s["u"], s["parameters"], s["t"]) - bend - D_m @ velocities[1]
         )
-        function = dense_function("joint_torques", s, {"torques": ca.vertcat(on_l, on_m)}, cse=True)
-        return compiled(function) if self.plant.compiles else function
+        return self.plant.ready(dense_function("joint_torques", s, {"torques": ca.vertcat(on_l, on_m)}, cse=True))
 
     @cached_property
     def memory_step(self) -> ca.Function:
@@ -149,14 +147,12 @@ class NonidealPlant:
         s = symbols(q=2 * n, a=n, u=n, sliders=n, parameters=self.layout.size, dt=1)
         a = self._actuators(s["a"], s["u"], s["parameters"], s["dt"])
         sliders = dragged(s["sliders"], s["q"][n:] - s["q"][:n], self.named(s["parameters"]).slip)
-        function = dense_function("memory_step", s, {"applied": a, "dragged": sliders})
-        return compiled(function) if self.plant.compiles else function
+        return self.plant.ready(dense_function("memory_step", s, {"applied": a, "dragged": sliders}))
 
     @cached_property
     def step_function(self) -> ca.Function:
         """Return the function (state, u, external, parameters, dt) -> next state; machine code as the plant's step."""
-        function = self._step_function(as_c=False)
-        return compiled(function) if self.plant.compiles else function
+        return self.plant.ready(self._step_function(as_c=False))
 
     @cached_property
     def functions_as_c(self) -> dict[str, ca.Function]:
@@ -193,8 +189,7 @@ class NonidealPlant:
         velocities, torques = self._measured(s["state"], p)
         applied = sparse(self.robot.B_m) @ self._actuators(s["state"][4 * n : 5 * n], s["u"], s["parameters"], 0)
         outputs = {"q": s["state"][: 2 * n], "dq": velocities, "torques": ca.vertcat(torques, applied)}
-        function = dense_function("nonideal_outputs", s, outputs)
-        return compiled(function) if self.plant.compiles else function
+        return self.plant.ready(dense_function("nonideal_outputs", s, outputs))
 
     def _measured(self, state: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX]:
         """Return velocities (2n,) and joint torques (n,) at a state (6n,) as expressions."""
@@ -242,7 +237,7 @@ class NonidealPlant:
     @cached_property
     def _hamiltonian(self) -> ca.Function:
         s, p = self._symbols(x=4 * self.robot.n)
-        q_l, q_m, _, _ = blocks(s["x"], self.robot.n)
+        q_l, q_m, _, _ = ca.vertsplit(s["x"], self.robot.n)
         H = self.robot.hamiltonian_expression(s["x"], self.links_of(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
         return dense_function("nonideal_hamiltonian", s, {"H": H})
 

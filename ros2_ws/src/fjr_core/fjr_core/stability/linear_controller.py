@@ -22,7 +22,7 @@ from ..law.interfaces import ARGUMENTS, SampledLaw, StaticLaw, raise_failure
 from ..law.linearized import Equilibria, Indices, feedback, plant_matrices, slope_at_rest
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
-from ..motions.reference import JETS
+from ..motions.point_to_point import standing
 from ..numerics.checks import Array
 from ..runtime.velocity_observer import LONGEST_CALL, corrections, steps_of
 
@@ -128,7 +128,7 @@ def _linearised(law: SampledLaw, equilibria: Equilibria, T: float) -> Controller
     step, gains, blocks = law.step_function, law.gain_values, []
     for x, u in zip(equilibria.x, equilibria.u, strict=True):
         at_rest = _state_at_rest(step, x, u, gains, law.memory, T)
-        at = [x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), gains, at_rest, u, T]
+        at = [x[: 2 * n], np.zeros(2 * n), standing(x[:n]).T, gains, at_rest, u, T]
         blocks.append(np.split(_jacobian(step, at), [n]))
     raise_failure(law)
     of_u, of_next = (np.array(rows) for rows in zip(*blocks, strict=True))
@@ -149,17 +149,12 @@ def _without_constant_states(law: Controller) -> Controller:
     return law
 
 
-def _standing(q_l: Array) -> Array:
-    """Return the jets (n, 5) of a reference at rest."""
-    return np.column_stack([q_l, np.zeros((len(q_l), JETS - 1))])
-
-
 def _state_at_rest(step: ca.Function, x: Array, u: Array, gains: Array, state: Array, T: float) -> Array:
     """Return the stationary controller state (m,) at an equilibrium x under its effort u, from a first state."""
     n = len(u)
     for k in range(MOST_SAMPLES if len(state) else 0):
         dt = T if k else 0.0
-        after = step(x[: 2 * n], np.zeros(2 * n), _standing(x[:n]), gains, state, u, dt)[2].full().ravel()
+        after = step(x[: 2 * n], np.zeros(2 * n), standing(x[:n]).T, gains, state, u, dt)[2].full().ravel()
         if k > 1 and np.allclose(after, state, rtol=1e-12, atol=1e-12):
             return np.asarray(after)
         state = after

@@ -83,7 +83,7 @@ class ScaledRobot:
 
     def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
         """(dq_l, dq_m) = (M_l^-1 p_l, S^-1 M_m^-1 S^-1 p_m)."""
-        q_l, _, p_l, p_m = symbolic.blocks(x, self.n)
+        q_l, _, p_l, p_m = ca.vertsplit(x, self.n)
         return symbolic.solve((links or self.links).M_l(q_l), p_l), self.M_m_inverse @ p_m
 
     def momentum_expressions(

@@ -31,7 +31,7 @@ from fjr_core.model.newton_euler import ChainAt, Mass, pseudo_inertia
 from fjr_core.model.rigid_arm import ArmDynamics, Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.symbolic import PackedVector, dense_function, directional, solve, sparse, symbols
+from fjr_core.numerics.symbolic import PackedVector, dense_function, solve, sparse, symbols
 from fjr_design.uncertainty.posterior import Identification
 
 from .parameters import DYNAMIC, HARDENING, LOAD, OF_LINKS, PAYLOAD, POSITION_TORQUE, PSEUDO_INERTIA, STATIC, size
@@ -160,7 +160,7 @@ class ElasticArm:
             return M_l, torque
         position = ca.vertcat(p.payload_position_x, p.payload_position_y, p.payload_position_z)
         J = ca.jacobian(links.end_effector.position(q, position), q)
-        force = p.payload_mass * (J @ a + directional(J @ v, q, v) - links.end_effector.gravity)
+        force = p.payload_mass * (J @ a + ca.jtimes(J @ v, q, v) - links.end_effector.gravity)
         return M_l + p.payload_mass * (J.T @ J), torque + J.T @ force
 
     def _entries(self, names: Sequence[str]) -> list[int]:

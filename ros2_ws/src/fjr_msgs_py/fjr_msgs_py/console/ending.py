@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
-from types import FrameType
 
 from ..node.loading import SIGNALS
 
@@ -99,14 +98,10 @@ def in_own_session() -> int | None:
 def interruptible() -> None:
     """Raise KeyboardInterrupt in the main thread on SIGINT and SIGTERM, except within `stoppable`."""
     for number in SIGNALS:
-        signal.signal(number, _interrupt)
+        signal.signal(number, signal.default_int_handler)
 
 
 def uninterruptible() -> None:
     """Ignore SIGINT and SIGTERM; use when the process is about to end."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt

@@ -64,9 +64,9 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
     return f"{text} {unit}" if unit else text
 
 
-def interval(low: float, high: float, most: int = 8) -> str:
-    """Return an interval with as many digits as tell its ends apart, 3 to `most`."""
-    for digits in range(3, most + 1):
+def interval(low: float, high: float) -> str:
+    """Return an interval with as many digits as its ends need to differ, 3 to 8."""
+    for digits in range(3, 9):
         ends = number(low, digits=digits), number(high, digits=digits)
         if ends[0] != ends[1]:
             break

@@ -85,17 +85,10 @@ def parameter_message(name: str, kind: int, text: str) -> ParameterMessage:
     if declared == Parameter.Type.STRING and text[:1] in ("'", '"'):
         value = ros_yaml.parse(text)
     if declared in FLOATS:
-        value = _as_floats(value)
+        value = _converted("sequence<double>" if isinstance(value, list) else "double", value)
     try:
         made = Parameter(name, value=value) if declared == Parameter.Type.NOT_SET else Parameter(name, declared, value)
     except (ValueError, TypeError):
         expected = EXAMPLES.get(declared, "a value or a list of values of one type")
         raise ParameterError(f"{name} is {text}; expected {expected}") from None
     return made.to_parameter_msg()
-
-
-def _as_floats(value: Any) -> Any:
-    """Return integers, also those in a list, as floats; anything else as it is."""
-    if isinstance(value, list):
-        return [_as_floats(entry) for entry in value]
-    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

@@ -108,7 +108,10 @@ class TrajectoryReader:
             )
         self._check_names(names)
         times = _times(points)
-        _reject_efforts(points)
+        for i, point in enumerate(points):
+            if len(point.effort):
+                sentence = f"point {i} has efforts; expected positions, velocities and accelerations"
+                raise MessageError("efforts", sentence)
         columns = np.array([self._joints.index(name) for name in names])
         positions = self._spread(_rows(points, "positions", names), columns)
         velocities = self._optional(points, "velocities", names, columns)
@@ -168,12 +171,6 @@ def _times(points: Sequence[JointTrajectoryPoint]) -> NDArray[np.int64]:
     return times
 
 
-def _reject_efforts(points: Sequence[JointTrajectoryPoint]) -> None:
-    for i, point in enumerate(points):
-        if len(point.effort):
-            raise MessageError("efforts", f"point {i} has efforts; expected positions, velocities and accelerations")
-
-
 def _stop_at_end(velocities: Array, names: list[str]) -> None:
     """Set the last row (m,) to zero if it is zero in single precision; raise MessageError otherwise."""
     moving = np.flatnonzero(np.abs(velocities[-1]) > np.finfo(np.float32).eps)
@@ -203,17 +200,6 @@ def _rows(points: Sequence[JointTrajectoryPoint], field: str, names: list[str]) 
     return rows
 
 
-@dataclass(frozen=True, eq=False)
-class Progress:
-    """Progress of an action: stamp [ns], desired and actual positions [rad] and velocities [rad/s], each (n,)."""
-
-    stamp: int
-    q_d: Array
-    dq_d: Array
-    q: Array
-    dq: Array
-
-
 class FollowMessages:
     """Reader and writer of the messages of FollowJointTrajectory; `kind` is the type of the action."""
 
@@ -234,15 +220,14 @@ class FollowMessages:
         """Return the result with an error code and its reason."""
         return self.kind.Result(error_code=code, error_string=sentence)
 
-    def feedback(self, progress: Progress) -> Any:
-        """Return the feedback: desired, actual, and error = desired - actual."""
+    def feedback(self, stamp: int, desired: Array, actual: Array) -> Any:
+        """Return the feedback at a stamp [ns], with error = desired - actual.
+
+        desired, actual (2, n): positions [rad] and velocities [rad/s].
+        """
         message = self.kind.Feedback(joint_names=self._joints)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(progress.stamp, 1_000_000_000)
-        rows = {
-            "desired": (progress.q_d, progress.dq_d),
-            "actual": (progress.q, progress.dq),
-            "error": (progress.q_d - progress.q, progress.dq_d - progress.dq),
-        }
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, SECOND)
+        rows = {"desired": desired, "actual": actual, "error": desired - actual}
         for name, (positions, velocities) in rows.items():
             point = getattr(message, name)
             point.positions, point.velocities = positions.tolist(), velocities.tolist()

@@ -197,19 +197,15 @@ class ParameterNode(EndingNode):
         self._parameters_by_name = {parameter.name: parameter for parameter in parameters}
         self._declaring = True
         try:
-            for parameter in parameters:
-                self._declare(parameter, values[parameter.name])
+            for parameter in parameters:  # in place of an earlier declaration
+                name, value = parameter.name, values[parameter.name]
+                if self.has_parameter(name):
+                    self.undeclare_parameter(name)
+                listed = list(value) if isinstance(value, tuple) else value
+                self.declare_parameter(name, listed, descriptor(parameter, self._managed), ignore_override=True)
         finally:
             self._declaring = False
         return values
-
-    def _declare(self, parameter: Parameter, value: Value) -> None:
-        """Declare a parameter with its descriptor; replace an earlier declaration."""
-        if self.has_parameter(parameter.name):
-            self.undeclare_parameter(parameter.name)
-        listed = list(value) if isinstance(value, tuple) else value
-        described = descriptor(parameter, self._managed)
-        self.declare_parameter(parameter.name, listed, described, ignore_override=True)
 
     @property
     def _managed(self) -> bool:

@@ -40,7 +40,10 @@ def with_gains(text: str, gains: GainValues, n: int) -> str:
     parameters = _parameters(yaml.compose(text, Loader=yaml.SafeLoader))
     key, block = next(((key, value) for key, value in parameters.value if key.value == "gains"), (None, None))
     if key is None or block is None:
-        changed = _with_new_block(text, parameters, gains, n)
+        first = parameters.value[0][0].start_mark
+        lines = [f"{' ' * first.column}gains:", *gain_lines(gains, n, first.column + STEP)]
+        start = first.index - first.column
+        changed = _replaced(text, [(start, start, "\n".join(lines) + "\n")])
     elif isinstance(block, yaml.MappingNode) and not block.flow_style:
         changed = _with_new_entries(text, block, gains, n)
     else:
@@ -63,13 +66,6 @@ def _parameters(document: Any) -> yaml.MappingNode:
     if not found or found[0].flow_style:
         raise ParameterError("the file has no block `ros__parameters:` for the controller; expected one")
     return with_block[-1] if with_block else found[0]
-
-
-def _with_new_block(text: str, parameters: yaml.MappingNode, gains: GainValues, n: int) -> str:
-    first = parameters.value[0][0].start_mark
-    lines = [f"{' ' * first.column}gains:", *gain_lines(gains, n, first.column + STEP)]
-    start = first.index - first.column
-    return _replaced(text, [(start, start, "\n".join(lines) + "\n")])
 
 
 def _with_new_entries(text: str, block: yaml.MappingNode, gains: GainValues, n: int) -> str:

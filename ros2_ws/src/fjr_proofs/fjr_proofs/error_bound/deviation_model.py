@@ -30,7 +30,7 @@ from fjr_core.motions.inverse_dynamics import MotorMotion
 from fjr_core.motions.reference import JETS
 from fjr_core.motions.sine import MultiSine, Sines
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.symbolic import directional, sparse
+from fjr_core.numerics.symbolic import sparse
 
 from ..verification.taylor_models import ROUNDING
 from .cells import DERIVATIVES, Cells, cycles
@@ -228,7 +228,7 @@ class DeviationModel:
     def _rate(self, e: ca.SX) -> ca.SX:
         """Return de/dt along path and reference; e must not depend on their fifth derivatives."""
         states = ca.veccat(self._path[:, :-1], self._jets[:, :-1])
-        return directional(e, states, ca.veccat(self._path[:, 1:], self._jets[:, 1:]))
+        return ca.jtimes(e, states, ca.veccat(self._path[:, 1:], self._jets[:, 1:]))
 
     def _function(self, name: str, arguments: str, *results: ca.SX) -> ca.Function:
         """Return a function of the named arguments, with dense results."""
