@@ -107,7 +107,7 @@ class LinearLoop:
 
     @cached_property
     def jumps(self) -> tuple[Array, Array]:
-        """Largest changes of the links' rows of `A` (n, 4n) from a cell to the next, and of `law` (n, 4n) if aligned."""
+        """Largest changes (n, 4n) from a cell to the next: of the links' rows of `A`, and of `law` if aligned."""
         slope, law = (np.abs(np.roll(X, -1, axis=0) - X).max(axis=0) for X in (self.A[:, self.links], self.law))
         return slope, law if self.centre.cells.aligned else np.zeros_like(law)
 
