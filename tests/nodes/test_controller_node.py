@@ -93,10 +93,10 @@ BAD_STATES = [
 """One of each kind; the others: tests/msgs."""
 
 
-def test_malformed_states_are_refused_counted_and_logged_once_and_the_node_continues(
-    ros: Ros, peer: Peer, capfd
+def test_malformed_states_are_refused_counted_and_reported_once_and_the_node_continues(
+    ros: Ros, manager: Manager, capfd
 ) -> None:
-    node, times = peer.started(), 2
+    peer, node, times = manager, manager.started(), 2
     refused = node._control.reports.count
     for message, kind in BAD_STATES:
         for k in range(1, times + 1):  # one by one, as the queue keeps the newest only
@@ -104,6 +104,9 @@ def test_malformed_states_are_refused_counted_and_logged_once_and_the_node_conti
             ros.until(lambda k=k, kind=kind: refused[f"state refused: {kind}"] == k, kind)
     np.testing.assert_allclose(peer.ask(stamped(0.2)).effort, paper_effort(0.2, 0.5, 0.5), rtol=1e-9)
     assert len(peer.commands) == 2
+    told = [f"state refused: {kind}" for _, kind in BAD_STATES]
+    ros.until(lambda: set(told) <= set(manager.kinds()), "an event of each kind")
+    assert sorted(told) == sorted(kind for kind in manager.kinds() if kind in told), "once"
     node.stop()
     for _, kind in BAD_STATES:
         key = f"state refused: {kind}"

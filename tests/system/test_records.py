@@ -200,6 +200,7 @@ def test_wrong_mapping_of_a_real_record_is_named(
     [
         ("time: {column: t}\n", "has no 'effort'; expected its column and unit"),
         ("- a\n", "holds a list; expected a mapping"),
+        ("# a\n", "is empty; expected a mapping"),
         ("velocity: {column: v}\n", "holds 'velocity'; expected time, link_position"),
         ("time: {column: t, unit: h}\neffort: {column: u}\n", "time.unit is 'h'; expected one of s, ms"),
         ("time: {column: t}\neffort: {column: u, unit: N m}\n", "names a column twice"),

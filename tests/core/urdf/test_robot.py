@@ -228,6 +228,18 @@ def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.Lo
     ]
 
 
+def test_an_inertia_that_no_body_has_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    read(
+        TWO.replace(
+            ZERO.replace('iyy="0"', 'iyy="0.01"'), 'ixx="0.01" ixy="0" ixz="0" iyy="0.031" iyz="0" izz="0.02"', 1
+        )
+    )
+    assert [record.getMessage() for record in caplog.records] == [
+        "link 'upper' has principal inertias of 0.01, 0.02 and 0.031 kg m^2; "
+        "expected the largest to be at most the sum of the others"
+    ]
+
+
 # Invalid input: one sentence, nothing printed.
 
 POINT = link("lower", 1.0, 0.0, ZERO)

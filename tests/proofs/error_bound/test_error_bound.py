@@ -285,6 +285,36 @@ def test_bounds_reproduce_themselves_where_the_loop_gain_is_below_1(scale: float
     assert (fixed_point(linear, problem.gains, scaled) is not None) == (scale < 1)
 
 
+def test_motions_between_samples_exceed_those_at_their_ends_by_no_more_than_stated() -> None:
+    """The linear model of a cell, under an effort that is held and torques that jump between their bounds."""
+    linear, steps = (
+        Search(DeviationModel(two_link()), TWO_LINK_EACH_SECOND, T, T, np.zeros(4), True).linear(np.zeros(0)),
+        50,
+    )
+    A, links, (B, E) = linear.A[7], linear.links, (inputs[7] for inputs in linear.inputs)
+    step = expm(T / steps * np.block([[A, np.eye(8)], [np.zeros((8, 16))]]))
+    rng, reached = np.random.default_rng(0), np.zeros(2)
+    for w in rng.uniform(0, 1, 20):
+        crest = rng.normal(size=8)  # in the middle of the sample, where the accelerations are largest
+        crest -= np.linalg.pinv(A[links] @ A) @ (A[links] @ A @ crest)
+        y, u, course = expm(-T / 2 * A) @ crest, rng.normal(size=2), []
+        for torque in rng.choice([-w, w], (steps, 6)):
+            course.append(y)
+            y = step[:8, :8] @ y + step[:8, 8:] @ (B @ u + E @ torque)
+        course.append(y)
+        found, ends = np.abs(course), np.abs([course[0], course[-1]]).max(axis=0)
+        accelerations = np.abs(course @ A[links].T)
+        rate = np.max([np.abs(A @ end + B @ u) for end in (course[0], y)], axis=0) + w * np.abs(E).sum(axis=1)
+        between, bulge = linear.between_samples(rate, w * np.abs(A[links] @ E).sum(axis=1))
+        assert np.all(found <= ends + between)
+        assert np.all(accelerations <= accelerations[[0, -1]].max(axis=0) + bulge)
+        beyond = found - ends, accelerations - accelerations[[0, -1]].max(axis=0)
+        reached = np.maximum(
+            reached, [np.max(more / most) for more, most in zip(beyond, (between, bulge), strict=True)]
+        )
+    assert np.all(reached > 0.1), "the test tries them"
+
+
 class Closed(Search):
     """A division whose parts have tubes up to a width of 1, and from the start up to 0.5."""
 

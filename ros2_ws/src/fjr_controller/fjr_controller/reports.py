@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader
+from fjr_msgs_py.names import DIAGNOSTICS
 from fjr_msgs_py.native.loop import LARGEST
 from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.reports import STAMP, EventWriter, Health
@@ -80,32 +81,32 @@ class Reports(Health):
 
 
 class Refusals:
-    """Count the states that C has refused, by kind, and log the first of each with the sentence of the Python reader.
+    """Report the states that C has refused: each kind once, with the sentence of the Python reader, and their numbers.
 
     pointer: struct fjr_refusals*.
     """
 
-    def __init__(self, program: Program, reader: StateReader, health: Health) -> None:
+    def __init__(self, program: Program, reader: StateReader, reports: Reports) -> None:
         ffi = program.ffi
-        self._reader, self._health, self._ffi = reader, health, ffi
+        self._reader, self._reports, self._ffi = reader, reports, ffi
         kinds = len(ffi.new("struct fjr_refusals*").count)
         self._first = ffi.new("uint8_t[]", kinds * LARGEST)
         self.pointer = ffi.new("struct fjr_refusals*", {"room": LARGEST, "first": self._first})
-        self._errors: dict[int, MessageError] = {}
-        self._reported = [0] * kinds
+        self._reported, self._counters = [0] * kinds, [""] * kinds
 
     def report(self) -> None:
         """Report what was refused since the last call."""
         for kind, count in enumerate(self.pointer.count):
-            for _ in range(count - self._reported[kind]):
-                self._health.refuse("state", self._error(kind))
+            new = count - self._reported[kind]
+            if new and not self._counters[kind]:
+                error = self._reason(bytes(self._ffi.buffer(self._first + kind * LARGEST, self.pointer.size[kind])))
+                self._counters[kind] = f"state refused: {error.kind}"
+                sentence = f"state refused: {error} (logged once; counted on {DIAGNOSTICS})"
+                self._reports.event(Event("warn", self._counters[kind], sentence))
+                new -= 1
+            if new:
+                self._reports.count[self._counters[kind]] += new
             self._reported[kind] = count
-
-    def _error(self, kind: int) -> MessageError:
-        if kind not in self._errors:
-            size = self.pointer.size[kind]
-            self._errors[kind] = self._reason(bytes(self._ffi.buffer(self._first + kind * LARGEST, size)))
-        return self._errors[kind]
 
     def _reason(self, data: bytes) -> MessageError:
         """Return the error with which the reader refuses the message."""

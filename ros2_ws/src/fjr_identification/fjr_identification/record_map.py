@@ -107,7 +107,8 @@ def read_map(path: Path, joints: Sequence[str]) -> TableMap | BagMap:
     document = ros_yaml.read(path, "mapping file")
     try:
         if not isinstance(document, dict):
-            raise ParameterError(f"holds a {type(document).__name__}; expected a mapping")
+            seen = "is empty" if document is None else f"holds a {type(document).__name__}"
+            raise ParameterError(f"{seen}; expected a mapping")
         return _bag(document, len(joints)) if "bag" in document else _table(document, joints)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None

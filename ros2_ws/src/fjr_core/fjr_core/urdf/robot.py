@@ -96,8 +96,19 @@ def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
 
 
 def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
-    """Raise RobotError for an invalid inertia of a link that the joints move; warn of others, once in a process."""
+    """Raise RobotError for an invalid inertia of a link that the joints move; warn, once in a process, of others.
+
+    Also warn of an inertia that no body has: the largest of its principal inertias exceeds the sum of the others, unless
+    it is the only one, as of planar arms.
+    """
     moved = tree.moved_by(joints)
+    for link in sorted(moved & tree.inertias.keys()):
+        *others, largest = np.linalg.eigvalsh(tree.inertias[link].inertia)
+        if 0 < sum(others) < 0.99 * largest:
+            _warn(
+                f"link '{link}' has principal inertias of {others[0]:.3g}, {others[1]:.3g} and {largest:.3g} kg m^2; "
+                "expected the largest to be at most the sum of the others"
+            )
     for link, fault in tree.faulty.items():
         if link in moved:
             raise RobotError(fault)

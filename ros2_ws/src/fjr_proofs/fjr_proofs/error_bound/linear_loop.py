@@ -54,14 +54,14 @@ class LinearLoop:
         return self.model.n
 
     @property
+    def links(self) -> slice:
+        """Rows of the velocities of the links in y."""
+        return slice(2 * self.n, 3 * self.n)
+
+    @property
     def sample_period(self) -> float:
         """Sample period T [s]."""
         return self.centre.cells.sample_period
-
-    @property
-    def between(self) -> float:
-        """Time [s] from the nearest sample that bounds cover: T / 2, or 0 for bounds at the samples."""
-        return self.sample_period / 2 if self.centre.cells.verified else 0.0
 
     def at(self, cells: Indices) -> LinearLoop:
         """Return the models of the selected cells."""
@@ -100,23 +100,39 @@ class LinearLoop:
         return S.S @ by_effort @ S.effort_inverse, S.S @ by_torque @ np.linalg.inv(S.torques)
 
     @cached_property
-    def jumps(self) -> tuple[Array, Array]:
-        """Largest changes (4n, 4n) and (n, 4n) of `A` and `law` from a cell to the next; zero unless aligned."""
-        if not self.centre.cells.aligned:
-            return np.zeros((4 * self.n, 4 * self.n)), np.zeros((self.n, 4 * self.n))
-        slope, law = (np.abs(np.roll(X, -1, axis=0) - X).max(axis=0) for X in (self.A, self.law))
-        return slope, law
+    def largest(self) -> tuple[Array, Array, Array]:
+        """Largest magnitudes in all cells of `A` (4n, 4n) and of the `inputs` (4n, n) and (4n, 3n)."""
+        slope, by_effort, by_torque = (np.abs(X).max(axis=0) for X in (self.A, *self.inputs))
+        return slope, by_effort, by_torque
 
     @cached_property
-    def growth(self) -> Array:
-        """Matrix (4n, 4n) from bounds of dy/dt at the nearest sample to bounds r between samples; inf: there are none.
+    def jumps(self) -> tuple[Array, Array]:
+        """Largest changes (n, 4n) from a cell to the next: of the links' rows of `A`, and of `law` if aligned."""
+        slope, law = (np.abs(np.roll(X, -1, axis=0) - X).max(axis=0) for X in (self.A[:, self.links], self.law))
+        return slope, law if self.centre.cells.aligned else np.zeros_like(law)
 
-        r = rate + between |A| r, |A| elementwise and the largest of all cells.
+    def between_samples(self, rate: Array, jerk: Array) -> tuple[Array, Array]:
+        """Return by how much y (4n,) and the accelerations (n,) of the links may exceed their bounds at the samples.
+
+        rate (4n,): bounds of dy/dt at the samples; jerk (n,): of A_l E w, A_l the links' rows of A. Infinite if there
+        are none; zero for bounds at the samples. Within T / 2 of a sample |dy/dt| <= r = rate + T / 2 |A| r, |A|
+        elementwise. Positions and A_l y differ from the chord between two samples by at most T^2 / 8 times a bound of
+        their second derivatives; that of A_l y is A_l A dy/dt and the rate of A_l E w, which adds T / 2 jerk.
         """
-        grown = self.between * np.abs(self.A).max(axis=0)
-        if np.abs(np.linalg.eigvals(grown)).max() >= 1:
-            return np.full_like(grown, np.inf)
-        return np.asarray(ROUNDING * np.linalg.inv(np.eye(len(grown)) - grown))
+        if not self.centre.cells.verified:
+            return np.zeros_like(rate), np.zeros_like(jerk)
+        half, n, (slope, _, _) = self.sample_period / 2, self.n, self.largest
+        if np.abs(np.linalg.eigvals(half * slope)).max() >= 1:
+            return np.full_like(rate, np.inf), np.full_like(jerk, np.inf)
+        r = ROUNDING * np.linalg.solve(np.eye(4 * n) - half * slope, rate)
+        acceleration = half**2 / 2 * self._bends @ r + half * jerk
+        r[self.links] = np.minimum(r[self.links], rate[self.links] + acceleration)
+        return np.concatenate([half**2 / 2 * slope[: 2 * n] @ r, half * r[2 * n :]]), acceleration
+
+    @cached_property
+    def _bends(self) -> Array:
+        """Largest magnitudes (n, 4n) of A_l A, which gives the second derivative of A_l y from dy/dt."""
+        return np.asarray(np.abs(self.A[:, self.links] @ self.A).max(axis=0))
 
     @property
     def spectral_radius(self) -> float:
@@ -151,7 +167,7 @@ class LinearLoop:
         outputs[:, :n, : 4 * n], outputs[:, n : 2 * n, : 4 * n] = self.A[:, 2 * n : 3 * n], self.law
         if self.late:
             outputs[:, 2 * n :, : 4 * n], outputs[:, 2 * n :, 4 * n : 5 * n] = self.law, -np.eye(n)
-        bend = curvature(self.A, by_torque, T) if self.between else np.zeros_like(by_torque)
+        bend = curvature(self.A, by_torque, T) if self.centre.cells.verified else np.zeros_like(by_torque)
         ends, starts = by_torque, Phi @ by_torque
         if self.late:  # of the sample; the effort changes in its middle part
             change = self.late / T * (after @ by_effort)
@@ -237,14 +253,16 @@ class KnownErrors:
 class Response(NamedTuple):
     """Response Z (c, S, k) at the end of each cell, and largest magnitudes over all cells and all columns together.
 
-    z, rate (4n,): deviation and its rate. acceleration, effort (n,). change (n,): of the effort since the last sample.
-    remaining (S,): of Z before the sums of the gains.
+    z (4n,), acceleration (n,): deviation, and that of the links, at the samples; between, bulge: by how much they may
+    exceed these in between. effort (n,), and its change (n,) since the last sample. remaining (S,): of Z before the
+    sums of the gains.
     """
 
     Z: Array
     z: Array
-    rate: Array
+    between: Array
     acceleration: Array
+    bulge: Array
     effort: Array
     change: Array
     remaining: Array
@@ -252,16 +270,17 @@ class Response(NamedTuple):
     @classmethod
     def none(cls, n: int, states: int) -> Response:
         """Return the response to nothing."""
-        return cls(np.zeros((0, states, 0)), *map(np.zeros, (4 * n, 4 * n, n, n, n, states)))
+        return cls(np.zeros((0, states, 0)), *map(np.zeros, (4 * n, 4 * n, n, n, n, n, states)))
 
     @classmethod
     def within(cls, linear: LinearLoop, Z: Array) -> Response:
         """Return the largest magnitudes of any response within bounds Z (S,)."""
         n, law, y = linear.n, np.abs(linear.law).max(axis=0), Z[: 4 * linear.n]
         effort = np.max([law @ y, *Z[4 * n :].reshape(-1, n)], axis=0)
-        slope, by_effort = np.abs(linear.A).max(axis=0), np.abs(linear.inputs[0]).max(axis=0)
-        rate = linear.growth @ (slope @ y + by_effort @ effort)
-        return cls(np.zeros((0, len(Z), 0)), y, rate, slope[2 * n : 3 * n] @ y, effort, 2 * effort, Z)
+        slope, by_effort, _ = linear.largest
+        rate = slope @ y + by_effort @ effort
+        between, bulge = linear.between_samples(rate, np.zeros(n))
+        return cls(np.zeros((0, len(Z), 0)), y, between, rate[linear.links], bulge, effort, 2 * effort, Z)
 
     def plus(self, other: Response, share: float = 1.0) -> Response:
         """Return the sum with a share of the largest magnitudes of another response; Z stays."""
@@ -296,8 +315,8 @@ def steady_response(linear: LinearLoop, errors: KnownErrors, blocks: int = 0) ->
         ends[i] = Z = step[i] @ Z + pushed[i]
     slips = np.ceil(blocks * cells.drift / cells.length) + 1 if cells.drift else 0.0
     remaining = slips * _largest(ends - np.roll(ends, 1, axis=0))
-    after = np.roll(np.arange(cells.count), -1)
-    following = (linear.at(after), errors.at(after)) if cells.aligned else (linear, errors)
+    after = np.roll(np.arange(cells.count), -int(cells.verified))
+    following = linear.at(after), errors.at(after)
     return _magnitudes((linear, errors), following, ends, earlier, remaining)
 
 
@@ -321,7 +340,7 @@ def course(linear: LinearLoop, Z: Array, at: Indices, errors: KnownErrors | None
         for _ in range(samples):
             earlier[i], course[i] = course[i], loop[i] @ course[i] + force[i]
     of_samples = np.repeat(np.arange(len(at)), samples)
-    after = np.minimum(of_samples + linear.centre.cells.aligned, len(at) - 1)
+    after = np.append(of_samples[1:], of_samples[-1])
     ended, following = ((own.at(each), errors.at(each)) for each in (of_samples, after))
     shape = len(of_samples), *Z.shape
     return _magnitudes(ended, following, course.reshape(shape), earlier.reshape(shape), np.zeros(len(Z)))
@@ -346,21 +365,22 @@ def _magnitudes(
     """Return the response at the end of cells with its largest magnitudes.
 
     earlier: Z one sample before; the last of its efforts acts until the sample, the torque is that of either end of it.
-    following: the cells whose law answers, the next ones if aligned; both have their rates.
+    following: the cells of the next sample, whose law answers if they are aligned; both have their rates.
     """
     linear, n, z = ended[0], ended[0].n, Z[:, : 4 * ended[0].n]
-    efforts = [*_efforts(*following, Z), _efforts(*ended, earlier)[-1]]
-    rates, accelerations = [], []
+    answering = following if linear.centre.cells.aligned else ended
+    efforts, rates, jerks = [*_efforts(*answering, Z), _efforts(*ended, earlier)[-1]], [], []
     for loop, acting in (ended, following):
         by_effort, by_torque = loop.inputs
         for age in (linear.delay, linear.delay + linear.sample_period):
-            without_effort = loop.A @ z + by_torque @ acting.torque_at(age)
-            rates += [_largest(without_effort + by_effort @ effort) for effort in efforts]
-            accelerations.append(_largest(without_effort[:, 2 * n : 3 * n]))
-    rate, acceleration = linear.growth @ np.max(rates, axis=0), np.max(accelerations, axis=0)
+            by_torques = by_torque @ acting.torque_at(age)
+            rates += [_largest(loop.A @ z + by_torques + by_effort @ effort) for effort in efforts]
+            jerks.append(_largest(loop.A[:, loop.links] @ by_torques))
+    rate = np.max(rates, axis=0)
+    between, bulge = linear.between_samples(rate, np.max(jerks, axis=0))
     change = _largest(efforts[0] - efforts[1]) if linear.late else np.zeros(n)  # efforts[1]: the newest in transit
     effort = np.max([_largest(u) for u in efforts], axis=0)
-    return Response(Z, _largest(z), rate, acceleration, effort, change, remaining)
+    return Response(Z, _largest(z), between, rate[linear.links], bulge, effort, change, remaining)
 
 
 def _efforts(linear: LinearLoop, errors: KnownErrors, Z: Array) -> list[Array]:

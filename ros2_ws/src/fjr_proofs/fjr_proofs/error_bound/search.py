@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +41,8 @@ SECONDS_TO_PROVE = 2  # joints
 NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = {False: 128, True: 1024}
 """Parts of a box. True: for a proof that is asked for; then the box is also divided for a bound from the start."""
+SOLVABLE = {False: 0.5, True: 0.2}
+"""Gain of the loops that the factors of a part close, below which it is likely to have its bounds."""
 HOPELESS = 8  # times as many parts, if all were as narrow as one without bounds, at which the division ends
 TINY = 1e-12
 TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
@@ -142,7 +145,7 @@ class FactorBox:
     that, plus the share of the gain of the loop that it closes. first_order, ultimate, from_start (2n,): bounds of
     |q_l - q_ld| and |dq_l - dq_ld|: by the known response to the factors alone; in the steady state; at all times for
     a robot that starts on the reference. The latter two are infinite without a tube. storage: largest V [J] in the
-    steady state; nan if the law has none.
+    steady state; nan if the law has none. gains (u,): of the loops that the factors close, where bounds are missing.
     """
 
     low: Array
@@ -153,6 +156,7 @@ class FactorBox:
     ultimate: Array
     from_start: Array
     storage: float = np.inf
+    gains: Array | float = 0.0
 
     @property
     def has_tube(self) -> bool:
@@ -185,13 +189,21 @@ class FactorBox:
         width = high - low
         return float(np.prod(np.divide(self.high - self.low, width, out=np.ones_like(width), where=width > 0)))
 
-    def halves(self) -> list[tuple[Array, Array]]:
-        """Return two boxes, halves of this one in the wide factor with the largest effect; without any, the widest."""
-        width = self.high - self.low
-        effect = np.where(width > NARROWEST, self.effects, -1.0) if np.any(self.effects) else width
-        first = np.arange(len(width)) == np.argmax(effect)
-        middle = self.low + width / 2
-        return [(self.low, np.where(first, middle, self.high)), (np.where(first, middle, self.low), self.high)]
+    def divided(self, solvable: float) -> list[tuple[Array, Array]]:
+        """Return the box in equal parts: halved in the wide factor with the largest effect; without any, the widest.
+
+        It is halved again until the gains of a part, which are in proportion to its width, are at most `solvable`.
+        """
+        width, halvings = self.high - self.low, np.zeros(len(self.low), dtype=int)
+        effects = self.effects if np.any(self.effects) else width
+        while not np.any(halvings) or np.sum(self.gains * 0.5**halvings) > solvable:
+            wide = width * 0.5**halvings > NARROWEST
+            if not np.any(wide):
+                break
+            halvings[np.argmax(np.where(wide, effects * 0.5**halvings, -1.0))] += 1
+        edges = [np.linspace(a, b, 1 + 2**k) for a, b, k in zip(self.low, self.high, halvings, strict=True)]
+        lows, highs = (product(*(each[part] for each in edges)) for part in (slice(-1), slice(1, None)))
+        return [(np.array(low), np.array(high)) for low, high in zip(lows, highs, strict=True)]
 
 
 class Search:
@@ -244,7 +256,7 @@ class Search:
             many = len(waiting) + len(boxes) + 2 > self._most_parts
             last = box.narrow or many or HOPELESS * self._most_parts * box.volume(low, high) < 2
             if not last and not (box.has_all_bounds if self._asked else box.has_tube):
-                waiting += [(*ends, box.centre) for ends in box.halves()]
+                waiting += [(*ends, box.centre) for ends in box.divided(SOLVABLE[self._asked])]
             elif box.has_tube:
                 boxes.append(box)
                 progress(len(boxes) / (len(boxes) + len(waiting)))
@@ -254,7 +266,7 @@ class Search:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
-            halves = [self._solved(*ends, worst.centre) for ends in worst.halves()]
+            halves = [self._solved(*ends, worst.centre) for ends in worst.divided(np.inf)]
             if max(half.size for half in halves) > WORTH * worst.size:
                 break
             boxes = [box for box in boxes if box is not worst] + halves
@@ -318,10 +330,11 @@ def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
         q, _, dq, _ = np.split(z, 4)
         return np.asarray(box.centre.largest + np.concatenate([q, dq]))
 
-    effects = problem.effects
+    box = replace(box, effects=problem.effects, first_order=bound(problem.first_order))
     if box.centre.cells.verified and (problem.tube is None or problem.from_start is None):
-        effects = sum(each / max(each.sum(), TINY) for each in (effects, problem.loop_gains))
-    box = replace(box, effects=effects, first_order=bound(problem.first_order))
+        gains = problem.loop_gains
+        effects = sum(each / max(each.sum(), TINY) for each in (box.effects, gains))
+        box = replace(box, effects=effects, gains=gains)
     if problem.tube is None:
         return box
     directions = problem.linear.coordinates.S_inverse * problem.tube.z

@@ -114,28 +114,26 @@ def _following(linear: LinearLoop, mismatch: Mismatch, assumed: Array, bounds: D
 def _bounds_under(linear: LinearLoop, gains: Array, disturbance: Array, known: Response) -> DeviationBounds:
     """Return the bounds of deviations under disturbances: torques, changes and errors of the effort.
 
-    Between samples a bound grows by its rate. Efforts and accelerations at the end of a cell are those of its own model
-    or, if aligned, of the next.
+    Efforts, if aligned, and accelerations at the end of a cell are those of its own model or of the next.
     """
-    n, S, half = linear.n, linear.models.loop.shape[1], linear.between
+    n, S, links = linear.n, linear.models.loop.shape[1], linear.links
     at_samples = gains @ np.append(disturbance, known.remaining)
     slope_jump, law_jump = linear.jumps
-    at_samples[S : S + n] += slope_jump[2 * n : 3 * n] @ at_samples[: 4 * n]
+    at_samples[S : S + n] += slope_jump @ at_samples[: 4 * n]
     at_samples[S + n : S + 2 * n] += law_jump @ at_samples[: 4 * n]
     at_samples[S + 2 * n :] += law_jump @ at_samples[: 4 * n] if linear.late else 0.0
     torque, error = disturbance[: 3 * n], disturbance[-n:]
     effort = at_samples[S + n : S + 2 * n] + error
     acting = effort + disturbance[3 * n : 4 * n] if linear.late else effort
-    slope = np.abs(linear.A).max(axis=0)
-    by_effort, by_torque = (np.abs(inputs).max(axis=0) for inputs in linear.inputs)
-    rate = linear.growth @ (slope @ at_samples[: 4 * n] + by_effort @ acting + by_torque @ torque)
-    links = slice(2 * n, 3 * n)
-    acceleration = at_samples[S : S + n] + (by_torque @ torque)[links] + half * slope[links] @ rate
+    slope, by_effort, by_torque = linear.largest
+    rate = slope @ at_samples[: 4 * n] + by_effort @ acting + by_torque @ torque
+    rate[links] = at_samples[S : S + n] + (by_torque @ torque)[links]
+    between, bulge = linear.between_samples(rate, slope[links] @ by_torque @ torque)
     return DeviationBounds(
-        z=at_samples[: 4 * n] + half * rate + known.z + half * known.rate,
+        z=at_samples[: 4 * n] + between + known.z + known.between,
         effort=effort + known.effort,
         change=at_samples[S + 2 * n :] + known.change if linear.late else known.change,
-        acceleration=acceleration + known.acceleration + half * slope[links] @ known.rate,
+        acceleration=rate[links] + bulge + known.acceleration + known.bulge,
     )
 
 
