@@ -38,12 +38,16 @@ class ProofRows:
 
 
 def errors_bounded(
-    scenario: Scenario, errors: Mapping[str, ArrayLike], delay: float | None, prove: bool | None = None
+    scenario: Scenario,
+    errors: Mapping[str, ArrayLike],
+    delay: float | None,
+    prove: bool | None = None,
+    seconds: float = np.inf,
 ) -> ProofRows:
     """Return the bound for model errors and a delay [samples], by default that of the scenario.
 
-    errors: as of `bound_errors`, and STATED. prove: see `bound_errors`. Raises ParameterError for an unknown error, and
-    for a scenario that the bound does not cover.
+    errors: as of `bound_errors`, and STATED. prove, seconds: see `bound_errors`. Raises ParameterError for an unknown
+    error, and for a scenario that the bound does not cover.
     """
     reasons = {
         "robust.* is enabled": isinstance(scenario.sampled_law, RobustLaw),
@@ -60,7 +64,7 @@ def errors_bounded(
     late = scenario.loop_delay if delay is None else delay * scenario.sample_period
     loop = scenario.law, scenario.reference, scenario.sample_period, late, _with_stated(scenario, errors)
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
-        bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove, payload_position(scenario))
+        bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove, payload_position(scenario), seconds)
     tried = prove or scenario.robot.n <= SECONDS_TO_PROVE
     hint = "no proof was found" if tried else "--prove-error tries a proof"
     values = {

@@ -98,8 +98,8 @@ def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
 def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
     """Raise RobotError for an invalid inertia of a link that the joints move; warn, once in a process, of others.
 
-    Also warn of an inertia that no body has: the largest of its principal inertias exceeds the sum of the others, unless
-    it is the only one, as of planar arms.
+    Also warn of one that no body has: the largest of its principal inertias exceeds the sum of the others, unless it is
+    the only one, as of planar arms.
     """
     moved = tree.moved_by(joints)
     for link in sorted(moved & tree.inertias.keys()):

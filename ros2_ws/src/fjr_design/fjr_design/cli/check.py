@@ -66,7 +66,8 @@ def check_scenario(
     """Return the check of a scenario; print its warnings and why it cannot run on standard error.
 
     certificate: file for the proof of the rate over the joint range, which takes at most `seconds`. errors: names and
-    sizes of model errors. prove_error: prove their bound for any number of joints. prove_sampled: also prove
+    sizes of model errors. prove_error: prove their bound for any number of joints, and divide it for at most `seconds`
+    for one from the start. prove_sampled: also prove
     contraction of the sampled loop (sampled_proof). delay [samples] of this proof and of the bound of the tracking
     error, which is made for errors, for a delay alone and for prove_error. Raises MissingPackageError for a proof
     without the package of the proofs.
@@ -74,7 +75,7 @@ def check_scenario(
     loaded, proofs = library.load(scenario, assignments), {}
     if errors or prove_error or (delay is not None and not prove_sampled):
         bounds = importing.module("fjr_proofs.check_rows")
-        proofs["error_bound"] = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None)
+        proofs["error_bound"] = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None, seconds)
     if certificate is not None:
         prover = importing.module("fjr_proofs.kept_rate")
         prover.write_certificate(prover.certified_rate(loaded, seconds), certificate)

@@ -68,7 +68,13 @@ def new(**given: Any) -> Any:
     metavar="FILE",
     help="Prove the rate over the joint range and write its certificate (JSON).",
 )
-@click.option("--seconds", type=options.SECONDS, metavar="S", default=120.0, help="Longest time of the proof.")
+@click.option(
+    "--seconds",
+    type=options.SECONDS,
+    metavar="S",
+    default=120.0,
+    help="Longest time of the proof of the rate, and, after --prove-error, of the search for a bound from the start.",
+)
 @click.option(
     "--error",
     "errors",
@@ -80,7 +86,7 @@ def new(**given: Any) -> Any:
 @click.option(
     "--prove-error",
     is_flag=True,
-    help="Prove the bound of --error for three or more joints, too; takes minutes to an hour.",
+    help="Prove the bound of --error for three or more joints, too; takes minutes or more.",
 )
 @click.option(
     "--prove-sampled",

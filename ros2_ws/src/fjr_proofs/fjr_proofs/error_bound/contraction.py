@@ -25,7 +25,7 @@ from fjr_core.numerics.one_line import one_line
 
 from .deviation_model import DeviationModel
 from .enclosures import Mismatch, Ranges
-from .linear_loop import Response, course
+from .known_response import Response, course
 from .search import Search
 from .tube import DeviationBounds, Known, TubeProblem, fixed_point
 

@@ -21,7 +21,8 @@ from fjr_core.stability.linearization import split
 
 from ..verification.taylor_models import ROUNDING, MatrixModels, Shape, TaylorModels, taylor_function
 from .cells import CellTimes
-from .linear_loop import KnownErrors, LinearLoop
+from .known_response import KnownErrors
+from .linear_loop import LinearLoop
 from .peak_gains import columnwise
 
 SAMPLED = 24  # cells at which ranges that are not verified are evaluated

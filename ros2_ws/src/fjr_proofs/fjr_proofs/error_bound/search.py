@@ -8,6 +8,7 @@ proven. Otherwise the ranges are those of random points of the same boxes: sampl
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -41,8 +42,8 @@ SECONDS_TO_PROVE = 2  # joints
 NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = {False: 128, True: 1024}
 """Parts of a box. True: for a proof that is asked for; then the box is also divided for a bound from the start."""
-SOLVABLE = {False: 0.5, True: 0.2}
-"""Gain of the loops that the factors of a part close, below which it is likely to have its bounds."""
+SOLVABLE = 0.5
+"""Gain of the loops that the factors of a part close, below which it is likely to have a tube."""
 HOPELESS = 8  # times as many parts, if all were as narrow as one without bounds, at which the division ends
 TINY = 1e-12
 TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
@@ -53,7 +54,7 @@ SAMPLED_FINALS = 16  # cells at whose end the gains of a sampled bound are compu
 COARSE = 100  # cells on which centre motions are found
 
 Progress = Callable[[float], None]
-"""Called with the share of the parts found so far that have a tube, 0 to 1; falls when a part is divided."""
+"""Called with the share of the parts so far that have a tube, then a bound from the start; falls at a division."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,7 @@ def bound_errors(
     progress: Progress = lambda share: None,
     prove: bool | None = None,
     payload_position: ArrayLike = (0.0, 0.0, 0.0),
+    seconds: float = np.inf,
 ) -> ErrorBound:
     """Return a bound of the tracking errors on the reference of the law sampled every sample_period [s].
 
@@ -101,7 +103,7 @@ def bound_errors(
     or one for each joint or axis (`UncertainRobot`, also for payload_position), largest TORQUES [N m] that act at any
     joint with any time course, and that of the DELAY, which stays between two whole numbers of samples. progress: see
     `Progress`. prove: whether a proof is tried; None: where it takes seconds, with up to SECONDS_TO_PROVE joints or
-    without an error of a parameter.
+    without an error of a parameter. If it is True and found, the box is divided for `seconds` for one from the start.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
     a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
     CompilerError without a C compiler.
@@ -122,7 +124,7 @@ def bound_errors(
     model = DeviationModel(law, UncertainRobot(law.robot, errors, payload_position))
     box = -np.ones(model.uncertain.count), np.ones(model.uncertain.count)
     given, late = (model, reference, sample_period, delay, np.repeat(torques, n)), sample_period * float(sizes[DELAY])
-    search = Search(*given, verified=True, late=late, asked=prove is True)
+    search = Search(*given, verified=True, late=late, asked=prove is True, seconds=seconds)
     if prove is None:
         prove = n <= SECONDS_TO_PROVE or not model.uncertain.count
     boxes = search.boxes(*box, progress) if prove and search.applies else []
@@ -219,13 +221,14 @@ class Search:
         verified: bool,
         late: float = 0.0,
         asked: bool = False,
+        seconds: float = np.inf,
     ) -> None:
         """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop.
 
-        asked: of MOST_PARTS.
+        asked: of MOST_PARTS. seconds: longest time of the division for a bound from the start.
         """
         self.model, self.cells = model, cells_of(reference, T, verified)
-        self._asked, self._most_parts = asked, MOST_PARTS[asked]
+        self._asked, self._most_parts, self._seconds = asked, MOST_PARTS[asked], seconds
         self.T, self.delay, self.disturbing, self._late = T, delay, disturbing, late
 
     @property
@@ -244,22 +247,19 @@ class Search:
         return True
 
     def boxes(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[FactorBox]:
-        """Divide the box until each part has its bounds, then the part with the largest bound until it is tight.
+        """Divide the box until each part has a tube, then the part with the largest bound until it is tight.
 
-        Where parts are narrow, or are or will be too many, those with a bound of the steady motion alone remain; a part
-        without a tube ends the division.
+        A part without a tube that cannot be divided, as it is narrow or parts are or will be too many, ends the search.
         """
         waiting: list[tuple[Array, Array, CentreMotion | None]] = [(low, high, None)]
         boxes: list[FactorBox] = []
         while waiting:
             box = self._solved(*waiting.pop())
-            many = len(waiting) + len(boxes) + 2 > self._most_parts
-            last = box.narrow or many or HOPELESS * self._most_parts * box.volume(low, high) < 2
-            if not last and not (box.has_all_bounds if self._asked else box.has_tube):
-                waiting += [(*ends, box.centre) for ends in box.divided(SOLVABLE[self._asked])]
-            elif box.has_tube:
+            if box.has_tube:
                 boxes.append(box)
                 progress(len(boxes) / (len(boxes) + len(waiting)))
+            elif self._divisible(box, len(waiting) + len(boxes) + 1, low, high):
+                waiting += [(*ends, box.centre) for ends in box.divided(SOLVABLE)]
             else:
                 return [box]
         while len(boxes) < self._most_parts:
@@ -270,7 +270,25 @@ class Search:
             if max(half.size for half in halves) > WORTH * worst.size:
                 break
             boxes = [box for box in boxes if box is not worst] + halves
+        return self._for_start(boxes, low, high, progress) if self._asked else boxes
+
+    def _for_start(self, boxes: list[FactorBox], low: Array, high: Array, progress: Progress) -> list[FactorBox]:
+        """Divide the parts that have a tube until each has a bound from the start, too, or the time is over."""
+        end = time.monotonic() + self._seconds
+        while time.monotonic() < end and (without := [box for box in boxes if not box.has_all_bounds]):
+            progress(1 - len(without) / len(boxes))
+            first = max(without, key=lambda box: np.sum(box.gains))
+            if not self._divisible(first, len(boxes), low, high):
+                break
+            halves = [self._solved(*ends, first.centre) for ends in first.divided(np.inf)]
+            if not all(half.has_tube for half in halves):
+                break
+            boxes = [box for box in boxes if box is not first] + halves
         return boxes
+
+    def _divisible(self, box: FactorBox, parts: int, low: Array, high: Array) -> bool:
+        """Return whether a box, one of `parts`, can be divided: it is wide, and parts are and will be few enough."""
+        return not box.narrow and parts < self._most_parts and HOPELESS * self._most_parts * box.volume(low, high) >= 2
 
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
         """Return the part of the box between the factors low and high (u,), with its invariant tube if there is one."""

@@ -23,7 +23,8 @@ from ..verification.taylor_models import ROUNDING
 from .cells import Cells
 from .deviation_model import CentreMotion, DeviationModel
 from .enclosures import Mismatch, Ranges
-from .linear_loop import KnownErrors, LinearLoop, Response, course, linear_loop, steady_response
+from .known_response import KnownErrors, Response, course, steady_response
+from .linear_loop import LinearLoop, linear_loop
 
 STEPS = 5  # of Newton's method
 MOST_ROUNDS = 500
