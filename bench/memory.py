@@ -15,13 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Figure
-from bench.nodes import controller, plant, running, scenario_file, used
+from bench.nodes import HOSTS, controller, plant, running, scenario_file, used
 from bench.tap import Tap
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 
-HOSTS = ("native", "events")
-"""Values of the parameter `executor` of both nodes."""
 MINUTES = 10.0
 SETTLED = 1.0  # minutes; discarded
 BOUND = 16.0  # kB/min; a quarter of a byte a sample at 1 kHz

@@ -19,6 +19,8 @@ from fjr_bringup.node_process import executable
 from fjr_bringup.runner import set_ros_environment
 from fjr_msgs_py.scenarios import library
 
+HOSTS = ("native", "events")
+"""Values of the parameter `executor` of both nodes."""
 PRIORITY = 50  # as in the scenario; used if the system allows it
 GRACE = 5.0  # s
 DOMAIN = "100"  # outside the ids used by the tests

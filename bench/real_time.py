@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +18,12 @@ from numpy.typing import NDArray
 from bench.bare import PERIOD
 from bench.figures import Figure
 from bench.measure import ratio
-from bench.nodes import bare, burning, controller, plant, running, scenario_file
+from bench.nodes import HOSTS, bare, burning, controller, plant, running, scenario_file
 from bench.tap import Seen, Tap
 from fjr_msgs_py import names
 
 SECONDS = 60.0
 BUSY = 6
-HOSTS = ("native", "events")
 QUIET_BOUND, BUSY_BOUND = 99.9, 99.0  # % of the native host
 PROCESSOR_BOUND = 12.0  # % of a core
 MUJOCO_BOUNDS = 99.5, 35.0  # % of the states, % of a core
@@ -61,13 +59,14 @@ def on_mujoco(seconds: float = SECONDS) -> list[Figure]:
 
 def _run(host: str, busy: int, seconds: float, *simulator: str) -> tuple[float, float, float]:
     """Return the share of answered states [%] and the processor times of plant and controller [% of a core]."""
-    topics = [names.JOINT_STATES, names.JOINT_COMMANDS]
-    with ExitStack() as stack:
-        file, _ = stack.enter_context(scenario_file()), stack.enter_context(burning(busy))
-        tap = stack.enter_context(Tap())
-        executor = "-p", f"executor:={host}"
-        pids = stack.enter_context(running(plant(file, *executor, *simulator), controller(file, *executor)))
-        heard = stack.enter_context(tap.listening(topics, LONGEST))
+    executor = "-p", f"executor:={host}"
+    with (
+        scenario_file() as file,
+        burning(busy),
+        Tap() as tap,
+        running(plant(file, *executor, *simulator), controller(file, *executor)) as pids,
+        tap.listening([names.JOINT_STATES, names.JOINT_COMMANDS], LONGEST) as heard,
+    ):
         heard.collect(WARM_UP)
         before = [processor_time(pid) for pid in pids]
         heard.collect(seconds)

@@ -173,7 +173,6 @@ COUPLED = [40.0, 5.0, 5.0, 25.0]
     ("name", "value", "says"),
     [
         ("robot.joint_stiffness", COUPLED, "K is .*; expected a diagonal matrix: an MJCF couples no joints"),
-        ("robot.motor_inertia", [0.02, 0.001, 0.001, 0.01], "M_m is .*; expected a diagonal matrix"),
         ("robot.input_gain", [1.0, 0.1, 0.0, 1.0], "B_m is .*; expected a diagonal matrix"),
     ],
 )

@@ -124,7 +124,7 @@ def test_torques_that_the_model_lacks_are_not_simulated() -> None:
         relative.append(displacement(setup, filtered_fit(setup, setup.coordinates.mean)))
     assert relative[0][0] < 0.1 * MOST
     assert relative[1][0] > MOST
-    found = {each.name: each for each in identify([wrong], robot, Prior.of(robot)).estimates}
+    found = found_in(wrong, JOINT)
     assert found["joint_stiffness"].value == pytest.approx(JOINT.K, rel=0.05)
     assert "filtered least squares" in found["joint_stiffness"].reason
 

@@ -182,8 +182,6 @@ def test_the_deflection_of_another_record_is_predicted_better_than_by_rigid_join
 
 def test_a_torque_that_depends_on_the_position_is_found() -> None:
     joint = ElasticJoint()
-    weightless = robot_like(replace(joint, load=0.0))
-    options = IdentifyOptions(position_torque="joint1")
-    found = identify([noisy(*usual_record(), 4e-3)], weightless, Prior.of(weightless), options)
-    assert found.value("position_torque_sin1") == pytest.approx(joint.load, rel=0.01)
-    assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.01)
+    found = found_in(noisy(*usual_record(), 4e-3), replace(joint, load=0.0), position_torque="joint1")
+    assert found["position_torque_sin1"].value == pytest.approx(joint.load, rel=0.01)
+    assert found["joint_stiffness"].value == pytest.approx(joint.K, rel=0.01)

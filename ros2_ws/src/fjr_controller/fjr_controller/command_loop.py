@@ -156,7 +156,8 @@ class CommandLoop:
         self._timers = [self._node.create_timer(period, self._poll, clock=steady)]
         if self._simulated:
             clock = self._node.get_clock()
-            self._timers.append(self._node.create_timer(state_timeout / SILENCE_CHECKS, self._on_silence, clock=clock))
+            check = lambda: self.check_silence(clock.now().nanoseconds)  # noqa: E731
+            self._timers.append(self._node.create_timer(state_timeout / SILENCE_CHECKS, check, clock=clock))
         self.active = True
 
     def stop(self) -> None:
@@ -225,9 +226,6 @@ class CommandLoop:
         found = self._controls.controller.contact
         recent = found.acting or 0 <= self._observer.pointer.stamp - found.stamp < 1_000_000_000
         return joints_of(found.joints, self._node.values["joints"]) if recent else []
-
-    def _on_silence(self) -> None:
-        self.check_silence(self._node.get_clock().now().nanoseconds)
 
     # What Python reads.
 

@@ -82,7 +82,7 @@ class Control:
 
     def stop(self) -> None:
         """Send the stop effort if a command was sent before, publish the counters, and end the command loop."""
-        self._interface.drop()
+        self._interface.planner.drop()
         self._interface.on_replaced("the controller was deactivated")
         self._command_loop.stop()
         self.reports.publish()

@@ -86,10 +86,6 @@ class TrajectoryInterface:
         self._step.hold()
         self._reports.publish_events()
 
-    def drop(self) -> None:
-        """Discard the trajectory that is being planned."""
-        self.planner.drop()
-
     def close(self) -> None:
         """Destroy the subscription, the services and the planner."""
         self.planner.close()
@@ -143,14 +139,14 @@ class TrajectoryInterface:
         return respond
 
     def _hold(self) -> str:
-        self.drop()
+        self.planner.drop()
         self.on_replaced("~/hold was called")
         self._step.hold()
         return "the motion comes to a standstill"
 
     def _play(self) -> str:
         reference, start = self._with_transition(self._built_in())
-        self.drop()
+        self.planner.drop()
         self.on_replaced("~/play was called")
         self._step.follow(reference, start)
         return "transition to the built-in reference"

@@ -260,19 +260,15 @@ def crossed(motion: RigidMotion) -> Iterator[Finding]:
             seen = f"the {wrong[0]} of {first} and {second} fit the motion of the other joint"
             yield Finding(ORDER, first, sentence=f"{seen}; expected one order of the joints")
         elif max(line.unexplained for line in by_effort[:2]) > GOOD / 5:
+            order = np.arange(motion.robot.n)
+            order[[i, j]] = j, i
             for what, names in EXCHANGED.items():
-                other = rigid_motion(_exchanged(motion.record, i, j, names), motion.robot)
+                changed = {name: getattr(motion.record, name)[:, order] for name in names}
+                other = rigid_motion(replace(motion.record, **changed), motion.robot)
                 if _all_follow(by_effort[:2], [effort_line(other, k) for k in (i, j)]):
                     seen = f"{what} of {first} and {second} fit the robot in the other order"
                     yield Finding(ORDER, first, sentence=f"{seen}; expected the order of the joints in the robot file")
                     break
-
-
-def _exchanged(record: MotionRecord, i: int, j: int, names: Sequence[str]) -> MotionRecord:
-    """Return the record with some signals of two joints exchanged."""
-    order = np.arange(len(record.joints))
-    order[[i, j]] = order[[j, i]]
-    return replace(record, **{name: getattr(record, name)[:, order] for name in names})
 
 
 def _follows(line: FittedLine) -> bool:

@@ -26,7 +26,7 @@ from fjr_msgs_py.node.reports import Health, publish_description
 from .host import EXPECTED
 from .lock_step import LockStep
 from .simulated_robot import errors_of, simulated
-from .time_base import DeferredTrigger, RealTime, Reply, TimeBase
+from .time_base import DeferredTrigger, RealTime, TimeBase
 
 TORQUES = "external torques received"
 SETTLING = 2.0  # s in which another robot may be discovered late, on busy cores
@@ -73,13 +73,15 @@ class PlantNode(ParameterNode):
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)
         self.get_logger().info(self._configured())
-        self._advance = DeferredTrigger(self, names.ADVANCE, self._on_advance)
+        self._advance = DeferredTrigger(
+            self, names.ADVANCE, lambda reply: self._time_base.advance(self.values["advance_samples"], reply)
+        )
         self._settled, self._namesake = time.monotonic() + SETTLING, Namesake(self, names.JOINT_STATES, JointState)
         self._looking = self.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stop(self) -> None:
         """Publish the final counters."""
-        self._health.at(self._time_base.shown)
+        self._health.at(self._time_base.plant.shown)
         self._health.publish()
 
     def end(self, error: FjrError) -> None:
@@ -154,9 +156,6 @@ class PlantNode(ParameterNode):
         response.success = True
         response.message = "paused" if self._time_base.paused else "running"
         return response
-
-    def _on_advance(self, reply: Reply) -> None:
-        self._time_base.advance(self.values["advance_samples"], reply)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -195,9 +195,11 @@ class SimulatedRobot:
         Positions and velocities are continuous; a payload is attached and released at the velocity of the end-effector.
         Raises ParameterError for invalid imperfections, without any change.
         """
-        velocity, output, before = self._velocity(), self._applied(), self._imperfections
+        velocity, before, torque = self._velocity(), self._imperfections, self.u
+        if not self.pointer.perfect:
+            torque = self._imperfect.applied(self._actuator_torque, self.u, self._arrays["parameters"])
         self._use(imperfections)
-        self._actuator_torque = output
+        self._actuator_torque = torque
         self._sliders = np.where(np.asarray(before.hysteresis) > 0, self._sliders, self._deflection(self.x))
         if not _same_load(before, imperfections):
             self.x = self._with_velocity(velocity)
@@ -288,11 +290,6 @@ class SimulatedRobot:
     def _velocity(self) -> Array:
         """Return the exact velocities (2n,)."""
         return self._imperfect.measure(self._arrays["state"], self._arrays["parameters"])[0]
-
-    def _applied(self) -> Array:
-        """Return the present torques of the actuators (n,) [N m]."""
-        perfect = self.pointer.perfect
-        return self.u if perfect else self._imperfect.applied(self._actuator_torque, self.u, self._arrays["parameters"])
 
     def _with_velocity(self, velocity: Array) -> Array:
         """Return the state (4n,) at the present position with these velocities (2n,), including the payload."""

@@ -177,11 +177,6 @@ class TimeBase(ABC):
         return self.offset + self._robot.time
 
     @property
-    def shown(self) -> int:
-        """Stamp [ns] of the last sample."""
-        return int(self.plant.shown)
-
-    @property
     def offset(self) -> int:
         """Stamp [ns] of robot time 0."""
         return int(self.plant.offset)

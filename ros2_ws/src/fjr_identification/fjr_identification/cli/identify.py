@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,7 +25,7 @@ from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import read_map, written_map
 from fjr_identification.rigid_motion import KINDS
 from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
-from fjr_msgs_py.console.output import Result, interval, json_text, number, plural, progress_bar
+from fjr_msgs_py.console.output import Result, interval, json_text, note, number, plural, progress_bar
 
 ROBOT, VALUES, PAGE = "robot.yaml", "identification.json", "identification.html"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
@@ -99,9 +98,9 @@ def _mapped(record: Path, robot: Path | None) -> Result:
 def _read(paths: Sequence[Path], nominal: NominalRobot, reading: Reading) -> tuple[list[MotionRecord], tuple[str, ...]]:
     """Return the records and print what is remarkable about them."""
     pairs = [read_record(path, nominal.joints, nominal.robot, reading) for path in paths]
-    notes = tuple(note for _, of_record in pairs for note in of_record)
-    for note in notes:
-        print(f"fjr: {note}", file=sys.stderr)
+    notes = tuple(each for _, of_record in pairs for each in of_record)
+    for each in notes:
+        note(f"fjr: {each}")
     return [record for record, _ in pairs], notes
 
 
@@ -114,7 +113,7 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
         def progress(what: str, share: float) -> None:
             nonlocal shown
             if what != shown and bar.disable:
-                print(what, file=sys.stderr, flush=True)
+                note(what)
             shown = what
             bar.set_description(what, refresh=False)
             bar.n = min(1.0, share)
@@ -186,7 +185,7 @@ def unconfirmed(compared: Sequence[HoldOut]) -> list[str]:
                 "the record does not confirm these stiffnesses"
             )
     for sentence in sentences:
-        print(f"fjr: {sentence}", file=sys.stderr)
+        note(f"fjr: {sentence}")
     return sentences
 
 
