@@ -294,14 +294,16 @@ class TubeProblem:
 
     def _bounds_within(self, tube: Array, *known: Known) -> DeviationBounds | None:
         """Return bounds of the deviations that hold while these stay within a tube (4n,); None without any."""
-        mismatches = []
+        rest, largest, bounds = reduce(Response.most, (each.rest for each in known)), None, None
         for each in known:
             found = each.ranges.mismatch(tube, self._unknown, each.lines, each.accelerations)
             if found is None:
                 return None
-            mismatches.append(found)
-        rest = reduce(Response.most, (each.rest for each in known))
-        return fixed_point(self.linear, self.gains, reduce(Mismatch.most, mismatches), rest)
+            largest = found if largest is None else largest.most(found)
+            bounds = fixed_point(self.linear, self.gains, largest, rest)
+            if bounds is None:
+                return None
+        return bounds
 
     def _known(
         self,
