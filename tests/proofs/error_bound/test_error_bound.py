@@ -30,7 +30,7 @@ from fjr_proofs.check_rows import errors_bounded
 from fjr_proofs.error_bound import ErrorBound, bound_errors
 from fjr_proofs.error_bound.cells import cells_of
 from fjr_proofs.error_bound.deviation_model import CentreMotion, DeviationModel
-from fjr_proofs.error_bound.search import TORQUES, FactorBox, Search
+from fjr_proofs.error_bound.search import SOLVABLE, TORQUES, FactorBox, Search
 from fjr_proofs.error_bound.tube import fixed_point, loop_gain, steady_motion
 from fjr_proofs.error_bound.uncertain_robot import PARAMETERS, UncertainRobot
 
@@ -313,6 +313,20 @@ def test_motions_between_samples_exceed_those_at_their_ends_by_no_more_than_stat
             reached, [np.max(more / most) for more, most in zip(beyond, (between, bulge), strict=True)]
         )
     assert np.all(reached > 0.1), "the test tries them"
+
+
+def test_a_box_is_divided_into_equal_parts_as_often_as_its_gains_ask_for() -> None:
+    low, high, effects = np.array([[-1.0, 0.0, 2.0], [1.0, 0.01, 6.0], [2.0, 9.0, 1.5]])
+    boxes = [
+        FactorBox(low, high, *[effects] * 5, 0.0, SOLVABLE * np.array(gains))  # type: ignore[arg-type]
+        for gains in ([1.0, 1.0, 1.0], [1.0, 8.0, 1.1], [3.0, 8.0, 1.1])
+    ]
+    assert [len(box.divided()) for box in boxes] == [2, 4, 8]
+    ends = boxes[-1].divided()
+    assert len({(*a, *b) for a, b in ends}) == 8
+    assert all(b - a == pytest.approx([0.5, 0.01, 2.0]) for a, b in ends), "the second is narrow"
+    assert sum(np.prod(b - a) for a, b in ends) == pytest.approx(np.prod(high - low))
+    assert np.all([np.min([a for a, _ in ends], axis=0) == low, np.max([b for _, b in ends], axis=0) == high])
 
 
 class Closed(Search):

@@ -43,7 +43,7 @@ NARROWEST = 0.02  # width of shares that are not divided
 MOST_PARTS = {False: 128, True: 1024}
 """Parts of a box. True: for a proof that is asked for; then the box is also divided for a bound from the start."""
 SOLVABLE = 0.5
-"""Gain of the loops that the factors of a part close, below which it is likely to have a tube."""
+"""Gain of the loop that a factor of a part closes, up to which the part may have a tube."""
 HOPELESS = 8  # times as many parts, if all were as narrow as one without bounds, at which the division ends
 TINY = 1e-12
 TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
@@ -191,19 +191,23 @@ class FactorBox:
         width = high - low
         return float(np.prod(np.divide(self.high - self.low, width, out=np.ones_like(width), where=width > 0)))
 
-    def divided(self, solvable: float) -> list[tuple[Array, Array]]:
-        """Return the box in equal parts: halved in the wide factor with the largest effect; without any, the widest.
+    @property
+    def halvings(self) -> Array:
+        """How often (u,) each factor is to be halved: until the gain of its loop is at most SOLVABLE, or it is narrow.
 
-        It is halved again until the gains of a part, which are in proportion to its width, are at most `solvable`.
+        That with the largest effect is halved at least once; without any effect, the widest. Gains go with the width.
         """
-        width, halvings = self.high - self.low, np.zeros(len(self.low), dtype=int)
-        effects = self.effects if np.any(self.effects) else width
-        while not np.any(halvings) or np.sum(self.gains * 0.5**halvings) > solvable:
-            wide = width * 0.5**halvings > NARROWEST
-            if not np.any(wide):
-                break
-            halvings[np.argmax(np.where(wide, effects * 0.5**halvings, -1.0))] += 1
-        edges = [np.linspace(a, b, 1 + 2**k) for a, b, k in zip(self.low, self.high, halvings, strict=True)]
+        width = self.high - self.low
+        narrow = np.ceil(np.log2(np.maximum(width / NARROWEST, 1.0)))
+        times = np.minimum(np.ceil(np.log2(np.maximum(self.gains / SOLVABLE, 1.0))), narrow) + np.zeros(len(width))
+        first = np.argmax(np.where(narrow > 0, self.effects if np.any(self.effects) else width, -1.0))
+        times[first] = max(times[first], 1.0)
+        return times
+
+    def divided(self) -> list[tuple[Array, Array]]:
+        """Return the equal parts into which `halvings` divide the box."""
+        counts = (2**self.halvings).astype(int)
+        edges = [np.linspace(a, b, 1 + count) for a, b, count in zip(self.low, self.high, counts, strict=True)]
         lows, highs = (product(*(each[part] for each in edges)) for part in (slice(-1), slice(1, None)))
         return [(np.array(low), np.array(high)) for low, high in zip(lows, highs, strict=True)]
 
@@ -259,14 +263,14 @@ class Search:
                 boxes.append(box)
                 progress(len(boxes) / (len(boxes) + len(waiting)))
             elif self._divisible(box, len(waiting) + len(boxes) + 1, low, high):
-                waiting += [(*ends, box.centre) for ends in box.divided(SOLVABLE)]
+                waiting += [(*ends, box.centre) for ends in box.divided()]
             else:
                 return [box]
         while len(boxes) < self._most_parts:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
-            halves = [self._solved(*ends, worst.centre) for ends in worst.divided(np.inf)]
+            halves = [self._solved(*ends, worst.centre) for ends in worst.divided()]
             if max(half.size for half in halves) > WORTH * worst.size:
                 break
             boxes = [box for box in boxes if box is not worst] + halves
@@ -280,15 +284,16 @@ class Search:
             first = max(without, key=lambda box: np.sum(box.gains))
             if not self._divisible(first, len(boxes), low, high):
                 break
-            halves = [self._solved(*ends, first.centre) for ends in first.divided(np.inf)]
-            if not all(half.has_tube for half in halves):
+            parts = [self._solved(*ends, first.centre) for ends in first.divided()]
+            if not all(part.has_tube for part in parts):
                 break
-            boxes = [box for box in boxes if box is not first] + halves
+            boxes = [box for box in boxes if box is not first] + parts
         return boxes
 
     def _divisible(self, box: FactorBox, parts: int, low: Array, high: Array) -> bool:
         """Return whether a box, one of `parts`, can be divided: it is wide, and parts are and will be few enough."""
-        return not box.narrow and parts < self._most_parts and HOPELESS * self._most_parts * box.volume(low, high) >= 2
+        needed = 2.0 ** box.halvings.sum() / box.volume(low, high)  # if all were as narrow
+        return not box.narrow and parts < self._most_parts and needed <= HOPELESS * self._most_parts
 
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
         """Return the part of the box between the factors low and high (u,), with its invariant tube if there is one."""
