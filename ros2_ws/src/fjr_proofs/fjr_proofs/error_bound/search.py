@@ -270,10 +270,10 @@ class Search:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
-            halves = [self._solved(*ends, worst.centre) for ends in worst.divided()]
-            if max(half.size for half in halves) > WORTH * worst.size:
+            parts = [self._solved(*ends, worst.centre) for ends in worst.divided()]
+            if max(part.size for part in parts) > WORTH * worst.size:
                 break
-            boxes = [box for box in boxes if box is not worst] + halves
+            boxes = [box for box in boxes if box is not worst] + parts
         return self._for_start(boxes, low, high, progress) if self._asked else boxes
 
     def _for_start(self, boxes: list[FactorBox], low: Array, high: Array, progress: Progress) -> list[FactorBox]:
@@ -292,8 +292,9 @@ class Search:
 
     def _divisible(self, box: FactorBox, parts: int, low: Array, high: Array) -> bool:
         """Return whether a box, one of `parts`, can be divided: it is wide, and parts are and will be few enough."""
-        needed = 2.0 ** box.halvings.sum() / box.volume(low, high)  # if all were as narrow
-        return not box.narrow and parts < self._most_parts and needed <= HOPELESS * self._most_parts
+        if box.narrow or parts >= self._most_parts:
+            return False
+        return bool(2.0 ** box.halvings.sum() <= HOPELESS * self._most_parts * box.volume(low, high))
 
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
         """Return the part of the box between the factors low and high (u,), with its invariant tube if there is one."""
