@@ -59,7 +59,7 @@ def two_link() -> fjr.TrackingLaw:
 
 @cache
 def paper(delay: float, **errors: float) -> ErrorBound:
-    return bound_errors(joint(), SWING, T, delay, errors)
+    return bound_errors(joint(), SWING, T, delay, errors, payload_position=PLACE)
 
 
 CASES = [

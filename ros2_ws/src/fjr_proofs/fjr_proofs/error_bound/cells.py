@@ -54,7 +54,7 @@ class CellTimes(NamedTuple):
 class Cells:
     """c cells of `samples` sample periods each, that cover a reference: a period of it, or all of it.
 
-    length [s]: of a cell; differs a little from samples * sample_period if the period is not a multiple of it; drift
+    length [s]: of a cell; a little more than samples * sample_period if the period is not a multiple of it; drift
     [s]: this difference, if windows have to cover it. verified: bounds on the cells are verified, else sampled.
     aligned: the model of a cell does not hold after its end. middle, sampled (c,) [s]: middle of the window of each
     cell, and of the sampling instants in it; radius, reach [s]: half the lengths of these without drift. ends (c,) [s]:
@@ -214,7 +214,7 @@ def cells_of(reference: Reference, sample_period: float, verified: bool, most: i
         elif verified and isinstance(reference, Sines):
             most = int(min(most, max(1, IN_A_CYCLE * cycles(reference, whole))))
     samples = max(1, int(np.ceil(whole / sample_period / most * (1 - ALIGNED))))
-    count = max(1, round(whole / (samples * sample_period)))
+    count = max(1, int(whole / (samples * sample_period) * (1 + ALIGNED)))  # no sample skips a cell
     kind: type[Cells] = DriftingCells if verified else SampledCells
     if verified and samples == 1 and _aligned(reference, whole, sample_period):
         kind = AlignedCells

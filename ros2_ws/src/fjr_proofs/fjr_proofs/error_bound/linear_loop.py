@@ -101,9 +101,9 @@ class LinearLoop:
 
     @cached_property
     def jumps(self) -> tuple[Array, Array]:
-        """Largest changes (n, 4n) from a cell to the next: of the links' rows of `A`, and of `law` if aligned."""
+        """Largest changes (n, 4n) from cell to cell of the links' rows of `A`, if verified, and `law`, if aligned."""
         slope, law = (np.abs(np.roll(X, -1, axis=0) - X).max(axis=0) for X in (self.A[:, self.links], self.law))
-        return slope, law if self.centre.cells.aligned else np.zeros_like(law)
+        return slope * self.centre.cells.verified, law * self.centre.cells.aligned
 
     def between_samples(self, rate: Array, jerk: Array) -> tuple[Array, Array]:
         """Return by how much y (4n,) and the accelerations (n,) of the links may exceed their bounds at the samples.
