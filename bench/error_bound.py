@@ -34,14 +34,18 @@ SCENARIOS = {"paper_k31": (7.3, 1.5), "two_link": (7.3, 2.0), "arm7": (3.0, 3.0)
 def of_scenario(
     name: str, errors: Mapping[str, ArrayLike], runs: int, searches: int, settings: list[str]
 ) -> list[Figure]:
-    """Bound the tracking error for errors of parameters and one sample of delay; compare with runs and searches."""
+    """Bound the tracking error for errors of parameters and one sample of delay; compare with runs and searches.
+
+    The box of errors is not divided for a bound from the start.
+    """
     scenario, (duration, limit) = library.load(name, settings), SCENARIOS[name]
     T, place = scenario.sample_period, payload_position(scenario)
     prove = None if scenario.robot.n <= SECONDS_TO_PROVE else True
-    bound = bound_errors(scenario.law, scenario.reference, T, T, errors, prove=prove, payload_position=place)
-    loop = UncertainLoop(scenario.law, scenario.reference, T, T, errors, SETTLED, duration, place)
-    steady, whole = drawn(loop, runs if errors else 1)
-    found = loop.worst(searches, ROUNDS, bound.position) if errors and searches else steady[:0]
+    loop = scenario.law, scenario.reference, T, T
+    bound = bound_errors(*loop, errors, prove=prove, payload_position=place, seconds=0.0)
+    robots = UncertainLoop(*loop, errors, SETTLED, duration, place)
+    steady, whole = drawn(robots, runs if errors else 1)
+    found = robots.worst(searches, ROUNDS, bound.position) if errors and searches else steady[:0]
     largest, basis = np.max([*found, steady.max(axis=0)], axis=0), "proven" if bound.proven else "sampled"
     sizes = {
         f"{what} of {joint} [mrad]": 1e3 * float(size)

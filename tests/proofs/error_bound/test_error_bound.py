@@ -338,15 +338,17 @@ class Closed(Search):
         return FactorBox(low, high, start, np.zeros(len(low)), width, tube, from_start)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("asked", "parts"), [(False, 4), (True, 16)])
-def test_a_box_is_divided_for_a_bound_from_the_start_if_a_proof_is_asked_for(asked: bool, parts: int) -> None:
+@pytest.mark.parametrize(("asked", "seconds", "parts"), [(False, np.inf, 4), (True, 0.0, 4), (True, np.inf, 16)])
+def test_a_box_is_divided_for_a_bound_from_the_start_if_a_proof_is_asked_for(
+    asked: bool, seconds: float, parts: int
+) -> None:
     law, box = joint(), (-np.ones(2), np.ones(2))
     model = DeviationModel(law, UncertainRobot(law.robot, {"stiffness": 0.2, "link_mass": 0.1}))
-    boxes = Closed(model, SWING, T, T, np.zeros(2), verified=True, asked=asked).boxes(*box)
+    boxes = Closed(model, SWING, T, T, np.zeros(2), verified=True, asked=asked, seconds=seconds).boxes(*box)
     assert len(boxes) == parts
     assert sum(each.volume(*box) for each in boxes) == pytest.approx(1.0)
     assert all(each.has_tube for each in boxes)
-    assert all(each.has_all_bounds == asked for each in boxes)
+    assert all(each.has_all_bounds == (parts == 16) for each in boxes)
 
 
 def test_errors_too_large_for_a_tube_give_no_bound() -> None:

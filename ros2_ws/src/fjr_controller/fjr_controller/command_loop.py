@@ -155,9 +155,10 @@ class CommandLoop:
         period = READING_PERIOD_SIMULATED if self._simulated else READING_PERIOD
         self._timers = [self._node.create_timer(period, self._poll, clock=steady)]
         if self._simulated:
-            clock = self._node.get_clock()
-            check = lambda: self.check_silence(clock.now().nanoseconds)  # noqa: E731
-            self._timers.append(self._node.create_timer(state_timeout / SILENCE_CHECKS, check, clock=clock))
+            clock, period = self._node.get_clock(), state_timeout / SILENCE_CHECKS
+            self._timers.append(
+                self._node.create_timer(period, lambda: self.check_silence(clock.now().nanoseconds), clock=clock)
+            )
         self.active = True
 
     def stop(self) -> None:
