@@ -200,7 +200,9 @@ def test_the_stop_policy_has_the_damping_of_the_law_or_of_the_springs() -> None:
     law = fjr.PythonLaw(own_code.Pd(ARM), ARM)
     np.testing.assert_allclose(law.hold_damping, np.sqrt(ARM.K * ARM.M_m))
     law.own.hold_damping = [1.0, 2.0]
-    with pytest.raises(fjr.ParameterError, match=r"Pd.hold_damping has shape \(2,\); expected \(2, 2\)"):
+    np.testing.assert_array_equal(fjr.PythonLaw(law.own, ARM).hold_damping, np.diag([1.0, 2.0]))
+    law.own.hold_damping = [1.0, 2.0, 3.0]
+    with pytest.raises(fjr.ParameterError, match=r"Pd.hold_damping has shape \(3,\); expected a scalar"):
         _ = fjr.PythonLaw(law.own, ARM).hold_damping
 
 

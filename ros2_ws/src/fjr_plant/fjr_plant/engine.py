@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from importlib.metadata import entry_points
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-
 from fjr_core.config.parameter import Values
 from fjr_core.config.plant import ENGINE, OWN, Obstacle
 from fjr_core.errors import ParameterError, RobotError
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import Array, is_diagonal
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
@@ -64,7 +62,7 @@ def gravity_and_chain(robot: Robot, engine: str) -> tuple[Array, list[tuple[int,
     links = robot.links
     if len(links.bodies) != robot.n or links.end_effector is None:
         raise RobotError(f"the bodies of the {robot.n} links are not known; expected a serial chain, as from a URDF")
-    if np.any(robot.M_m - np.diag(np.diag(robot.M_m))):
+    if not is_diagonal(robot.M_m):
         raise RobotError(f"M_m is {robot.M_m.tolist()}; expected a diagonal matrix: {engine} couples no rotors")
     return links.end_effector.gravity, chain(robot)
 

@@ -16,6 +16,7 @@ from ..law.gains import PAPER_GAINS, Gains
 from ..law.interfaces import StaticLaw
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
+from ..numerics.checks import is_diagonal
 from ..numerics.parameter_field import declared
 from ..robust.law import Robust, sampled_law
 from ..stability.linearization import refuse_fast_integral
@@ -97,9 +98,8 @@ def gain_values(gains: Gains, n: int) -> dict[str, list[float]]:
     checked, values = gains.checked(n), {}
     for field, parameter in GAINS.items():
         array = getattr(checked, field)
-        diagonal = np.array_equal(array, np.diag(np.diag(array)))
         if np.any(array):
-            values[parameter.name] = [float(v) for v in (np.diag(array) if diagonal else array.ravel())]
+            values[parameter.name] = [float(v) for v in (np.diag(array) if is_diagonal(array) else array.ravel())]
     return values
 
 

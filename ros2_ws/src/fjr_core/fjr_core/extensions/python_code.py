@@ -21,7 +21,7 @@ from ..law.interfaces import StaticLaw
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..motions.reference import JETS
-from ..numerics.checks import Array, floats
+from ..numerics.checks import Array, matrix
 from ..numerics.integrators import rk4_expression
 from ..numerics.symbolic import dense_function
 
@@ -247,12 +247,7 @@ class PythonLaw(StaticLaw):
         n, own = self.robot.n, getattr(self.own, "hold_damping", None)
         if own is None:
             return np.diag(np.sqrt(np.diag(self.robot.K) * np.diag(self.robot.M_m)))
-        array = floats(f"{self.title}.hold_damping", own, ParameterError)
-        if array.shape != (n, n) or not np.isfinite(array).all():
-            raise ParameterError(
-                f"{self.title}.hold_damping has shape {array.shape}; expected {(n, n)}, finite numbers"
-            )
-        return array
+        return matrix(f"{self.title}.hold_damping", own, n, ParameterError)
 
     def with_gains(self, gains: Any) -> PythonLaw:
         """Raise GainsError: a law in Python has options instead of gains."""

@@ -180,7 +180,7 @@ class ArraySymbols:
         """Return the values of the symbols in `vector`; raise GainsError for another sparsity pattern."""
         parts: list[float] = []
         for name, shape in self._shapes.items():
-            if shape.is_square() and shape.is_diag() and _off_diagonal(arrays[name]).any():
+            if shape.is_square() and shape.is_diag() and not checks.is_diagonal(arrays[name]):
                 raise GainsError(
                     f"{name.removesuffix('_inverse')} has entries off the diagonal; expected a diagonal matrix, "
                     "as when the law was built"
@@ -190,13 +190,9 @@ class ArraySymbols:
 
 
 def _shape(array: Array) -> ca.Sparsity:
-    if array.ndim == 2 and array.shape[0] == array.shape[1] and not _off_diagonal(array).any():
+    if array.ndim == 2 and array.shape[0] == array.shape[1] and checks.is_diagonal(array):
         return ca.Sparsity.diag(len(array))
     return ca.Sparsity.dense(*(array.shape if array.ndim == 2 else (len(array), 1)))
-
-
-def _off_diagonal(array: Array) -> Array:
-    return np.asarray(array - np.diag(np.diag(array)))
 
 
 def two_scale_gains(robot: Robot, q_0: Array, omega: float, zeta: float, sample_period: float = 1e-3) -> Gains:

@@ -173,7 +173,7 @@ def checked_torsion(value: ArrayLike, K: Array) -> Array | None:
 
 
 def _refuse_coupled(name: str, K: Array) -> None:
-    if np.any(K - np.diag(np.diag(K))):
+    if not checks.is_diagonal(K):
         raise RobotError(f"{name} is not 0 with a matrix K that couples the joints; expected a diagonal K")
 
 

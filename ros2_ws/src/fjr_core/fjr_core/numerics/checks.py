@@ -55,6 +55,11 @@ def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     return array
 
 
+def is_diagonal(matrix: Array) -> bool:
+    """Return whether a square matrix is 0 off its diagonal."""
+    return np.array_equal(matrix, np.diag(np.diag(matrix)))
+
+
 def limits(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     """Return limits (n,), infinite for none; a scalar stands for n equal ones. Raises `error`, also for nan."""
     array = floats(name, value, error)

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from .checks import is_diagonal
+
 LONGEST_LIST = 3
 """Longest vector whose entries are listed."""
 
@@ -77,7 +79,7 @@ def span(t: Any) -> str:
 def _brief_array(array: Any) -> str:
     if not array.size:
         return "()"
-    if array.ndim == 2 and array.shape[0] == array.shape[1] and np.array_equal(array, np.diag(np.diag(array))):
+    if array.ndim == 2 and array.shape[0] == array.shape[1] and is_diagonal(array):
         array = np.diag(array)
     if array.ndim > 1:
         return f"array {array.shape}"

@@ -22,7 +22,7 @@ from fjr_core.config.robot import description, locked_positions
 from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import RobotError
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import MOTOR, Array
+from fjr_core.numerics.checks import MOTOR, Array, is_diagonal
 from fjr_core.urdf.tree import UrdfTree, read_urdf
 from fjr_monitor.scene import shapes
 from fjr_plant.engine import chain
@@ -61,7 +61,7 @@ def _refuse(scenario: Scenario) -> None:
         raise RobotError("the plant is a class of the user; expected plant.type: flexible_joint")
     for name in ("K", "B_m"):
         matrix = getattr(scenario.plant.robot, name)
-        if np.any(matrix - np.diag(np.diag(matrix))):
+        if not is_diagonal(matrix):
             raise RobotError(f"{name} is {matrix.tolist()}; expected a diagonal matrix: an MJCF couples no joints")
 
 
@@ -71,7 +71,7 @@ def _notes(scenario: Scenario) -> list[str]:
     notes = [f"robot.{robot.curve} is left out: springs have their stiffness at zero"] if robot.curve else []
     for name in ("D_l", "D_m"):
         matrix = getattr(robot, name)
-        if np.any(matrix - np.diag(np.diag(matrix))):
+        if not is_diagonal(matrix):
             notes.append(f"of {name} the diagonal only is in the file: dampers of MuJoCo couple no joints")
     for k, body in chain(robot):
         moments = np.linalg.eigvalsh(np.asarray(body.inertia))

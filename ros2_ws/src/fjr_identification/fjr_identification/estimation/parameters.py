@@ -200,7 +200,7 @@ def _shaped(values: Mapping[str, ArrayLike], n: int) -> dict[str, Array]:
 
 
 def _diagonal(name: str, matrix: Array) -> Array:
-    if np.any(matrix - np.diag(np.diag(matrix))):
+    if not checks.is_diagonal(matrix):
         raise ParameterError(f"{name} is not diagonal; expected one number per joint")
     return np.diag(matrix).copy()
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from fjr_core.errors import ParameterError
 from fjr_core.model.rigid_arm import ArmDynamics, PayloadArm
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array, floats
+from fjr_core.numerics.checks import Array, floats, is_diagonal
 from fjr_core.numerics.symbolic import PackedVector, sparse
 from fjr_core.simulation.deviations import CHAIN, DEVIATIONS, MATRICES, ChangedLinks, has_bodies, turned_gravity
 
@@ -119,7 +119,7 @@ class UncertainRobot:
                 raise ParameterError("error 'payload_mass' is given for an arm without an end effector; expected one")
             if name == "payload_position" and "payload_mass" not in self._given:
                 raise ParameterError("error 'payload_position' is given alone; expected one with payload_mass")
-            if np.any(matrix != np.diag(np.diag(matrix))):
+            if not is_diagonal(matrix):
                 raise ParameterError(f"error '{name}' is given for a matrix {MATRICES[name]} that is not diagonal")
 
 
