@@ -106,10 +106,8 @@ def read_map(path: Path, joints: Sequence[str]) -> TableMap | BagMap:
     """Return the mapping in a YAML file for the joints of a robot; raise ParameterError, which names the file."""
     document = ros_yaml.read(path, "mapping file")
     try:
-        if not isinstance(document, dict):
-            seen = "is empty" if document is None else f"holds a {type(document).__name__}"
-            raise ParameterError(f"{seen}; expected a mapping")
-        return _bag(document, len(joints)) if "bag" in document else _table(document, joints)
+        given = ros_yaml.mapping(document)
+        return _bag(given, len(joints)) if "bag" in given else _table(given, joints)
     except ParameterError as error:
         raise ParameterError(f"{path}: {error}") from None
 

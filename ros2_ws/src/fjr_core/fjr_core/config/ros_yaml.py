@@ -144,6 +144,14 @@ def read(path: Path, what: str) -> Any:
         raise ParameterError(f"{path} {error}") from None
 
 
+def mapping(document: Any, expected: str = "a mapping") -> dict[Any, Any]:
+    """Return a document that is a mapping; raises ParameterError, in which `expected` describes it."""
+    if not isinstance(document, dict):
+        seen = "is empty" if document is None else f"holds a {type(document).__name__}"
+        raise ParameterError(f"{seen}; expected {expected}")
+    return document
+
+
 _KEY = "ros__parameters"
 SHARED = "/**"
 """The section of all nodes, which is also the section of `-p name:=value` on a command line."""
@@ -159,11 +167,8 @@ def values_for(node: str, document: Any) -> dict[str, object]:
 
     Later sections override earlier ones. Raises ParameterError for a document or a key at its top that is no section.
     """
-    if not isinstance(document, dict):
-        seen = "is empty" if document is None else f"holds a {type(document).__name__}"
-        raise ParameterError(f"{seen}; expected a ROS 2 parameter file (a mapping)")
     given: dict[str, object] = {}
-    for section, content in document.items():
+    for section, content in mapping(document, "a ROS 2 parameter file (a mapping)").items():
         if section not in sections(node):
             if not _is_section(content):
                 raise ParameterError(
