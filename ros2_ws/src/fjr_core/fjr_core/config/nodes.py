@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import ParameterError
 from . import robot_file, ros_yaml
@@ -72,6 +72,14 @@ def given_to_nodes(document: Any) -> dict[str, dict[str, object]]:
     return given
 
 
+class NodeParameters(NamedTuple):
+    """What a node makes of given values: its parameters, the complete values by name, and the given names it ignores."""
+
+    declared: list[Parameter]
+    values: dict[str, Value]
+    ignored: list[str]
+
+
 def resolve(
     own: OwnParameters,
     given: Mapping[str, object],
@@ -79,10 +87,8 @@ def resolve(
     folder: Path,
     for_any_node: Set[str] = frozenset(),
     user_code: bool = True,
-) -> tuple[list[Parameter], dict[str, Value], list[str]]:
+) -> NodeParameters:
     """Return what a node makes of the values given to it and of the robot file that they name; raises ParameterError.
-
-    These are its parameters, the complete values by name, and the given names that are ignored.
 
     node: whose sections of that file count. folder: where relative paths in `given` start. user_code: see
     all_parameters. Ignored: options where no class of the user is named; names that files give to all nodes
@@ -101,7 +107,7 @@ def resolve(
     }
     ignored = taken.keys() & (foreign | unread_options(parameters, taken, user_code))
     refuse_unknown(own_names, taken.keys() - ignored, others)
-    return parameters, complete(parameters, taken), sorted(ignored)
+    return NodeParameters(parameters, complete(parameters, taken), sorted(ignored))
 
 
 def checked_values(
@@ -116,8 +122,9 @@ def checked_values(
     for node, direct in by_node.items():
         own, alone = OWN_PARAMETERS[node], ros_yaml.values_for(node, private)
         given = {name: value for name, value in direct.items() if name in alone or not is_of_others(own, name)}
-        _, checked[node], ignored = resolve(own, given, node, folder, user_code=user_code)
-        warnings += [f"{node}: parameter '{name}' is ignored: there is no class with options" for name in ignored]
+        found = resolve(own, given, node, folder, user_code=user_code)
+        checked[node] = found.values
+        warnings += [f"{node}: parameter '{name}' is ignored: there is no class with options" for name in found.ignored]
     return checked, tuple(warnings)
 
 

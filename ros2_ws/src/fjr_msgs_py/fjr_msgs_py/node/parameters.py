@@ -191,21 +191,21 @@ class ParameterNode(EndingNode):
                 self.declare_parameter(name, value, described, ignore_override=True)
 
     def _checked_values(self) -> dict[str, Any]:
-        parameters, values, ignored = resolve(self._own, self._given, self.get_name(), Path.cwd(), self._for_any_node)
-        for name in ignored:
+        found = resolve(self._own, self._given, self.get_name(), Path.cwd(), self._for_any_node)
+        for name in found.ignored:
             self.get_logger().warning(f"parameter '{name}' is ignored: this node does not have it")
-        self._parameters_by_name = {parameter.name: parameter for parameter in parameters}
+        self._parameters_by_name = {parameter.name: parameter for parameter in found.declared}
         self._declaring = True
         try:
-            for parameter in parameters:  # in place of an earlier declaration
-                name, value = parameter.name, values[parameter.name]
+            for parameter in found.declared:  # in place of an earlier declaration
+                name, value = parameter.name, found.values[parameter.name]
                 if self.has_parameter(name):
                     self.undeclare_parameter(name)
                 listed = list(value) if isinstance(value, tuple) else value
                 self.declare_parameter(name, listed, descriptor(parameter, self._managed), ignore_override=True)
         finally:
             self._declaring = False
-        return values
+        return found.values
 
     @property
     def _managed(self) -> bool:
