@@ -27,7 +27,7 @@ from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.numerics.jit import program_digest
 from fjr_msgs_py.console.ending import Interrupted
-from fjr_msgs_py.console.output import Result, finite, plural, progress_bar
+from fjr_msgs_py.console.output import Result, aligned, finite, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
 from ..batch import scenario_loop
@@ -69,11 +69,8 @@ def compare(name: str, output: Path, cores: int, page: Path | None, stop: thread
     compare_page.write_page(folder / PAGE, document)
     if page is not None:
         compare_results.replace(page, document)
-    cells = compare_results.cells(document)
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [compare_results.extent(document), ""]
-    lines += ["  ".join(map(str.ljust, row, widths)).rstrip() for row in cells]
-    lines += ["", *([compare_results.best_in(document)] if chosen.tune else [])]
+    lines = [compare_results.extent(document), "", *aligned(compare_results.cells(document)), ""]
+    lines += [compare_results.best_in(document)] if chosen.tune else []
     lines.append(f"page and figures: {folder / PAGE}, {folder / RESULTS}")
     return Result("\n".join(lines), {"page": folder / PAGE, **document})
 

@@ -18,7 +18,7 @@ from fjr_core.numerics.checks import Array
 from fjr_design.scaffold.first_loop import first_values
 from fjr_identification.elastic_motion import PARAMETERS, JointNoise, encoder_noise, motion_envelope
 from fjr_identification.excitation import Excitation, design
-from fjr_msgs_py.console.output import Result, phase, plural
+from fjr_msgs_py.console.output import Result, aligned, phase, plural
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.library import ScenarioError
 
@@ -114,17 +114,16 @@ def _table(
 ) -> str:
     """Return the expected half widths of the intervals of each joint, and those along the reference of the scenario."""
     frequencies = np.asarray(excitation.reference.frequency) / (2 * np.pi)
-    width = max(len(joint) for joint in ("joint", *scenario.joints))
+    rows = [("joint", *SHOWN.values())]
+    for j, joint in enumerate(scenario.joints):
+        rows.append((joint, *(f"{_percent(half[name][j])} ({_percent(was[name][j])})" for name in SHOWN)))
     lines = [
         f"scenario   {target}",
         f"reference  multi_sine, {frequencies.min():.3g} to {frequencies.max():.3g} Hz, {excitation.duration:g} s, at "
         f"rest every {excitation.period:g} s",
         f"expected 95 % intervals (Cramer-Rao bound), and those along the reference of {scenario.name}:",
-        f"  {'joint'.ljust(width)}  {'  '.join(words.rjust(20) for words in SHOWN.values())}",
+        *(f"  {line}" for line in aligned(rows)),
     ]
-    for j, joint in enumerate(scenario.joints):
-        cells = [f"{_percent(half[name][j])} ({_percent(was[name][j])})".rjust(20) for name in SHOWN]
-        lines.append(f"  {joint.ljust(width)}  {'  '.join(cells)}")
     return "\n".join(lines)
 
 

@@ -25,7 +25,7 @@ from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import read_map, written_map
 from fjr_identification.rigid_motion import KINDS
 from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
-from fjr_msgs_py.console.output import Result, interval, json_text, note, number, plural, progress_bar
+from fjr_msgs_py.console.output import Result, aligned, interval, json_text, note, number, plural, progress_bar
 
 ROBOT, VALUES, PAGE = "robot.yaml", "identification.json", "identification.html"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
@@ -156,8 +156,6 @@ def table(identification: Identification) -> list[str]:
         ends = "" if estimate.verdict == UNKNOWN else interval(estimate.low, estimate.high)
         value = number(estimate.value, estimate.unit)
         cells.append((estimate.name, estimate.joint, value, ends, estimate.verdict))
-    widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
     stiffness = f"joint stiffness K of {of_stiffness[IDENTIFIED]} of {plural(len(identification.joints), 'joint')}"
     others = f"{counts[WEAK]} weakly, {counts[UNKNOWN]} not identifiable"
     headline = f"{stiffness} and {plural(counts[IDENTIFIED], 'parameter')} identified, {others}"
@@ -166,7 +164,7 @@ def table(identification: Identification) -> list[str]:
     return [
         headline,
         "",
-        *lines,
+        *aligned(cells),
         *([""] if springs_seen(identification) else []),
         *springs_seen(identification),
         *(line for head, found in why if found for line in ("", head, *(f"{of}: {one}" for one, of in found.items()))),
@@ -193,9 +191,8 @@ def _hold_out_lines(compared: Sequence[HoldOut]) -> list[str]:
     """Return the tables of unexplained deflections as text."""
     lines: list[str] = []
     for held in compared:
-        cells = [("unexplained", *HOLD_OUT[1:]), *hold_out_rows(held)]
         lines += ["", f"hold-out {held.record}: share of the deflection that a model leaves unexplained"]
-        lines += ["  ".join(cell.ljust(14) for cell in row).rstrip() for row in cells]
+        lines += aligned([("unexplained", *HOLD_OUT[1:]), *hold_out_rows(held)])
     return lines
 
 

@@ -30,7 +30,7 @@ from fjr_monitor.report.picture import can_draw, write_picture
 from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.output import Result, aligned
 from fjr_msgs_py.console.provenance import Provenance, provenance
 from fjr_msgs_py.console.ros2 import play_command
 from fjr_msgs_py.scenarios import library
@@ -138,9 +138,7 @@ def without_warnings() -> Iterator[None]:
 def table(summaries: Sequence[RunSummary]) -> str:
     """Return why controllers stopped, a table with one line per run, and the faults found."""
     head = ("scenario", "peak effort", "error after 2 s", "answered in time", "V decays at (at least)", "verdict")
-    rows = [head, *(_row(summary.label, summary.report) for summary in summaries)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines = aligned([head, *(_row(summary.label, summary.report) for summary in summaries)])
     found = [f"{each.label}: {fault.sentence}" for each in summaries for fault in each.report.verdict.findings]
     advised = [f"{each.label}: {each.report.advice}" for each in summaries if each.report.advice]
     touched = [f"{each.label}: {each.report.contact.sentence}" for each in summaries if each.report.contact]
