@@ -73,7 +73,7 @@ def given_to_nodes(document: Any) -> dict[str, dict[str, object]]:
 
 
 class NodeParameters(NamedTuple):
-    """What a node makes of given values: its parameters, the complete values by name, and the given names it ignores."""
+    """What a node makes of given values: its parameters, complete values by name, and the given names it ignores."""
 
     declared: list[Parameter]
     values: dict[str, Value]
