@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +16,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.robust.law import Robust, RobustLaw
 from fjr_core.simulation.deviations import DEVIATIONS
+from fjr_design.cli.check import Check
 from fjr_msgs_py.console.output import progress_bar
 
 from .error_bound.contraction import SampledContraction, sampled_contraction
@@ -28,22 +27,13 @@ STATED = "stated"
 """Error that stands for the stated errors of the robot, as a number of their standard deviations."""
 
 
-@dataclass(frozen=True)
-class ProofRows:
-    """What `fjr check` prints of a proof, its JSON values, and whether the proof was asked for and not found."""
-
-    rows: Mapping[str, str]
-    values: Mapping[str, Any]
-    failed: bool = False
-
-
 def errors_bounded(
     scenario: Scenario,
     errors: Mapping[str, ArrayLike],
     delay: float | None,
     prove: bool | None = None,
     seconds: float = np.inf,
-) -> ProofRows:
+) -> Check:
     """Return the bound for model errors and a delay [samples], by default that of the scenario.
 
     errors: as of `bound_errors`, and STATED. prove, seconds: see `bound_errors`. Raises ParameterError for an unknown
@@ -76,7 +66,7 @@ def errors_bounded(
         "proven": bound.proven,
         "parts": bound.parts,
     }
-    return ProofRows({"error bound": _sentence(scenario, bound, hint)}, values)
+    return Check({"error bound": _sentence(scenario, bound, hint)}, values)
 
 
 def _with_stated(scenario: Scenario, errors: Mapping[str, ArrayLike]) -> Mapping[str, ArrayLike]:
@@ -139,7 +129,7 @@ def _by_joint(scenario: Scenario, sizes: Array) -> dict[str, float | None]:
     return {joint: float(size) if finite else None for joint, size in zip(scenario.joints, sizes, strict=True)}
 
 
-def sampled_proof(scenario: Scenario, delay: float | None) -> ProofRows:
+def sampled_proof(scenario: Scenario, delay: float | None) -> Check:
     """Prove contraction of the loop of a scenario with all delays up to `delay` samples; None: with its own delay."""
     constant = scenario.loop_delay / scenario.sample_period
     delays = (constant, constant) if delay is None else (0.0, delay)
@@ -148,7 +138,7 @@ def sampled_proof(scenario: Scenario, delay: float | None) -> ProofRows:
     except FjrError as error:
         found, reason = None, str(error)
     if found is None:
-        return ProofRows({"sampled loop": f"NOT proven: {reason}"}, {"proven": False, "reason": reason}, failed=True)
+        return Check({"sampled loop": f"NOT proven: {reason}"}, {"proven": False, "reason": reason}, failed=True)
     unit = " or m".join(dict.fromkeys(joint.position for joint in scenario.robot.units))
     tube, offset = 1e3 * float(found.tube.min()), 1e3 * float(found.offset.max())
     decay = f"contracts at {at_least(found.rate)} 1/s within {at_least(tube)} m{unit} of the reference"
@@ -164,7 +154,7 @@ def sampled_proof(scenario: Scenario, delay: float | None) -> ProofRows:
         "delay_samples": [found.least_delay, found.longest_delay],
         "sample_period_s": found.sample_period,
     }
-    return ProofRows(rows, values)
+    return Check(rows, values)
 
 
 def _contraction(scenario: Scenario, delays: tuple[float, float]) -> SampledContraction | None:

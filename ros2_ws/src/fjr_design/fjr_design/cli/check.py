@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 import timeit
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,7 @@ from fjr_design.stability.sampled_loop import SampledCheck
 from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import Result, plural
+from fjr_msgs_py.console.output import Result, aligned, plural
 from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured
@@ -47,10 +47,11 @@ OTHER_PLANT = "not proven here, the plant is not the law's model"
 
 @dataclass(frozen=True)
 class Check:
-    """A scenario before it runs: rows of text by quantity, and JSON values, of which `refused` says why it cannot."""
+    """What `fjr check` says of a scenario or of a proof: rows of text by quantity, JSON values, whether it failed."""
 
-    rows: dict[str, str]
-    values: dict[str, Any]
+    rows: Mapping[str, str]
+    values: Mapping[str, Any]
+    failed: bool = False
 
 
 def check_scenario(
@@ -72,7 +73,8 @@ def check_scenario(
     error, which is made for errors, for a delay alone and for prove_error. Raises MissingPackageError for a proof
     without the package of the proofs.
     """
-    loaded, proofs = library.load(scenario, assignments), {}
+    loaded = library.load(scenario, assignments)
+    proofs: dict[str, Check] = {}
     if errors or prove_error or (delay is not None and not prove_sampled):
         bounds = importing.module("fjr_proofs.check_rows")
         proofs["error_bound"] = bounds.errors_bounded(loaded, _once(errors), delay, prove_error or None, seconds)
@@ -82,17 +84,13 @@ def check_scenario(
     found = check(loaded)
     if prove_sampled:
         proofs["sampled_proof"] = importing.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
-    rows, refused = dict(found.rows), found.values["refused"]
-    for sentence in [*found.values["warnings"], *([refused] if refused else [])]:
+    for sentence in filter(None, [*found.values["warnings"], found.values["refused"]]):
         print(f"fjr: {sentence}", file=sys.stderr)
-    failed = bool(refused)
-    for proof in proofs.values():
-        rows, failed = rows | proof.rows, failed or proof.failed
-    width = max(map(len, rows))
-    text = "\n".join(f"{name.ljust(width)}  {text}" for name, text in rows.items())
-    values = {**found.values, "rows": {name.strip(): text for name, text in rows.items()}}
+    rows = [row for each in (found, *proofs.values()) for row in each.rows.items()]
+    values = {**found.values, "rows": {name.strip(): text for name, text in rows}}
     values |= {name: proof.values for name, proof in proofs.items()}
-    return Result(text, values, Exit.FAILED if failed else Exit.DONE)
+    failed = any(each.failed for each in (found, *proofs.values()))
+    return Result("\n".join(aligned(rows)), values, Exit.FAILED if failed else Exit.DONE)
 
 
 def _once(errors: Sequence[tuple[str, ModelError]]) -> dict[str, ModelError]:
@@ -138,7 +136,7 @@ def check(scenario: Scenario) -> Check:
         "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *diverging],
         "refused": refusal(scenario, found) or None,
     }
-    return Check(rows, values)
+    return Check(rows, values, failed=values["refused"] is not None)
 
 
 def _in_the_loop(scenario: Scenario) -> dict[str, str]:
