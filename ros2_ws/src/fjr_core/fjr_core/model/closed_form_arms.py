@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..numerics import checks
-from .rigid_arm import Body, EndEffector, closed_form
+from .rigid_arm import ArmDynamics, Body, EndEffector, closed_form
 from .robot import Robot
 
 STANDARD_GRAVITY = 9.81  # m/s^2, acts on the payload of a model without gravity parameter
@@ -41,7 +41,7 @@ def single_link(
         end_effector=_planar_end_effector((), STANDARD_GRAVITY),
         bodies=(_pendulum(inertia, load / STANDARD_GRAVITY),),
     )
-    return Robot(links, motor_inertia, stiffness, link_damping, motor_damping, input_gain)  # type: ignore[arg-type]
+    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
 
 def planar_two_link(
@@ -84,7 +84,13 @@ def planar_two_link(
         end_effector=_planar_end_effector((l1,), g),
         bodies=(_planar_body(None, m1, c1, I1), _planar_body(l1, m2, c2, I2)),
     )
-    return Robot(links, motor_inertia, stiffness, link_damping, motor_damping, input_gain)  # type: ignore[arg-type]
+    return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
+
+
+def _robot(links: ArmDynamics, **given: ArrayLike) -> Robot:
+    """Return the robot of these matrices, each given as a scalar, (n,) or (n, n)."""
+    matrices = {name: checks.matrix(name, value, links.n, RobotError) for name, value in given.items()}
+    return Robot(links, matrices["M_m"], matrices["K"], matrices["D_l"], matrices["D_m"], matrices["B_m"])
 
 
 def _planar_end_effector(lengths: tuple[float, ...], gravity: float) -> EndEffector:
