@@ -126,6 +126,7 @@ BAD_GAINS = [
 ]
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("gains", "words"), BAD_GAINS, ids=lambda value: getattr(value, "__class__", type(value)).__name__
 )

@@ -29,6 +29,9 @@ from fjr_core.stability.linear_controller import plant_in_velocities
 
 from .baseline import Baseline, effort
 
+LARGEST_RATIO = 1e40
+"""Largest ratio of the weights Q and R. The solver finds nothing beyond about 1e32 and overflows beyond 1e50."""
+
 
 @dataclass(frozen=True, eq=False)
 class LqrGains:
@@ -47,13 +50,16 @@ class LqrGains:
         R = checks.positive_definite("R", checks.matrix("R", self.R, n, GainsError), GainsError)
         q_0 = checks.vector("configuration", self.configuration, n, GainsError)
         (A,), (B,) = plant_in_velocities(equilibria_at(robot, q_0[None]))
+        refused = GainsError(
+            "Q and R give a Riccati equation without a solution; expected Q to weight every mode, "
+            "and Q and R of similar magnitude"
+        )
+        if np.abs(Q).max() > LARGEST_RATIO * np.abs(R).max():
+            raise refused
         try:
             P = solve_continuous_are(A, B, Q, R)
         except (np.linalg.LinAlgError, ValueError):
-            raise GainsError(
-                "Q and R give a Riccati equation without a solution; expected Q to weight every mode, "
-                "and Q and R of similar magnitude"
-            ) from None
+            raise refused from None
         return {"F": np.linalg.solve(R, B.T @ P), "P": (P + P.T) / 2}
 
     @classmethod
