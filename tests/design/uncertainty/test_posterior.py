@@ -13,6 +13,7 @@ import pytest
 from fjr_core import ParameterError
 from fjr_design.batch import draws
 from fjr_design.studies import sweep_file
+from fjr_design.studies.compared_law import uncertainties
 from fjr_design.studies.sweep import Sweep, from_text
 from fjr_design.uncertainty.posterior import (
     IDENTIFIED,
@@ -136,3 +137,14 @@ def test_a_deviation_under_its_former_name_is_reported_and_drawn_as_before(capsy
     assert draws.stream("link_torque") == draws.stream("external")
     with pytest.raises(ParameterError, match="'external' beside its new name 'link_torque'"):
         draws.varied({"external": given, "link_torque": given})
+
+
+def test_a_comparison_reports_a_former_name_once_and_not_in_its_worker_processes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = {"external": {"uniform": [0.0, 1.0]}, "stiffness": 1.1}
+    checked = uncertainties({"vary": given})["vary"]
+    assert capsys.readouterr().err.count("deprecated") == 1
+    vary = draws.varied(json.loads(json.dumps(checked)))  # as a worker reads it
+    assert capsys.readouterr().err == ""
+    assert vary == draws.varied(given)

@@ -119,7 +119,10 @@ of imperfections, the fields of Goal, numbers of TuningStudy and of Sweep."""
 
 
 def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section `tune` of a comparison, checked and complete; raises ParameterError, CompareError."""
+    """Return the section `tune` of a comparison, checked and complete; raises ParameterError, CompareError.
+
+    A deviation under its former name is reported and has its present one in the result, which worker processes read.
+    """
     goal, size = given_goal(section, list(USUAL))
     found = {**USUAL, **goal, **size}
     found |= {key: mapping(key, section[key], HERE) for key in ("vary", "imperfections") if key in section}
@@ -133,7 +136,7 @@ def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
                 f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "
                 f"than the duration, and this at most {LONGEST:g} s"
             )
-        varied(found["vary"])
+        found["vary"] = {name: one.as_yaml for name, one in varied(found["vary"]).items()}
     except ParameterError as error:
         raise ParameterError(f"'tune': {error}") from None
     return found
