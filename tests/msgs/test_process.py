@@ -6,11 +6,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from rclpy.duration import Duration
 from rclpy.node import Node
 
+from fjr_msgs_py.node import process
 from fjr_msgs_py.node.loading import ament_index_of_wheels
 from fjr_msgs_py.node.reports import Health
 from msgs.child import run, run_node
@@ -203,3 +206,18 @@ def test_an_event_is_logged_once_at_its_level(health: Health, capfd: pytest.Capt
     (line,) = [line for line in capfd.readouterr().err.splitlines() if "it fell" in line]
     assert line.startswith(word)
     assert health.count["falls"] == 3
+
+
+def test_waiting_for_acknowledgements_takes_its_time_once_for_all_publishers() -> None:
+    """A subscriber that was killed never acknowledges: every publisher to it waits as long as it may."""
+    waited = []
+
+    class ToTheDead:
+        def wait_for_all_acked(self, timeout: Duration) -> bool:
+            waited.append(timeout.nanoseconds * 1e-9)
+            time.sleep(waited[-1])
+            return False
+
+    process.flush(*(ToTheDead() for _ in range(3)), seconds=0.05)
+    assert waited[0] <= 0.05
+    assert waited[1:] == [0.0, 0.0]

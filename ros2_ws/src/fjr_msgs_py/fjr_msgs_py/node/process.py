@@ -6,6 +6,7 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -34,6 +35,7 @@ except ImportError:  # an older rclpy of a ROS 2 Jazzy installation
 POLL = 0.1  # s; longest delay of the response to a signal
 ROUND = 60.0  # s; longest time in the events executor, each of which leaks a few bytes (rclpy 7.1.6)
 COLLECTION = 1.0  # s; between two garbage collections
+LAST_MESSAGES = 0.5  # s; in which a lost message is sent again ten times (config/fastdds.xml)
 
 
 def run(make_node: Callable[[], ParameterNode], args: list[str] | None = None) -> int:
@@ -157,10 +159,14 @@ def _end(node: ParameterNode | None) -> None:
     rclpy.try_shutdown()
 
 
-def flush(*publishers: Publisher, seconds: float = 1.0) -> None:
-    """Wait until all published messages are acknowledged, at most `seconds`."""
+def flush(*publishers: Publisher, seconds: float = LAST_MESSAGES) -> None:
+    """Wait until all published messages are acknowledged, at most `seconds` in all.
+
+    A subscriber whose process was killed acknowledges none, and is forgotten only seconds later.
+    """
+    end = time.monotonic() + seconds
     for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=seconds))
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
 _ROS_ERRORS = (
