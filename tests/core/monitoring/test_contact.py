@@ -144,6 +144,17 @@ def test_a_late_state_is_no_contact() -> None:
     assert not watch.contact.acting
 
 
+@pytest.mark.parametrize("jump", [-50.0, 0.15, 50.0])
+def test_a_jump_of_the_clock_leaves_the_threshold_as_sharp_as_at_a_start(jump: float) -> None:
+    """The observer restarts there: the time that the stamps skip is no error of its trapezoidal rule."""
+    jumped, fresh, (q, dq) = Watch(), Watch(), motion(np.zeros(10))
+    t = np.where(np.arange(len(T)) < 60, T, T + jump)
+    jumped.see(q, dq, t=t)
+    fresh.see(q[60:], dq[60:], t=T)
+    np.testing.assert_allclose(jumped.r, fresh.r, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(jumped.S, fresh.S, rtol=1e-9)
+
+
 @pytest.mark.parametrize("value", [1e10, -1e200, 1e308, np.nan])
 @pytest.mark.parametrize("signal", [0, 1], ids=["position", "velocity"])
 def test_a_value_that_no_sensor_measures_is_neither_contact_nor_hides_one(signal: int, value: float) -> None:

@@ -10,14 +10,16 @@
 #define SIGNIFICANT 4.0   /* standard deviations from which a joint of a contact is named */
 #define NEGLIGIBLE 0.05   /* of the largest torque, up to which it is not */
 
-/* Add the error of the trapezoidal rule from `kept` to `next`, dt [s] later; r forgets it. */
+/* Add the error of the trapezoidal rule from `kept` to `next`, dt [s] later; r forgets it. Where r restarts from 0, after
+ * a jump of the stamps, a gap or values that are not finite, it has none. */
 static void add_integration_error(struct fjr_torque_observer* o, double dt) {
   const double *before = o->kept + N * (1 + o->errors), *f = o->next + N * (1 + o->errors);
   const double stay = exp(-o->bandwidth * dt);
-  for (int i = 0; i < N && dt > 0; ++i) {
+  const int restarts = dt < 0 || dt > LONGEST_GAP;
+  for (int i = 0; i < N && dt != 0; ++i) {
     const double rate = fabs(f[i] - before[i]) / dt, error = o->bandwidth * dt * dt / 12 * fmax(rate, o->rate[i]);
-    o->integration[i] = isfinite(error) ? stay * o->integration[i] + (1 - stay) * error : 0;
-    o->rate[i] = isfinite(rate) ? fmax(rate, stay * o->rate[i]) : 0;
+    o->integration[i] = !restarts && isfinite(error) ? stay * o->integration[i] + (1 - stay) * error : 0;
+    o->rate[i] = !restarts && isfinite(rate) ? fmax(rate, stay * o->rate[i]) : 0;
   }
 }
 
