@@ -68,6 +68,21 @@ def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str
     assert "0.7" in broken.sentence
 
 
+@pytest.mark.parametrize("on_stop", ["zero", "gravity_hold"])
+@pytest.mark.parametrize("value", [1e100, 1e160, 1e308])
+@pytest.mark.parametrize("name", LIMITED)
+def test_a_finite_value_of_any_size_beyond_a_limit_latches_a_stop(name: str, value: float, on_stop: str) -> None:
+    """Also one whose square overflows, as of a wrong unit or a bad cast in a driver: it is no value to wait out."""
+    sign = -1.0 if name.endswith("lower") else 1.0
+    tracker = ControlStep(LAW, Hold([0.0]), settings(on_stop=on_stop, **{name: sign}))
+    tracker.command(sample(0, 0.0, 0.0), 0)
+    commands = [tracker.command(sample(MS, *LIMITED[name][1](value)), MS)]
+    commands.append(tracker.command(sample(2 * MS, 0.0, 0.0), 2 * MS))
+    assert tracker.state is State.STOPPED
+    assert "efforts not finite" not in tracker.counters
+    assert all(np.isfinite(command.u).all() for command in commands)
+
+
 def test_the_time_in_saturation_is_that_between_the_stamps_joint_by_joint() -> None:
     tracker = passing(2, effort=[1.0, 2.0])
     for k, u in enumerate([[3.0, 0.0], [-3.0, 5.0], [0.0, -5.0], [0.0, 0.0], [0.0, 0.0]]):

@@ -57,7 +57,7 @@ static void joint_positions(const struct fjr_model* m, const struct fjr_sample* 
     position[N + i] = m->torque ? position[i] + deflection[i] : sample->motor[i] / m->gear_ratio[i];
 }
 
-/* Write the measured state; return 1 if it is finite. */
+/* Write the measured state; return 1 if it is finite. How large it may be is a matter of the limits (state_limits.c). */
 static int measure(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample,
                    enum fjr_order order) {
   struct fjr_measured* s = &c->measured;
@@ -72,7 +72,9 @@ static int measure(const struct fjr_model* m, struct fjr_controller* c, const st
     observe(m, s, position, c->limits.left, sample->stamp);
     copy(s->values, s->x_hat, 4 * N);
   }
-  return all_finite(s->values, 4 * N);
+  int finite = 1;
+  for (int i = 0; i < 4 * N; ++i) finite &= isfinite(s->values[i]) != 0;
+  return finite;
 }
 
 /* Return how many further samples the velocities need before they are used. */
