@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exceptions of the project; every message states what is wrong and what was expected."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 LONGEST = 2000  # characters; messages may quote values of any size
 
 
@@ -30,6 +33,15 @@ class StateError(FjrError):
 
 class ParameterError(FjrError):
     """Invalid scenario parameter: missing, unknown, of the wrong type or out of range."""
+
+
+@contextmanager
+def prefixed(start: str, kind: type[FjrError] = ParameterError) -> Iterator[None]:
+    """Turn an error of this kind in the block into a ParameterError whose sentence begins with `start`."""
+    try:
+        yield
+    except kind as error:
+        raise ParameterError(f"{start}{error}") from None
 
 
 class CompareError(ParameterError):

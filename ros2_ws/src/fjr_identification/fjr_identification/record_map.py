@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config import ros_yaml
-from fjr_core.errors import LONGEST, MissingPackageError, ParameterError, RecordError
+from fjr_core.errors import LONGEST, MissingPackageError, ParameterError, RecordError, prefixed
 from fjr_core.numerics.checks import Array
 
 ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi, "m": 1.0, "mm": 1e-3}
@@ -105,11 +105,9 @@ class BagMap:
 def read_map(path: Path, joints: Sequence[str]) -> TableMap | BagMap:
     """Return the mapping in a YAML file for the joints of a robot; raise ParameterError, which names the file."""
     document = ros_yaml.read(path, "mapping file")
-    try:
+    with prefixed(f"{path}: "):
         given = ros_yaml.mapping(document)
         return _bag(given, len(joints)) if "bag" in given else _table(given, joints)
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
 
 
 def _bag(document: Mapping[Any, Any], n: int) -> BagMap:

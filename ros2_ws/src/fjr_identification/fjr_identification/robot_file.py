@@ -24,7 +24,7 @@ from fjr_core.config.plant import imperfection_parameters
 from fjr_core.config.robot import CUBIC, FILE, GUESSES, guessed_joints, robot_parameters
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import URDF, merged
-from fjr_core.errors import GainsError, ParameterError, TrajectoryError
+from fjr_core.errors import GainsError, TrajectoryError, prefixed
 from fjr_core.files.text_file import read_text
 from fjr_core.model.rigid_arm import Body, rotation_to
 from fjr_core.model.robot import Robot
@@ -109,7 +109,7 @@ class NominalRobot:
 def nominal_robot(path: Path) -> NominalRobot:
     """Return the robot of a robot file or scenario; raise ParameterError, which names the file."""
     document = ros_yaml.read(path, "robot file")
-    try:
+    with prefixed(f"{path}: "):
         entries = merged(ros_yaml.values_for(CONTROLLER, document), CONTROLLER, path.parent)
         given = {
             name: value
@@ -123,8 +123,6 @@ def nominal_robot(path: Path) -> NominalRobot:
         of_plant = merged(ros_yaml.values_for(PLANT, document), PLANT, path.parent)
         stated = {name: value for name, value in of_plant.items() if name == STATED}
         smoothing = np.array(complete(imperfection_parameters(robot.n), stated)[STATED], dtype=float)
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
     return NominalRobot(path, given, names(values, "joints"), robot, guessed_joints(values), smoothing)
 
 

@@ -156,13 +156,8 @@ def effort_limits(values: Values, robot: Robot) -> Array:
 def motion_limits(settings: Settings, robot: Robot) -> MotionLimits:
     """Return the limits of trajectories: the tighter of settings and robot; raises ParameterError."""
     held = settings.tightened(robot.limits)
-    return MotionLimits(
-        held.link_position_lower,
-        held.link_position_upper,
-        held.link_velocity,
-        settings.acceleration,
-        robot.units,
-    )
+    position = held.link_position_lower, held.link_position_upper
+    return MotionLimits(*position, held.link_velocity, settings.acceleration, robot.units)
 
 
 def file_warnings(values: Values, robot: Robot) -> list[str]:

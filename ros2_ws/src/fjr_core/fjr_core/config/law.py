@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FjrError, GainsError, ParameterError
+from ..errors import FjrError, GainsError, ParameterError, prefixed
 from ..extensions.law_registry import LAWS, V_DPBC, LawKind, law_kind
 from ..extensions.python_code import own_law
 from ..files import importing
@@ -114,13 +114,11 @@ def control_law(values: Values, robot: Robot) -> StaticLaw:
     if robot.curve and not is_named(name):
         raise ParameterError(f"parameter '{TYPE.name}' is {name!r} with a robot.{robot.curve}; expected '{V_DPBC}'")
     fault = FjrError if is_named(name) else GainsError
-    try:
+    with prefixed(f"parameter '{TYPE.name}' is {name!r}: ", fault):
         if is_named(name):
             return own_law(name, robot, options(TYPE, values), compile=compile)
         kind = law_kind(name)
         return kind.make(robot, _baseline_gains(values, robot, kind), compile)
-    except fault as error:
-        raise ParameterError(f"parameter '{TYPE.name}' is {name!r}: {error}") from None
 
 
 def _baseline_gains(values: Values, robot: Robot, kind: LawKind) -> Any:
@@ -145,9 +143,7 @@ def robust_action(values: Values, static_law: StaticLaw) -> Robust:
     Raises ParameterError, also if the law supports none or the integral action is too fast for robust.hold.
     """
     action = robust(values, static_law.robot.n)
-    try:
+    with prefixed(f"parameters 'robust.*' with '{TYPE.name}' {values[TYPE.name]!r}: ", GainsError):
         sampled_law(static_law, action)
         refuse_fast_integral(static_law, action)
-    except GainsError as error:
-        raise ParameterError(f"parameters 'robust.*' with '{TYPE.name}' {values[TYPE.name]!r}: {error}") from None
     return action

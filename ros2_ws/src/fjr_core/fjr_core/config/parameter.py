@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..errors import FjrError, ParameterError
+from ..errors import FjrError, ParameterError, prefixed
 from ..files import importing
 from ..law.interfaces import StaticLaw
 from ..numerics.checks import Array
@@ -133,10 +133,8 @@ def option_parameters(parameters: Sequence[Parameter], given: Mapping[str, objec
     for parameter in parameters:
         name = given.get(parameter.name)
         if parameter.options and importing.is_named(name):
-            try:
+            with prefixed(f"parameter '{parameter.name}': "):
                 defaults = importing.option_defaults(str(name))
-            except ParameterError as error:
-                raise ParameterError(f"parameter '{parameter.name}': {error}") from None
             found += [_option(parameter, str(name), *each) for each in defaults.items()]
     return found
 

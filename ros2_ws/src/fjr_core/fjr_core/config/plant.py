@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FjrError, ParameterError
+from ..errors import FjrError, ParameterError, prefixed
 from ..extensions.python_code import own_plant
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
@@ -101,10 +101,8 @@ def plant(values: Values, robot: Robot) -> Plant:
     name, integrator = str(values[TYPE.name]), str(values["integrator"])
     if name == FLEXIBLE_JOINT:
         return Plant(robot, integrator, compile=bool(values["compile"]))
-    try:
+    with prefixed(f"parameter '{TYPE.name}' is {name!r}: ", FjrError):
         return own_plant(name, robot, options(TYPE, values), integrator)
-    except FjrError as error:
-        raise ParameterError(f"parameter '{TYPE.name}' is {name!r}: {error}") from None
 
 
 def initial_state(values: Values, robot: Robot) -> Array:

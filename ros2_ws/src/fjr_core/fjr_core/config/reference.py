@@ -12,7 +12,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ParameterError, TrajectoryError
+from ..errors import ParameterError, TrajectoryError, prefixed
 from ..files.motion_table import is_text, motion_text, read_motion
 from ..model.robot import Robot
 from ..motions.inverse_dynamics import EffortDemand, effort_demand
@@ -53,10 +53,8 @@ def motion_of_file(path: str, tolerance: ArrayLike, joints: tuple[str, ...]) -> 
         raise ParameterError(
             f"parameter '{FILE_PATH.name}' is empty; expected a CSV file with the columns time and each joint"
         )
-    try:
+    with prefixed(f"parameter '{FILE_PATH.name}': ", TrajectoryError):
         return _motion(path, tuple(np.atleast_1d(tolerance).tolist()), joints)
-    except TrajectoryError as error:
-        raise ParameterError(f"parameter '{FILE_PATH.name}': {error}") from None
 
 
 @lru_cache(maxsize=8)
@@ -70,10 +68,8 @@ def motion_inlined(values: Mapping[str, object], joints: tuple[str, ...]) -> dic
     path = values.get(FILE_PATH.name)
     if not isinstance(path, str) or not path or is_text(path):
         return dict(values)
-    try:
+    with prefixed(f"parameter '{FILE_PATH.name}': ", TrajectoryError):
         return {**values, FILE_PATH.name: motion_text(read_motion(path, joints), joints)}
-    except TrajectoryError as error:
-        raise ParameterError(f"parameter '{FILE_PATH.name}': {error}") from None
 
 
 def forget_files() -> None:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from ..errors import ParameterError
+from ..errors import ParameterError, prefixed
 from ..files.motion_table import is_text
 from ..files.text_file import read_text
 from ..urdf.tree import is_xml
@@ -33,19 +33,15 @@ def merged(given: Mapping[str, object], node: str, folder: Path) -> dict[str, ob
     if not name or not isinstance(name, str):
         return values
     path = Path(name)
-    try:
+    with prefixed(f"parameter '{FILE}': "):
         own = _own_values(path, node)
-    except ParameterError as error:
-        raise ParameterError(f"parameter '{FILE}': {error}") from None
     return {**absolute(own, path.parent), **values}
 
 
 def _own_values(path: Path, node: str) -> dict[str, object]:
     document = ros_yaml.read(path, "robot file")
-    try:
+    with prefixed(f"{path}: "):
         own = ros_yaml.values_for(node, document)
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
     shared = ros_yaml.values_for(ros_yaml.SHARED, document)
     for name in own:
         if name == FILE or (name in shared and not is_of_robot(name)):
@@ -97,10 +93,8 @@ def absolute(given: Mapping[str, object], folder: Path) -> dict[str, object]:
     for name in (FILE, URDF, MOTION, OBSTACLE):
         reference = values.get(name)
         if isinstance(reference, str) and reference and not is_xml(reference) and not is_text(reference):
-            try:
+            with prefixed(f"parameter '{name}': "):
                 values[name] = str(resolve(reference, folder))
-            except ParameterError as error:
-                raise ParameterError(f"parameter '{name}': {error}") from None
     return values
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ParameterError
+from ..errors import ParameterError, prefixed
 from ..extensions.law_registry import V_DPBC
 from ..files.importing import is_named
 from ..law.gains import Gains
@@ -197,10 +197,8 @@ def load_scenario(path: str | Path, user_code: bool = True) -> Scenario:
     """
     path = Path(path)
     document = ros_yaml.read(path, "scenario")
-    try:
+    with prefixed(f"{path}: "):
         return _scenario(path.stem, document, path.parent, user_code)
-    except ParameterError as error:
-        raise ParameterError(f"{path}: {error}") from None
 
 
 def parse_scenario(name: str, text: str) -> Scenario:

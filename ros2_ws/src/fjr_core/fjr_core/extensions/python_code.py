@@ -21,7 +21,7 @@ from ..law.interfaces import StaticLaw
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..motions.reference import JETS
-from ..numerics.checks import Array, matrix
+from ..numerics.checks import Array, floats, matrix
 from ..numerics.integrators import rk4_expression
 from ..numerics.symbolic import dense_function
 
@@ -107,10 +107,7 @@ class PythonFunction(ca.Callback):
 
 def checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     """Return a result as an array of the expected shape; raises UserCodeError for another one. It may be nan."""
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise UserCodeError(f"{name} is {value!r}; expected numbers of shape {shape}") from None
+    array = floats(name, value, UserCodeError, f" of shape {shape}")
     if array.shape != shape:
         raise UserCodeError(f"{name} has shape {array.shape}; expected {shape}")
     return array

@@ -55,9 +55,9 @@ def matrix(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     return array
 
 
-def is_diagonal(matrix: Array) -> bool:
+def is_diagonal(array: Array) -> bool:
     """Return whether a square matrix is 0 off its diagonal."""
-    return np.array_equal(matrix, np.diag(np.diag(matrix)))
+    return np.array_equal(array, np.diag(np.diag(array)))
 
 
 def limits(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:

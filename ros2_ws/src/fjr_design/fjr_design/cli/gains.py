@@ -11,7 +11,7 @@ from typing import Any
 
 from fjr_core.config.law import gain_values, robust_action
 from fjr_core.config.scenario import Scenario
-from fjr_core.errors import GainsError, ParameterError
+from fjr_core.errors import GainsError, prefixed
 from fjr_core.files import importing
 from fjr_core.files.text_file import read_text, write_text
 from fjr_core.law.linearized import equilibria_at
@@ -83,10 +83,8 @@ def synthesised(
     numbers |= {"delay_margin_samples": found.delay_margin, **counted}
     values = {name.partition(".")[2]: entries for name, entries in gain_values(gains, robot.n).items()}
     if write:
-        try:
+        with prefixed(f"{path}: "):
             write_text(path.resolve(), with_gains(read_text(path), values, robot.n))
-        except ParameterError as error:
-            raise ParameterError(f"{path}: {error}") from None
     where_to = f"# written to {path}:" if write else "# in place of `gains` below ros__parameters:"
     block = "\n".join([f"{head}{where_to}", "    gains:", *gain_lines(values, robot.n, indent=6)])
     return Result(block, {"scenario": loaded.name, **numbers, "gains": values, "written": path if write else None})

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario, parse_scenario
-from fjr_core.errors import ParameterError
+from fjr_core.errors import ParameterError, prefixed
 from fjr_core.extensions.python_code import own_law
 from fjr_core.files.importing import is_named
 from fjr_core.law.interfaces import SampledLaw
@@ -129,7 +129,7 @@ def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
     found |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}
     levels = {name: number(name, level, HERE) for name, level in found["imperfections"].items()}
     found["imperfections"] = {name: imperfection(name).checked(level) for name, level in levels.items()}
-    try:
+    with prefixed("'tune': "):
         Goal(**{name: found[name] for name in GOAL})
         if not 0 <= found["settle_after"] < found["duration"] <= LONGEST:
             raise ParameterError(
@@ -137,8 +137,6 @@ def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
                 f"than the duration, and this at most {LONGEST:g} s"
             )
         found["vary"] = {name: one.as_yaml for name, one in varied(found["vary"]).items()}
-    except ParameterError as error:
-        raise ParameterError(f"'tune': {error}") from None
     return found
 
 

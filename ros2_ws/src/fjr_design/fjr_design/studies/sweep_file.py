@@ -13,7 +13,7 @@ from typing import Any, TypeGuard
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.parameter import resembling
-from fjr_core.errors import ParameterError
+from fjr_core.errors import ParameterError, prefixed
 from fjr_design.batch.draws import FIXED, FORM, Distribution, varied
 from fjr_design.uncertainty.posterior import read_identification
 from fjr_msgs_py.scenarios import installed, library
@@ -148,12 +148,10 @@ def described(path: Path, document: Any, options: Options) -> tuple[Sweep, Mappi
     if not is_one(document):
         text, loaded = library.as_run(path, options.overrides)
         return Sweep(path.stem, text, vary=usual(loaded.sample_period), **{"runs": RUNS, **options.numbers}), {}
-    try:
+    with prefixed(f"sweep {path.stem} "):
         fields, name = read(document), str(document["scenario"])
         scenario = path.parent / name if os.path.isfile(path.parent / name) else library.find(name)
         text, _ = library.as_run(scenario, {**document.get("set", {}), **options.overrides})
         if document.get(POSTERIOR):
             fields["posterior"] = read_identification(path.parent / document[POSTERIOR]).as_dict()
         return Sweep(path.stem, text, **{"runs": RUNS, **fields, **options.numbers}), document.get(TUNE, {})
-    except ParameterError as error:
-        raise ParameterError(f"sweep {path.stem} {error}") from None

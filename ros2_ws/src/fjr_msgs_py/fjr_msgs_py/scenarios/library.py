@@ -13,7 +13,7 @@ from fjr_core.config import robot_file, ros_yaml
 from fjr_core.config.nodes import CONTROLLER, OWN_PARAMETERS, all_parameters, given_to_nodes, self_contained
 from fjr_core.config.parameter import refuse_unknown
 from fjr_core.config.scenario import Scenario, parse_scenario
-from fjr_core.errors import FjrError, ParameterError
+from fjr_core.errors import FjrError, ParameterError, prefixed
 from fjr_msgs_py.scenarios import installed
 
 
@@ -45,10 +45,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
         if not (name and separator):
             expected = "expected name:=value, e.g. robot.joint_stiffness:=[31.0]"
             raise ParameterError(f"'{text}' is not an assignment; {expected}")
-        try:
+        with prefixed(f"value of '{name}' "):
             values[name.strip()] = ros_yaml.parse(value)
-        except ParameterError as error:
-            raise ParameterError(f"value of '{name}' {error}") from None
     return values
 
 
@@ -68,11 +66,9 @@ def as_run(path: Path, overrides: Mapping[str, Any], robot_only: bool = False) -
     """
     if not robot_only:
         _refuse_robot_file(path, overrides)
-    try:
+    with prefixed(f"scenario {path.stem}: "):
         text = _changed(path.name, ros_yaml.read(path, "scenario"), path.parent, overrides)
         return text, parse_scenario(path.stem, text)
-    except ParameterError as error:
-        raise ParameterError(f"scenario {path.stem}: {error}") from None
 
 
 def text_with(name: str, text: str, overrides: Mapping[str, Any]) -> str:
@@ -87,10 +83,8 @@ def is_robot_file(path: Path) -> bool:
 
 def _given_names(path: Path) -> set[str]:
     """Return the names of the parameters that a file gives to the nodes."""
-    try:
+    with prefixed(f"scenario {path.stem}: "):
         return set().union(*given_to_nodes(ros_yaml.read(path, "scenario")).values())
-    except ParameterError as error:
-        raise ParameterError(f"scenario {path.stem}: {error}") from None
 
 
 def _refuse_robot_file(path: Path, overrides: Mapping[str, Any]) -> None:
