@@ -38,6 +38,7 @@ from bench.latency import at_rest
 from bench.machine import watched
 from bench.nodes import controller, plant, process, running, scenario_file
 from bench.tap import Heard, Tap, waiting
+from fjr_core.config.nodes import CONTROLLER
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.trajectories import trajectory_message
 from fjr_msgs_py.node.participant import own_node
@@ -50,9 +51,9 @@ SHIFT, SWING = 0.3, 0.05  # rad, of the first joint beyond its reference
 PERIOD = 0.01  # s between two reads of parameters
 SECONDS = 10.0  # s of reading, and of recording and watching
 LONGEST = 60.0  # s; timeout of each wait
-TRAJECTORY = names.JOINT_TRAJECTORY.replace("~", names.CONTROLLER)
-EVENTS = names.EVENTS.replace("~", names.CONTROLLER)
-REFERENCE = names.REFERENCE.replace("~", names.CONTROLLER)
+TRAJECTORY = names.JOINT_TRAJECTORY.replace("~", CONTROLLER)
+EVENTS = names.EVENTS.replace("~", CONTROLLER)
+REFERENCE = names.REFERENCE.replace("~", CONTROLLER)
 
 Use = Callable[[Tap, Heard], None]
 """What others do with the controller meanwhile; it empties the queues at least every five seconds."""
@@ -137,9 +138,9 @@ def _read_parameters(_: Tap, heard: Heard) -> None:
     with own_node("fjr_bench_reader") as node:
         executor = SingleThreadedExecutor(context=node.context)
         executor.add_node(node)
-        client = AsyncParameterClient(node, names.CONTROLLER)
+        client = AsyncParameterClient(node, CONTROLLER)
         if not client.wait_for_services(LONGEST):
-            raise TimeoutError(f"waited {LONGEST:g} s for the parameters of {names.CONTROLLER}")
+            raise TimeoutError(f"waited {LONGEST:g} s for the parameters of {CONTROLLER}")
         due = begun = time.monotonic()
         while due < begun + SECONDS:
             executor.spin_until_future_complete(client.get_parameters(["gains.K_ld", "joints"]), LONGEST)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from bench.figures import Figure
 from bench.nodes import controller, plant, process, scenario_file
 from bench.tap import DEPTH, Heard, Tap, waiting
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.events import STOPS
 from fjr_msgs_py import names
@@ -36,7 +37,7 @@ ON_ITS_WAY = 1_000_000  # ns; a state that left later before the effort may not 
 PEAK_BOUND = 1.5  # of the peak effort of the undisturbed run
 LIMIT = 60.0  # s; of each wait
 load = cache(library.load)
-TOPICS, EVENTS = [names.JOINT_STATES, names.JOINT_COMMANDS], f"{names.CONTROLLER}/events"
+TOPICS, EVENTS = [names.JOINT_STATES, names.JOINT_COMMANDS], f"{CONTROLLER}/events"
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from fjr_msgs_py.names import LATEST, PLANT
+from fjr_core.config.nodes import PLANT
+from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.participant import leave
 from nodes.harness import EventsExecutor, Listener, Ros
 

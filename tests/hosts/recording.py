@@ -16,9 +16,10 @@ from sensor_msgs.msg import JointState
 from faults.fault_rows import JOINT, Row
 from faults.peers import COMMANDS, STATES
 from faults.rig import NOTHING, SECOND, STEPPED, Rig
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import parse_scenario
 from fjr_design.batch import Draws, scenario_loop
-from fjr_msgs_py.names import CONTROLLER, state_names
+from fjr_msgs_py.names import state_names
 from hosts.efforts import Efforts
 from hosts.inputs import Input, Kind, Sequence, with_ticks
 from system.executables import scenario as file_of

@@ -21,6 +21,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fjr_bringup.clients import PlantClient
 from fjr_bringup.node_process import NodeError, StartedNode
+from fjr_core.config.nodes import CONTROLLER, PLANT
 from fjr_core.errors import FjrError
 from fjr_monitor.recording.bag import header_stamp
 from fjr_monitor.recording.recorder import Recorder
@@ -32,7 +33,6 @@ from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.node.loading import domain
 from fjr_msgs_py.node.scheduling import prioritised
 
-PLANT, CONTROLLER = names.PLANT, names.CONTROLLER
 STATES = f"/{names.JOINT_STATES}"
 EFFORT_COMMANDS, JOINT_COMMANDS = f"/{names.EFFORT_COMMANDS}", f"/{names.JOINT_COMMANDS}"
 OBSERVED = (names.REFERENCE, names.TRACKING_ERROR, names.EXTERNAL_TORQUE, names.CERTIFICATE)

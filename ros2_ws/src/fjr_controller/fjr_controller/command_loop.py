@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
 
@@ -151,9 +150,8 @@ class CommandLoop:
             self._certificate.restart()
         self._host.use([*self._topics.publishers, *self._publishers])
         self._host.serve(self._topics, process_settings(self._node.values).priority)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         period = READING_PERIOD_SIMULATED if self._simulated else READING_PERIOD
-        self._timers = [self._node.create_timer(period, self._poll, clock=steady)]
+        self._timers = [self._node.create_timer(period, self._poll, clock=names.STEADY)]
         if self._simulated:
             clock, period = self._node.get_clock(), state_timeout / SILENCE_CHECKS
             self._timers.append(

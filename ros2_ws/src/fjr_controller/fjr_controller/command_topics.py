@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -36,7 +35,7 @@ class CommandTopics(ConflictingPublishers):
         """Create the publishers; raise CommandConflictError if another process publishes on a command topic."""
         super().__init__(node, TOPICS, names.sample_qos(node))
         self._reports, self._alone = reports, False
-        self._timer = node.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(LOOK_PERIOD, self._look, clock=names.STEADY)
         try:
             self.check_alone()
         except CommandConflictError:

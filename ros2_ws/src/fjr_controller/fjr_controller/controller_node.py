@@ -12,6 +12,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from fjr_core import FjrError
 from fjr_core.config.controller import controller_parameters
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.process import process_parameters, process_settings
 from fjr_core.runtime.events import Event
 from fjr_msgs_py import names
@@ -42,7 +43,7 @@ class ControllerNode(ManagedParameterNode):
         self._since = since
         self._control: Control | None = None
         self._starting = False  # in the constructor: errors are raised instead of logged
-        super().__init__(names.CONTROLLER, controller_parameters, **node_kwargs)
+        super().__init__(CONTROLLER, controller_parameters, **node_kwargs)
 
     def may_wait(self) -> bool:
         """Return True if invalid parameters may be corrected while the node runs: without autostart."""

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names and QoS profiles that the nodes share; the names are relative, so that namespaces and remaps work."""
+"""Names, QoS profiles and the steady clock that the nodes share.
 
+The names are relative, so that namespaces and remaps work.
+"""
+
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from fjr_core.numerics.checks import MOTOR
-
-PLANT = "fjr_plant"
-CONTROLLER = "fjr_controller"
 
 JOINT_STATES = "joint_states"
 EFFORT_COMMANDS = "effort_controller/commands"
@@ -31,6 +32,9 @@ CONTACT_TORQUE = "~/contact_torque"
 RESET = "~/reset"
 PAUSE = "~/pause"
 ADVANCE = "~/advance"
+
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""Clock of timers in real time, which may be those of a node in simulated time."""
 
 LATEST = QoSProfile(depth=1)
 """States and commands: reliable, volatile, only the newest message is kept."""

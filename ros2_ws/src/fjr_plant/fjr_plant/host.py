@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from fjr_core import FjrError
@@ -116,7 +115,7 @@ class NativePlantHost(NativeLoop):
         super().__init__(program, {**callbacks, **own}, [NativeSubscription(node, kind, topic, names.LATEST)])
         self._plant, plant.host, plant.notes = plant, self.pointer, self._notes.pointer
         plant.send = ffi.addressof(program.lib, "fjr_loop_publish")
-        self._timer = node.create_timer(NOTES_PERIOD, self._read_notes, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(NOTES_PERIOD, self._read_notes, clock=names.STEADY)
         self._action: Callable[[], Any] = lambda: None
         self._result: Any = None
         self._error: BaseException | None = None

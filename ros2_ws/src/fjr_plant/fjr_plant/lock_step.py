@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
@@ -102,7 +101,7 @@ class LockStep(TimeBase):
         self._answer = NativeReader(self._program, node.values["joints"], _EFFORT)
         plant.clock, plant.answer = self._clock_message.pointer, self._answer.pointer
         self._serve()
-        node.create_timer(WATCH_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(WATCH_PERIOD, self._look, clock=names.STEADY)
         self._call("restart")
         self.host.start()
 

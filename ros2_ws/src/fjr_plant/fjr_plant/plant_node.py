@@ -7,11 +7,11 @@ import sys
 import time
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from fjr_core import FjrError
+from fjr_core.config.nodes import PLANT
 from fjr_core.config.plant import NONE, OBSTACLE_PRESENT, OBSTACLE_TYPE, initial_state, plant_parameters
 from fjr_core.config.plant import plant as build_plant
 from fjr_core.config.robot import description, robot_name
@@ -50,7 +50,7 @@ class PlantNode(ParameterNode):
     def __init__(self, since: float = 0.0, **node_kwargs: Any) -> None:
         """Create the node; since [s, steady clock]: when the publishers of other processes are known."""
         self._since = since
-        super().__init__(names.PLANT, plant_parameters, **node_kwargs)
+        super().__init__(PLANT, plant_parameters, **node_kwargs)
 
     def build(self) -> None:
         """Build the robot from the parameters and start publishing.
@@ -77,7 +77,7 @@ class PlantNode(ParameterNode):
             self, names.ADVANCE, lambda reply: self._time_base.advance(self.values["advance_samples"], reply)
         )
         self._settled, self._namesake = time.monotonic() + SETTLING, Namesake(self, names.JOINT_STATES, JointState)
-        self._looking = self.create_timer(LOOK_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._looking = self.create_timer(LOOK_PERIOD, self._look, clock=names.STEADY)
 
     def stop(self) -> None:
         """Publish the final counters."""

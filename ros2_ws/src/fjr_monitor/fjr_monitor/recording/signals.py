@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Rows
@@ -25,8 +26,8 @@ from fjr_msgs_py import names
 
 STATES = f"/{names.JOINT_STATES}"
 ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
-REFERENCE = names.REFERENCE.replace("~", f"/{names.CONTROLLER}")
-DIAGNOSTICS, EVENTS = "/diagnostics", f"/{names.CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
+REFERENCE = names.REFERENCE.replace("~", f"/{CONTROLLER}")
+DIAGNOSTICS, EVENTS = "/diagnostics", f"/{CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
 SCANNED_MESSAGES = 1000  # for joint names
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 AROUND = 2048  # states before and after a window with which its commands, repeats and reference are looked up

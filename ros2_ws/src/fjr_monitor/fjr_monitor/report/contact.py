@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from fjr_core.config.nodes import PLANT
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
@@ -27,7 +28,7 @@ from fjr_monitor.recording.run import Recording
 from fjr_msgs_py import names
 from fjr_msgs_py.console.output import number
 
-TOPIC = names.CONTACT.replace("~", f"/{names.PLANT}")
+TOPIC = names.CONTACT.replace("~", f"/{PLANT}")
 TOGETHER = 5
 """Intervals whose mean is one value, which quiets the noise of velocities; `largest` is the largest of these means."""
 ALONG, AT_TIP = "along the simulator's line of action", "at the tip"

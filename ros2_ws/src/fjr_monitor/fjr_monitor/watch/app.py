@@ -29,6 +29,7 @@ from rich.live import Live
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
+from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.robot import description, locked_positions
 from fjr_monitor.recording.bag import header_stamp
 from fjr_monitor.recording.topics import ELSEWHERE, TopicError, nodes_seen
@@ -168,7 +169,7 @@ class _Display:
 class FjrWatch:
     """Subscribe with a node, under its namespace and remaps; pass all messages to `watched`."""
 
-    def __init__(self, node: Node, watched: Watched, controller: str = names.CONTROLLER) -> None:
+    def __init__(self, node: Node, watched: Watched, controller: str = CONTROLLER) -> None:
         """controller: name of the node that owns the ~/ topics."""
         self._node, self._watched = node, watched
         self._now = 0.0

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -25,7 +25,7 @@ from rclpy.type_support import check_is_valid_msg_type
 from fjr_core.numerics.jit import record_type
 
 from ..messages.cdr import HEADER, Form
-from ..names import LATEST
+from ..names import LATEST, STEADY
 from .program import NativeError, Program
 
 NAMES_ROOM = 1 << 13  # bytes of a list of names that is compared instead of looked up
@@ -268,7 +268,7 @@ class RclpyHost(ABC):
 
     def _ticking(self, period: float) -> Any:
         """Return a timer of the ticks; period [s]."""
-        return self._node.create_timer(period, self._tick, clock=self._clock or Clock(clock_type=ClockType.STEADY_TIME))
+        return self._node.create_timer(period, self._tick, clock=self._clock or STEADY)
 
     def _tick(self) -> None:
         self._timer.cancel()

@@ -12,7 +12,6 @@ from typing import Any
 
 import rclpy
 import rclpy.exceptions
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -22,6 +21,7 @@ from rclpy.task import Future
 from fjr_core import FjrError
 from fjr_core.config.process import NATIVE, process_settings
 
+from ..names import STEADY
 from . import participant
 from .loading import index_modules, resume_garbage_collection
 from .parameters import ParameterNode
@@ -121,9 +121,8 @@ class NodeProcess:
         A full collection takes 0.1 ms, because all older objects are frozen, and releases the memory of Python's free
         lists: without it they grow for minutes.
         """
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(COLLECTION, gc.collect, clock=steady)
-        executor, spin = self._executor(stopped, steady)
+        self._node.create_timer(COLLECTION, gc.collect, clock=STEADY)
+        executor, spin = self._executor(stopped)
         executor.add_node(self._node)
         try:
             while not stopped and self.ended is None and rclpy.ok():
@@ -134,7 +133,7 @@ class NodeProcess:
             self.ended = error
         executor.remove_node(self._node)
 
-    def _executor(self, stopped: list[int], steady: Clock) -> tuple[Executor, Callable[[], None]]:
+    def _executor(self, stopped: list[int]) -> tuple[Executor, Callable[[], None]]:
         """Return the selected executor (single-threaded if rclpy has no other) and a spin that signals end in POLL.
 
         Without a timeout the events executor of rclpy 7.1.6 runs no callback. Python handles signals in a callback.
@@ -148,7 +147,7 @@ class NodeProcess:
             if stopped or not rclpy.ok():
                 self._round.set_result(None)
 
-        self._node.create_timer(POLL, look, clock=steady)
+        self._node.create_timer(POLL, look, clock=STEADY)
         return events, lambda: events.spin_until_future_complete(self._round, ROUND)
 
 

@@ -9,14 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray, String
 
 from ..messages.joint_states import MessageError
-from ..names import DIAGNOSTICS, EVENTS, LATCHED, ROBOT_DESCRIPTION, full_name
+from ..names import DIAGNOSTICS, EVENTS, LATCHED, ROBOT_DESCRIPTION, STEADY, full_name
 
 SECOND = 1_000_000_000  # ns; the period of the reports
 
@@ -122,8 +121,7 @@ class Health:
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._by_stamps = bool(node.get_parameter("use_sim_time").value)
         self._stamp = self._reported = 0
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = None if self._by_stamps else node.create_timer(1.0, self.publish, clock=steady)
+        self._timer = None if self._by_stamps else node.create_timer(1.0, self.publish, clock=STEADY)
 
     @property
     def count(self) -> Counter[str]:
