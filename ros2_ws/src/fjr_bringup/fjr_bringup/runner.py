@@ -30,6 +30,7 @@ from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import heartbeat, note, phase, progress_bar
 from fjr_msgs_py.console.ros2 import discover_quickly
+from fjr_msgs_py.node.conflicting_publishers import node_of
 from fjr_msgs_py.node.loading import domain
 from fjr_msgs_py.node.scheduling import prioritised
 
@@ -183,7 +184,7 @@ class _Run:
         return [(name, enclave) for name, namespace, enclave in nodes if namespace == "/"]
 
     def _publishers(self, topic: str) -> list[str]:
-        """Return the node of each publisher on a topic, with its namespace unless that is /."""
+        """Return the node of each publisher on a topic."""
         return [_name(info) for info in self.recorder.node.get_publishers_info_by_topic(topic)]
 
     def _refuse_others(self, lasting: float) -> bool:
@@ -275,7 +276,5 @@ class _Run:
 
 
 def _name(info: TopicEndpointInfo) -> str:
-    """Return the name of the node of an endpoint, with its namespace unless that is /; UNKNOWN if not known yet."""
-    if "UNKNOWN" in info.node_name:
-        return UNKNOWN
-    return f"{info.node_namespace}/{info.node_name}" if info.node_namespace != "/" else str(info.node_name)
+    """Return the node of an endpoint, as in `left/fjr_plant`; UNKNOWN if it is not known yet."""
+    return node_of(info).lstrip("/") or UNKNOWN

@@ -21,7 +21,7 @@ from fjr_core.runtime.events import STATES, State, joints_of
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array, joint_state
-from fjr_msgs_py.messages.joint_states import StateReader
+from fjr_msgs_py.messages.joint_states import SECOND, StateReader
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader, Ring
 from fjr_msgs_py.native.program import NativeError
 from fjr_msgs_py.node import process
@@ -223,7 +223,7 @@ class CommandLoop:
     def _touched(self) -> list[str]:
         """Return the joints of a contact in the last second."""
         found = self._controls.controller.contact
-        recent = found.acting or 0 <= self._observer.pointer.stamp - found.stamp < 1_000_000_000
+        recent = found.acting or 0 <= self._observer.pointer.stamp - found.stamp < SECOND
         return joints_of(found.joints, self._node.values["joints"]) if recent else []
 
     # What Python reads.

@@ -25,8 +25,8 @@ from fjr_core.motions.transition import time_shifted, transition
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import State
-from fjr_msgs_py.messages.joint_states import MessageError, deserialised, nanoseconds
-from fjr_msgs_py.messages.trajectories import SECOND, TrajectoryReader
+from fjr_msgs_py.messages.joint_states import SECOND, MessageError, deserialised, nanoseconds
+from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.node.scheduling import step_back
 
 ATTEMPTS = 5

@@ -6,18 +6,15 @@ from __future__ import annotations
 import inspect
 import sys
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event
-from fjr_msgs_py.messages.joint_states import MessageError, StateReader
-from fjr_msgs_py.names import DIAGNOSTICS
+from fjr_msgs_py.messages.joint_states import MessageError, StateReader, deserialised
 from fjr_msgs_py.native.loop import LARGEST
 from fjr_msgs_py.native.program import Program
-from fjr_msgs_py.node.reports import STAMP, EventWriter, Health
+from fjr_msgs_py.node.reports import STAMP, EventWriter, Health, refusal
 
 RECEIVED, ANSWERED = "states received", "states answered"
 EXPECTED = (
@@ -100,8 +97,7 @@ class Refusals:
             new = count - self._reported[kind]
             if new and not self._counters[kind]:
                 error = self._reason(bytes(self._ffi.buffer(self._first + kind * LARGEST, self.pointer.size[kind])))
-                self._counters[kind] = f"state refused: {error.kind}"
-                sentence = f"state refused: {error} (logged once; counted on {DIAGNOSTICS})"
+                self._counters[kind], sentence = refusal("state", error)
                 self._reports.event(Event("warn", self._counters[kind], sentence))
                 new -= 1
             if new:
@@ -111,9 +107,7 @@ class Refusals:
     def _reason(self, data: bytes) -> MessageError:
         """Return the error with which the reader refuses the message."""
         try:
-            self._reader.read(deserialize_message(data, JointState))
-        except rclpy_implementation.RMWError:
-            pass
+            self._reader.read(deserialised(data, JointState))
         except MessageError as error:
             return error
         return MessageError("not a message", f"{len(data)} bytes are no JointState; expected one")

@@ -26,14 +26,14 @@ from pydrake.multibody.tree import (
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
 
-from fjr_core.errors import ParameterError, RobotError
+from fjr_core.errors import RobotError
 from fjr_core.model.rigid_arm import Body, tip_frame
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.numerics.symbolic import bind, evaluate
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
-from fjr_plant.engine import gravity_and_chain
+from fjr_plant.engine import check_equations, gravity_and_chain
 
 SPRING, ROTOR, LINK = "_spring", "_rotor", "_link"
 """Endings of the names of joints and bodies after that of the robot's joint, as MOTOR."""
@@ -49,8 +49,7 @@ class DrakeEngine:
 
     def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> None:
         """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
-        if plant.plant.in_python or plant.plant.integrator != "rk4":
-            raise ParameterError("engine is 'drake'; expected plant.type: flexible_joint and integrator: rk4 with it")
+        check_equations(plant, "drake")
         self._plant, self._ffi, self._dt = plant, ffi, inner_step * 1e-9
         self.arm = multibody_plant(plant.robot, joints)
         self._map, builder = joint_map(self.arm, joints), DiagramBuilder()

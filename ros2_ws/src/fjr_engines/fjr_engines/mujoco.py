@@ -13,14 +13,13 @@ import mujoco
 import numpy as np
 
 from fjr_core.config.plant import Obstacle
-from fjr_core.errors import ParameterError
 from fjr_core.model.rigid_arm import tip_frame
 from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.numerics.jit import CLibrary, c_library
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
-from fjr_plant.engine import chain
+from fjr_plant.engine import chain, check_equations
 
 from .contact import ARM, OBSTACLE, InsideError, add_contact, check_outside
 from .mjcf.writing import LINK, exact_inertia, specification
@@ -38,8 +37,7 @@ class MujocoEngine:
         self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, obstacle: Obstacle | None = None
     ) -> None:
         """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
-        if plant.plant.in_python or plant.plant.integrator != "rk4":
-            raise ParameterError("engine is 'mujoco'; expected plant.type: flexible_joint and integrator: rk4 with it")
+        check_equations(plant, "mujoco")
         spec = specification(plant.robot, joints)
         spec.option.timestep, spec.option.disableflags = inner_step * 1e-9, DISABLED
         spec.body(joints[chain(plant.robot)[-1][0]] + LINK).add_body(

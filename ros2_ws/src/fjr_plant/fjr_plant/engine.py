@@ -67,6 +67,12 @@ def gravity_and_chain(robot: Robot, engine: str) -> tuple[Array, list[tuple[int,
     return links.end_effector.gravity, chain(robot)
 
 
+def check_equations(plant: NonidealPlant, engine: str) -> None:
+    """Raise ParameterError unless an engine can replace the integrator of a plant: eq. (36), integrated explicitly."""
+    if plant.plant.in_python or plant.plant.integrator != "rk4":
+        raise ParameterError(f"engine is '{engine}'; expected plant.type: flexible_joint and integrator: rk4 with it")
+
+
 def engine_kind(values: Values) -> type[Engine] | None:
     """Return the class of the simulator that the parameters of the plant name, None for the plant's own.
 

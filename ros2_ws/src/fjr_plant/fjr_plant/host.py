@@ -15,7 +15,7 @@ from fjr_msgs_py.messages.cdr import LITTLE_ENDIAN
 from fjr_msgs_py.messages.joint_states import MessageError
 from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, RclpyHost, Ring
 from fjr_msgs_py.native.program import Program
-from fjr_msgs_py.node.reports import Health
+from fjr_msgs_py.node.reports import Health, refusal
 
 COUNTERS = (
     "states published",
@@ -67,7 +67,7 @@ class Events:
             if event == self._lib.FJR_COUNTED:
                 self._health.tell(COUNTERS[value], UNWANTED[COUNTERS[value]])
             elif event == self._lib.FJR_COMMAND_REFUSED:
-                self._health.tell_refusal("command", self._refusal(value, bytes(self._ffi.buffer(data, size))))
+                self._health.tell(*refusal("command", self._refusal(value, bytes(self._ffi.buffer(data, size)))))
             else:
                 self._others[event](value)
         except FjrError as error:

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, deserialised, nanoseconds, picked
+from fjr_msgs_py.messages.joint_states import CLOCK_LAYOUT, SECOND, deserialised, nanoseconds, picked
 from fjr_msgs_py.native.loop import NO_TIME, NativeMessage, NativeReader
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_msgs_py.node.parameters import ParameterNode
@@ -73,7 +73,7 @@ class ClockOwner(ConflictingPublishers):
         )
 
 
-START = 1_000_000_000  # ns; stamp of the first state, the same in every run
+START = SECOND  # stamp of the first state, the same in every run
 _EFFORT = 4  # FJR_EFFORT
 
 

@@ -21,7 +21,7 @@ from fjr_msgs_py.messages.joint_states import MessageError, read_torques
 from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
 from fjr_msgs_py.node.parameters import ParameterNode
-from fjr_msgs_py.node.reports import Health, publish_description
+from fjr_msgs_py.node.reports import Health, publish_description, refusal
 
 from .host import EXPECTED
 from .lock_step import LockStep
@@ -140,7 +140,7 @@ class PlantNode(ParameterNode):
         try:
             torque = read_torques(message, self.values["joints"])
         except MessageError as error:
-            self._health.refuse("external torque", error)
+            self._health.warn(*refusal("external torque", error))
             return
         self._health.count[TORQUES] += 1
         self._time_base.change(lambda: setattr(self._robot, "external", torque))

@@ -19,7 +19,7 @@ from fjr_core.config.plant import NONE, OBSTACLE_TYPE
 from fjr_core.config.process import NATIVE
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import joint_state
-from fjr_msgs_py.messages.joint_states import deserialised, read_efforts
+from fjr_msgs_py.messages.joint_states import SECOND, deserialised, read_efforts
 from fjr_msgs_py.native.loop import NO_TIME, NativeMessage
 from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health
@@ -32,7 +32,7 @@ from .simulated_robot import SimulatedRobot
 
 def seconds(stamp: int) -> str:
     """Format a stamp [ns] in seconds with all digits."""
-    sec, nanosec = divmod(stamp, 1_000_000_000)
+    sec, nanosec = divmod(stamp, SECOND)
     return f"{sec}.{nanosec:09d}"
 
 

@@ -103,7 +103,9 @@ def distances(text: str) -> tuple[float, ...]:
 
 def complete_scenario(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Complete the names of installed scenarios, or else file names."""
-    names = [name for name in _installed_scenarios() if name.startswith(incomplete)]
+    from ..scenarios import installed_files  # loads the index of ROS 2 packages
+
+    names = [name for name in installed_files("scenarios") if name.startswith(incomplete)]
     return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
 
 
@@ -112,26 +114,17 @@ def complete_assignment(context: click.Context, _parameter: click.Parameter, inc
     from fjr_core.config.scenario import load_scenario  # loads CasADi
     from fjr_core.errors import FjrError
 
+    from ..scenarios import installed_files
+
     named = context.params.get("scenario") or "paper_k31"
     try:
-        scenario = load_scenario(_installed_scenarios().get(named, Path(named)))
+        scenario = load_scenario(installed_files("scenarios").get(named, Path(named)))
     except FjrError:
         return []
     values = {**scenario.plant_values, **scenario.controller_values}
     return [
         CompletionItem(f"{name}:=", help=str(values[name])) for name in sorted(values) if name.startswith(incomplete)
     ]
-
-
-def _installed_scenarios() -> dict[str, Path]:
-    """Return the installed scenarios by name; none where no workspace is sourced."""
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
-    try:
-        folder = Path(get_package_share_directory("fjr_bringup"), "scenarios")
-    except (PackageNotFoundError, OSError):
-        return {}
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 scenario_argument = click.argument("scenario", required=False, shell_complete=complete_scenario)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -23,7 +23,8 @@ from fjr_core.runtime.measurement_model import JointSample
 from ..names import state_names
 from .cdr import Form
 
-FIRST_UNSENDABLE = 2**31 * 10**9  # ns; the seconds of a stamp are a signed 32-bit integer
+SECOND = 1_000_000_000  # ns
+FIRST_UNSENDABLE = 2**31 * SECOND  # ns; the seconds of a stamp are a signed 32-bit integer
 
 
 class MessageError(FjrError):
@@ -36,7 +37,12 @@ class MessageError(FjrError):
 
 def nanoseconds(stamp: Time) -> int:
     """Return a stamp as integer nanoseconds."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return int(stamp.sec) * SECOND + int(stamp.nanosec)
+
+
+def set_nanoseconds(stamp: Time | Duration, value: int) -> None:
+    """Set a stamp or a duration to integer nanoseconds."""
+    stamp.sec, stamp.nanosec = divmod(value, SECOND)
 
 
 def deserialised(data: bytes, kind: type) -> Any:

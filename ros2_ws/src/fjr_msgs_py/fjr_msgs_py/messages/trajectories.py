@@ -22,9 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fjr_core.numerics.checks import Array
 
-from .joint_states import MessageError, nanoseconds
-
-SECOND = 1_000_000_000  # ns
+from .joint_states import SECOND, MessageError, nanoseconds, set_nanoseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ def trajectory_message(
     message = JointTrajectory(joint_names=list(joints))
     for t, q, dq, ddq in zip(times, positions, velocities, accelerations, strict=True):
         point = JointTrajectoryPoint(positions=q.tolist(), velocities=dq.tolist(), accelerations=ddq.tolist())
-        point.time_from_start.sec, point.time_from_start.nanosec = divmod(round(t * SECOND), SECOND)
+        set_nanoseconds(point.time_from_start, round(t * SECOND))
         message.points.append(point)
     return message
 
@@ -158,7 +156,7 @@ class TrajectoryReader:
 
 
 def _times(points: Sequence[JointTrajectoryPoint]) -> NDArray[np.int64]:
-    times = np.array([point.time_from_start.sec * SECOND + point.time_from_start.nanosec for point in points])
+    times = np.array([nanoseconds(point.time_from_start) for point in points])
     if times[0] < 0:
         raise MessageError("bad times", f"point 0 is at {times[0] / SECOND:g} s; expected at least 0 s")
     back = np.flatnonzero(np.diff(times) <= 0)
@@ -226,7 +224,7 @@ class FollowMessages:
         desired, actual (2, n): positions [rad] and velocities [rad/s].
         """
         message = self.kind.Feedback(joint_names=self._joints)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, SECOND)
+        set_nanoseconds(message.header.stamp, stamp)
         rows = {"desired": desired, "actual": actual, "error": desired - actual}
         for name, (positions, velocities) in rows.items():
             point = getattr(message, name)

@@ -63,7 +63,8 @@ class ConflictingPublishers:
     def known(self, program: Program) -> Any:
         """Return what is known of the publishers as struct fjr_known* (graph.h), valid until the next call."""
         ffi, topics = program.ffi, [program.ffi.new("char[]", topic.encode()) for topic in self._kinds]
-        gids = b"".join([*self._family, bytes(_PARTICIPANT)][:1] + [*self._others])  # zeros: ours are not known
+        own = next(iter(self._family), bytes(_PARTICIPANT))  # zeros: ours are not known
+        gids = b"".join([own, *self._others])
         self._kept = ffi.new("char*[]", topics), ffi.from_buffer(gids), topics
         node = ffi.cast("void*", self._node.handle.pointer)
         self._known = ffi.new("struct fjr_known*", (node, self._kept[0], len(topics), self._kept[1], len(self._others)))
@@ -108,7 +109,7 @@ class ConflictingPublishers:
     def _found(self) -> dict[bytes, Other]:
         """Return the publishers of other processes by GID."""
         infos = [(topic, info) for topic in self._kinds for info in _others_on(self._node, topic, self._family)]
-        return {bytes(info.endpoint_gid): Other(topic, _name(info)) for topic, info in infos}
+        return {bytes(info.endpoint_gid): Other(topic, node_of(info)) for topic, info in infos}
 
 
 class Namesake:
@@ -125,7 +126,7 @@ class Namesake:
 
     def listed(self) -> bool:
         """Return whether the graph lists a second publisher of this node's name; listen from then on."""
-        found = [_name(info) for info in self._node.get_publishers_info_by_topic(self._topic)]
+        found = [node_of(info) for info in self._node.get_publishers_info_by_topic(self._topic)]
         listed = found.count(self._node.get_fully_qualified_name()) > 1
         if listed and not self._subscription:
             self._subscription = NativeSubscription(self._node, self._kind, self._topic, _QUEUE)
@@ -160,7 +161,7 @@ def publisher_elsewhere(node: Node, name: str, kind: type, concerns: Callable[[A
         return ""
     with closing(NativeSubscription(node, kind, topic, _QUEUE)) as subscription:
         heard = _first_heard(node, {topic: subscription}, LISTENING, concerns)
-    nodes = {_name(info) for info in _others_on(node, topic, family)} - {""}
+    nodes = {node_of(info) for info in _others_on(node, topic, family)} - {""}
     return (", ".join(sorted(nodes)) or "an unknown node") if heard else ""
 
 
@@ -205,6 +206,6 @@ def _own_participant(node: Node, kind: type) -> set[bytes]:
     return {bytes(info.endpoint_gid)[:_PARTICIPANT] for info in found}
 
 
-def _name(info: TopicEndpointInfo) -> str:
-    """Return the node of a publisher with its namespace, "" if it is unknown."""
+def node_of(info: TopicEndpointInfo) -> str:
+    """Return the node of an endpoint with its namespace, "" if it is not known yet."""
     return "" if "UNKNOWN" in info.node_name else f"{info.node_namespace.rstrip('/')}/{info.node_name}"

@@ -14,10 +14,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray, String
 
-from ..messages.joint_states import MessageError
+from ..messages.joint_states import SECOND, MessageError, set_nanoseconds
 from ..names import DIAGNOSTICS, EVENTS, LATCHED, ROBOT_DESCRIPTION, STEADY, full_name
-
-SECOND = 1_000_000_000  # ns; the period of the reports
 
 
 class CertificateValues(NamedTuple):
@@ -100,6 +98,11 @@ def publish_description(node: Node, urdf: str) -> Publisher:
     return publisher
 
 
+def refusal(what: str, error: MessageError) -> tuple[str, str]:
+    """Return kind and sentence of a rejected message, for Health."""
+    return f"{what} refused: {error.kind}", f"{what} refused: {error} (logged once; counted on {DIAGNOSTICS})"
+
+
 class Health:
     """Counters of a node, published once a second and whenever `publish` is called.
 
@@ -135,16 +138,6 @@ class Health:
         """Report counters that are kept elsewhere; they only grow."""
         self._counters.append(counters)
 
-    def refuse(self, what: str, error: MessageError) -> None:
-        """Count a rejected message; log the reason the first time that its kind occurs."""
-        self.count[f"{what} refused: {error.kind}"] += 1
-        self.tell_refusal(what, error)
-
-    def tell_refusal(self, what: str, error: MessageError) -> None:
-        """Log the reason of a rejected message, which is counted elsewhere, the first time that its kind occurs."""
-        sentence = f"{what} refused: {error} (logged once; counted on {DIAGNOSTICS})"
-        self.tell(f"{what} refused: {error.kind}", sentence)
-
     def warn(self, kind: str, sentence: str) -> None:
         """Count an unwanted event; log the sentence as a warning the first time that this kind occurs."""
         self.count[kind] += 1
@@ -178,7 +171,7 @@ class Health:
 
     def due(self, stamp: int) -> bool:
         """Return True if `at` publishes a report at this stamp [ns]."""
-        return self._by_stamps and not 0 <= stamp - self._reported < SECOND
+        return self._by_stamps and not 0 <= stamp - self._reported < SECOND  # the period of the reports
 
     def at(self, stamp: int) -> None:
         """Set the current stamp [ns]; with use_sim_time publish a report once per second of stamps."""
@@ -211,5 +204,5 @@ class Health:
             each.hardware_id = self._hardware
         message.header.stamp = self._node.get_clock().now().to_msg()
         if self._by_stamps:
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._stamp, SECOND)
+            set_nanoseconds(message.header.stamp, self._stamp)
         self._publisher.publish(message)
