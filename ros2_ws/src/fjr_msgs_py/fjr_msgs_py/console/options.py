@@ -16,6 +16,8 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from .ros2 import installed_files
+
 PATH = click.Path(path_type=Path)
 
 
@@ -103,8 +105,6 @@ def distances(text: str) -> tuple[float, ...]:
 
 def complete_scenario(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Complete the names of installed scenarios, or else file names."""
-    from ..scenarios import installed_files  # loads the index of ROS 2 packages
-
     names = [name for name in installed_files("scenarios") if name.startswith(incomplete)]
     return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
 
@@ -113,8 +113,6 @@ def complete_assignment(context: click.Context, _parameter: click.Parameter, inc
     """Complete the names of the parameters of the given scenario; the help is the present value."""
     from fjr_core.config.scenario import load_scenario  # loads CasADi
     from fjr_core.errors import FjrError
-
-    from ..scenarios import installed_files
 
     named = context.params.get("scenario") or "paper_k31"
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What this installation offers: ROS 2's own command or that of fjr, and a DDS profile with quick discovery.
+"""What this installation offers: files, ROS 2's own command or that of fjr, a DDS profile with quick discovery.
 
 The wheels of ROS 2 hold no `ros2` command. Where it is installed it is preferred: it knows every type and option.
 Where it is not, `fjr` has the few commands that a run needs. This module loads nothing slow.
@@ -18,6 +18,17 @@ INSTALLATION = (
     "expected the wheel fjr in this Python environment, or a workspace that is built (make build) and sourced "
     "(. ros2_ws/install/setup.sh)"
 )
+
+
+def installed_files(kind: str) -> dict[str, Path]:
+    """Return the installed files of a kind (scenarios, sweeps, suites) by name; none where no workspace is sourced."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory  # loaded on use
+
+    try:
+        folder = Path(get_package_share_directory("fjr_bringup"), kind)
+    except (PackageNotFoundError, OSError):
+        return {}
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def ros2_path() -> str | None:

@@ -5,23 +5,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
-
-def installed_files(kind: str) -> dict[str, Path]:
-    """Return the installed files of a kind (scenarios, sweeps, suites) by name; none where no workspace is sourced."""
-    try:
-        folder = Path(get_package_share_directory("fjr_bringup"), kind)
-    except (PackageNotFoundError, OSError):
-        return {}
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+from fjr_msgs_py.console.ros2 import INSTALLATION, installed_files
 
 
 def installed(kind: str) -> dict[str, Path]:
-    """Return installed_files; raises ScenarioError if there are none."""
+    """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
     found = installed_files(kind)
     if not found:
-        from fjr_msgs_py.console.ros2 import INSTALLATION
         from fjr_msgs_py.scenarios.library import ScenarioError  # loads CasADi
 
         raise ScenarioError(f"package fjr_bringup is not installed here; {INSTALLATION}")
