@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.code_cache import code_folder, is_intact
 from fjr_core.numerics.jit import program_digest
 from fjr_core.numerics.one_line import at_least
-from fjr_msgs_py.console.output import heartbeat
+from fjr_msgs_py.console.output import heartbeat, tell
 
 from .rate import proof_of_rate, rate_certificate
 from .verification.inertia_bounds import is_provable
@@ -85,10 +84,8 @@ def cached_rate(scenario: Scenario) -> CertifiedRate | None:
         return CertifiedRate(**json.loads(content))
     with suppress(OSError):
         folder.write(name, b"")
-    print(
-        f"fjr: the kept proof {folder.path / name} is changed or damaged; expected it as written: --certificate proves "
-        "again",
-        file=sys.stderr,
+    tell(
+        f"the kept proof {folder.path / name} is changed or damaged; expected it as written: --certificate proves again"
     )
     return None
 

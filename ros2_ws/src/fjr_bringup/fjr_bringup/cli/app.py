@@ -16,6 +16,7 @@ import click
 
 from fjr_msgs_py.console.ending import HELP, Exit, in_own_session, interruptible, uninterruptible
 from fjr_msgs_py.console.options import COMMANDS
+from fjr_msgs_py.console.output import tell
 from fjr_msgs_py.console.provenance import begin_command
 from fjr_msgs_py.node.loading import (
     ament_index_of_wheels,
@@ -98,7 +99,7 @@ class Application(click.Group):
             raise
         except KeyboardInterrupt:
             uninterruptible()
-            print("fjr: stopped", file=sys.stderr)
+            tell("stopped")
             return Exit.INTERRUPTED
         except BrokenPipeError:  # the reader of standard output, such as head, has ended
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -151,7 +152,7 @@ def _exit_code(error: Exception) -> Exit:
         sentence, code = " ".join(str(error).split()), Exit.FAILED
     else:
         raise error
-    print(f"fjr: {sentence}", file=sys.stderr)
+    tell(sentence)
     return code
 
 

@@ -21,7 +21,7 @@ from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.shown import RunSummary
 from fjr_monitor.report.write import compare, output_paths, play_hint, report_run, stops, table
 from fjr_msgs_py.console.ending import Exit, stoppable
-from fjr_msgs_py.console.output import Result, percent, phase
+from fjr_msgs_py.console.output import Result, percent, phase, tell
 from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.scenarios import library
 from fjr_plant.engine import engine_kind
@@ -107,7 +107,7 @@ def _plan(
         text, scenario = library.as_run(path, overrides)
         engine_kind(scenario.plant_values)  # one that is not installed is refused before the nodes start
         for warning in (*scenario.motion_warnings, *scenario.robot_warnings):
-            print(f"fjr: {warning}", file=sys.stderr)
+            tell(warning)
         if not force:
             refuse_coarse_steps(scenario)
             refuse_unstable(scenario)

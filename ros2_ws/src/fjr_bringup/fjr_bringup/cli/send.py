@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from fjr_core.errors import ParameterError
 from fjr_core.motions.sampled_motion import SampledMotion, waypoints
 from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.ending import stoppable
-from fjr_msgs_py.console.output import Result
+from fjr_msgs_py.console.output import Result, tell
 from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.messages.trajectories import trajectory_message
 from fjr_msgs_py.node.participant import own_node
@@ -40,7 +39,7 @@ def send_motion(
         smooth = motion_of_file(str(motion), tolerance, client.joints)
         warnings = _warnings(smooth, scenario, client.joints)
         for sentence in warnings:
-            print(f"fjr: {sentence}", file=sys.stderr)
+            tell(sentence)
         points = waypoints(smooth, EXACT)
         client.send(trajectory_message(client.joints, points.times + lead, *points[1:]))
     described = f"interpolated, {np.size(smooth.times)} samples"

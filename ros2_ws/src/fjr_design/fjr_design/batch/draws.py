@@ -7,7 +7,6 @@ M. Moraes, R. Dror, D. Shaw, SC 2011); noise.c implements the same generator.
 
 from __future__ import annotations
 
-import sys
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fjr_core.errors import ParameterError
 from fjr_core.numerics.checks import Array, floats, freeze
 from fjr_core.simulation.deviations import DEVIATIONS, NONNEGATIVE, POINT, POSITIVE, Deviation
+from fjr_msgs_py.console.output import tell
 
 WORDS = 4
 """Random words per counter."""
@@ -247,7 +247,7 @@ def varied(given: Mapping[str, object]) -> dict[str, Distribution]:
     for old in given.keys() & former:
         if former[old] in given:
             raise ParameterError(f"'vary' has '{old}' beside its new name '{former[old]}'; expected the latter alone")
-        print(f"fjr: '{old}' under 'vary' is deprecated; use '{former[old]}'", file=sys.stderr)
+        tell(f"'{old}' under 'vary' is deprecated; use '{former[old]}'")
     return {former.get(str(name), str(name)): read(str(name), one) for name, one in given.items()}
 
 

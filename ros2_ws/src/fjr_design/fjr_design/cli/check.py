@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 import timeit
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -35,7 +34,7 @@ from fjr_design.stability.sampled_loop import SampledCheck
 from fjr_design.tuning.equal_bandwidth import tuning
 from fjr_design.uncertainty.drawn_loops import FACTORS, QUANTITIES, radii_with_model_errors
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import Result, aligned, plural
+from fjr_msgs_py.console.output import Result, aligned, plural, tell
 from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured
@@ -85,7 +84,7 @@ def check_scenario(
     if prove_sampled:
         proofs["sampled_proof"] = importing.module("fjr_proofs.check_rows").sampled_proof(loaded, delay)
     for sentence in filter(None, [*found.values["warnings"], found.values["refused"]]):
-        print(f"fjr: {sentence}", file=sys.stderr)
+        tell(sentence)
     rows = [row for each in (found, *proofs.values()) for row in each.rows.items()]
     values = {**found.values, "rows": {name.strip(): text for name, text in rows}}
     values |= {name: proof.values for name, proof in proofs.items()}

@@ -19,6 +19,7 @@ from fjr_msgs_py.console.options import (
     scenario_argument,
     set_option,
 )
+from fjr_msgs_py.console.output import tell
 
 
 def _drawn_plants_options(cores: str) -> Callable[[Any], Any]:
@@ -261,7 +262,7 @@ def compare(suite: str, output: Path, cores: int, document: Path | None, readme:
     SUITE is the name of a comparison or a YAML file. [default: paper]
     """
     if readme is not None:
-        click.echo("fjr: --readme is deprecated; use --document", err=True)
+        tell("--readme is deprecated; use --document")
     run = implementation("fjr_design.studies.compare_run")
     with stoppable() as stop:
         return run.compare(suite, output, cores, document or readme, stop)

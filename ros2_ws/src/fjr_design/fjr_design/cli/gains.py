@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -33,7 +32,7 @@ from fjr_design.uncertainty.drawn_loops import (
     largest_share,
 )
 from fjr_design.uncertainty.posterior import DELAY, MATRICES, UNKNOWN, drawn_plants, read_identification
-from fjr_msgs_py.console.output import Result, progress_bar
+from fjr_msgs_py.console.output import Result, progress_bar, tell
 from fjr_msgs_py.scenarios import installed, library
 from fjr_msgs_py.scenarios.gains_block import gain_lines, with_gains
 from fjr_msgs_py.scenarios.library import ScenarioError
@@ -128,7 +127,7 @@ class Posterior:
         unknown = [one for one in self._found.estimates if one.verdict == UNKNOWN and one.name in (*MATRICES, DELAY)]
         self.kept = [f"{one.name} of {one.joint}" if one.joint else one.name for one in unknown]
         if self.kept:
-            print(f"fjr: not identifiable, so not drawn: {', '.join(self.kept)}", file=sys.stderr)
+            tell(f"not identifiable, so not drawn: {', '.join(self.kept)}")
 
     @cached_property
     def design(self) -> DrawnPlants:

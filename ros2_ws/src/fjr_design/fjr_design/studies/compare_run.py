@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
@@ -27,7 +26,7 @@ from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.numerics.jit import program_digest
 from fjr_msgs_py.console.ending import Interrupted
-from fjr_msgs_py.console.output import Result, aligned, finite, plural, progress_bar
+from fjr_msgs_py.console.output import Result, aligned, finite, plural, progress_bar, tell
 from fjr_msgs_py.scenarios import library
 
 from ..batch import scenario_loop
@@ -57,10 +56,7 @@ def compare(name: str, output: Path, cores: int, page: Path | None, stop: thread
         compare_results.around_table(page, chosen.name)  # raises CompareError before the long run
     for law in chosen.laws:
         if is_named(law.law) and not issubclass(load(law.law), StaticLaw):
-            print(
-                f"fjr: {law.law} is evaluated in Python: its runs are not compiled, so they take longer",
-                file=sys.stderr,
-            )
+            tell(f"{law.law} is evaluated in Python: its runs are not compiled, so they take longer")
     planned = jobs(chosen)
     folder = output / f"compare_{chosen.name}"
     found = run(planned, folder / CACHE, cores, stop)

@@ -22,7 +22,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_picture
-from fjr_msgs_py.console.output import Result, finite, json_text, number, percent, plural, progress_bar
+from fjr_msgs_py.console.output import Result, finite, json_text, number, percent, plural, progress_bar, tell
 
 from ..batch.draws import FIXED, LOG_UNIFORM, unit_of
 from .sensitivity import Effect, ReadColumn, Summary, summarised
@@ -62,7 +62,7 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     plan = planned(name, options)
     check_and_warn(plan)
     if plan.loop.program.in_python:
-        print(f"fjr: {IN_PYTHON}", file=sys.stderr)
+        tell(IN_PYTHON)
     with open_store(options.output / plan.name, plan.text, plan.loop.program.fingerprint) as store:
         with options.workers(plan) as workers:
             carry_out(plan, store, workers, stop)
@@ -79,7 +79,7 @@ def check_and_warn(plan: Sweep) -> None:
     """Raise ParameterError for friction that is too stiff; name identified parameters that are not drawn."""
     plan.refuse_stiff_friction()
     if plan.identified is not None and plan.identified.left_out:
-        print(f"fjr: identified, but not drawn: {', '.join(plan.identified.left_out)}", file=sys.stderr)
+        tell(f"identified, but not drawn: {', '.join(plan.identified.left_out)}")
 
 
 def jobs_of(plan: Sweep) -> dict[str, tuple[str, int, int]]:

@@ -25,7 +25,7 @@ from fjr_identification.read_record import Reading, read_record
 from fjr_identification.record_map import read_map, written_map
 from fjr_identification.rigid_motion import KINDS
 from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
-from fjr_msgs_py.console.output import Result, aligned, interval, json_text, note, number, plural, progress_bar
+from fjr_msgs_py.console.output import Result, aligned, interval, json_text, note, number, plural, progress_bar, tell
 
 ROBOT, VALUES, PAGE = "robot.yaml", "identification.json", "identification.html"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
@@ -100,7 +100,7 @@ def _read(paths: Sequence[Path], nominal: NominalRobot, reading: Reading) -> tup
     pairs = [read_record(path, nominal.joints, nominal.robot, reading) for path in paths]
     notes = tuple(each for _, of_record in pairs for each in of_record)
     for each in notes:
-        note(f"fjr: {each}")
+        tell(each)
     return [record for record, _ in pairs], notes
 
 
@@ -183,7 +183,7 @@ def unconfirmed(compared: Sequence[HoldOut]) -> list[str]:
                 "the record does not confirm these stiffnesses"
             )
     for sentence in sentences:
-        note(f"fjr: {sentence}")
+        tell(sentence)
     return sentences
 
 

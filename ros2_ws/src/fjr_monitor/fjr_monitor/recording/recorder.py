@@ -10,7 +10,6 @@ middleware stamps send and receive times of each message, so that batching costs
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
@@ -32,6 +31,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from fjr_core.files.text_file import write_text
 from fjr_monitor.recording.message_types import SchemaError, definition, interface_class
 from fjr_monitor.recording.message_types import type_hash as hash_of
+from fjr_msgs_py.console.output import tell
 from fjr_msgs_py.node.participant import leave
 
 METADATA_VERSION = 9
@@ -251,7 +251,7 @@ class Recorder:
             write(*arguments)
         except OSError as error:
             self.loss = f"recording stopped: {error.strerror or error}"
-            print(f"fjr: {self.loss}; {self.writer.path} holds the messages so far", file=sys.stderr)
+            tell(f"{self.loss}; {self.writer.path} holds the messages so far")
 
     def _drain_all(self, most: int) -> bool:
         """Write at most `most` messages of each topic; return whether one may have more."""

@@ -6,10 +6,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import sys
 from pathlib import Path
 
 from fjr_core.errors import FjrError
+from fjr_msgs_py.console.output import tell
 
 
 class FolderError(FjrError):
@@ -56,7 +56,7 @@ class RunFolder:
         try:
             _point(self.link, self.path.name)
         except OSError as error:
-            print(f"fjr: no link {self.link} to {self.path.name}: {error.strerror}", file=sys.stderr)
+            tell(f"no link {self.link} to {self.path.name}: {error.strerror}")
 
     def __exit__(self, *_: object) -> None:
         if not self._kept:

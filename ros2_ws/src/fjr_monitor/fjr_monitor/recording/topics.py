@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from collections.abc import Collection, Iterator, Sequence
@@ -29,7 +28,7 @@ from fjr_monitor.recording.run_folder import FolderError
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.options import FIRST
-from fjr_msgs_py.console.output import Result, heartbeat, json_text
+from fjr_msgs_py.console.output import Result, heartbeat, json_text, tell
 from fjr_msgs_py.console.ros2 import discover_quickly, refuse_over_ros2
 from fjr_msgs_py.messages.plain import plain
 from fjr_msgs_py.node.loading import domain
@@ -107,7 +106,7 @@ def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> 
             )
         if silent > PATIENCE and not notified:
             notified = True
-            print(f"fjr: waiting for {topic} in ROS domain {domain()}; {_published(node)}", file=sys.stderr, flush=True)
+            tell(f"waiting for {topic} in ROS domain {domain()}; {_published(node)}")
 
 
 def _published(node: Node) -> str:
@@ -130,7 +129,7 @@ def record(topics: Sequence[str], output: Path | None, duration: float | None, f
     if folder.exists():
         raise FolderError(f"{folder} exists: not overwritten; expected the name of a new folder")
     what, limit = ", ".join(wanted) or "all topics", "Ctrl-C ends" if duration is None else f"for {duration:g} s"
-    print(f"fjr: records {what} into {folder}; {limit}", file=sys.stderr, flush=True)
+    tell(f"records {what} into {folder}; {limit}")
     with stoppable() as stop, Recorder(folder, topics=wanted) as recorder:
         end = math.inf if duration is None else time.monotonic() + duration
         while not recorder.loss and not stop.wait(POLL) and time.monotonic() < end:
@@ -167,7 +166,7 @@ def play(bag: Path, topics: Sequence[str], rate: float, efforts: bool, force: bo
         with heartbeat(lambda: f"fjr: reading {path}"):
             found = read_bag(path)
         for note in found.notes:
-            print(f"fjr: {note}", file=sys.stderr)
+            tell(note)
         return _play(path, _selected(found.topics, topics, efforts, path), rate, stop)
 
 
@@ -185,7 +184,7 @@ def _selected(held: dict[str, Topic], wanted: Sequence[str], efforts: bool, path
     if wanted:
         return {name: held[name] for name in map(absolute, wanted)}
     if commanding and not efforts:
-        print(f"fjr: {', '.join(commanding)} not played: --efforts commands a robot", file=sys.stderr)
+        tell(f"{', '.join(commanding)} not played: --efforts commands a robot")
         held = {name: topic for name, topic in held.items() if name not in commanding}
     if not held:
         raise BagError(f"{path} holds no message to play")
@@ -201,7 +200,7 @@ def _play(path: Path, topics: dict[str, Topic], rate: float, stop: threading.Eve
         played = [topics[name] for name in publishers]
         first, last = min(each.first for each in played), max(each.last for each in played)
         length = due(last, first, rate)
-        print(f"fjr: plays {len(publishers)} topics for {length:.3g} s; Ctrl-C ends", file=sys.stderr, flush=True)
+        tell(f"plays {len(publishers)} topics for {length:.3g} s; Ctrl-C ends")
         counts = dict.fromkeys(publishers, 0)
         stop.wait(DISCOVERY)
         start = time.monotonic()
@@ -247,7 +246,7 @@ def _publishers(node: Node, topics: dict[str, Topic], latched: Collection[str]) 
         try:
             kind = interface_class(topic.type_name)
         except SchemaError as error:
-            print(f"fjr: {name} not played: {error}", file=sys.stderr)
+            tell(f"{name} not played: {error}")
             continue
         publishers[name] = node.create_publisher(kind, name, QoSProfile(depth=DEPTH, durability=durability))
     return publishers

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fjr_monitor.report.html import Line, Plot, drawable
-from fjr_msgs_py.console.output import SUPERSCRIPT
+from fjr_msgs_py.console.output import SUPERSCRIPT, tell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +54,7 @@ def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure]
         from matplotlib.figure import Figure
     except ImportError:
         missing = "Matplotlib is not installed; expected it from: pip install matplotlib"
-        print(f"fjr: {path} is left out: {missing}", file=sys.stderr)
+        tell(f"{path} is left out: {missing}")
         return None
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import errno
 import os
-import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,7 +29,7 @@ from fjr_monitor.report.picture import can_draw, write_picture
 from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import Result, aligned
+from fjr_msgs_py.console.output import Result, aligned, tell
 from fjr_msgs_py.console.provenance import Provenance, provenance
 from fjr_msgs_py.console.ros2 import play_command
 from fjr_msgs_py.scenarios import library
@@ -122,7 +121,7 @@ def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
         if error.errno not in UNWRITABLE:
             raise
         other = Path(tempfile.mkdtemp(prefix=f"fjr-{folder.name}-"))
-        print(f"fjr: cannot write to {folder} ({error.strerror}); the report is in {other}", file=sys.stderr)
+        tell(f"cannot write to {folder} ({error.strerror}); the report is in {other}")
     write(other)
     return other
 
@@ -213,7 +212,7 @@ def report(
             name, file, folder = source_of(path, scenario, output, [each.folder for each in summaries])
             size = sum(each.stat().st_size for each in files_of(bag_folder(path)) if each.is_file())
             if size > LARGE:
-                print(f"fjr: reading {path}, {size / 1e6:.0f} MB", file=sys.stderr, flush=True)
+                tell(f"reading {path}, {size / 1e6:.0f} MB")
             known = dict(known_of(file.with_name(METRICS)))
             known["provenance"] = Provenance.read(known.get("provenance"))
             known.pop("scenario", None)
@@ -222,14 +221,16 @@ def report(
         except (FjrError, OSError) as error:
             failures.append(str(error) if str(path) in str(error) else f"{given}: {error}")
     if not summaries:
-        print("".join(f"fjr: {failure}\n" for failure in failures[:-1]), end="", file=sys.stderr)
+        for failure in failures[:-1]:
+            tell(failure)
         raise RecordError(failures[-1])
     if film is not None:
         importing.module("fjr_engines.film").film(summaries[0].data, film)
     names = [each.label for each in summaries]  # or the folder if two runs have the same scenario
     summaries = [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
     missing = [f"{each.label}: {note}" for each in summaries for note in each.report.missing]
-    print("".join(f"fjr: {loss}\n" for loss in (*failures, *missing)), end="", file=sys.stderr)
+    for loss in (*failures, *missing):
+        tell(loss)
     page = None
     if len(summaries) > 1:
         common = Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))

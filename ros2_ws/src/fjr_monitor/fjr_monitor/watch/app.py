@@ -37,7 +37,7 @@ from fjr_monitor.watch.state import NodeHealth, View, Watched
 from fjr_monitor.watch.terminal import render
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import stoppable
-from fjr_msgs_py.console.output import json_text
+from fjr_msgs_py.console.output import json_text, tell
 from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.node.participant import own_node
 from fjr_msgs_py.node.reports import labelled
@@ -145,7 +145,7 @@ class _Display:
                 raise TopicError(f"{seen}; {nodes_seen(node)}; {ELSEWHERE}")
             if waited > PATIENCE and not notified:
                 notified = True
-                print(f"fjr: waiting for states and diagnostics; {nodes_seen(node)}", file=sys.stderr, flush=True)
+                tell(f"waiting for states and diagnostics; {nodes_seen(node)}")
 
     def _views(self, period: float) -> Iterator[View]:
         missing: list[str] = []

@@ -16,6 +16,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from .output import tell
 from .ros2 import installed_files
 
 PATH = click.Path(path_type=Path)
@@ -55,7 +56,7 @@ def model_error(text: str) -> tuple[str, float | list[float]]:
     if name == "payload" and value.endswith("kg"):
         name, value = "payload_mass", value.removesuffix("kg")
     if name == "link_inertia":
-        click.echo("fjr: --error link_inertia is deprecated; use link_central_inertia", err=True)
+        tell("--error link_inertia is deprecated; use link_central_inertia")
         name = "link_central_inertia"
     convert = number(f"an error of {name}", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)
     first, *others = map(convert, value.split(","))

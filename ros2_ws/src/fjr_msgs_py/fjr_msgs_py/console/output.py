@@ -120,6 +120,11 @@ def note(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
+def tell(sentence: str) -> None:
+    """Print a sentence of fjr on stderr."""
+    note(f"fjr: {sentence}")
+
+
 @contextmanager
 def phase(text: str) -> Iterator[None]:
     """Announce a step on stderr; while it lasts, print every BEAT how long it has taken."""
