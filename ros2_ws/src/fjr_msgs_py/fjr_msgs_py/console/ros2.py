@@ -36,15 +36,9 @@ def ros2_path() -> str | None:
     return shutil.which("ros2")
 
 
-def installed_command(ros2: str, fjr: str) -> str:
-    """Return the command `ros2 ...` if ROS 2's command line is installed, otherwise `fjr ...`."""
-    return f"ros2 {ros2}" if ros2_path() else f"fjr {fjr}"
-
-
 def play_command(bag: Path) -> str:
-    """Return the command that plays a bag."""
-    name = shlex.quote(str(bag))
-    return installed_command(f"bag play {name}", f"play {name}")
+    """Return the command that plays a bag: that of ROS 2 if its command line is installed, otherwise of fjr."""
+    return f"{'ros2 bag play' if ros2_path() else 'fjr play'} {shlex.quote(str(bag))}"
 
 
 def refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
