@@ -146,8 +146,8 @@ class Pairs:
         """Return the tube of starts with link errors up to a size [rad, m], if motions in it approach each other."""
         try:
             started = [replace(known, rest=known.rest.plus(self._decay, size)) for known in self.problem.started]
-            tube = self.problem.grown(*started)
-            return tube if tube is not None and self._approach_in(tube, started) else None
+            tube, few = self.problem.grown(*started), [known.sparse for known in started]
+            return tube if tube is not None and all(self._approach_in(tube, each) for each in (few, started)) else None
         except ZeroDivisionError:  # a divisor may be zero: the tube is too wide
             return None
 

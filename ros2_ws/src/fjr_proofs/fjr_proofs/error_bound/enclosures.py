@@ -102,6 +102,10 @@ class Ranges:
         """Number u of uncertain factors."""
         return len(self.low)
 
+    def sparse(self, step: int) -> Ranges:
+        """Return the ranges in every `step`-th of these cells."""
+        return Ranges(self.linear, self.low, self.high, self.blocks, self.at[::step])
+
     def known_errors(self) -> KnownErrors:
         """Return known torques and efforts: of the centre motion, and by each uncertain factor."""
         cells, linear = self._cells, self.linear

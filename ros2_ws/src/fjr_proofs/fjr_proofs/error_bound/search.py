@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError, StateError
 from fjr_core.law.interfaces import StaticLaw
-from fjr_core.law.linearized import Indices
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array, floats
 from fjr_core.numerics.one_line import one_line
@@ -48,9 +47,9 @@ HOPELESS = 8  # times as many parts, if all were as narrow as one without bounds
 TINY = 1e-12
 TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
 WORTH = 0.99  # ratio of the bounds of halves to that of a part, up to which it is divided
-REMAINS = 1e-2  # of a deviation after the sums of the gains, which bound the rest
+REMAINS = 2e-2  # of a deviation after the sums of the gains, which bound the rest
 LONGEST_SUM = 20_000  # samples
-SAMPLED_FINALS = 16  # cells at whose end the gains of a sampled bound are computed
+FEW = 16  # cells that give the decay of a deviation, and at whose end the gains of a sampled bound are computed
 COARSE = 100  # cells on which centre motions are found
 
 Progress = Callable[[float], None]
@@ -319,13 +318,14 @@ class Search:
     def gains(self, linear: LinearLoop, rate: float = 0.0, few: bool = False) -> tuple[Array, int] | None:
         """Return peak gains of exp(rate t) Z and the cells of their sums; None if it does not decay.
 
-        few: at the end of SAMPLED_FINALS cells only.
+        few: at the end of FEW cells only.
         """
-        finals = self._finals[:: -(-len(self._finals) // SAMPLED_FINALS)] if few else self._finals
-        growth = float(np.exp(rate * self.T))
-        blocks = self._blocks(growth * linear.at(self._finals).spectral_radius)
+        count, growth = self.cells.count, float(np.exp(rate * self.T))
+        spread = np.unique(np.linspace(0, count - 1, min(count, FEW)).round().astype(int))
+        blocks = self._blocks(growth * linear.at(spread).spectral_radius)
         if blocks is None:
             return None
+        finals = np.arange(count) if self.cells.verified and not few else spread
         found = peak_gains(linear.models.growing(growth), self.cells, self.T, blocks, finals)
         return (found, blocks) if np.all(np.isfinite(found)) else None
 
@@ -340,11 +340,6 @@ class Search:
             return None
         samples = np.log(REMAINS) / np.log(radius) if radius > 0 else 1.0
         return None if samples > LONGEST_SUM else int(np.ceil(samples / self.cells.samples)) + 1
-
-    @property
-    def _finals(self) -> Indices:
-        count = self.cells.count if self.cells.verified else min(SAMPLED_FINALS, self.cells.count)
-        return np.unique(np.linspace(0, self.cells.count - 1, count).round().astype(int))
 
 
 def _with_bounds(box: FactorBox, problem: TubeProblem) -> FactorBox:
