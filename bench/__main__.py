@@ -17,21 +17,7 @@ import numpy
 import pinocchio
 from tqdm import tqdm
 
-from bench import (
-    build,
-    campaign,
-    gaps,
-    identification_peers,
-    identification_time,
-    latency,
-    memory,
-    pauses,
-    peers,
-    proof,
-    real_time,
-    start_up,
-    starts,
-)
+from bench import build, campaign, disturbances, identification_peers, memory, peers, proof, real_time, starts
 from bench.figures import ROOT, Figure, page, table
 from fjr_msgs_py.console.provenance import machine
 
@@ -45,27 +31,27 @@ USUAL: dict[str, Measurement] = {
     "loop": (peers.times_real_time, {}),
     "virtual-machine": (peers.virtual_machine_over_c, {}),
     "build": (build.arms, {}),
-    "start": (start_up.library, {}),
-    "node": (start_up.node, {}),
-    "command": (start_up.command, {}),
-    "round-trip": (latency.over_echo, {"rounds": 3}),
+    "start": (starts.law, {}),
+    "node": (starts.node, {}),
+    "command": (starts.command, {}),
+    "round-trip": (real_time.over_echo, {"rounds": 3}),
     "on-time": (real_time.answered, {"seconds": 5.0}),
     "mujoco": (real_time.on_mujoco, {"seconds": 5.0}),
-    "gaps": (gaps.longest, {"repeats": 1}),
-    "pauses": (pauses.recovered, {"pauses": 3, "kills": 1}),
-    "certificate": (latency.with_certificate, {"rounds": 3}),
+    "gaps": (disturbances.longest_gaps, {"repeats": 1}),
+    "pauses": (disturbances.recovered, {"pauses": 3, "kills": 1}),
+    "certificate": (real_time.with_certificate, {"rounds": 3}),
     "lock-step": (real_time.over_ping_pong, {"repeats": 2, "seconds": 3.0}),
     "campaign": (campaign.against_peers, {"runs": 500, "rounds": 2}),
     "proof": (proof.over_joint_range_and_tube, {"most_boxes": 20}),
     "identification": (identification_peers.against_mujoco, {"records": 2, "of_seven": 0}),
-    "identification-time": (identification_time.of_a_minute, {"duration": 5.0}),
+    "identification-time": (identification_peers.of_a_minute, {"duration": 5.0}),
 }
 LONG: dict[str, Measurement] = {
     "starts": (starts.arm7, {"most": 2}),
     "memory": (memory.of_nodes, {"minutes": 0.5}),
     "sweep-memory": (memory.of_sweep, {"many": 20_000}),
     "report-memory": (memory.of_reports, {"minutes": 1.0}),
-    "excitation": (identification_time.of_designed_motion, {"duration": 5.0}),
+    "excitation": (identification_peers.of_designed_motion, {"duration": 5.0}),
 }
 
 
