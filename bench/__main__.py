@@ -15,7 +15,6 @@ import casadi
 import mujoco
 import numpy
 import pinocchio
-from tqdm import tqdm
 
 from bench import build, campaign, disturbances, identification_peers, memory, peers, proof, real_time, starts
 from bench.figures import ROOT, Figure, page, table
@@ -69,17 +68,12 @@ def main() -> int:
 
 
 def measured(wanted: Sequence[str], quick: bool) -> list[Figure]:
-    """Return the figures of these benchmarks; show a progress bar on a terminal, plain lines elsewhere."""
+    """Return the figures of these benchmarks; say which one runs."""
     figures: list[Figure] = []
-    terminal = sys.stderr.isatty()
-    with tqdm(total=len(wanted), disable=not terminal, bar_format="{desc:16} |{bar}| {n}/{total} {elapsed}") as bar:
-        for name in wanted:
-            if not terminal:
-                print(f"bench: {name}", file=sys.stderr, flush=True)
-            bar.set_description(name)
-            measure, trial = (USUAL | LONG)[name]
-            figures += measure(**(trial if quick else {}))
-            bar.update()
+    for count, name in enumerate(wanted, 1):
+        print(f"bench: {name} ({count} of {len(wanted)})", file=sys.stderr, flush=True)
+        measure, trial = (USUAL | LONG)[name]
+        figures += measure(**(trial if quick else {}))
     return figures
 
 

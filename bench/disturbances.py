@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop in real time while others make use of the controller, and after pauses and kills of its processes.
 
-**Gaps** of `arm7`. A trajectory of 100,000 points is sent to a standing and to a moving arm; parameters are read 100
-times a second; a bag is recorded while `fjr watch --browser` serves a page. A gap is the largest difference of the send
-times of two consecutive efforts, from two seconds of commands on until the use ends; a trajectory ends after half of the
-move to its first point. The bound is for the median of the repeats; the largest stands beside it. A gap covers all that
+Gaps of `arm7`: a trajectory of 100,000 points is sent to a standing and to a moving arm; parameters are read 100 times
+a second; a bag is recorded while `fjr watch --browser` serves a page. A gap is the largest difference of the send times
+of two consecutive efforts, from two seconds of commands on until the use ends; a trajectory ends after half of the move
+to its first point. The bound is for the median of the repeats; the largest stands beside it. A gap covers all that
 delays an effort: states that the plant sends late, the cycle of the controller, reading and planning of the trajectory,
 the change of the reference, and every other process on the cores. It does not cover the start (bench/starts.py) and
 processes that join before the recording. `machine` is the largest lateness meanwhile of a thread of high priority that
 only sleeps (bench/machine.py), `machine then` in the repeat of the largest gap. A refused trajectory gives no figure,
 unless the arm had stopped before.
 
-**Pauses** of the processes (SIGSTOP, SIGCONT), and a controller that is killed beside a moving robot. An arm without
-efforts falls: it has left its limits by itself if a state violates one at most REACTION after the first new effort.
+Pauses (SIGSTOP, SIGCONT) and kills of the controller beside a moving robot: an arm without efforts falls. It has left
+its limits by itself if a state violates one at most REACTION after the first new effort.
 """
 
 from __future__ import annotations

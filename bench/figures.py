@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tabulate import tabulate
+
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = ROOT / "docs" / "tables"
 HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
@@ -62,10 +64,7 @@ class Figure:
 
 def table(figures: Sequence[Figure]) -> str:
     """Format all figures as a table, one per line."""
-    rows = [HEADINGS, *(figure.row() for figure in figures)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    rows.insert(1, tuple("-" * width for width in widths))
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+    return tabulate([figure.row() for figure in figures], HEADINGS, disable_numparse=True)
 
 
 def page(document: Mapping[str, Any]) -> str:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Identification of elastic joints against mujoco.sysid, and time and memory of `fjr identify` for a minute.
 
-Records are simulated with encoder noise; both identify the same ones. Both start from the same wrong stiffness and rotor inertia and estimate these and the damping of both sides. MuJoCo gets
-true initial states, and the likelihood of its intervals is exact: the record has white noise and no delay. Records of
-seven joints are cut into pieces for it: from one rollout of a second, 100 iterations do not reach the minimum.
+Both start from the same simulated records with encoder noise and the same wrong stiffness and rotor inertia, and
+estimate these and the damping of both sides. MuJoCo gets true initial states, and the likelihood of its intervals is
+exact: the record has white noise and no delay. Records of seven joints are cut into pieces for it: from one rollout of
+a second, 100 iterations do not reach the minimum.
 
-The minute of seven joints at 1 kHz is a run in lock-step on the motion that `fjr excite` designs; stiffness and rotor
-inertia in the robot file are wrong. The intervals of the stiffness from the designed motion are compared with those from
-the scenario's own.
+The minute is a run of seven joints in lock-step on the motion that `fjr excite` designs; stiffness and rotor inertia in
+the robot file are wrong. The intervals of the stiffness are compared with those from the scenario's own motion.
 """
 
 from __future__ import annotations
