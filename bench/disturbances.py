@@ -77,22 +77,21 @@ Use = Callable[[Tap, Heard], None]
 
 def longest_gaps(repeats: int = REPEATS) -> list[Figure]:
     """Return the longest gaps between two efforts, of `repeats` for each use."""
-    scenario = load("arm7")
-    standing = at_rest(scenario)
+    standing = at_rest(load("arm7"))
     uses: Mapping[str, tuple[Use, Mapping[str, Any]]] = {
         f"while a standing arm receives {POINTS:,} points": (_send, standing),
         f"while a moving arm receives {POINTS:,} points": (_send, {}),
         "while parameters are read 100 times a second": (_read_parameters, {}),
         "while a bag is recorded and fjr watch --browser is open": (_record_and_watch, {}),
     }
-    return [_figure(name, use, overrides, repeats) for name, (use, overrides) in uses.items()]
-
-
-def _figure(name: str, use: Use, overrides: Mapping[str, Any], repeats: int) -> Figure:
-    gaps, machine = np.array([_gap(use, overrides) for _ in range(repeats)]).T
-    parts = {"largest [ms]": float(gaps.max()), "machine then [ms]": float(machine[gaps.argmax()])}
-    parts |= {"machine [ms]": float(machine.max()), "repeats": float(repeats)}
-    return Figure(f"longest gap between efforts {name}", float(np.median(gaps)), "ms", bound=GAP_BOUND, parts=parts)
+    figures = []
+    for name, (use, overrides) in uses.items():
+        gaps, machine = np.array([_gap(use, overrides) for _ in range(repeats)]).T
+        parts = {"largest [ms]": float(gaps.max()), "machine then [ms]": float(machine[gaps.argmax()])}
+        parts |= {"machine [ms]": float(machine.max()), "repeats": float(repeats)}
+        median = float(np.median(gaps))
+        figures.append(Figure(f"longest gap between efforts {name}", median, "ms", bound=GAP_BOUND, parts=parts))
+    return figures
 
 
 def _gap(use: Use, overrides: Mapping[str, Any]) -> tuple[float, float]:
@@ -229,16 +228,24 @@ def recovered(pauses: int = PAUSES, kills: int = KILLS) -> list[Figure]:
     return figures
 
 
+@contextmanager
+def _pair(robot: str, may_end: bool = False) -> Iterator[tuple[Path, dict[str, subprocess.Popen[str]], Tap, Heard]]:
+    """Run plant and controller of a robot; yield their file and processes, and a tap that hears TOPICS."""
+    with (
+        scenario_file(name=robot) as file,
+        Tap() as tap,
+        process(plant(file), quiet=True) as plant_node,
+        process(controller(file), quiet=True, may_end=may_end) as controller_node,
+        tap.listening(TOPICS, LIMIT) as heard,
+    ):
+        yield file, {"plant": plant_node, "controller": controller_node}, tap, heard
+
+
 def _outcome(robot: str, paused: tuple[str, ...], at: float, lost: float) -> Outcome:
     """Run a pair, disturb it `at` seconds after the warm-up, and judge what follows; no process paused: kill."""
     own = _own_peak(robot, WARM_UP if paused else 0.0)  # a start is compared with a run and its start
-    with scenario_file(name=robot) as file, Tap() as tap, ExitStack() as stack:
-        nodes = {
-            "plant": stack.enter_context(process(plant(file), quiet=True)),
-            "controller": stack.enter_context(process(controller(file), quiet=True, may_end=not paused)),
-        }
+    with _pair(robot, may_end=not paused) as (file, nodes, tap, heard), ExitStack() as stack:
         events = tap.node.create_subscription(DiagnosticStatus, EVENTS, lambda _: None, DEPTH)
-        heard = stack.enter_context(tap.listening(TOPICS, LIMIT))
         heard.collect(WARM_UP + at)
         begin = woken = time.time_ns()
         if paused:
@@ -297,10 +304,7 @@ def _outside(scenario: Scenario, states: NDArray[np.float64]) -> NDArray[np.bool
 @cache
 def _own_peak(robot: str, skipped: float) -> float:
     """Return the largest effort of an undisturbed run [N m] after the first `skipped` seconds."""
-    with scenario_file(name=robot) as file, Tap() as tap, ExitStack() as stack:
-        for command in (plant(file), controller(file)):
-            stack.enter_context(process(command, quiet=True))
-        heard = stack.enter_context(tap.listening(TOPICS, LIMIT))
+    with _pair(robot) as (*_, heard):
         heard.collect(UNDISTURBED)
     sent = heard.messages()[1][:, 1]
     return float(np.abs(heard.values(1, "effort")[sent >= sent[0] + skipped * 1e9]).max())

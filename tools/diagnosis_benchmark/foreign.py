@@ -1,25 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnose runs with faults and physics that the labelled sets lack; write the table of docs/tables/diagnosis.md.
+"""Runs with faults and physics that the labelled sets lack: sensors, springs, friction, delays.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.foreign --folder FOLDER [--count 200]
-
-A run is drawn by its number alone. Its result is a file of the folder: a later call takes up where an earlier one
-ended, and several processes, each in an order of its own, share the work. Once all are there the table is written.
+A run is drawn by its number alone.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.figures import kept, markdown, put
+from bench.figures import markdown
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.thresholds import JointTolerances
@@ -151,8 +144,8 @@ def result(number: int) -> dict[str, Any]:
     }
 
 
-def rows(results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
-    """Return a row for each kind of fault, and one for all."""
+def table(results: list[dict[str, Any]]) -> list[str]:
+    """Return the Markdown lines with a row for each kind of fault, and one for all."""
     found: list[tuple[str, ...]] = []
     for kind in (*KINDS, "all"):
         own = [each for each in results if kind in ("all", each["kind"])]
@@ -164,28 +157,5 @@ def rows(results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
         held = sum(each["verdict"] == "holding" for each in own)
         counts = f"{sum(right)} of {len(named)}", f"{joints} of {len(located)}"
         found.append((kind, str(len(own)), *counts, str(held), str(wrongly)))
-    return found
-
-
-def main() -> None:
-    """Diagnose the runs that have no result yet; write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--count", type=int, default=COUNT)
-    options = parser.parse_args()
-    order = np.random.default_rng(os.getpid()).permutation(options.count).tolist()
-    found = {number: kept(options.folder / f"{number:04d}.json", partial(result, number)) for number in order}
-    head = (
-        "fault",
-        "runs",
-        "one kind and joint named: right",
-        "joint right",
-        "holding",
-        "of these beyond the tolerance",
-    )
-    table = markdown(head, rows([found[number] for number in range(options.count)]))
-    put("diagnosis.md", "foreign", table)
-
-
-if __name__ == "__main__":
-    main()
+    right_kind, beyond = "one kind and joint named: right", "of these beyond the tolerance"
+    return markdown(("fault", "runs", right_kind, "joint right", "holding", beyond), found)
