@@ -70,7 +70,8 @@ def test_missed_bound_is_reported_last_and_fails_the_command(
     value: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one, two = Figure("one", value, "", bound=2.0), Figure("two", 1.0, "s")
-    monkeypatch.setattr(command, "USUAL", {"law": (lambda: [one], {}), "step": (lambda: [two], {})})
+    benches = {"law": command.Bench(lambda: [one]), "step": command.Bench(lambda: [two])}
+    monkeypatch.setattr(command, "BENCHES", benches)
     monkeypatch.setattr("sys.argv", ["bench", "--output", str(tmp_path / "deep" / "bench.json")])
     assert command.main() == code
     assert ("missed: one" in capsys.readouterr().out) == bool(code)
