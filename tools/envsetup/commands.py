@@ -45,7 +45,6 @@ def run(
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
-    say(f"{title} ...", passing=True)
     with log.open("a", encoding="utf-8") as output:
         print(f"$ {' '.join(command)}", file=output, flush=True)
         try:
@@ -55,6 +54,7 @@ def run(
         except OSError as error:
             raise SetupError(f"{failure}: {error}") from error
         with process:
+            say(f"{title} ...", passing=True)
             while process.poll() is None:
                 try:
                     process.wait(BEAT)
