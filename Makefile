@@ -69,13 +69,13 @@ compare: ## compare all laws on three robots, two hours, write docs/tables/compa
 robots: ## try `fjr new` on public robots, an hour, and write docs/tables/robots.md
 	$(SETUP) test
 	@$(ENTER) && "$(VENV)/bin/python" -m pip install --quiet --no-deps --constraint constraints.txt \
-		--requirement requirements/robots.txt && exec "$(VENV)/bin/python" -m tools.robot_survey
+		--requirement requirements/robots.txt && PYTHONPATH="tools:$$PYTHONPATH" exec "$(VENV)/bin/python" -m robot_survey
 
 engines: ## move robots by MuJoCo, by Drake and by the own plant, 15 minutes, and write docs/tables/engines.md
 	$(SETUP) test
 	@$(ENTER) && "$(VENV)/bin/python" -m pip install --quiet --constraint constraints.txt --requirement requirements/drake.txt && \
 		"$(VENV)/bin/python" -m pip install --quiet --no-deps --constraint constraints.txt \
-		--requirement requirements/robots.txt && PYTHONPATH="tools:$$PYTHONPATH" exec "$(VENV)/bin/python" -m engine_survey
+		--requirement requirements/robots.txt && PYTHONPATH="tools:$$PYTHONPATH" exec "$(VENV)/bin/python" -m robot_survey --engines
 
 docs: ## build the pages and the API reference into build/docs/html; a warning is an error
 	$(SETUP) docs

@@ -6,73 +6,65 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi
 import mujoco
 import numpy
 import pinocchio
-from tqdm import tqdm
 
-from bench import (
-    build,
-    campaign,
-    gaps,
-    identification_peers,
-    identification_time,
-    latency,
-    memory,
-    pauses,
-    peers,
-    proof,
-    real_time,
-    start_up,
-    starts,
-)
+from bench import build, campaign, disturbances, identification_peers, memory, peers, proof, real_time, starts
 from bench.figures import ROOT, Figure, page, table
 from fjr_msgs_py.console.provenance import machine
 
 RESULTS = ROOT / "runs" / "bench.json"
-Measurement = tuple[Callable[..., list[Figure]], dict[str, Any]]
-"""What measures, and its arguments in a quick run."""
-USUAL: dict[str, Measurement] = {
-    "law": (peers.law_over_rnea, {}),
-    "dynamics": (peers.forward_dynamics_over_aba, {}),
-    "step": (peers.step_over_mujoco, {}),
-    "loop": (peers.times_real_time, {}),
-    "virtual-machine": (peers.virtual_machine_over_c, {}),
-    "build": (build.arms, {}),
-    "start": (start_up.library, {}),
-    "node": (start_up.node, {}),
-    "command": (start_up.command, {}),
-    "round-trip": (latency.over_echo, {"rounds": 3}),
-    "on-time": (real_time.answered, {"seconds": 5.0}),
-    "mujoco": (real_time.on_mujoco, {"seconds": 5.0}),
-    "gaps": (gaps.longest, {"repeats": 1}),
-    "pauses": (pauses.recovered, {"pauses": 3, "kills": 1}),
-    "certificate": (latency.with_certificate, {"rounds": 3}),
-    "lock-step": (real_time.over_ping_pong, {"repeats": 2, "seconds": 3.0}),
-    "campaign": (campaign.against_peers, {"runs": 500, "rounds": 2}),
-    "proof": (proof.over_joint_range_and_tube, {"most_boxes": 20}),
-    "identification": (identification_peers.against_mujoco, {"records": 2, "of_seven": 0}),
-    "identification-time": (identification_time.of_a_minute, {"duration": 5.0}),
-}
-LONG: dict[str, Measurement] = {
-    "starts": (starts.arm7, {"most": 2}),
-    "memory": (memory.of_nodes, {"minutes": 0.5}),
-    "sweep-memory": (memory.of_sweep, {"many": 20_000}),
-    "report-memory": (memory.of_reports, {"minutes": 1.0}),
-    "excitation": (identification_time.of_designed_motion, {"duration": 5.0}),
+
+
+class Bench(NamedTuple):
+    """What measures, its arguments in a quick run, and whether it is left out unless it is named."""
+
+    measure: Callable[..., list[Figure]]
+    quick: Mapping[str, Any] = {}
+    long: bool = False
+
+
+BENCHES = {
+    "law": Bench(peers.law_over_rnea),
+    "dynamics": Bench(peers.forward_dynamics_over_aba),
+    "step": Bench(peers.step_over_mujoco),
+    "loop": Bench(peers.times_real_time),
+    "virtual-machine": Bench(peers.virtual_machine_over_c),
+    "build": Bench(build.arms),
+    "start": Bench(starts.law),
+    "node": Bench(starts.node),
+    "command": Bench(starts.command),
+    "round-trip": Bench(real_time.over_echo, {"rounds": 3}),
+    "on-time": Bench(real_time.answered, {"seconds": 5.0}),
+    "mujoco": Bench(real_time.on_mujoco, {"seconds": 5.0}),
+    "gaps": Bench(disturbances.longest_gaps, {"repeats": 1}),
+    "pauses": Bench(disturbances.recovered, {"pauses": 3, "kills": 1}),
+    "certificate": Bench(real_time.with_certificate, {"rounds": 3}),
+    "lock-step": Bench(real_time.over_ping_pong, {"repeats": 2, "seconds": 3.0}),
+    "campaign": Bench(campaign.against_peers, {"runs": 500, "rounds": 2}),
+    "proof": Bench(proof.over_joint_range_and_tube, {"most_boxes": 20}),
+    "identification": Bench(identification_peers.against_mujoco, {"records": 2, "of_seven": 0}),
+    "identification-time": Bench(identification_peers.of_a_minute, {"duration": 5.0}),
+    "starts": Bench(starts.arm7, {"most": 2}, long=True),
+    "memory": Bench(memory.of_nodes, {"minutes": 0.5}, long=True),
+    "sweep-memory": Bench(memory.of_sweep, {"many": 20_000}, long=True),
+    "report-memory": Bench(memory.of_reports, {"minutes": 1.0}, long=True),
+    "excitation": Bench(identification_peers.of_designed_motion, {"duration": 5.0}, long=True),
 }
 
 
 def main() -> int:
     """Run the selected benchmarks; return the exit code."""
     arguments = parser().parse_args()
-    figures = measured(arguments.only or list(USUAL), arguments.quick)
+    usual = [name for name, bench in BENCHES.items() if not bench.long]
+    figures = measured(arguments.only or usual, arguments.quick)
     print(f"{machine()}\n\n{table(figures)}")
     document = write(figures, arguments.output)
     if arguments.document:
@@ -83,29 +75,25 @@ def main() -> int:
 
 
 def measured(wanted: Sequence[str], quick: bool) -> list[Figure]:
-    """Return the figures of these benchmarks; show a progress bar on a terminal, plain lines elsewhere."""
+    """Return the figures of these benchmarks; say which one runs."""
     figures: list[Figure] = []
-    terminal = sys.stderr.isatty()
-    with tqdm(total=len(wanted), disable=not terminal, bar_format="{desc:16} |{bar}| {n}/{total} {elapsed}") as bar:
-        for name in wanted:
-            if not terminal:
-                print(f"bench: {name}", file=sys.stderr, flush=True)
-            bar.set_description(name)
-            measure, trial = (USUAL | LONG)[name]
-            figures += measure(**(trial if quick else {}))
-            bar.update()
+    for count, name in enumerate(wanted, 1):
+        print(f"bench: {name} ({count} of {len(wanted)})", file=sys.stderr, flush=True)
+        bench = BENCHES[name]
+        figures += bench.measure(**(bench.quick if quick else {}))
     return figures
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
+    left_out = [name for name, bench in BENCHES.items() if bench.long]
     made = argparse.ArgumentParser(prog="bench", description="Measure against peers, in turns, and check the bounds.")
     made.add_argument(
         "--only",
         nargs="+",
-        choices=[*USUAL, *LONG],
+        choices=BENCHES,
         metavar="NAME",
-        help=f"some of {', '.join(USUAL | LONG)} (default: all but {', '.join(LONG)})",
+        help=f"some of {', '.join(BENCHES)} (default: all but {', '.join(left_out)})",
     )
     made.add_argument("--quick", action="store_true", help="run nodes for a few seconds only; bounds do not apply")
     made.add_argument("--document", type=Path, help="where the table of all figures of this day goes (Markdown)")

@@ -30,7 +30,7 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.model.newton_euler import ChainAt, Mass, mass_of
 from fjr_core.monitoring.external_torque import STICKING
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import c_library_of, compiled
+from fjr_core.numerics.jit import compiled
 from fjr_core.numerics.symbolic import bind, dense_function, symbols
 from fjr_core.runtime.library import step_library
 from fjr_msgs_py.scenarios import library
@@ -67,7 +67,7 @@ class Study:
         scenario: Scenario = library.as_run(library.find(name), {})[1]
         self.robot, self.n = scenario.robot, scenario.robot.n
         self.observer = contact_observer(scenario.controller_values, self.robot)
-        self.library, self.loop, k = step_library(self.n), c_library_of(__file__), MINUTE + 1
+        self.library, k = step_library(self.n), MINUTE + 1
         self._arguments = [np.empty((k, self.n)) for _ in range(4)]
         self._results = [np.empty((k, self.n)), np.empty((k, 3 * self.n))]
         self._evaluate = bind(compiled(self._needed()).map(k), self._arguments, self._results)
@@ -135,31 +135,20 @@ class Watch:
     """The alarm in C for one robot."""
 
     def __init__(self, study: Study) -> None:
-        ffi, self._loop, n = study.library.ffi, study.loop, study.n
-        self._ffi, self._held = ffi, study.observer.struct(ffi)
+        ffi, n = study.library.ffi, study.n
+        self._ffi, self._watch, self._held = ffi, study.library.lib.fjr_watch_torque, study.observer.struct(ffi)
         self._o, self._c = self._held.pointer, ffi.new("struct fjr_contact*")
-        start = 2 * n * (1 + self._o.errors)
         self._threshold = np.frombuffer(ffi.buffer(self._o.compared))[n:]
-        pointers = {
-            "watch": study.library.lib.fjr_watch_torque,
-            "observer": self._o,
-            "contact": self._c,
-            "r": self._o.kept + start,
-            "acting": ffi.addressof(self._c, "acting"),
-        }
-        own = self._loop.ffi
-        self._watched = own.new("struct watched*", {"n": n})
-        for name, pointer in pointers.items():
-            kind = own.typeof(getattr(self._watched, name))
-            setattr(self._watched, name, own.cast(kind, int(ffi.cast("intptr_t", pointer))))
+        self._estimates = np.frombuffer(ffi.buffer(self._o.kept + 2 * n * (1 + self._o.errors), 8 * n))
 
     def along(self, stamps: NDArray[np.int64], position: Array, velocity: Array) -> tuple[Array, NDArray[np.int32]]:
         """Return the estimates (k, n) [N m] at k states, and whether there is contact (k + 1,), first before them."""
-        k, own = len(stamps), self._loop.ffi
-        found, acting = np.empty((k, position.shape[1] // 2)), np.empty(k + 1, dtype=np.int32)
-        arrays = {"int64_t[]": (stamps,), "double[]": (position, velocity, found), "int32_t[]": (acting,)}
-        given = [own.from_buffer(kind, each) for kind, of_kind in arrays.items() for each in of_kind]
-        self._loop.lib.watch_along(self._watched, k, *given)
+        k, width = position.shape
+        found, acting = np.empty((k, width // 2)), np.full(k + 1, self._c.acting, dtype=np.int32)
+        positions, velocities = (self._ffi.from_buffer("double[]", values) for values in (position, velocity))
+        for i, stamp in enumerate(stamps.tolist()):
+            self._watch(self._o, self._c, positions + width * i, velocities + width * i, stamp)
+            found[i], acting[i + 1] = self._estimates, self._c.acting
         return found, acting
 
     def tried(self, stamps: NDArray[np.int64], position: Array, velocity: Array) -> tuple[Array, int, Array]:

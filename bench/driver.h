@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The robot driver of bench/driver.py: publish a state at each tick, unless an effort is pending, and time the effort.
+ * The robot driver of bench/bare.py: publish a state at each tick, unless an effort is pending, and time the effort.
  */
 struct driver {
   struct fjr_loop* loop;

@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identification of elastic joints against mujoco.sysid, from the same simulated records with encoder noise.
+"""Identification of elastic joints against mujoco.sysid, and time and memory of `fjr identify` for a minute.
 
-Both start from the same wrong stiffness and rotor inertia and estimate these and the damping of both sides. MuJoCo gets
-true initial states, and the likelihood of its intervals is exact: the record has white noise and no delay. Records of
-seven joints are cut into pieces for it: from one rollout of a second, 100 iterations do not reach the minimum.
+Both start from the same simulated records with encoder noise and the same wrong stiffness and rotor inertia, and
+estimate these and the damping of both sides. MuJoCo gets true initial states, and the likelihood of its intervals is
+exact: the record has white noise and no delay. Records of seven joints are cut into pieces for it: from one rollout of
+a second, 100 iterations do not reach the minimum.
+
+The minute is a run of seven joints in lock-step on the motion that `fjr excite` designs; stiffness and rotor inertia in
+the robot file are wrong. The intervals of the stiffness are compared with those from the scenario's own motion.
 """
 
 from __future__ import annotations
 
+import json
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
@@ -15,21 +21,24 @@ from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from absl import logging
 from mujoco import sysid
 
 from bench.arm import JOINT, arm7, mujoco_spec
 from bench.figures import Figure
+from bench.nodes import Used, used
 from fjr_core.config.scenario import Scenario
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_engines.mjcf.writing import MOTOR, SPRING
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, Prior
 from fjr_msgs_py.scenarios import library
 
 NAMES = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
@@ -39,6 +48,8 @@ WRONG = {"joint_stiffness": 1.3, "motor_inertia": 0.8, "link_damping": 0.5, "mot
 LARGEST = 5.0  # factor of a parameter that MuJoCo may try, and its inverse
 NOISE = 1e-5  # rad
 DURATION, PIECE = 5.0, 0.1  # s; of a record of seven joints, and of its pieces
+MINUTE, SHORT = 60.0, 10.0  # s
+LONGEST = 60.0  # s, on two cores
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +85,14 @@ def case_of(scenario: Scenario, duration: float, seed: int) -> Case:
     q = motion[:, : 2 * n] + NOISE * np.random.default_rng(seed).standard_normal((k, 2 * n))
     unmeasured, dt = np.full((k, n), np.nan), scenario.sample_period
     record = MotionRecord(scenario.name, scenario.joints, dt, run.u, q[:, :n], q[:, n:], unmeasured)
-    truth = dict(zip(NAMES, map(np.diag, (robot.K, robot.M_m, robot.D_l, robot.D_m)), strict=True))
+    truth = true_values(robot)
     start = {name: WRONG[name] * value for name, value in truth.items()}
     return Case(robot, record, motion, truth, start)
+
+
+def true_values(robot: Robot) -> dict[str, Array]:
+    """Return the true parameters (n,) of NAMES."""
+    return dict(zip(NAMES, map(np.diag, (robot.K, robot.M_m, robot.D_l, robot.D_m)), strict=True))
 
 
 def ours(case: Case) -> Estimated:
@@ -190,3 +206,70 @@ def against_mujoco(records: int = 20, of_seven: int = 2) -> list[Figure]:
     found = figures(f"one joint, {records} records of 1 s", single)
     pieces = round(DURATION / PIECE)
     return found + (figures(f"seven joints, {of_seven} records of {DURATION:g} s", seven, pieces) if seven else [])
+
+
+def of_a_minute(duration: float = MINUTE) -> list[Figure]:
+    """Measure the command on a record of `duration` [s], and count the intervals that contain the truth."""
+    with tempfile.TemporaryDirectory() as name:
+        run = _recorded(Path(name), _excited(Path(name), duration), duration)
+        found, estimates = _identified(Path(name), run)
+    inside = _inside(estimates)
+    label = f"{duration:g} s of seven joints"
+    bound = LONGEST if duration == MINUTE else None
+    parts = {"processor [s]": found.processor, "memory [MB]": found.memory}
+    return [
+        Figure(f"fjr identify, {label}", found.seconds, "s", bound=bound, parts=parts),
+        Figure(f"95 % intervals with the truth, {label}", 100 * sum(inside) / len(inside), "%"),
+    ]
+
+
+def of_designed_motion(duration: float = SHORT) -> list[Figure]:
+    """Compare the intervals of the stiffness from the scenario's motion with those from the designed one."""
+    with tempfile.TemporaryDirectory() as name:
+        motions = "arm7", _excited(Path(name), duration)
+        runs = [_recorded(Path(name), motion, duration) for motion in motions]
+        before, after = (
+            np.array([e["high"] - e["low"] for e in _identified(Path(name), run)[1] if e["name"] == "joint_stiffness"])
+            for run in runs
+        )
+    parts = {"least": float(min(before / after)), "most": float(max(before / after))}
+    name = f"intervals of the stiffness over those of the designed motion, {duration:g} s, median"
+    return [Figure(name, float(np.median(before / after)), "", parts=parts)]
+
+
+def _excited(folder: Path, duration: float) -> str:
+    """Return the scenario with the motion that `fjr excite` designs for `arm7`."""
+    excited = str(folder / "excited.yaml")
+    used("fjr", "excite", "arm7", "--duration", f"{min(duration, 20.0):g}", "--output", excited)
+    return excited
+
+
+def _recorded(folder: Path, scenario: str, duration: float) -> str:
+    """Return the folder of a run with encoder noise."""
+    noise = [f"imperfections.{side}_position_noise:={[NOISE] * 7}" for side in ("link", "motor")]
+    changes = [argument for each in noise for argument in ("--set", each)]
+    run = ["--lockstep", "--no-report", "--duration", f"{duration:g}", "--output", str(folder / "runs")]
+    used("fjr", "run", scenario, *run, *changes)
+    return str(folder / "runs" / Path(scenario).stem)
+
+
+def _identified(folder: Path, run: str) -> tuple[Used, list[dict[str, Any]]]:
+    """Identify a run from a robot file with wrong values; return what the command used, and its estimates."""
+    truth = true_values(arm7().robot)
+    guess = {name: (WRONG[name] * truth[name]).tolist() for name in ("joint_stiffness", "motor_inertia")}
+    document = {"file": "package://fjr_bringup/robots/arm7.yaml", **guess}
+    file, output = folder / "guessed.yaml", folder / "identified" / Path(run).name
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"robot": document}}}), encoding="utf-8")
+    found = used("fjr", "identify", run, "--robot", str(file), "--output", str(output))
+    return found, json.loads((output / "identification.json").read_text(encoding="utf-8"))["estimates"]
+
+
+def _inside(estimates: list[dict[str, Any]]) -> list[bool]:
+    """Return for each estimate whether its interval contains the truth; the arm has no friction that turns over."""
+    truth, joints = true_values(arm7().robot), arm7().joints
+    zeros = np.zeros(len(joints))  # of the other parameters
+    return [
+        bool(each["low"] <= truth.get(each["name"], zeros)[joints.index(each["joint"])] <= each["high"])
+        for each in estimates
+        if each["name"] != SMOOTHING
+    ]

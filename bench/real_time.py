@@ -1,27 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop of `arm7` at 1 kHz: states answered before the next one, and processor time; rate in lock-step.
+"""The loop of `arm7` at 1 kHz: latency from state to effort, states answered before the next one, rate in lock-step.
 
-Answers count from the first effort on, of both hosts of the nodes in turns, with the certificate, quiet and beside busy
-processes. Samples per second in lock-step are compared with two bare nodes that exchange states and commands.
+Latencies are those of both hosts of the controller node against a bare node with the same messages, and with the
+certificate against without: the effort leaves before the certificate is computed, whose cost is the delay of the
+following cycle. Answers count from the first effort on, of both hosts in turns, with the certificate, quiet and beside
+busy processes. Samples per second in lock-step are compared with two bare nodes that exchange states and commands.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.arm import arm7
 from bench.bare import PERIOD
 from bench.figures import Figure
 from bench.measure import ratio
-from bench.nodes import HOSTS, bare, burning, controller, plant, running, scenario_file
+from bench.nodes import HOSTS, PRIORITY, bare, burning, controller, plant, running, scenario_file, used
 from bench.tap import Seen, Tap
+from fjr_core.config.scenario import Scenario
 from fjr_msgs_py import names
 
+ROUNDS = 15
+NATIVE, RCLPY, BARE = "native", "rclpy", "bare"
+WITH, WITHOUT = "with", "without"
+BOUNDS = {NATIVE: (0.75, 0.75), RCLPY: (1.25, 1.25)}
+"""Of each host of the control step: of the PERCENTILES over those of the bare node."""
+PERCENTILES = {"median": 50, "99th percentile": 99}
+WITH_BOUND = 1.10  # median with the certificate over that without it
+PATIENCE = 10.0  # s; timeout of a side waiting for its turn
 SECONDS = 60.0
 BUSY = 6
 QUIET_BOUND, BUSY_BOUND = 99.9, 99.0  # % of the native host
@@ -31,6 +46,60 @@ WARM_UP = 3.0  # s; not in the processor time
 LONGEST = 60.0  # s; timeout of the start
 REPEATS, COUNTED, SETTLING = 5, 5.0, 1.0  # in lock-step; s; s before it
 RATE_BOUNDS = {"native": 1.3, "events": 0.7}  # of the rates of both hosts over that of the bare nodes
+
+Times = dict[str, list[list[float]]]
+"""Latencies [us] of each round, by side."""
+
+
+def over_echo(rounds: int = ROUNDS) -> list[Figure]:
+    """Compare median and 99th percentile of both hosts with the bare node, round by round; the arm is at rest."""
+    with scenario_file(at_rest(arm7())) as file:
+        nodes = (
+            controller(file, "-r", f"__ns:=/{NATIVE}", "-p", "executor:=native"),
+            controller(file, "-r", f"__ns:=/{RCLPY}", "-p", "executor:=events"),
+            bare("echo", "-r", f"__ns:=/{BARE}"),
+        )
+        times = latencies(rounds, (NATIVE, RCLPY, BARE), nodes)
+    return [
+        figure(f"state to effort over a bare echo, {host}, {name}", percent, bound, {s: times[s] for s in (host, BARE)})
+        for host, bounds in BOUNDS.items()
+        for (name, percent), bound in zip(PERCENTILES.items(), bounds, strict=True)
+    ]
+
+
+def with_certificate(rounds: int = ROUNDS) -> list[Figure]:
+    """Compare a controller with and without the certificate, round by round; the arm rests at its reference."""
+    still = at_rest(arm7())
+    with scenario_file(still) as file, scenario_file({**still, "certificate": False}) as plain:
+        nodes = (controller(file, "-r", f"__ns:=/{WITH}"), controller(plain, "-r", f"__ns:=/{WITHOUT}"))
+        times = latencies(rounds, (WITH, WITHOUT), nodes)
+    bounds = zip(PERCENTILES.items(), (WITH_BOUND, None), strict=True)
+    return [figure(f"state to effort with certificate, {name}", p, bound, times) for (name, p), bound in bounds]
+
+
+def at_rest(scenario: Scenario) -> dict[str, Any]:
+    """Return the parameters with which the reference stands still."""
+    offset = scenario.reference.jets(0.0)[0]
+    zeros = [0.0] * len(offset)
+    return {"reference.amplitude": zeros, "reference.offset": offset.tolist(), "state_timeout": PATIENCE}
+
+
+def latencies(rounds: int, sides: tuple[str, ...], nodes: Sequence[Sequence[str]]) -> Times:
+    """Run the nodes of both sides (namespaces) with the driver, which sends the reference as state."""
+    position = np.tile(arm7().reference.jets(0.0)[0], 2).tolist()
+    given = {"rounds": rounds, "sides": f"[{', '.join(sides)}]", "position": position, "realtime_priority": PRIORITY}
+    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
+    driver = (sys.executable, "-m", "bench.bare", "driver", "--ros-args", *arguments)
+    with running(*nodes):
+        times: Times = json.loads(used(*driver, longest=LONGEST + 4 * rounds).output)
+    return times
+
+
+def figure(name: str, percent: int, bound: float | None, times: Times) -> Figure:
+    """Return the ratio of a percentile of both sides, with the median of each over the rounds."""
+    ours, theirs = (np.array([np.percentile(each, percent) for each in rounds]) for rounds in times.values())
+    parts = {f"{side} [us]": float(np.median(each)) for side, each in zip(times, (ours, theirs), strict=True)}
+    return Figure(name, ratio(ours, theirs), "", bound=bound, parts=parts)
 
 
 def answered(seconds: float = SECONDS) -> list[Figure]:

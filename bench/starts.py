@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts of `arm7` in real time by `fjr run`, from the first effort on: stopped or not, answers before the next state.
+"""Start-up: of the law, of the controller node, of `fjr`, and whether `arm7` starts in real time by `fjr run`.
 
-Quiet and beside busy processes, with the permission for real-time priority and as a user without it. `machine` is the
-largest lateness meanwhile of a thread of high priority that only sleeps (bench/machine.py). `machine awake` counts the
-states in whose time that thread woke at most STALL late on both cores; the bound holds for all states.
+Times until the first effort are taken with an empty and a filled cache. Starts in real time count from the first effort
+on: stopped or not, answers before the next state; quiet and beside busy processes, with the permission for real-time
+priority and as a user without it. `machine` is the largest lateness meanwhile of a thread of high priority that only
+sleeps (bench/machine.py). `machine awake` counts the states in whose time that thread woke at most STALL late on both
+cores; the bound holds for all states.
 """
 
 from __future__ import annotations
@@ -11,10 +13,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +25,29 @@ from tqdm import tqdm
 
 from bench.figures import Figure
 from bench.machine import watched
-from bench.nodes import burning, ros_environment
+from bench.nodes import burning, controller, plant, process, ros_environment, used
 from bench.real_time import in_time
-from bench.tap import HEADER, STAMP
+from bench.tap import HEADER, STAMP, Tap
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.files import Topic
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import Exit
+from fjr_msgs_py.scenarios.library import find
 
+COLD_REPEATS, WARM_REPEATS, NODE_REPEATS, COMMAND_REPEATS = 3, 3, 11, 5
+LONGEST = 120.0  # s; timeout of each wait
+SCENARIO = find("arm7")
+FIRST_EFFORT = """
+import sys
+from fjr_core import TrackingLaw
+from fjr_core.config.scenario import load_scenario
+scenario = load_scenario(sys.argv[1])
+law = TrackingLaw(scenario.robot, scenario.gains, compile=True)
+print(law.command(scenario.x0, scenario.reference.jets(0.0)).tolist(), flush=True)
+"""
 STATES = 1000  # from the first that is answered
 DURATION = 2.5  # s of each run
 LARGEST_ERROR = 2e-4  # rad, of any joint after 2 s
-LONGEST = 120.0  # s; timeout of a start
 STALL = 0.5  # ms that the machine itself is late; half a period of the states
 MOST = 50  # starts in a setting
 MEMORY = 8 << 20  # bytes that an ordinary user may lock
@@ -42,6 +56,69 @@ ORDINARY = (
     *("prlimit", "--rtprio=0:0", "--nice=0:0", f"--memlock={MEMORY}:{MEMORY}"),
 )
 """What takes the permissions from a command that root may have: real-time priority, nice, locked memory."""
+
+
+def law() -> list[Figure]:
+    """Measure the start of the law, compiled and from the cache."""
+    cold, warm = [], []
+    for _ in range(COLD_REPEATS):
+        with TemporaryDirectory(prefix="fjr-bench-") as cache:
+            cold.append(_first_effort(cache))
+            warm += [_first_effort(cache) for _ in range(WARM_REPEATS)]
+    return [
+        _seconds("URDF to first effort, nothing cached", cold, bound=10.0),
+        _seconds("URDF to first effort, from the cache", warm, bound=1.0),
+    ]
+
+
+def node() -> list[Figure]:
+    """Measure the controller node with a cached law until its first command; the plant is running."""
+    ros_environment()
+    with TemporaryDirectory(prefix="fjr-bench-") as cache:
+        _first_command(cache)
+        seconds = [_first_command(cache) for _ in range(NODE_REPEATS)]
+    return [_seconds("controller node, spawn to first command", seconds, bound=0.5)]
+
+
+def command() -> list[Figure]:
+    """Measure the processor time of `fjr` and the nodes that it starts, with filled caches."""
+    ros_environment()
+    with TemporaryDirectory(prefix="fjr-bench-") as folder:
+        run = ("run", "paper_k31", "--lockstep", "--duration", "0.2", "--output", folder)
+        _processor_time(folder, *run)  # fills the cache
+        lines = {
+            "fjr --help": (("--help",), 0.4),
+            "fjr scenarios": (("scenarios",), 0.4),
+            "fjr run, 0.2 s in lock-step": (run, 4.0),
+            "fjr run --no-report, 0.2 s in lock-step": ((*run, "--no-report"), 4.0),
+        }
+        return [
+            _seconds(f"{name}, processor time", [_processor_time(folder, *line) for _ in range(COMMAND_REPEATS)], bound)
+            for name, (line, bound) in lines.items()
+        ]
+
+
+def _processor_time(cache: str, *arguments: str) -> float:
+    """Return the time [s] that the processors spend on `fjr` and its nodes: unlike that of a clock, for any load."""
+    return used("fjr", *arguments, cache=cache, longest=LONGEST).processor
+
+
+def _first_effort(cache: str) -> float:
+    return used(sys.executable, "-c", FIRST_EFFORT, str(SCENARIO), cache=cache, longest=LONGEST).seconds
+
+
+def _first_command(cache: str) -> float:
+    with process(plant(SCENARIO), cache=cache), Tap() as tap:
+        tap.next(names.JOINT_STATES, LONGEST)
+        start = perf_counter()
+        with process(controller(SCENARIO), cache=cache):
+            tap.next(names.JOINT_COMMANDS, LONGEST)
+            return perf_counter() - start
+
+
+def _seconds(name: str, seconds: list[float], bound: float) -> Figure:
+    parts = {"least [s]": min(seconds), "most [s]": max(seconds)}
+    return Figure(name, float(np.median(seconds)), "s", bound=bound, parts=parts)
 
 
 @dataclass(frozen=True)
@@ -113,7 +190,7 @@ def _figures(setting: Setting, count: int) -> Iterator[Figure]:
 
 
 def _start(ordinary: bool) -> Start:
-    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder:
+    with TemporaryDirectory(prefix="fjr-bench-") as folder:
         run = ("fjr", "run", "arm7", "--no-report", "--duration", str(DURATION), "--output", folder)
         command = [*(ORDINARY if ordinary else ()), *run]
         done = subprocess.run(command, env=ros_environment(), capture_output=True, text=True, timeout=LONGEST)

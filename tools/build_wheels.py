@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from envsetup import pins
-from envsetup.console import PREFIX, SetupError, Step, clean_environment, run_logged
+from envsetup.commands import PREFIX, SetupError, clean_environment, run
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = tuple(sorted(file.parent.name for file in ROOT.glob("ros2_ws/src/*/setup.py")))
@@ -45,9 +45,7 @@ def build(target: Path) -> list[Path]:
         bring_uplot(source)
         folders = [str(source), *(str(source / "ros2_ws" / "src" / name) for name in PACKAGES)]
         command = [sys.executable, "-c", BUILD, str(target.resolve()), *folders]
-        with Step("wheels") as step:
-            failure = "setuptools could not build the wheels"
-            run_logged(command, LOG, clean_environment(sourced_ros=False), step, failure=failure)
+        run("wheels", command, LOG, clean_environment(sourced_ros=False), "setuptools could not build the wheels")
     return sorted(target.glob("fjr*.whl"))
 
 

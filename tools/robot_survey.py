@@ -1,27 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run `fjr new`, `fjr check` and two seconds in lock-step for each public robot; write the tables of their results.
+"""Surveys of public robots, and their tables.
 
 make robots                                          # an hour on two cores
-.venv/bin/python -m tools.robot_survey Panda   # only robots with this in their name, into the same tables
+make engines                                         # 15 minutes
+PYTHONPATH=tools .venv/bin/python -m robot_survey [--engines] Panda   # only robots with this in their name
 
-URDFs are in docs/tables/robots.md, MJCFs in docs/tables/engines.md.
+`make robots` runs `fjr new`, `fjr check` and two seconds in lock-step for each robot: URDFs into docs/tables/robots.md,
+MJCFs into docs/tables/engines.md. No file is edited between the commands. The laws run uncompiled (compile:=false),
+which spares a minute of compilation a robot and gives the same numbers to rounding.
 
-No file is edited between the commands. The laws run uncompiled (compile:=false), which spares a minute of compilation a
-robot and gives the same numbers to rounding. Results are kept in runs/survey, so that a second call goes on.
+`make engines` moves the URDFs and the shipped scenarios by each engine of the plant: docs/tables/engines.md. The nodes
+in lock-step move to the same bits (tests/engines/test_engines.py). Results are kept in runs/survey, so that a second
+call goes on.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import subprocess
-import sys
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from importlib.metadata import distribution
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from bench.figures import kept, markdown, put
+from diagnosis_benchmark.lock_step import LockStepLoop
+from fjr_core.config.plant import ENGINES, OWN
+from fjr_core.numerics.checks import Array
+from fjr_msgs_py.scenarios import library
 
 FOLDER = Path("runs/survey")
 TRACKED = 1e-3  # rad, m: largest error after two seconds of a run that tracks
@@ -179,22 +191,131 @@ def tracks(robot: PublicRobot) -> bool:
     return bool(errors) and errors[0] is not None and errors[0] < TRACKED
 
 
-def main(names: list[str]) -> int:
-    """Run the robots whose name contains one of these, all for none; write the tables of all kept results."""
-    robots = (*ROBOTS, *MJCFS)
-    chosen = [each for each in robots if not names or any(name.lower() in each.name.lower() for name in names)]
-    if not chosen:
-        known_names = ", ".join(each.name for each in robots)
-        print(f"no robot is called {' or '.join(names)}; expected a part of one of {known_names}", file=sys.stderr)
-        return 2
-    for robot in chosen:
-        print(*row(robot), sep=" | ", flush=True)
+# Engines.
+
+SHIPPED = ("paper_k31", "paper_k3p1", "two_link", "arm7")
+SCENARIOS: Mapping[str, PublicRobot | None] = {**dict.fromkeys(SHIPPED), **{robot.name: robot for robot in ROBOTS}}
+KINDS = (OWN, *ENGINES)
+PAIRS = {f"{one} - {other}": (one, other) for one, other in combinations(KINDS, 2)}
+MOVED, SETTLED = 5.0, 2.0  # s
+LARGEST = 1e-6  # rad, m: difference of two engines with the same motion
+MOST_STEPS = 64
+ENGINE_HEADINGS = ("scenario", "joints", "inner steps", *PAIRS, "half the step", "after 2 s", "peak effort")
+
+
+class Motion(NamedTuple):
+    """Positions (s, 2n) of links and motors [rad], tracking error after SETTLED [rad], largest effort [N m]."""
+
+    positions: Array
+    error: float
+    effort: float
+
+
+def moved_by(engine: str, scenario: str, inner_steps: int, duration: float) -> Motion:
+    """Move a scenario, by name or path, in the loop that both nodes form in lock-step."""
+    given = {"engine": engine, "inner_steps": inner_steps, "lockstep": "true", "compile": "false"}
+    loop = LockStepLoop(library.load(scenario, [f"{name}:={value}" for name, value in given.items()])).run(duration)
+    positions = np.array([position for _, (_, position, _, _) in loop.states])
+    _, efforts, jets = map(np.array, zip(*loop.commands, strict=True))
+    late = np.abs(positions[:, : efforts.shape[1]] - jets[:, 0])[round(SETTLED / loop.scenario.sample_period) :]
+    return Motion(positions, float(np.max(late, initial=0.0)), float(np.max(np.abs(efforts))))
+
+
+def differences(motions: Mapping[str, Motion]) -> dict[str, float]:
+    """Return the largest difference of a joint between each pair of engines [rad]."""
+    return {
+        pair: float(np.max(np.abs(motions[one].positions - motions[other].positions)))
+        for pair, (one, other) in PAIRS.items()
+    }
+
+
+def compared(scenario: str, duration: float = MOVED) -> dict[str, Any]:
+    """Compare the engines with as many inner steps as they need to agree, and with twice as many."""
+    inner_steps = library.load(scenario).inner_steps
+    motions = {engine: moved_by(engine, scenario, inner_steps, duration) for engine in KINDS}
+    while True:
+        finer = {engine: moved_by(engine, scenario, 2 * inner_steps, duration) for engine in KINDS}
+        found = differences(motions)
+        if max(found.values()) <= LARGEST or inner_steps >= MOST_STEPS:
+            break
+        motions, inner_steps = finer, 2 * inner_steps
+    return {
+        "joints": motions[OWN].positions.shape[1] // 2,
+        "inner steps": inner_steps,
+        "differences": list(found.values()),
+        "finer": list(differences(finer).values()),
+        "errors": [each.error for each in motions.values()],
+        "efforts": [each.effort for each in motions.values()],
+    }
+
+
+def results(name: str) -> Path:
+    """Return the file that keeps the result of a scenario."""
+    robot = SCENARIOS[name]
+    return (robot.scenario if robot else FOLDER / name).with_suffix(".engines.json")
+
+
+def engines_of(name: str) -> dict[str, Any]:
+    """Compare the engines in a scenario, or read the kept result; {} for a robot that `fjr new` refuses."""
+    robot = SCENARIOS[name]
+    if robot and not results(name).exists() and not robot.scenario.exists() and robot.new()[1]:
+        return {}
+    found: dict[str, Any] = kept(results(name), lambda: compared(str(robot.scenario) if robot else name))
+    return found
+
+
+def engine_row(name: str, found: Mapping[str, Any]) -> list[str]:
+    """Return the cells of a scenario."""
+    finer = ", ".join(f"{each:.0e}" for each in found["finer"])
+    errors, efforts = {f"{each:.1e}" for each in found["errors"]}, {f"{each:.3f}" for each in found["efforts"]}
+    numbers = [f"{each:.1e}" for each in found["differences"]]
+    return [
+        name,
+        *(str(found[each]) for each in ENGINE_HEADINGS[1:3]),
+        *numbers,
+        finer,
+        *map(", ".join, (errors, efforts)),
+    ]
+
+
+def engine_table(outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the Markdown lines: in how many scenarios all engines move alike, then a row for each."""
+    equal = sum(max(found["differences"]) <= LARGEST for found in outcomes.values())
+    said = f"In {equal} of {len(outcomes)} scenarios no joint differs by more than {LARGEST:g} rad (m) between engines."
+    return [said, "", *markdown(ENGINE_HEADINGS, [engine_row(name, found) for name, found in outcomes.items()])]
+
+
+def survey_robots(chosen: Collection[str]) -> None:
+    """Run these robots; write the tables of all kept results."""
+    for robot in (*ROBOTS, *MJCFS):
+        if robot.name in chosen:
+            print(*row(robot), sep=" | ", flush=True)
     for group, page in ((ROBOTS, "robots.md"), (MJCFS, "engines.md")):
         if known := [robot for robot in group if robot.scenario.with_suffix(".json").exists()]:
             said = f"{sum(map(tracks, known))} of {len(known)} robots track within {1e3 * TRACKED:g} mrad (mm)"
             put(page, "robots", [f"{said} after two seconds.", "", *markdown(HEADINGS, map(row, known))])
-    return 0
+
+
+def survey_engines(chosen: Collection[str]) -> None:
+    """Compare the engines in these scenarios; write the table of all kept results."""
+    for name in chosen:
+        found = engines_of(name)
+        print(*(engine_row(name, found) if found else (name, "refused by `fjr new`")), sep=" | ", flush=True)
+    put("engines.md", "engines", engine_table({name: engines_of(name) for name in SCENARIOS if results(name).exists()}))
+
+
+def main() -> None:
+    """Run a survey of the robots whose names contain one of those given, all for none."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--engines", action="store_true", help="compare the engines of the plant")
+    parser.add_argument("names", nargs="*", help="parts of the names of robots (default: all)")
+    given = parser.parse_args()
+    known = [*SCENARIOS] if given.engines else [robot.name for robot in (*ROBOTS, *MJCFS)]
+    chosen = [name for name in known if not given.names or any(each.lower() in name.lower() for each in given.names)]
+    if not chosen:
+        parser.error(f"no robot is called {' or '.join(given.names)}; expected a part of one of {', '.join(known)}")
+    (survey_engines if given.engines else survey_robots)(chosen)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

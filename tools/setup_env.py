@@ -13,11 +13,6 @@ OLDEST, NEWEST = (3, 10), (3, 13)
 VERSION_QUERY = "import sys; print('%d.%d' % sys.version_info[:2])"
 
 
-def is_supported(version: tuple) -> bool:
-    """Return whether the pinned packages support CPython (major, minor)."""
-    return OLDEST <= tuple(version[:2]) <= NEWEST
-
-
 def find_other_python() -> "str | None":
     """Return the name of the newest supported python3.X on PATH that starts, or None."""
     for minor in range(NEWEST[1], OLDEST[1] - 1, -1):
@@ -33,7 +28,7 @@ def find_other_python() -> "str | None":
 
 def main() -> int:
     """Run `envsetup` in this interpreter, or in another one if this one is unsupported."""
-    if is_supported(sys.version_info):
+    if OLDEST <= tuple(sys.version_info[:2]) <= NEWEST:
         from envsetup.cli import main as run
 
         return run(sys.argv[1:])

@@ -17,21 +17,11 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
-from bench import (
-    build,
-    campaign,
-    driver,
-    figures,
-    identification_peers,
-    latency,
-    memory,
-    real_time,
-)
+from bench import bare, build, campaign, figures, identification_peers, memory, nodes, real_time
 from bench.arm import arm7, forward_dynamics, random_motion, rigid_arm7
 from bench.build import chain_urdf, joint_names
 from bench.figures import Figure, kept, page, placed, put, table
 from bench.measure import in_turns, ratio
-from bench.nodes import bare, running
 from bench.tap import Seen, Tap
 from fjr_core import TrackingLaw, robot_from_urdf
 from fjr_core.monitoring.certificate import Certificate
@@ -80,7 +70,8 @@ def test_missed_bound_is_reported_last_and_fails_the_command(
     value: float, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one, two = Figure("one", value, "", bound=2.0), Figure("two", 1.0, "s")
-    monkeypatch.setattr(command, "USUAL", {"law": (lambda: [one], {}), "step": (lambda: [two], {})})
+    benches = {"law": command.Bench(lambda: [one]), "step": command.Bench(lambda: [two])}
+    monkeypatch.setattr(command, "BENCHES", benches)
     monkeypatch.setattr("sys.argv", ["bench", "--output", str(tmp_path / "deep" / "bench.json")])
     assert command.main() == code
     assert ("missed: one" in capsys.readouterr().out) == bool(code)
@@ -101,21 +92,21 @@ def test_figures_of_one_day_are_written_together_and_others_dropped(tmp_path: Pa
 
 
 def test_sides_alternate_by_blocks_and_the_first_round_is_discarded() -> None:
-    times = np.repeat(np.arange(3.0 * 2 * driver.BLOCKS), driver.BLOCK)
-    found = driver.rounds(times, ["ours", "bare"], 3)
-    assert [each[:: driver.BLOCK] for each in found["ours"]] == [[8.0, 10.0, 12.0, 14.0], [16.0, 18.0, 20.0, 22.0]]
-    assert [each[:: driver.BLOCK] for each in found["bare"]] == [[9.0, 11.0, 13.0, 15.0], [17.0, 19.0, 21.0, 23.0]]
+    times = np.repeat(np.arange(3.0 * 2 * bare.BLOCKS), bare.BLOCK)
+    found = bare.rounds(times, ["ours", "bare"], 3)
+    assert [each[:: bare.BLOCK] for each in found["ours"]] == [[8.0, 10.0, 12.0, 14.0], [16.0, 18.0, 20.0, 22.0]]
+    assert [each[:: bare.BLOCK] for each in found["bare"]] == [[9.0, 11.0, 13.0, 15.0], [17.0, 19.0, 21.0, 23.0]]
 
 
 def test_driver_measures_a_bare_node_in_its_own_process() -> None:
-    echo = bare("echo", "-r", f"__ns:=/{latency.BARE}", priority=0)
-    times = np.array(latency.latencies(1, (latency.BARE,), [echo])[latency.BARE])
-    assert times.shape == (1, driver.BLOCKS * driver.BLOCK)
+    echo = nodes.bare("echo", "-r", f"__ns:=/{real_time.BARE}", priority=0)
+    times = np.array(real_time.latencies(1, (real_time.BARE,), [echo])[real_time.BARE])
+    assert times.shape == (1, bare.BLOCKS * bare.BLOCK)
     assert np.all(times > 0)
 
 
 def test_bare_nodes_exchange_states_and_commands() -> None:
-    with running(bare("ping", priority=0), bare("pong", priority=0)), Tap() as tap:
+    with nodes.running(nodes.bare("ping", priority=0), nodes.bare("pong", priority=0)), Tap() as tap:
         first = tap.next(names.JOINT_STATES, HANG)
         assert tap.next(names.JOINT_STATES, HANG).stamp > first.stamp
 

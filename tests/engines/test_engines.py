@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-import engine_survey
 import fjr_core as fjr
+import robot_survey
 from core.oracles.chains import random_urdf
 from fjr_core.errors import FjrError
 from fjr_core.simulation.imperfections import Imperfections
@@ -207,7 +207,7 @@ def test_engine_in_python_is_refused_in_real_time() -> None:
 @engines
 def test_loop_of_the_survey_is_lock_step_to_the_last_bit(engine: str, tmp_path: Path) -> None:
     run = record("two_link", 0.5, tmp_path, f"engine:={engine}", "compile:=false")
-    motion = engine_survey.motion("two_link", engine, inner_steps=4, duration=0.5)
+    motion = robot_survey.moved_by(engine, "two_link", inner_steps=4, duration=0.5)
     samples = min(len(run.t), len(motion.positions))
     assert samples > 400
     assert np.array_equal(run.q_l[:samples], motion.positions[:samples, :2])
@@ -216,9 +216,9 @@ def test_loop_of_the_survey_is_lock_step_to_the_last_bit(engine: str, tmp_path: 
 @pytest.mark.system
 @MISSING["drake"]
 def test_table_counts_the_scenarios_in_which_all_engines_agree() -> None:
-    found = engine_survey.compared("paper_k3p1", duration=0.1)
+    found = robot_survey.compared("paper_k3p1", duration=0.1)
     other = {**found, "differences": [1e-9, 1e-9, 1.1e-6]}
-    said, *_, row = engine_survey.table({"paper_k3p1": found, "other": other})
+    said, *_, row = robot_survey.engine_table({"paper_k3p1": found, "other": other})
     assert "In 1 of 2 scenarios" in said
     assert row.startswith("| other | 1 | 4 | 1.0e-09 | 1.0e-09 | 1.1e-06 |")
     assert row.endswith("| 255.762 |")

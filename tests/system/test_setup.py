@@ -14,8 +14,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from envsetup import extras, pins
-from envsetup.console import SetupError
+from envsetup import commands, machine, pins
+from envsetup.commands import SetupError
 from envsetup.machine import has_wheels, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace
@@ -170,10 +170,10 @@ def test_interrupted_installation_is_repeated_and_a_complete_one_kept(
     assert done == ["create", "run", "create", "run", "test"]
 
 
-TOOL = extras.Extra("a tool", ("one", "two"), "all is slow", [["test", "-e", "there"]])
+TOOL = machine.Extra("a tool", ("one", "two"), "all is slow", [["test", "-e", "there"]])
 
 
-def machine(
+def pretended(
     monkeypatch: pytest.MonkeyPatch, folder: Path, user: int, apt: bool = True, fails: bool = False
 ) -> list[str]:
     """Pretend to be a user, with or without apt-get, whose installation succeeds or fails; return what it installs."""
@@ -186,14 +186,14 @@ def machine(
         Path("there").write_text("")
 
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(extras, "has_apt", lambda: apt)
-    monkeypatch.setattr(extras, "apt_install", install)
+    monkeypatch.setattr(shutil, "which", lambda name: name if apt else None)
+    monkeypatch.setattr(machine, "apt_install", install)
     monkeypatch.setattr(os, "geteuid", lambda: user)
     return installed
 
 
 def test_missing_system_packages_are_installed_by_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    installed = machine(monkeypatch, tmp_path, user=0)
+    installed = pretended(monkeypatch, tmp_path, user=0)
     for _ in range(2):
         TOOL.ensure(tmp_path / "log", dict(os.environ))
     assert installed == ["one", "two"]
@@ -214,7 +214,7 @@ def test_unavailable_system_packages_are_reported_and_the_set_up_continues(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    machine(monkeypatch, tmp_path, **given)
+    pretended(monkeypatch, tmp_path, **given)
     TOOL.ensure(tmp_path / "log", dict(os.environ))
     last = capsys.readouterr().out.splitlines()[-1]
     assert "a tool is missing: all is slow; " in last
@@ -222,7 +222,7 @@ def test_unavailable_system_packages_are_reported_and_the_set_up_continues(
 
 
 def test_a_required_package_that_is_not_there_ends_the_set_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    machine(monkeypatch, tmp_path, user=1000)
+    pretended(monkeypatch, tmp_path, user=1000)
     with pytest.raises(SetupError, match="a tool is missing: all is slow; ask an administrator for `apt-get install"):
         replace(TOOL, required=True).ensure(tmp_path / "log", dict(os.environ))
 
@@ -233,7 +233,7 @@ def test_a_required_package_that_is_not_there_ends_the_set_up(monkeypatch: pytes
 def test_compiler_is_accepted_if_it_compiles(name: str, wanted: str, code: int, counts: bool, tmp_path: Path) -> None:
     program(tmp_path / name, f"exit {code}")
     env = {"PATH": str(tmp_path), "CC": wanted}
-    assert extras.compiler(env).is_there(env) == counts
+    assert machine.compiler(env).is_there(env) == counts
 
 
 def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
@@ -241,7 +241,29 @@ def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
     for path, there in ((tmp_path, True), (tmp_path / "empty", False)):
         env = {"PYTHONPATH": str(path), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         python = Path(sys.executable).resolve()  # outside the environment, which has its own
-        assert extras.pinocchio(python).is_there(env) == there
+        assert machine.pinocchio(python).is_there(env) == there
+
+
+def test_a_command_shows_its_latest_line_and_one_that_fails_its_last_ones(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(commands, "BEAT", 0.02)
+    log, go_on = tmp_path / "log", tmp_path / "go on"
+    waiting = f"echo reading; while [ ! -e '{go_on}' ]; do sleep 0.01; done; echo lost; exit 3"
+
+    def say(text: str, passing: bool = False) -> None:
+        if text.endswith("reading"):
+            go_on.write_text("")
+        print(text, passing)
+
+    monkeypatch.setattr(commands, "say", say)
+    with pytest.raises(SetupError, match=r"no tool \(exit code 3; the whole output is in .*log\)") as caught:
+        commands.run("tool", ["sh", "-c", waiting], log, dict(os.environ), "no tool")
+    first, *_, last = capsys.readouterr().out.splitlines()
+    assert (first, last.startswith("tool ... failed after ")) == ("tool ... True", True)
+    assert caught.value.details.splitlines()[-2:] == ["reading", "lost"]
+    with pytest.raises(SetupError, match="no tool: "):
+        commands.run("tool", [str(tmp_path / "none")], log, dict(os.environ), "no tool")
 
 
 def test_damaged_stamp_is_ignored(tmp_path: Path) -> None:

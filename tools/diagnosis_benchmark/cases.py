@@ -8,8 +8,9 @@ draws the initial position and all random sequences.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,15 +43,16 @@ EXPECTED = ("noise",)  # raises the floor, which the diagnosis allows for
 class Case:
     """A run: a scenario with changed plant parameters; kind: the cause, if it raises V enough, or the injected fault.
 
-    joint (index, -1: none), side, size: of the fault; fault: what of it is no plant parameter.
+    robot: plant parameters that the model of the controller lacks. start: initial state of the plant. joint (index, -1:
+    none), side, size: of the fault; fault: what of it is no plant parameter.
     """
 
     name: str
     scenario: str
     kind: str
     changes: Mapping[str, Any] = field(default_factory=dict)
-    robot: Mapping[str, Any] = field(default_factory=dict)  # plant parameters that the model of the controller lacks
-    start: Mapping[str, Any] = field(default_factory=dict)  # initial state of the plant
+    robot: Mapping[str, Any] = field(default_factory=dict)
+    start: Mapping[str, Any] = field(default_factory=dict)
     joint: int = -1
     side: str = ""
     size: float = 0.0
@@ -71,11 +73,61 @@ class Case:
         """Simulate the case in lock-step."""
         return LockStepLoop(self.loaded(), self.fault).run(duration)
 
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return JOINTS[self.scenario]
+
+    @property
+    def channel(self) -> int:
+        """Place of the joint's side in (2n,)."""
+        return self.joint + self.n * (self.side == "motor")
+
+    @property
+    def torque(self) -> float:
+        """Size scaled to the joint [N m]."""
+        return self.size * TORQUE[self.scenario][self.joint]
+
+    @property
+    def K(self) -> float:
+        """Stiffness of the joint [N m/rad]."""
+        return float(nominal(self.scenario).robot.K[self.joint, self.joint])
+
+    def at(self, value: float) -> Array:
+        """Return a value at the joint and 0 at the others (n,)."""
+        return value * np.eye(self.n)[self.joint]
+
+    def imperfect(self, **values: Any) -> Case:
+        """Return the case with these imperfections, too."""
+        named = {f"imperfections.{name}": value for name, value in values.items()}
+        return replace(self, changes={**self.changes, **named})
+
+    def faulty(self, **changes: Any) -> Case:
+        """Return the case with a fault that is no plant parameter."""
+        return replace(self, fault=Fault(**changes))
+
+    def differing(self, name: str, change: Callable[[float], float]) -> Case:
+        """Return the case with another value of the joint in a list of the robot."""
+        entries = [float(value) for value in nominal(self.scenario).plant_values[f"robot.{name}"]]  # type: ignore[union-attr]
+        entries[self.joint] = change(entries[self.joint])
+        return replace(self, robot={name: entries})
+
+
+@cache
+def nominal(scenario: str) -> Scenario:
+    """Return a scenario whose runs start without a transition."""
+    return Case("", scenario, "").loaded()
+
 
 DIRECT: dict[str, dict[str, Any]] = {"two_link": {"start.join_time": 0.0, "limits.start_error": [np.inf] * 2}}
 """Parameters with which a robot starts without a transition, from any initial state."""
 STARTS = {"paper_k31": 0.5, "paper_k3p1": 0.5, "two_link": 0.0}  # rad, of all joints
 JOINTS = {"paper_k31": 1, "paper_k3p1": 1, "two_link": 2, "arm7": 7}
+TORQUE = {  # N m, scaled to each joint
+    "paper_k31": (0.8,),
+    "two_link": (2.0, 0.8),
+    "arm7": (10.0, 35.0, 10.0, 15.0, 4.0, 3.0, 2.0),
+}
 PER_JOINT: dict[str, tuple[str, tuple[float, float]]] = {  # imperfection: cause, weak and strong level
     "link_coulomb_friction": ("model mismatch", (0.01, 0.08)),
     "motor_coulomb_friction": ("model mismatch", (0.01, 0.08)),
@@ -144,25 +196,21 @@ def _cases(seed: int) -> list[Case]:
 
 
 def _nonideal(seed: int) -> Iterator[Case]:
-    """Yield each imperfection at two levels, alternating between one and two joints."""
-    everything = [*PER_JOINT.items(), *OF_MESSAGES.items()]
-    for i, (key, (kind, strengths)) in enumerate(everything):
+    """Yield each imperfection at two levels, alternating between one and two joints; then the larger ones."""
+    found = []
+    for i, (key, (kind, strengths)) in enumerate([*PER_JOINT.items(), *OF_MESSAGES.items()]):
         for j, strength in enumerate(strengths):
             name = ("paper_k31", "two_link")[(i + j) % 2]
             value: Any = [strength] * JOINTS[name] if key in PER_JOINT else strength
-            yield _imperfection(name, kind, key, strength, {key: value}, seed := seed + 1)
+            found.append((name, kind, key, strength, {key: value}))
     for name in EFFORT_LIMITS:
         for limit in EFFORT_LIMITS[name]:
-            cut = {"effort_limit": [limit] * JOINTS[name]}
-            yield _imperfection(name, "saturation", "effort_limit", limit, cut, seed := seed + 1)
+            found.append((name, "saturation", "effort_limit", limit, {"effort_limit": [limit] * JOINTS[name]}))
         for mass in PAYLOADS[name]:
-            end_effector = {"payload_mass": mass, "payload_position": [0.2, 0.0, 0.0]}
-            yield _imperfection(name, "model mismatch", "payload_mass", mass, end_effector, seed := seed + 1)
-
-
-def _imperfection(scenario: str, kind: str, key: str, strength: float, values: Mapping[str, Any], seed: int) -> Case:
-    changes = {f"imperfections.{name}": value for name, value in {**values, "seed": seed}.items()}
-    return Case(f"{scenario} {key} {strength:g}", scenario, kind, changes)
+            payload = {"payload_mass": mass, "payload_position": [0.2, 0.0, 0.0]}
+            found.append((name, "model mismatch", "payload_mass", mass, payload))
+    for number, (name, kind, key, strength, values) in enumerate(found, seed + 1):
+        yield Case(f"{name} {key} {strength:g}", name, kind).imperfect(**values, seed=number)
 
 
 @dataclass(frozen=True)

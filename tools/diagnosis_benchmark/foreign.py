@@ -1,105 +1,97 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnose runs with faults and physics that the labelled sets lack; write the table of docs/tables/diagnosis.md.
+"""Runs with faults and physics that the labelled sets lack: sensors, springs, friction, delays.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.foreign --folder FOLDER [--count 200]
-
-A run is drawn by its number alone. Its result is a file of the folder: a later call takes up where an earlier one
-ended, and several processes, each in an order of its own, share the work. Once all are there the table is written.
+A run is drawn by its number alone.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from bench.figures import kept, markdown, put
+from bench.figures import markdown
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.torque_faults import UNKNOWN
 
-from .cases import JOINTS, SETTLED, Case, start_of
-from .faults import Draw, nominal
-from .lock_step import Fault
+from .cases import JOINTS, SETTLED, Case, nominal, start_of
 
 SEED, COUNT, DURATION = 28, 200, 4.0
 ROBOTS = ("paper_k31", "two_link", "arm7")
 MARGINS = {"paper_k31": 5.45e-3, "two_link": 10.1e-3, "arm7": 2.38e-3}  # s
-Maker = Callable[[Draw, np.random.Generator], dict[str, Any]]
+Maker = Callable[[Case, np.random.Generator], Case]
 
 
-def _encoder(d: Draw, error: Callable[[Array, float], Array], rate: Callable[[Array], Array]) -> dict[str, Any]:
+def _encoder(c: Case, error: Callable[[Array, float], Array], rate: Callable[[Array], Array]) -> Case:
     """Return a fault that adds error(q, t) to one position, and rate(q) dq to its velocity."""
-    one = np.eye(2 * d.n)[d.channel]
-    last: dict[str, Any] = {"t": -1e-3, "q": np.zeros(2 * d.n)}
+    one = np.eye(2 * c.n)[c.channel]
+    last: dict[str, Any] = {"t": -1e-3, "q": np.zeros(2 * c.n)}
 
     def position(q: Array) -> Array:
         last.update(t=last["t"] + 1e-3, q=q)
         return np.asarray(q + one * error(q, last["t"]))
 
-    return {"fault": Fault(position=position, velocity=lambda dq: dq + one * rate(last["q"]) * dq)}
+    return c.faulty(position=position, velocity=lambda dq: dq + one * rate(last["q"]) * dq)
 
 
-def _gain(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+def _gain(c: Case, rng: np.random.Generator) -> Case:
     g = rng.choice([-1, 1]) * rng.uniform(0.005, 0.03)
-    return _encoder(d, lambda q, t: g * q, lambda q: g + 0 * q)
+    return _encoder(c, lambda q, t: g * q, lambda q: g + 0 * q)
 
 
-def _eccentric(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
+def _eccentric(c: Case, rng: np.random.Generator) -> Case:
     a, at = rng.uniform(2e-3, 8e-3), rng.uniform(0, 2 * np.pi)
-    return _encoder(d, lambda q, t: a * np.sin(q + at), lambda q: a * np.cos(q + at))
+    return _encoder(c, lambda q, t: a * np.sin(q + at), lambda q: a * np.cos(q + at))
 
 
-def _slip(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    jump, begin = 0.5 * d.torque / d.K, rng.uniform(0.3, 0.7) * DURATION
-    return _encoder(d, lambda q, t: jump * (t >= begin) + 0 * q, lambda q: 0 * q)
+def _slip(c: Case, rng: np.random.Generator) -> Case:
+    jump, begin = 0.5 * c.torque / c.K, rng.uniform(0.3, 0.7) * DURATION
+    return _encoder(c, lambda q, t: jump * (t >= begin) + 0 * q, lambda q: 0 * q)
 
 
-def _drift(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    speed = 0.3 * d.torque / d.K
-    return _encoder(d, lambda q, t: speed * t + 0 * q, lambda q: 0 * q)
+def _drift(c: Case, rng: np.random.Generator) -> Case:
+    speed = 0.3 * c.torque / c.K
+    return _encoder(c, lambda q, t: speed * t + 0 * q, lambda q: 0 * q)
 
 
-def _cubic(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    growth, at = rng.uniform(0.1, 0.4), d.torque / d.K
-    return {"fault": Fault(spring=lambda zeta: d.K * growth * zeta * (zeta / at) ** 2 * np.eye(d.n)[d.j])}
+def _cubic(c: Case, rng: np.random.Generator) -> Case:
+    growth, at = rng.uniform(0.1, 0.4), c.torque / c.K
+    return c.faulty(spring=lambda zeta: c.K * growth * zeta * (zeta / at) ** 2 * c.at(1.0))
 
 
-def _kinematic(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    size = 0.2 * d.torque
-    return {"fault": Fault(spring=lambda zeta: size * np.sin(40 * zeta * d.K / d.torque) * np.eye(d.n)[d.j])}
+def _kinematic(c: Case, rng: np.random.Generator) -> Case:
+    size = 0.2 * c.torque
+    return c.faulty(spring=lambda zeta: size * np.sin(40 * zeta * c.K / c.torque) * c.at(1.0))
 
 
-def _stribeck(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    level = 0.1 * d.torque * np.eye(d.n)[d.j]
-    names = {"coulomb": level, "static": 1.5 * level}
-    changes = {f"imperfections.{d.side}_{name}_friction": size.tolist() for name, size in names.items()}
-    return {"changes": {**changes, "imperfections.friction_smoothing_velocity": [0.05] * d.n}}
+def _stribeck(c: Case, rng: np.random.Generator) -> Case:
+    level = c.at(0.1 * c.torque)
+    sizes = {"coulomb": level, "static": 1.5 * level}
+    friction = {f"{c.side}_{name}_friction": size.tolist() for name, size in sizes.items()}
+    return c.imperfect(**friction, friction_smoothing_velocity=[0.05] * c.n)
 
 
-def _late(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    return {"changes": {"imperfections.command_delay": float(rng.uniform(0.3, 0.9) * MARGINS[d.scenario])}}
+def _late(c: Case, rng: np.random.Generator) -> Case:
+    return c.imperfect(command_delay=float(rng.uniform(0.3, 0.9) * MARGINS[c.scenario]))
 
 
-def _varying(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    return {"changes": {"imperfections.command_jitter": float(rng.uniform(0.3, 0.6) * MARGINS[d.scenario])}}
+def _varying(c: Case, rng: np.random.Generator) -> Case:
+    return c.imperfect(command_jitter=float(rng.uniform(0.3, 0.6) * MARGINS[c.scenario]))
 
 
-def _soft_later(d: Draw, rng: np.random.Generator) -> dict[str, Any]:
-    share = rng.uniform(0.1, 0.25) * np.eye(d.n)[d.j]
+def _soft_later(c: Case, rng: np.random.Generator) -> Case:
+    share = c.at(rng.uniform(0.1, 0.25))
     calls = [0.0, rng.uniform(0.3, 0.7) * DURATION]
 
     def effort(u: Array) -> Array:
         calls[0] += 1e-3
         return np.asarray(u * (1 - share * (calls[0] >= calls[1])))
 
-    return {"fault": Fault(effort=effort)}
+    return c.faulty(effort=effort)
 
 
 KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], Maker]] = {
@@ -121,17 +113,14 @@ def case(number: int) -> Case:
     """Return a run with a fault on random joints, with encoders of 16 to 20 bits and noisy velocities."""
     rng = np.random.default_rng((SEED, number))
     kind, scenario = list(KINDS)[number % len(KINDS)], str(rng.choice(ROBOTS))
-    n = JOINTS[scenario]
-    sides, _, maker = KINDS[kind]
-    d = Draw(scenario, int(rng.integers(n)), str(rng.choice(sides)), 0.2)
-    made = maker(d, rng)
+    n, (sides, _, maker) = JOINTS[scenario], KINDS[kind]
+    joint, side = int(rng.integers(n)), str(rng.choice(sides))
+    drawn = Case(f"{number} {scenario} {kind}", scenario, kind, joint=joint, side=side, size=0.2)
+    drawn = maker(drawn.imperfect(seed=number), rng)
     bits, noise = [float(rng.integers(16, 21))] * n, [float(10 ** rng.uniform(-4, -3))] * n
-    changes: dict[str, Any] = {f"imperfections.{side}_encoder_bits": bits for side in ("link", "motor")}
-    changes |= {f"imperfections.{side}_velocity_noise": noise for side in ("link", "motor")}
-    changes |= {"imperfections.seed": number, **made.pop("changes", {})}
-    return Case(
-        f"{number} {scenario} {kind}", scenario, kind, changes, start=start_of(scenario, rng), joint=d.j, **made
-    )
+    drawn = drawn.imperfect(link_encoder_bits=bits, motor_encoder_bits=bits)
+    drawn = drawn.imperfect(link_velocity_noise=noise, motor_velocity_noise=noise)
+    return replace(drawn, start=start_of(scenario, rng))
 
 
 def result(number: int) -> dict[str, Any]:
@@ -155,8 +144,8 @@ def result(number: int) -> dict[str, Any]:
     }
 
 
-def rows(results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
-    """Return a row for each kind of fault, and one for all."""
+def table(results: list[dict[str, Any]]) -> list[str]:
+    """Return the Markdown lines with a row for each kind of fault, and one for all."""
     found: list[tuple[str, ...]] = []
     for kind in (*KINDS, "all"):
         own = [each for each in results if kind in ("all", each["kind"])]
@@ -168,28 +157,5 @@ def rows(results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
         held = sum(each["verdict"] == "holding" for each in own)
         counts = f"{sum(right)} of {len(named)}", f"{joints} of {len(located)}"
         found.append((kind, str(len(own)), *counts, str(held), str(wrongly)))
-    return found
-
-
-def main() -> None:
-    """Diagnose the runs that have no result yet; write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--folder", type=Path, required=True)
-    parser.add_argument("--count", type=int, default=COUNT)
-    options = parser.parse_args()
-    order = np.random.default_rng(os.getpid()).permutation(options.count).tolist()
-    found = {number: kept(options.folder / f"{number:04d}.json", partial(result, number)) for number in order}
-    head = (
-        "fault",
-        "runs",
-        "one kind and joint named: right",
-        "joint right",
-        "holding",
-        "of these beyond the tolerance",
-    )
-    table = markdown(head, rows([found[number] for number in range(options.count)]))
-    put("diagnosis.md", "foreign", table)
-
-
-if __name__ == "__main__":
-    main()
+    right_kind, beyond = "one kind and joint named: right", "of these beyond the tolerance"
+    return markdown(("fault", "runs", right_kind, "joint right", "holding", beyond), found)

@@ -7,15 +7,15 @@ faster and reproducible to the bit.
 
 from __future__ import annotations
 
-import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
 
 from fjr_core import StateError
 from fjr_core.config.scenario import Scenario
@@ -29,7 +29,6 @@ from fjr_monitor.recording.run import Recording
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, REFERENCE, STATES
 from fjr_monitor.report.contact import TOPIC as CONTACT
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr import FIELDS, HEADER, Form, float_array, joint_state
 from fjr_plant.lock_step import START
 from fjr_plant.simulated_robot import simulated
 
@@ -188,6 +187,8 @@ class LockStepLoop:
 
 TYPES = dict.fromkeys((STATES, ANSWERS, EFFORTS, REFERENCE, CONTACT), "sensor_msgs/msg/JointState")
 TYPES[EFFORTS] = "std_msgs/msg/Float64MultiArray"
+MESSAGES = get_typestore(Stores.ROS2_JAZZY)
+NOTHING: Array = np.zeros(0)
 LATENCY = 200_000  # ns; from a state to its command
 WHOLE = 1_000_000  # states of a part
 
@@ -199,43 +200,37 @@ def read_record(folder: Path, scenario: Scenario) -> Record:
 
 def write_bag(loop: LockStepLoop, folder: Path) -> None:
     """Write a run as a bag in `folder`, with the times of lock-step."""
-    joints, n = list(loop.scenario.joints), loop.scenario.robot.n
+    joints = loop.scenario.joints
     commands = {stamp: (u, jets) for stamp, u, jets in loop.commands}
     bag = BagWriter(folder)
     channels = {topic: bag.add_topic(topic, kind, [names.LATEST], type_hash(kind)) for topic, kind in TYPES.items()}
 
-    def write(topic: str, time: int, data: bytes) -> None:
-        bag.write(channels[topic], time, time, channels[topic].count + 1, data)
+    def write(topic: str, time: int, message: Any) -> None:
+        data = MESSAGES.serialize_cdr(message, TYPES[topic])
+        bag.write(channels[topic], time, time, channels[topic].count + 1, bytes(data))
 
     for time, (stamp, position, velocity, effort) in loop.states:
-        states = names.state_names(loop.scenario.joints)
-        write(STATES, time, _joint_state(states, stamp, position=position, velocity=velocity, effort=effort))
+        write(STATES, time, _joint_state(names.state_names(joints), stamp, position, velocity, effort))
         if stamp in commands:
             u, jets = commands.pop(stamp)
             write(ANSWERS, time + LATENCY, _joint_state(joints, stamp, effort=u))
-            write(EFFORTS, time + LATENCY, _filled(float_array(",".join(joints), n), [u]))
-            write(REFERENCE, time + LATENCY, _joint_state(joints, stamp, position=jets[0], velocity=jets[1]))
+            write(EFFORTS, time + LATENCY, _efforts(joints, u))
+            write(REFERENCE, time + LATENCY, _joint_state(joints, stamp, jets[0], jets[1]))
     for stamp, values in loop.contacts:
         write(CONTACT, stamp, _joint_state([*joints, *names.WRENCH], stamp, effort=values))
     bag.close()
 
 
-def _joint_state(joints: list[str], stamp: int, **fields: Array) -> bytes:
-    values = [fields.get(name, np.zeros(0)) for name in FIELDS]
-    return _filled(_form(tuple(joints), tuple(map(len, values))), values, stamp)
+def _joint_state(
+    joints: Sequence[str], stamp: int, position: Array = NOTHING, velocity: Array = NOTHING, effort: Array = NOTHING
+) -> Any:
+    types = MESSAGES.types
+    time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
+    header = types["std_msgs/msg/Header"](time, "")
+    return types["sensor_msgs/msg/JointState"](header, list(joints), position, velocity, effort)
 
 
-@cache
-def _form(joints: tuple[str, ...], lengths: tuple[int, ...]) -> Form:
-    """Return the layout of a JointState, which all messages of a topic have."""
-    return joint_state(joints, lengths)
-
-
-def _filled(form: Form, values: list[Array], stamp: int | None = None) -> bytes:
-    """Return a message without trailing bytes, which rosbags refuses; rclpy may append some."""
-    data = bytearray(HEADER) + form.empty
-    if stamp is not None:
-        struct.pack_into("<iI", data, 2 * HEADER, *divmod(stamp, 1_000_000_000))
-    for start, numbers in zip(form.starts, values, strict=True):
-        data[8 * start : 8 * (start + len(numbers))] = np.asarray(numbers, dtype="<f8").tobytes()
-    return bytes(data[HEADER:])
+def _efforts(joints: Sequence[str], u: Array) -> Any:
+    types, n = MESSAGES.types, len(joints)
+    layout = types["std_msgs/msg/MultiArrayDimension"](",".join(joints), n, n)
+    return types["std_msgs/msg/Float64MultiArray"](types["std_msgs/msg/MultiArrayLayout"]([layout], 0), u)

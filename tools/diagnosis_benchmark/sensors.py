@@ -16,8 +16,7 @@ from fjr_core.config.controller import BANDWIDTH
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 
-from .cases import JOINTS, Case
-from .faults import nominal
+from .cases import JOINTS, Case, nominal
 from .lock_step import NONE, Change, Fault
 
 DURATION, SETTLED = 5.0, 2.0  # s

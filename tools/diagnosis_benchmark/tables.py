@@ -1,35 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnose every labelled run and every labelled fault; regenerate the tables of docs/tables/diagnosis.md.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults wiring     # 10, 15 min
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults wiring foreign
 
-Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr.
+Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr. Causes and
+faults take 10 and 15 minutes. Results of `foreign` are kept in FOREIGN: a later call takes up where an earlier one
+ended, and several processes, each in an order of its own, share the work.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from bench.figures import markdown, put
+from bench.figures import ROOT, kept, markdown, put
 from fjr_monitor.diagnosis.diagnosis import diagnose
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import Diagnosis
 
-from . import cases, faults
+from . import cases, faults, foreign
 from .cases import DEGRADED, HOLDING, UNDECIDED, VIOLATED, Case, Label
 from .faults import FAULTS, HEALTHY, ROBOTS, WIRING, duration_of, joints_of
 from .lock_step import read_record, write_bag
 from .wiring import HEALTHY_LASTING, LASTING, SEED, Stop, healthy, wrong
 
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
+FOREIGN = ROOT / "runs" / "foreign"
 OTHER, SEVERAL = "several or none", "several"
 KINDS = (*FAULTS, *WIRING, HEALTHY)
 SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
@@ -138,13 +143,28 @@ def wiring_of(seed: int) -> list[str]:
     return markdown(head, rows)
 
 
-TABLES = {
-    "causes": (
-        causes_of,
-        {"Validation set": cases.VALIDATION_SEED, "Set on which the thresholds were tuned": cases.TUNING_SEED},
-    ),
-    "faults": (faults_of, {"Validation set": faults.VALIDATION_SEED}),
-    "wiring": (wiring_of, {"Noise of the validation set": SEED}),
+def foreign_table() -> list[str]:
+    """Return the table of the faults that the sets lack."""
+    files = {number: FOREIGN / f"{number:04d}.json" for number in range(foreign.COUNT)}
+    order = np.random.default_rng(os.getpid()).permutation(foreign.COUNT).tolist()
+    found = {number: kept(files[number], partial(foreign.result, number)) for number in order}
+    return foreign.table([found[number] for number in files])
+
+
+def of_seed(heading: str, seed: int, lines: Callable[[int], list[str]]) -> list[str]:
+    """Return the lines of a table below its heading."""
+    return [f"{heading} (seed {seed}):", "", *lines(seed)]
+
+
+TABLES: dict[str, Callable[[], list[str]]] = {
+    "causes": lambda: [
+        *of_seed("Validation set", cases.VALIDATION_SEED, causes_of),
+        "",
+        *of_seed("Set on which the thresholds were tuned", cases.TUNING_SEED, causes_of),
+    ],
+    "faults": lambda: of_seed("Validation set", faults.VALIDATION_SEED, faults_of),
+    "wiring": lambda: of_seed("Noise of the validation set", SEED, wiring_of),
+    "foreign": foreign_table,
 }
 
 
@@ -153,9 +173,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("tables", nargs="+", choices=TABLES)
     for name in parser.parse_args().tables:
-        confusion, seeds = TABLES[name]
-        parts = [[f"{heading} (seed {seed}):", "", *confusion(seed), ""] for heading, seed in seeds.items()]
-        put("diagnosis.md", name, [line for part in parts for line in part][:-1])
+        put("diagnosis.md", name, TABLES[name]())
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Record
 
-from .cases import JOINTS, STARTS, Case, start_of
-from .faults import HEALTHY, NOISE, PAIRS, PLACE, TORQUE, WIRING, Draw, noise_of, nominal
+from .cases import JOINTS, STARTS, TORQUE, Case, nominal, start_of
+from .faults import HEALTHY, NOISE, PAIRS, PLACE, WIRING, noise_of
 
 SEED = 5
 LASTING, HEALTHY_LASTING = 0.15, 0.08  # s
@@ -52,10 +52,9 @@ def wrong(scenario: str, kind: str, seed: int = SEED) -> Iterator[Case]:
     twice = n == 2 and kind.endswith("exchanged")
     for side in () if n == 1 and kind in PAIRS else sides:
         for j in range(1 if twice else n):
-            changes = {"imperfections.seed": int(rng.integers(1000)), **noise_of(n)}
-            start, fault = start_of(scenario, rng), maker(Draw(scenario, j, side))["fault"]
-            name = f"{scenario} {kind} {side} {j + 1}"
-            yield Case(name, scenario, kind, changes, start=start, joint=j, side=side, fault=fault)
+            case = Case(f"{scenario} {kind} {side} {j + 1}", scenario, kind, joint=j, side=side)
+            case = maker(case.imperfect(seed=int(rng.integers(1000)), **noise_of(n)))
+            yield replace(case, start=start_of(scenario, rng))
 
 
 def healthy(scenario: str, seed: int) -> Case:
@@ -72,8 +71,8 @@ def healthy(scenario: str, seed: int) -> Case:
         if (values := loaded.plant_values.get(f"robot.{key}")) is not None
     }
     changes = {"seed": seed, **_sensors(scenario, rng), **_loads(scenario, rng), **_lateness(loaded.robot.n, rng)}
-    named = {f"imperfections.{key}": value for key, value in changes.items()}
-    return Case(f"{scenario} healthy {seed}", scenario, HEALTHY, named, robot, _initial(scenario, loaded, rng))
+    case = Case(f"{scenario} healthy {seed}", scenario, HEALTHY, {}, robot, _initial(scenario, loaded, rng))
+    return case.imperfect(**changes)
 
 
 def _sensors(scenario: str, rng: np.random.Generator) -> dict[str, Any]:

@@ -11,37 +11,35 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from envsetup.console import PREFIX, SetupError, say
-from envsetup.extras import BROWSER, CPP_COMPILER, Extra, compiler, pinocchio
-from envsetup.machine import base_interpreter, ros_candidates, ros_interpreter, uses_sourced_ros
+from envsetup.commands import PREFIX, SetupError, say
+from envsetup.machine import base_interpreter, extras, ros_interpreter, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]
-ENTRY = ROOT / "tools" / "setup_env.py"
-TARGETS = {
-    "build": ("run", "environment to run, and the colcon build"),
-    "test": ("test", "environment to test, and the colcon build"),
-    "bench": ("bench", "environment to measure against peers, and the colcon build"),
-    "docs": ("docs", "environment to build the documents, and the colcon build"),
-    "lint": ("test", "environment to test, no build"),
-    "check": ("", "show which Python and ROS 2 would be used; change nothing"),
-}
-"""Level of the environment, and what is set up."""
+LEVELS = {"build": "run", "test": "test", "bench": "bench", "docs": "docs", "lint": "test", "check": ""}
+"""Level of the environment (see pins.LEVELS) by target."""
+TARGETS = "\n".join(
+    (
+        "Set the workspace up from nothing.",
+        "",
+        "  build, test, bench, docs: environment to run, test, measure or build the documents, and the colcon build",
+        "  lint: environment to test, no build",
+        "  check: show which Python and ROS 2 would be used; change nothing",
+    )
+)
 
 
 def main(arguments: Sequence[str]) -> int:
     """Set up a target; return 0, or 1 with one sentence on stderr on failure."""
-    listing = "\n".join(f"  {name:6} {what}" for name, (_, what) in TARGETS.items())
-    description = f"Set the workspace up from nothing.\n\n{listing}"
     raw = argparse.RawTextHelpFormatter
-    parser = argparse.ArgumentParser(prog="setup_env.py", description=description, formatter_class=raw)
-    parser.add_argument("target", choices=TARGETS, metavar="|".join(TARGETS))
+    parser = argparse.ArgumentParser(prog="setup_env.py", description=TARGETS, formatter_class=raw)
+    parser.add_argument("target", choices=LEVELS, metavar="|".join(LEVELS))
     target = parser.parse_args(arguments).target
     try:
         sourced_ros = uses_sourced_ros()
         if sourced_ros:
-            enter_ros_interpreter(arguments)
+            enter_ros_interpreter()
         set_up(target, sourced_ros)
     except SetupError as error:
         print(f"{error.details}\n{PREFIX} {error}" if error.details else f"{PREFIX} {error}", file=sys.stderr)
@@ -62,27 +60,19 @@ def set_up(target: str, sourced_ros: bool) -> None:
         return
     say(f"checking {environment.path.name}")
     with alone(ROOT / ".setup"):
-        environment.ensure(TARGETS[target][0])
+        environment.ensure(LEVELS[target])
         if target != "lint":
-            for extra in extras(environment, target):
+            for extra in extras(target, environment.python, environment.env, sourced_ros):
                 extra.ensure(ROOT / ".setup" / "extras.log", environment.env)
             Workspace(environment).ensure()
 
 
-def extras(environment: Environment, target: str) -> list[Extra]:
-    """Return the optional system packages: C compiler, Pinocchio beside a sourced ROS 2, C++ compiler and browser."""
-    found = [compiler(environment.env)]
-    if environment.sourced_ros and target in ("test", "bench"):
-        found.append(pinocchio(environment.python))
-    return [*found, CPP_COMPILER, BROWSER] if target == "test" else found
-
-
-def enter_ros_interpreter(arguments: Sequence[str]) -> None:
+def enter_ros_interpreter() -> None:
     """Continue in the Python of the sourced ROS 2 if it is another one."""
-    python = ros_interpreter(ros_candidates())
+    python = ros_interpreter()
     if python != base_interpreter() and not os.environ.get("FJR_SETUP_ENTERED"):
         sys.stdout.flush()
-        os.execvpe(python, [python, str(ENTRY), *arguments], {**os.environ, "FJR_SETUP_ENTERED": "1"})
+        os.execvpe(python, [python, *sys.argv], {**os.environ, "FJR_SETUP_ENTERED": "1"})
 
 
 @contextmanager

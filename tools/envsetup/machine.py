@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choose the ROS 2 for this machine: the sourced installation or the wheels."""
+"""What the machine has: the sourced ROS 2 or the wheels, a Python that fits, packages of Debian and Ubuntu."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
-from envsetup.console import SetupError
+from envsetup.commands import SetupError, run, say
 
 DISTRO = "jazzy"
 OLDEST_GLIBC = (2, 28)
@@ -60,18 +62,18 @@ def base_interpreter() -> str:
     return os.path.realpath(getattr(sys, "_base_executable", sys.executable) or sys.executable)
 
 
-def ros_interpreter(candidates: Iterable[str]) -> str:
-    """Return the first interpreter that imports rclpy and the messages of the sourced ROS 2; raise SetupError."""
+def ros_interpreter() -> str:
+    """Return the first interpreter that imports rclpy and the messages of the sourced ROS 2, the running one if it can.
+
+    Raise SetupError if there is none.
+    """
+    found = (shutil.which(name) for name in ("python3", "/usr/bin/python3", "python3.12"))
     seen = []
-    for candidate in candidates:
-        try:
-            command = [candidate, "-c", ROS_PYTHON_IMPORTS]
-            run = subprocess.run(command, capture_output=True, text=True, check=False)
-        except OSError:
-            continue
-        if run.returncode == 0:
+    for candidate in dict.fromkeys([base_interpreter(), *(os.path.realpath(path) for path in found if path)]):
+        done = subprocess.run([candidate, "-c", ROS_PYTHON_IMPORTS], capture_output=True, text=True, check=False)
+        if done.returncode == 0:
             return candidate
-        seen.append(f"{candidate}: {(run.stderr.strip().splitlines() or ['no output'])[-1]}")
+        seen.append(f"{candidate}: {(done.stderr.strip().splitlines() or ['no output'])[-1]}")
     raise SetupError(
         "ROS_DISTRO=jazzy is set, but no Python here imports rclpy and the common messages: source "
         "/opt/ros/jazzy/setup.sh again and see that ros-jazzy-rclpy and its common interfaces are installed.",
@@ -79,7 +81,95 @@ def ros_interpreter(candidates: Iterable[str]) -> str:
     )
 
 
-def ros_candidates() -> list[str]:
-    """Return candidate interpreters for a sourced ROS 2, the running one first."""
-    found = (shutil.which(name) for name in ("python3", "/usr/bin/python3", "python3.12"))
-    return list(dict.fromkeys([base_interpreter(), *(os.path.realpath(path) for path in found if path)]))
+@dataclass(frozen=True)
+class Extra:
+    """title: name. packages: of Debian or Ubuntu that provide it. without: consequence of its absence.
+
+    checks: commands of which one succeeds where it is there, with `given` as input. required: nothing works without.
+    """
+
+    title: str
+    packages: tuple[str, ...]
+    without: str
+    checks: Sequence[Sequence[str]]
+    given: bytes = b""
+    required: bool = False
+
+    def is_there(self, env: Mapping[str, str]) -> bool:
+        """Return whether one of the checks succeeds."""
+        return any(_succeeds(check, env, self.given) for check in self.checks)
+
+    def ensure(self, log: Path, env: dict[str, str]) -> None:
+        """Install the packages if possible; otherwise print one line and continue, or raise SetupError if required."""
+        if self.is_there(env):
+            return
+        names, details = " ".join(self.packages), ""
+        if not self.packages or not shutil.which("apt-get"):
+            reason = "; install it if you can"
+        elif os.geteuid() != 0:
+            reason = f"; ask an administrator for `apt-get install {names}`"
+        else:
+            try:
+                say(f"{self.title} is missing and will be installed")
+                apt_install(self.packages, log, env)
+                if self.is_there(env):
+                    return
+                reason = f", although {' and '.join(self.packages)} are installed"
+            except SetupError as error:
+                reason, details = f"; {error}", error.details
+        lack = f"{self.title} is missing: {self.without}{reason}"
+        if self.required:
+            raise SetupError(lack, details)
+        say(lack)
+
+
+def apt_install(packages: tuple[str, ...], log: Path, env: dict[str, str]) -> None:
+    """Install packages as root; raise SetupError if apt-get fails."""
+    apt, names = {**env, "DEBIAN_FRONTEND": "noninteractive"}, " ".join(packages)
+    log.unlink(missing_ok=True)
+    run("apt-get update", ["apt-get", "update"], log, apt, "apt-get update failed")
+    command = ["apt-get", "install", "-y", "--no-install-recommends", *packages]
+    run(f"apt-get install {names}", command, log, apt, f"apt-get could not install {names}")
+
+
+def venv_module() -> Extra:
+    """Return `venv` of this interpreter, part of which Debian and Ubuntu ship in a separate package."""
+    python, version = base_interpreter(), "{}.{}".format(*sys.version_info)
+    packages = (f"python{version}-venv",) if python.startswith("/usr/bin/") else ()
+    without = "no environment can be made by this Python; name another one (make PYTHON=...)"
+    checks = [[python, "-c", "import ensurepip, venv"]]
+    return Extra(f"the module venv of {python}", packages, without, checks, required=True)
+
+
+def compiler(env: Mapping[str, str]) -> Extra:
+    """Return the C compiler for law and plant: $CC, or cc, gcc or clang, that finds the headers of the C library."""
+    compilers = [env["CC"].split()] if env.get("CC", "").split() else [["cc"], ["gcc"], ["clang"]]
+    checks = [[*each, "-fsyntax-only", "-x", "c", "-"] for each in compilers]
+    slow = "law and plant run in CasADi's virtual machine, many times slower"
+    return Extra("a C compiler (cc, gcc or clang)", ("gcc", "libc6-dev"), slow, checks, b"#include <math.h>\n")
+
+
+def extras(target: str, python: Path, env: Mapping[str, str], sourced_ros: bool) -> Iterator[Extra]:
+    """Yield what a target can use: C compiler, Pinocchio beside a sourced ROS 2, C++ compiler and browser."""
+    yield compiler(env)
+    if sourced_ros and target in ("test", "bench"):
+        yield pinocchio(python)
+    if target == "test":
+        fails = "tests of `fjr export-c` that call C from C++ fail"
+        check = ["c++", "-fsyntax-only", "-x", "c++", "-"]
+        yield Extra("a C++ compiler (c++)", ("g++",), fails, [check], b"#include <vector>\n")
+        browsers = [[name, "--version"] for name in ("chromium", "chromium-browser", "google-chrome")]
+        yield Extra("Chromium", ("chromium",), "tests that look at pages in a browser are skipped", browsers)
+
+
+def pinocchio(python: Path) -> Extra:
+    """Return the Pinocchio of a sourced ROS 2, which tests and benchmarks compare with."""
+    fails = "tests and benchmarks that compare with it fail"
+    return Extra("Pinocchio", ("ros-jazzy-pinocchio",), fails, [[str(python), "-c", "import pinocchio"]])
+
+
+def _succeeds(command: Sequence[str], env: Mapping[str, str], given: bytes) -> bool:
+    try:
+        return subprocess.run(command, input=given, env=env, capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False

@@ -13,9 +13,8 @@ import sys
 from pathlib import Path
 
 from envsetup import pins
-from envsetup.console import Step, clean_environment, run_logged
-from envsetup.extras import venv_module
-from envsetup.machine import base_interpreter
+from envsetup.commands import clean_environment, run
+from envsetup.machine import base_interpreter, venv_module
 
 OUTSIDE = """
 import importlib.metadata, json, sys
@@ -64,33 +63,31 @@ class Environment:
 
     def _create(self) -> None:
         venv_module().ensure(self.log, self.env)
+        if self.path.exists():
+            shutil.rmtree(self.path)
         options = ["--system-site-packages"] if self.sourced_ros else []
-        with Step(f"virtual environment {self.path.name} for Python {sys.version.split()[0]}") as step:
-            if self.path.exists():
-                shutil.rmtree(self.path)
-            command = [base_interpreter(), "-m", "venv", *options, str(self.path)]
-            run_logged(command, self.log, self.env, step, failure=f"{self.path} could not be made")
+        title = f"virtual environment {self.path.name} for Python {sys.version.split()[0]}"
+        command = [base_interpreter(), "-m", "venv", *options, str(self.path)]
+        run(title, command, self.log, self.env, f"{self.path} could not be made")
 
     def _install(self, level: str) -> None:
         constraints = self._constraints()
         files = pins.requirement_files(self.root, level, not self.sourced_ros)
         extent = "what ROS 2 does not bring" if self.sourced_ros else "with ROS 2, 290 to 350 MB the first time"
-        with Step("installer (pip, setuptools)") as step:
-            self._pip(step, constraints, "pip", "setuptools")
-        with Step(f"packages to {level} ({extent})") as step:
-            self._pip(step, constraints, *(f"--requirement={file}" for file in files))
-            self._pip(step, constraints, "--no-deps", f"--requirement={self._files_only()}")
-            share_equal_files(self.path)
+        packages = [f"--requirement={file}" for file in files]
+        self._pip("installer (pip, setuptools)", constraints, "pip", "setuptools")
+        self._pip(f"packages to {level} ({extent})", constraints, *packages)
+        self._pip("files of the pages", constraints, "--no-deps", f"--requirement={self._files_only()}")
+        share_equal_files(self.path)
 
     def _files_only(self) -> Path:
         return self.root / "requirements" / pins.FILES_ONLY
 
-    def _pip(self, step: Step, constraints: Path, *wanted: str) -> None:
+    def _pip(self, title: str, constraints: Path, *wanted: str) -> None:
         """Install by pip; only empy is built, with the pinned setuptools of the environment itself."""
         options = ["--progress-bar=off", "--no-build-isolation", "--only-binary=:all:", "--no-binary=empy"]
-        options.append(f"--constraint={constraints}")
-        command = [str(self.python), "-m", "pip", "install", *options, *wanted]
-        run_logged(command, self.log, self.env, step, failure="pip could not install the pinned packages")
+        command = [str(self.python), "-m", "pip", "install", *options, f"--constraint={constraints}", *wanted]
+        run(title, command, self.log, self.env, "pip could not install the pinned packages")
 
     def _constraints(self) -> Path:
         """Return constraints.txt, relaxed next to a sourced ROS 2 to keep its versions."""

@@ -7,17 +7,18 @@ removed or renamed file, a changed setup.py, setup.cfg or package.xml, another e
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from pathlib import Path
 
 from envsetup import pins
-from envsetup.console import Step, run_logged
+from envsetup.commands import run
 from envsetup.virtualenv import Environment
 
 COPIED = {"setup.py", "setup.cfg", "package.xml"}
 """Files whose contents enter the build."""
+OTHER = re.compile(r"build|\..*|__pycache__.*|.*(\.egg-info|\.pyc|~)", re.DOTALL)
+"""Names of files and folders that belong to no package."""
 COLCON = "import sys; from colcon_core.command import main; sys.exit(main())"
 EVENTS = ("console_cohesion+", "desktop_notification-", "terminal_title-", "status-")
 
@@ -42,9 +43,7 @@ class Workspace:
             return
         for folder in ("build", "install", "log"):
             shutil.rmtree(self.path / folder, ignore_errors=True)
-        self._colcon()
-        quote_paths(self.install)
-        self._compile()
+        self._build()
         pins.write_stamp(self._stamp, wanted)
 
     def content(self) -> str:
@@ -54,38 +53,35 @@ class Workspace:
         identity = [str(self.path), *self.environment.identity()]
         return pins.fingerprint(identity, [str(path) for path in files], contents, pins.texts([Path(__file__)]))
 
-    def _colcon(self) -> None:
-        """Run colcon in the Python of the environment, which becomes the interpreter of the nodes."""
-        command = [str(self.environment.python), "-c", COLCON, "build", "--symlink-install"]
-        command += ["--base-paths", "src", "--event-handlers", *EVENTS]
+    def _build(self) -> None:
+        """Run colcon in the Python of the environment, which becomes the interpreter of the nodes.
+
+        Compile the packages to bytecode, so that the first start is as fast as the next one.
+        """
+        python, env = str(self.environment.python), self.environment.env
         log = self.environment.root / ".setup" / "colcon.log"
         log.unlink(missing_ok=True)
-        with Step("colcon build of ros2_ws") as step:
-            env = self.environment.env
-            run_logged(command, log, env, step, cwd=self.path, failure="colcon could not build ros2_ws")
-
-    def _compile(self) -> None:
-        """Compile the packages to bytecode, so that the first start is as fast as the next one."""
+        colcon = [
+            python,
+            "-c",
+            COLCON,
+            "build",
+            "--symlink-install",
+            "--base-paths",
+            "src",
+            "--event-handlers",
+            *EVENTS,
+        ]
+        run("colcon build of ros2_ws", colcon, log, env, "colcon could not build ros2_ws", cwd=self.path)
+        quote_paths(self.install)
         folders = [str(file.parent) for file in sorted((self.path / "src").glob("*/*/__init__.py"))]
-        command = [str(self.environment.python), "-m", "compileall", "-q", *folders]
-        with Step("bytecode of ros2_ws") as step:
-            run_logged(command, self.environment.root / ".setup" / "colcon.log", self.environment.env, step)
+        run("bytecode of ros2_ws", [python, "-m", "compileall", "-q", *folders], log, env, "a module is no Python")
 
 
 def source_files(folder: Path) -> list[Path]:
-    """Return all package files under `folder`, sorted, without caches and hidden files."""
-    found = []
-    for base, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if is_source(name)]
-        found += [Path(base, name) for name in names if is_source(name)]
-    return sorted(found)
-
-
-def is_source(name: str) -> bool:
-    """Return whether a file or folder of this name belongs to a package."""
-    return (
-        name != "build" and not name.startswith((".", "__pycache__")) and not name.endswith((".egg-info", ".pyc", "~"))
-    )
+    """Return all package files under `folder`, sorted, without caches, builds and hidden files."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return [path for path in files if not any(map(OTHER.fullmatch, path.relative_to(folder).parts))]
 
 
 def quote_paths(install: Path) -> None:
