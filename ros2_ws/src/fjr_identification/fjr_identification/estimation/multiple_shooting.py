@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -214,8 +214,7 @@ class Problem:
     def of_each(self, work: Callable[[int], Result]) -> list[Result]:
         """Return the results of work(k) for each segment k, some of which are computed at the same time."""
         _ = self.shooting.library, self.shooting.function  # compiled in this thread
-        with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(work, range(len(self.segments))))
+        return list(_pool(self.threads).map(work, range(len(self.segments))))
 
     def evaluate(self, z: Array, x0: Array, noise: Array) -> PredictedSegments | None:
         """Return the prediction at z from settled initial states near x0, None if one does not stay finite."""
@@ -293,6 +292,12 @@ class Problem:
                 if i == joint and name in measuring:
                     J[k, :, column] += measuring[name] / noise[k]
         return predicted, J
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Return the threads that all problems share, which start once: a search evaluates a problem some hundred times."""
+    return ThreadPoolExecutor(threads)
 
 
 def _weighted(compared: Comparison, noise: Array) -> float:
