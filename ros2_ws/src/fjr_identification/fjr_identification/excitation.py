@@ -192,7 +192,7 @@ class ExcitationDesign:
         over = np.sign(ratios) * np.maximum(np.abs(ratios) - 1.0, 0.0)
         loss = -information + weight * float((over**2).sum()) / k
         slope = 2 * weight / k * over * self.limits.slope - rate
-        return loss, np.tensordot(self._basis, self._pulled_back(jets, slope), ((0, 1), (1, 0)))
+        return loss, np.asarray(np.tensordot(self._basis, self._pulled_back(jets, slope), ((0, 1), (1, 0))), float)
 
     def _pulled_back(self, jets: Array, slope: Array) -> Array:
         """Return the derivative (k, 5, n) in the jets of a function with derivative (8, k, n) in the motion."""
@@ -205,13 +205,6 @@ class ExcitationDesign:
     @cached_property
     def _inverse_dynamics(self) -> ca.Function:
         return compiled(inverse_dynamics(self.robot)).map(len(self._instants))
-
-    @cached_property
-    def _between_instants(self) -> tuple[Array, ca.Function]:
-        """Basis and inverse dynamics at FINE times as many instants."""
-        k = FINE * len(self._instants)
-        basis = self.series.jet_basis(np.arange(k) * self.series.period / k)
-        return basis, compiled(inverse_dynamics(self.robot)).map(k)
 
     @cached_property
     def _adjoint(self) -> ca.Function:
@@ -244,7 +237,9 @@ class ExcitationDesign:
 
         Raises TrajectoryError if even the offset does not.
         """
-        basis, function = self._between_instants
+        k = FINE * len(self._instants)
+        basis = self.series.jet_basis(np.arange(k) * self.series.period / k)
+        function = compiled(inverse_dynamics(self.robot)).map(k)
 
         def scaled(factor: float) -> Array:
             return np.vstack([factor * c[:-1], c[-1:]])

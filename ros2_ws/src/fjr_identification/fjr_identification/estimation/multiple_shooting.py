@@ -37,6 +37,7 @@ SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a 
 SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
 MOST_SETTLING = 8
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
+_pool = cache(ThreadPoolExecutor)  # which starts its threads once: a search evaluates a problem some hundred times
 
 Result = TypeVar("Result")
 
@@ -292,12 +293,6 @@ class Problem:
                 if i == joint and name in measuring:
                     J[k, :, column] += measuring[name] / noise[k]
         return predicted, J
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """Return the threads that all problems share, which start once: a search evaluates a problem some hundred times."""
-    return ThreadPoolExecutor(threads)
 
 
 def _weighted(compared: Comparison, noise: Array) -> float:
