@@ -20,6 +20,7 @@ NOT_RUN = {
     "make": "sets up a whole checkout; `make test` would run this test again",
     "ros2": "the ROS command line is not among the wheels",
     "source": "needs a ROS 2 installation, or a build next to one",
+    ".": "is done before the tests run",
     "colcon": "needs a ROS 2 installation",
     "rosdep": "needs a ROS 2 installation, root and a network",
     "pip": "needs a network",

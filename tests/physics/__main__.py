@@ -14,6 +14,7 @@ import argparse
 import json
 import os
 import sys
+from contextlib import ExitStack
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
@@ -61,9 +62,10 @@ def main(words: list[str]) -> int:
     kind = given.table or "coverage"
     table, results = import_module(f"physics.{kind}"), _finished(given.out, kind)
     left = [job for job in jobs if job not in results] if given.processes else []
-    workers = max(1, given.processes)
-    with get_context("spawn").Pool(workers) as pool, progress_bar("identifying", FORM, total=len(left)) as bar:
-        for job, result in zip(left, pool.imap(table.of_batch, left), strict=True):
+    with ExitStack() as stack:
+        compute = stack.enter_context(get_context("spawn").Pool(given.processes)).imap if given.processes > 1 else map
+        bar = stack.enter_context(progress_bar("identifying", FORM, total=len(left)))
+        for job, result in zip(left, compute(table.of_batch, left), strict=True):
             results[job] = result
             bar.update()
             if given.out:

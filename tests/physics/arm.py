@@ -57,40 +57,44 @@ class Arm:
         return 7 if self.friction.has_state or self.spring.has_state else 4
 
     @cached_property
-    def arms(self) -> tuple[Array, Array]:
-        """Return A (d, n, n) [kg m^2] and S (d, n) [kg m]."""
+    def arms(self) -> tuple[Array, Array, Array, Array]:
+        """Return A (d, n, n) [kg m^2], S (d, n) [kg m], I (d, n, n) [kg m^2] and T' (n, n), which sums outwards."""
         d, n = self.mass.shape
         reach = np.zeros((d, n + 1, n))  # of body k about joint i; the last body is the tip mass
         for k in range(n):
             reach[:, k + 1 :, k] = self.length[:, k : k + 1]
             reach[:, k, k] = self.com[:, k]
         mass = np.hstack([self.mass, np.broadcast_to(self.tip_mass, d)[:, None]])
-        return np.einsum("dk,dki,dkj->dij", mass, reach, reach), np.einsum("dk,dki->di", mass, reach)
+        A, S = np.einsum("dk,dki,dkj->dij", mass, reach, reach), np.einsum("dk,dki->di", mass, reach)
+        return A, S, self.inertia[..., None] * np.eye(n), np.triu(np.ones((n, n)))
 
     def link_inertia(self, q_l: Array) -> Array:
         """Return the inertia (..., d, n, n) of the links in joint coordinates."""
-        n, theta = q_l.shape[-1], np.cumsum(q_l, axis=-1)
-        M = self.arms[0] * np.cos(theta[..., :, None] - theta[..., None, :]) + self.inertia[..., None] * np.eye(n)
-        return _to_joints(_to_joints(M).swapaxes(-1, -2))
+        A, _, inertia, T_t = self.arms
+        theta = q_l @ T_t
+        return T_t @ (A * np.cos(theta[..., :, None] - theta[..., None, :]) + inertia) @ T_t.T
 
     def link_torque(self, q_l: Array, v_l: Array) -> Array:
         """Return the torque (..., d, n) of weight and velocities in joint coordinates."""
-        theta, w = np.cumsum(q_l, axis=-1), np.cumsum(v_l, axis=-1)
-        A, S = self.arms
-        turning = np.einsum("...ij,...j->...i", A * np.sin(theta[..., :, None] - theta[..., None, :]), w**2)
-        return _to_joints((turning + G * S * np.sin(theta + self.tilt[:, None]))[..., None])[..., 0]
+        A, S, _, T_t = self.arms
+        theta, w = q_l @ T_t, v_l @ T_t
+        turning = (A * np.sin(theta[..., :, None] - theta[..., None, :])) @ (w**2)[..., None]
+        return (turning[..., 0] + G * S * np.sin(theta + self.tilt[:, None])) @ T_t.T
 
     def rates(self, x: Array, u: Array) -> Array:
         """Return dx/dt (..., d, rows, n) of states x of the same shape under efforts u (d, n)."""
         q_l, q_m, v_l, v_m = (x[..., i, :] for i in range(4))
-        w_l, w_m, w_s = (x[..., i, :] if self.rows == 7 else np.zeros_like(q_l) for i in (4, 5, 6))
+        w_l, w_m, w_s = (x[..., i, :] for i in (4, 5, 6)) if self.rows == 7 else (np.zeros_like(q_l),) * 3
         tau, tau_m, dw_s = self.spring.law(self.stiffness, q_l, q_m - self.offset, v_l, v_m, w_s)
         F_l, dw_l = self.friction.law(v_l, self.link_friction, w_l, tau)
         F_m, dw_m = self.friction.law(v_m, self.motor_friction, w_m, tau)
         on_links = tau - self.link_damping * v_l - F_l - self.cable * np.sin(q_l) - self.link_torque(q_l, v_l)
         a_l = np.linalg.solve(self.link_inertia(q_l), on_links[..., None])[..., 0]
         a_m = (u - tau_m - self.motor_damping * v_m - F_m) / self.motor_inertia
-        return np.stack([v_l, v_m, a_l, a_m, *((dw_l, dw_m, dw_s) if self.rows == 7 else ())], axis=-2)
+        rates = np.empty_like(x)
+        for i, row in enumerate((v_l, v_m, a_l, a_m, dw_l, dw_m, dw_s)[: self.rows]):
+            rates[..., i, :] = row
+        return rates
 
     def energy(self, x: Array) -> Array:
         """Return kinetic energy, that of the weight and of linear springs (..., d) [J]."""
@@ -100,11 +104,6 @@ class Arm:
         )
         weight = -np.sum(G * self.arms[1] * np.cos(np.cumsum(q_l, axis=-1) + self.tilt[:, None]), axis=-1)
         return kinetic / 2 + weight + np.sum(self.stiffness * (q_m - q_l - self.offset) ** 2, axis=-1) / 2
-
-
-def _to_joints(X: Array) -> Array:
-    """Return T' X (..., n, m): the sum over the links from each joint outwards."""
-    return np.cumsum(X[..., ::-1, :], axis=-2)[..., ::-1, :]
 
 
 GAMMA = 0.25
@@ -140,13 +139,13 @@ def rodas(arm: Arm, x: Array, u: Array, h: Array) -> tuple[Array, Array]:
     f = arm.rates(np.concatenate([x[None], moved]), u).reshape(size + 1, d, size)
     J = np.moveaxis((f[1:] - f[0]) / delta[:, None, None], 0, -1)
     inverse = np.linalg.inv(np.eye(size) / (GAMMA * h[:, None, None]) - J)
-    y, slopes, K = x.reshape(d, size), f[0], []
-    for a, c in STAGES:
-        if a:
-            at = y + sum(weight * k for weight, k in zip(a, K, strict=True))
+    y, slopes, K = x.reshape(d, size), f[0], np.empty((len(STAGES), d, size))
+    for i, (a, c) in enumerate(STAGES):
+        if i:
+            at = y + np.tensordot(a, K[:i], 1)
             slopes = arm.rates(at.reshape(d, rows, n), u).reshape(d, size)
-        right = slopes + sum(weight / h[:, None] * k for weight, k in zip(c, K, strict=True))
-        K.append(np.einsum("dij,dj->di", inverse, right))
+        right = slopes + np.tensordot(c, K[:i], 1) / h[:, None]
+        K[i] = (inverse @ right[..., None])[..., 0]
     error = np.max(np.abs(K[-1].reshape(d, rows, n)) / TOLERANCE[:rows, None], axis=(1, 2))
     return (at + K[-1]).reshape(d, rows, n), error
 

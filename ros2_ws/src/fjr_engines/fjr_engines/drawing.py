@@ -23,6 +23,7 @@ from .mjcf.writing import specification
 
 ORANGE = np.array([0.9, 0.4, 0.0, 1.0])
 AZIMUTH, ELEVATION, FIELD = 125.0, -20.0, 30.0  # degrees; of the camera
+SHADOW = 1024  # pixels of each side of the shadow map; MuJoCo's own 4096 take a quarter of the drawing
 CLOSER = 0.8  # the camera is nearer than where a ball about all poses is seen
 
 
@@ -85,7 +86,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     spec.worldbody.add_light(pos=[0.7, -1.5, 3.0], dir=[-0.2, 0.5, -1.0], diffuse=[0.5] * 3, cutoff=60.0)
     head = spec.visual.headlight
     head.ambient, head.diffuse, head.specular = [0.35] * 3, [0.4] * 3, [0.1] * 3
-    spec.visual.global_.fovy = FIELD
+    spec.visual.global_.fovy, spec.visual.quality.shadowsize = FIELD, SHADOW
 
 
 def main() -> None:

@@ -185,14 +185,14 @@ class ExcitationDesign:
 
     def _loss(self, c: Array, weight: float, emphasis: Array) -> tuple[float, Array]:
         """Return the loss of coefficients and its gradient (size, n)."""
-        jets = np.einsum("rks,sn->krn", self._basis, c)
+        jets = (self._basis @ c).swapaxes(0, 1)
         motion = elastic_motion(self.robot, jets, self._inverse_dynamics)
         information, rate = self.model.criterion(motion, emphasis)
         ratios, k = self.limits.ratios(motion.stacked), len(jets)
         over = np.sign(ratios) * np.maximum(np.abs(ratios) - 1.0, 0.0)
         loss = -information + weight * float((over**2).sum()) / k
         slope = 2 * weight / k * over * self.limits.slope - rate
-        return loss, np.einsum("rks,krn->sn", self._basis, self._pulled_back(jets, slope))
+        return loss, np.asarray(np.tensordot(self._basis, self._pulled_back(jets, slope), ((0, 1), (1, 0))), float)
 
     def _pulled_back(self, jets: Array, slope: Array) -> Array:
         """Return the derivative (k, 5, n) in the jets of a function with derivative (8, k, n) in the motion."""
@@ -239,13 +239,14 @@ class ExcitationDesign:
         """
         k = FINE * len(self._instants)
         basis = self.series.jet_basis(np.arange(k) * self.series.period / k)
+        function = compiled(inverse_dynamics(self.robot)).map(k)
 
         def scaled(factor: float) -> Array:
             return np.vstack([factor * c[:-1], c[-1:]])
 
         def keeps(factor: float) -> bool:
-            jets = np.einsum("rks,sn->krn", basis, scaled(factor))
-            return self.limits.keeps(elastic_motion(self.robot, jets))
+            jets = (basis @ scaled(factor)).swapaxes(0, 1)
+            return self.limits.keeps(elastic_motion(self.robot, jets, function))
 
         if keeps(1.0):
             return c

@@ -97,7 +97,7 @@ def _brief(text: str, most: int = 60) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper):  # type: ignore[misc]
     """Write lists on one line, multi-line texts as blocks, and no aliases, which rcl rejects."""
 
     def ignore_aliases(self, data: Any) -> bool:

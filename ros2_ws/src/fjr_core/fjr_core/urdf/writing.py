@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape  # that of xml.sax imports an HTTP client
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 from ..model.closed_form_arms import STANDARD_GRAVITY
 
@@ -50,12 +50,12 @@ def urdf_of_rods(name: str, joints: Sequence[str], rods: Sequence[Rod]) -> str:
     parent, height = "base_link", 0.0
     for i, (joint, rod) in enumerate(zip(joints, rods, strict=True), start=1):
         parts.append(
-            f'<joint name={quoteattr(joint)} type="continuous"><parent link="{parent}"/><child link="link{i}"/>'
+            f'<joint name="{escape(joint)}" type="continuous"><parent link="{parent}"/><child link="link{i}"/>'
             f'<origin xyz="0 0 {height!r}"/><axis xyz="0 -1 0"/></joint>'
             f'<link name="link{i}">{_inside(rod)}</link>'
         )
         parent, height = f"link{i}", -rod.length
-    robot = ElementTree.fromstring(f"<robot name={quoteattr(name)}>{''.join(parts)}</robot>")
+    robot = ElementTree.fromstring(f'<robot name="{escape(name)}">{"".join(parts)}</robot>')
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -37,6 +37,7 @@ SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a 
 SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
 MOST_SETTLING = 8
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
+_pool = cache(ThreadPoolExecutor)  # which starts its threads once: a search evaluates a problem some hundred times
 
 Result = TypeVar("Result")
 
@@ -214,8 +215,7 @@ class Problem:
     def of_each(self, work: Callable[[int], Result]) -> list[Result]:
         """Return the results of work(k) for each segment k, some of which are computed at the same time."""
         _ = self.shooting.library, self.shooting.function  # compiled in this thread
-        with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(work, range(len(self.segments))))
+        return list(_pool(self.threads).map(work, range(len(self.segments))))
 
     def evaluate(self, z: Array, x0: Array, noise: Array) -> PredictedSegments | None:
         """Return the prediction at z from settled initial states near x0, None if one does not stay finite."""

@@ -38,7 +38,7 @@ STYLE = {
     "grid.color": "#E6E6E6",
     "grid.linewidth": 0.7,
     "axes.axisbelow": True,
-    "savefig.dpi": 150,
+    "figure.dpi": 150,
 }
 
 
@@ -51,6 +51,7 @@ def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure]
     """Write a figure of this size [inch] that `draw` fills; return its path, or None and say so without Matplotlib."""
     try:
         import matplotlib as mpl  # half a second of imports
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
         missing = "Matplotlib is not installed; expected it from: pip install matplotlib"
@@ -59,7 +60,7 @@ def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure]
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
-        figure.savefig(path, pil_kwargs={"compress_level": 3})
+        FigureCanvasAgg(figure).print_png(str(path), pil_kwargs={"compress_level": 3})  # savefig draws twice
     return path
 
 
