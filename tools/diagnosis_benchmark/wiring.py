@@ -60,8 +60,8 @@ def wrong(scenario: str, kind: str, seed: int = SEED) -> Iterator[Case]:
 def healthy(scenario: str, seed: int) -> Case:
     """Draw a robot that is wired as it should be, but differs from its model and starts anywhere.
 
-    Stiffness and inertia within 30 %, payload, friction, sensor noise from a tenth to ten times NOISE, encoder steps,
-    delays of up to 3 ms, lag, weak motors, states that are lost; starts at rest or moving, springs not in equilibrium.
+    Stiffness and inertia within 30 %, payload, friction, noise of up to 1 mrad and 0.1 rad/s, encoder steps, delays of
+    up to 3 ms, lag, weak motors, states that are lost; starts at rest or moving, springs not in equilibrium.
     """
     rng, loaded = np.random.default_rng([seed, JOINTS[scenario]]), nominal(scenario)
     keys = ("joint_stiffness", "motor_inertia", *(("link_inertia",) if scenario != "arm7" else ()))
@@ -76,9 +76,8 @@ def healthy(scenario: str, seed: int) -> Case:
 
 
 def _sensors(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
-    n, (position, velocity), changes = JOINTS[scenario], 10 ** rng.uniform(-1, 1, 2), {}
-    for name, deviation in NOISE.items():
-        changes[name] = [float(deviation * (position if "position" in name else velocity))] * n
+    n, (position, velocity) = JOINTS[scenario], 10 ** rng.uniform((-7, -4), (-3, -1))  # rad, rad/s
+    changes = {name: [float(position if "position" in name else velocity)] * n for name in NOISE}
     if rng.random() < 0.4:
         bits = [float(rng.integers(14, 24))] * n
         changes.update(link_encoder_bits=bits, motor_encoder_bits=bits)

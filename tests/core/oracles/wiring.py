@@ -133,8 +133,15 @@ class Rows:
 
     @property
     def deviance(self) -> float:
-        """Return minus twice the log-likelihood of all rows, without its constant: misfit plus log det S."""
-        return float(self.misfit().sum() - 2 * np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum())
+        """Return minus twice the log-likelihood of all rows, without its constant."""
+        log_det = -2 * np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum()
+        return float(student(self.y.shape[1], self.misfit()).sum() + log_det)
+
+
+def student(count: int, misfit: Array) -> Array:
+    """Return minus twice the logarithm of Student's density of misfits of `count` intervals, whose noise is estimated."""
+    freedom = FREEDOM * (count - 3)
+    return np.asarray((freedom + count) * np.log1p(misfit / freedom))
 
 
 def distances(root: Array, difference: Array) -> Array:
@@ -260,6 +267,7 @@ CLEARER = 2 * math.log(1e2)
 FAILS = 1.25
 FITS, FOLLOWS = 1.6, 3.0
 CLOSER = 2.0
+FREEDOM = 0.4
 COARSE = 0.5
 CONFIRMED = 2
 EARLY, RARER = 2, 1.1
@@ -361,8 +369,10 @@ def _wrong_velocity(rows: Rows, failing: Flags, count: int, full: bool) -> Wirin
         k = int(np.argmin(left))
         clear = full or bool((np.delete(left, k) > left[k] + CLEARER).all())
         late = distances(rows.root[row], rows.y[row] - delayed(rows.x[row], rows.y[row, 0]))
-        own = min(late[0], late[1:].min() + CLEARER)
-        if clear and left[k] < FOLLOWS * count and own > left[k] + EVIDENCE:
+        still = distances(rows.root[row : row + 1], rows.y[row : row + 1])[0]  # velocity and slopes are noise
+        own = min(late[0], late[1:].min() + CLEARER, still + 2 * CLEARER)
+        evidence = float(student(count, own) - student(count, left[k]))
+        if clear and left[k] < FOLLOWS * count and evidence > EVIDENCE:
             kind, joints = ("velocity sign", (j,)) if k == j else ("velocity of another joint", (j, k))
             return WiringFault(kind, joints, side)
     return None

@@ -1,9 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  * The check of the wiring: find exchanged joints and wrong signs of efforts and encoders in the first samples.
  *
- * The misfit of a row (wiring_rows.c) is (y - x)' S^-1 (y - x), its deviance the misfit plus log det S. Each hypothesis
- * on the wiring is undone in the window; its evidence is the decrease of the deviance over all rows, which is twice the
- * logarithm of a likelihood ratio. Only rows that change are evaluated again.
+ * The misfit d of a row with m intervals (wiring_rows.c) is (y - x)' S^-1 (y - x). The noise in S is an estimate, often
+ * far too small after 9 states. So y - x has Student's distribution with f degrees of freedom, and the deviance of the row
+ * is (f + m) log(1 + d / f) + log det S. Each hypothesis on the wiring is undone in the window; its evidence is the
+ * decrease of the deviance over all rows, which is twice the logarithm of a likelihood ratio. Only rows that change are
+ * evaluated again.
  *
  * A comparison begins after a sample that is due and goes on after the next ones: after each, at most WORK operations
  * and one hypothesis. An operation takes no longer than the evaluation of one row with its S.
@@ -22,6 +24,7 @@
 #define FITS 1.6      /* largest misfit per interval of a torque once the fault is undone .. */
 #define FOLLOWS 3.0   /* .. and of a velocity */
 #define CLOSER 2.0    /* undoing the fault decreases the mean squares of its torques by this factor, whatever S is */
+#define FREEDOM 0.4   /* degrees of freedom of the noise estimate per fourth difference, as neighbours are correlated */
 #define COARSE 0.5    /* largest share of intervals without motion; else the encoder is too coarse for a slope */
 
 /* ---- Comparison of the wiring as measured ----------------------------------------------------------------------- */
@@ -32,11 +35,19 @@ static int is_coarse(const struct fjr_comparison* c, int i) {
   return still > COARSE * c->intervals;
 }
 
-/* Find the slope that a velocity follows, which does not follow its own, not even late; s: its factorised row. */
+/* Return the deviance of a misfit of m intervals without log det S. */
+static double student(int m, double misfit) {
+  const double freedom = FREEDOM * (m - 3);
+  return (freedom + m) * log(1 + misfit / freedom);
+}
+
+/* Find the slope that a velocity follows, which does not follow its own, not even late, and is not noise alone; s: its
+ * factorised row. */
 static struct fjr_wiring_fault wrong_velocity(const struct fjr_comparison* c, int i, struct sides* s) {
   const int m = c->intervals, j = i % N, first = i - j;
   struct fjr_wiring_fault fault = {.count = 0};
-  double left[N], late[INTERVALS], own = distance(s->S, m, s->y, 1, s->x);
+  double left[N], late[INTERVALS];
+  double own = fmin(distance(s->S, m, s->y, 1, s->x), distance(s->S, m, s->y, 0, s->x) + 2 * CLEARER);
   int k = 0, clear = 1;
   for (int other = 0; other < N; ++other) {
     const double *slope = c->slope[first + other], sign = other == j ? -1 : 1;
@@ -48,7 +59,8 @@ static struct fjr_wiring_fault wrong_velocity(const struct fjr_comparison* c, in
     delayed(late, s->x, m, lag, s->y[0]);
     own = fmin(own, distance(s->S, m, s->y, 1, late) + CLEARER);
   }
-  if (!(c->full || clear) || !(left[k] < FOLLOWS * m) || !(own > left[k] + EVIDENCE)) return fault;
+  if (!(c->full || clear) || !(left[k] < FOLLOWS * m)) return fault;
+  if (!(student(m, own) - student(m, left[k]) > EVIDENCE)) return fault;
   fault.kind = k == j ? FJR_VELOCITY_SIGN : FJR_VELOCITY_OF_ANOTHER;
   fault.side = i >= N, fault.count = 1 + (k != j), fault.joint[0] = j;
   if (k != j) fault.joint[1] = k;
@@ -63,7 +75,7 @@ static int judge_row(struct fjr_wiring* w, int row, struct sides* s, int known) 
   const double against = distance(s->S, c->intervals, s->y, -1, s->x) - misfit;
   if (!isfinite(log_det + misfit)) return -1;
   if (row < 2 * N) {
-    c->misfit[row] = misfit, c->deviance[row] = misfit + log_det;
+    c->misfit[row] = misfit, c->deviance[row] = student(c->intervals, misfit) + log_det;
     c->squares[row] = squares(s, c->intervals);
   }
   c->agrees[row] = c->full && against > EVIDENCE && misfit < FITS * c->intervals;
@@ -187,7 +199,8 @@ static int try_hypothesis(const struct fjr_model* m, struct fjr_comparison* c, c
       if (changed[row]) {
         torque_row(m, c, &v, arm, row, 1, &s);
         const double log_det = factorised(s.S, count);
-        misfit = distance(s.S, count, s.y, 1, s.x), evidence += c->deviance[row] - (misfit + log_det), ++work;
+        misfit = distance(s.S, count, s.y, 1, s.x), ++work;
+        evidence += c->deviance[row] - (student(count, misfit) + log_det);
       }
       if (own && !(misfit < FITS * count)) return work;
     }
