@@ -139,7 +139,7 @@ class Rows:
 
 
 def student(count: int, misfit: Array) -> Array:
-    """Return minus twice the logarithm of Student's density of misfits of `count` intervals, whose noise is estimated."""
+    """Return minus twice the logarithm of Student's density of misfits of `count` intervals: the noise is estimated."""
     freedom = FREEDOM * (count - 3)
     return np.asarray((freedom + count) * np.log1p(misfit / freedom))
 
