@@ -146,10 +146,12 @@ def test_numbers_that_are_not_finite_are_null() -> None:
     assert json.loads(json_text(values)) == {"a": None, "b": [None, 1.0], "c": [1.0, None], "d": 2.0, "e": "x"}
 
 
-def with_answers(summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool = False) -> RunSummary:
-    """Return the summary of a violated run with a share of states answered in time."""
+def with_answers(
+    summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool = False, arrived: float = 1.0
+) -> RunSummary:
+    """Return the summary of a violated run with shares of states that arrived, and of these answered in time."""
     report = summary.report
-    counts = replace(report.counts, answered_in_time_fraction=in_time)
+    counts = replace(report.counts, answered_in_time_fraction=in_time, published_fraction=arrived)
     verdict = replace(report.verdict, kind="violated", causes=causes)
     return replace(summary, report=replace(report, counts=counts, verdict=verdict, lockstep=lockstep))
 
@@ -177,6 +179,14 @@ def test_a_violation_that_a_slow_machine_explains_is_no_verdict_and_advises_lock
     assert (run["advice"] in said.text, bool(run["advice"])) == (True, late)
     both = _result([with_answers(summary, 0.5, ("delay",)), with_answers(summary, in_time, causes, lockstep)])
     assert both.code == said.code  # a violation counts before a late machine
+
+
+def test_states_that_a_driver_leaves_out_are_not_answered_late(summary: RunSummary) -> None:
+    (found,) = _result([with_answers(summary, 1.0, ("model mismatch",), arrived=0.85)]).values["runs"]
+    assert (found["status"], found["advice"]) == ("violated", "")
+    (found,) = _result([with_answers(summary, 1.0, ("loss",), arrived=0.85)]).values["runs"]
+    assert found["status"] == "late"
+    assert "states are missing (85 % of them arrived)" in found["advice"]
 
 
 def test_pages_of_a_slow_machine_advise_lock_step(summary: RunSummary, tmp_path: Path) -> None:

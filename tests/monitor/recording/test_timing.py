@@ -47,7 +47,8 @@ def test_missed_late_unanswered_and_lost_samples_are_counted(split: int) -> None
     assert (counts.published, counts.missing, counts.gaps) == (4, 1, 1)
     assert (counts.answered, counts.answered_in_time, counts.late, counts.unanswered) == (3, 2, 1, 1)
     assert counts.longest_gap_s == pytest.approx(2 * MS)
-    assert counts.answered_in_time_fraction == pytest.approx(2 / 5)
+    assert counts.published_fraction == pytest.approx(4 / 5)
+    assert counts.answered_in_time_fraction == pytest.approx(2 / 4)
     assert counts.lost_by_recorder == {"/joint_states": 7}
 
 

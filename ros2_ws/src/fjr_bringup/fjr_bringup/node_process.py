@@ -72,7 +72,7 @@ class StartedNode:
         if not self.running:
             code = self._process.returncode
             how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-            raise NodeError(f"{self.name} {how}. Its last lines ({self.log}):\n{self.last_lines()}")
+            raise NodeError(f"{self.name} {how}. Its last lines:\n{self.last_lines()}")
 
     def last_lines(self) -> str:
         """Return the last lines of the node's log, indented."""

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report counters on /diagnostics and events on ~/events; log each kind of event and of refused message once."""
+"""Report counters on /diagnostics and events on ~/events.
+
+Each stop and resume is logged, every other kind of event and of refused message once.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,15 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.events import Event
+from fjr_core.runtime.events import STARTS_REFUSED, STOPS, Event
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader, deserialised
 from fjr_msgs_py.native.loop import LARGEST
 from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.reports import STAMP, EventWriter, Health, refusal
 
 RECEIVED, ANSWERED = "states received", "states answered"
+EACH = (STARTS_REFUSED, STOPS, "resumes")
+"""Kinds that are logged each time."""
 EXPECTED = (
     RECEIVED,
     ANSWERED,
@@ -45,6 +50,7 @@ class Reports(Health):
 
     def event(self, event: Event) -> None:
         """Publish an event, and count and log it by its level and kind."""
+        self._logged -= {event.kind} & set(EACH)
         if event.level == "info":
             self.count[event.kind] += 1
             if self.is_new(event.kind):

@@ -83,7 +83,7 @@ class Parameter:
             if not math.isfinite(value) and not (self.infinite and math.isinf(value)):
                 raise ParameterError(f"parameter '{self.name}' holds {value}; expected a finite number")
             if not self.minimum <= value <= self.maximum:
-                unit = f" {self.unit}" if self.unit else ""
+                unit = f" {self.unit}" if self.unit not in ("", "1") else ""
                 raise ParameterError(f"parameter '{self.name}' holds {value}{unit}; expected {self.range}{unit}")
         if self.choices and value not in self.choices and not (self.options and is_named(value)):
             raise ParameterError(f"parameter '{self.name}' is {value!r}; expected one of {self.listed_choices}")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, deque
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -214,7 +215,7 @@ class ControlStep:
         and a pending hold. While stopped it is kept until resume().
         """
         self._change("follow", self._kept(reference), time=NEVER if start is None else start)
-        self._journal.followed.append(type(reference).__name__)
+        self._journal.followed.append(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(reference).__name__).lower())
 
     def hold(self) -> None:
         """Come to a standstill from the next sample on, C^4 from the active reference.

@@ -32,7 +32,7 @@ def freeze_within_ranges(owner: object, n: int) -> None:
             checks.finite(name, array, ParameterError)
         array = checks.filled(name, array, (size,), ParameterError)
         if not np.all((array >= parameter.minimum) & (array <= parameter.maximum)):
-            unit = f" {parameter.unit}" if parameter.unit else ""
+            unit = f" {parameter.unit}" if parameter.unit not in ("", "1") else ""
             raise ParameterError(f"{name} is {array.tolist()}{unit}; expected {parameter.range}{unit}")
         checks.freeze(owner, name, array)
 

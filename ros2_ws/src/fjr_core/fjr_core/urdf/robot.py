@@ -22,6 +22,7 @@ from .tree import MOVING, LinkInertia, UrdfJoint, UrdfTree, read_urdf
 _log = logging.getLogger("fjr_core.model")
 BASE = ""
 """Name of the joint in front of all named ones, which carries what never moves."""
+WIDEST = 5.0  # m, radius of gyration
 MOST_CONTROLLED = 64
 """Largest number of joints; the size of the law's expressions grows with its square."""
 
@@ -99,7 +100,7 @@ def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
     """Raise RobotError for an invalid inertia of a link that the joints move; warn, once in a process, of others.
 
     Also warn of one that no body has: the largest of its principal inertias exceeds the sum of the others, unless it is
-    the only one, as of planar arms.
+    the only one, as of planar arms; and of one with a radius of gyration beyond WIDEST.
     """
     moved = tree.moved_by(joints)
     for link in sorted(moved & tree.inertias.keys()):
@@ -108,6 +109,12 @@ def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
             _warn(
                 f"link '{link}' has principal inertias of {others[0]:.3g}, {others[1]:.3g} and {largest:.3g} kg m^2; "
                 "expected the largest to be at most the sum of the others"
+            )
+        mass = tree.inertias[link].mass
+        if largest > WIDEST**2 * mass > 0:
+            _warn(
+                f"link '{link}' has {mass:.3g} kg and an inertia of {largest:.3g} kg m^2, which is a radius of gyration of "
+                f"{np.sqrt(largest / mass):.3g} m; expected at most {WIDEST:g} m"
             )
     for link, fault in tree.faulty.items():
         if link in moved:

@@ -304,8 +304,8 @@ def _limits(scenario: Scenario) -> dict[str, str]:
     unit = joined(each.effort for each in robot.units)
     return {
         "reference": f"{within('position', outside[0])}; {within('velocity', outside[1])}",
-        "first effort": f"{as_list(first)} {unit}; {within('effort', first > most)}",
-        "weight": f"up to {as_list(weight)} {unit} on the reference; {within('effort', weight > most)}",
+        "first effort": f"{as_list(first)} {unit}; {within('effort', ~(first <= most))}",
+        "weight": f"up to {as_list(weight)} {unit} on the reference; {within('effort', ~(weight <= most))}",
     }
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from xml.parsers.expat import ExpatError
 
 import numpy as np
@@ -70,8 +71,8 @@ def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name
     lines = _summary(arm, proposal, had_a_choice=not joints and len(arm.chains) > 1)
     lines += [
         f"written    {', '.join(map(str, texts))}",
-        f"next       fjr check {scenario_file}",
-        f"           fjr run {scenario_file} --lockstep",
+        f"next       fjr check {quote(str(scenario_file))}",
+        f"           fjr run {quote(str(scenario_file))} --lockstep",
     ]
     return Result("\n".join(lines), values)
 
@@ -117,12 +118,12 @@ def export_scenario(scenario: str, assignments: Sequence[str], folder: Path, pre
     missing = [name for name in left_out(loaded) if name in loaded.plant_values]
     names = ", ".join(f"`{name}`" for name in missing)
     notes = f"\nThe scenario also sets {names}: not in this C.\n" if missing else ""
-    texts = export(loaded, prefix or prefix_of(loaded.name), notes=notes)
+    texts, shown = export(loaded, prefix or prefix_of(loaded.name), notes=notes), quote(str(folder))
     write(texts, folder, force)
     text = (
         f"{folder}: {', '.join(texts)}\n"
-        f"build and compare with Python: cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
-        f"ctest --test-dir {folder}/build --verbose"
+        f"build and compare with Python: cmake -S {shown} -B {shown}/build && cmake --build {shown}/build && "
+        f"ctest --test-dir {shown}/build --verbose"
     )
     if missing:
         text += f"\nnot exported: what {', '.join(missing)} add to the plant"

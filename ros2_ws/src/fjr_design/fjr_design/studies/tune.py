@@ -11,6 +11,7 @@ since the best of many on a few draws is partly luck.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -305,7 +306,9 @@ def search(study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[
 def _strategy(dimension: int, seed: int) -> Any:
     """Return a CMAEvolutionStrategy of cma at the origin; its random numbers are its own, not NumPy's global ones."""
     try:
-        import cma  # loaded on use: only `fjr tune` needs it
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it warns that it will not plot, without Matplotlib
+            import cma  # loaded on use: only `fjr tune` needs it
     except ModuleNotFoundError:
         raise ParameterError("the package cma is not installed; expected it for tuning: pip install cma") from None
     random = np.random.default_rng(seed)

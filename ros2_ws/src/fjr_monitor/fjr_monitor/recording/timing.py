@@ -88,7 +88,7 @@ class Counts:
     late: int | None  # command sent after the next state
     unanswered: int | None
     published_fraction: float  # of nominal
-    answered_in_time_fraction: float | None  # of nominal
+    answered_in_time_fraction: float | None  # of published
     lost_by_recorder: dict[str, int | None]  # topic -> gaps in the sequence numbers; null: several publishers
 
 
@@ -143,7 +143,7 @@ class Clock:
             late=answered - in_time if known else None,
             unanswered=self._states - answered if known else None,
             published_fraction=self._states / nominal,
-            answered_in_time_fraction=in_time / nominal if known else None,
+            answered_in_time_fraction=in_time / self._states if known else None,
             lost_by_recorder=lost_messages,
         )
 

@@ -83,16 +83,17 @@ class Report:
     def status(self) -> Status:
         """Return the run in one word: "stopped", "late" if late answers explain a violation, otherwise the verdict.
 
-        Late answers explain a violation in real time if less than KEEPS_UP of the states were answered in time, or less
-        than IN_TIME and delay or loss is the first cause.
+        Late answers explain a violation in real time if less than KEEPS_UP of the states were answered in time, or if
+        delay or loss is the first cause and less than IN_TIME were, or arrived.
         """
         if self.stop:
             return "stopped"
         in_time = self.counts.answered_in_time_fraction
         if self.verdict.kind != "violated" or self.lockstep or in_time is None:
             return self.verdict.kind
-        enough = IN_TIME if self.verdict.causes[:1] in (("delay",), ("loss",)) else KEEPS_UP
-        return "late" if in_time < enough else "violated"
+        timed = self.verdict.causes[:1] in (("delay",), ("loss",))
+        late = min(in_time, self.counts.published_fraction) < IN_TIME if timed else in_time < KEEPS_UP
+        return "late" if late else "violated"
 
     @property
     def advice(self) -> str:
@@ -104,7 +105,10 @@ class Report:
         stopped_late = self.status == "stopped" and not self.lockstep and in_time < KEEPS_UP * answered
         if self.status != "late" and not stopped_late:
             return ""
-        seen = f"your machine answered late ({percent(self.counts.answered_in_time_fraction, 0)} of the states in time)"
+        arrived, in_time_share = self.counts.published_fraction, self.counts.answered_in_time_fraction or 0.0
+        seen = f"your machine answered late ({percent(in_time_share, 0)} of the states in time)"
+        if arrived < in_time_share:
+            seen = f"states are missing ({percent(arrived, 0)} of them arrived)"
         return f"{seen}, so this run does not judge the law; try --lockstep"
 
     @property

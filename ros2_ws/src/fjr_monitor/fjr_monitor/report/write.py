@@ -171,7 +171,7 @@ def _row(label: str, report: Report) -> tuple[str, ...]:
         label + (" (lock-step)" if report.lockstep else ""),
         report.peak_effort_and_share(_effort),
         report.steady_error(_error),
-        f"{in_time} of {counts.nominal}",
+        f"{in_time} of {counts.published}",
         decay,
         {"stopped": "stopped", "late": "none: the machine was late"}.get(report.status, kind),
     )
