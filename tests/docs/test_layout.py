@@ -81,7 +81,7 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 13_410,
+    "fjr_core": 13_420,
     "fjr_msgs_py": 3_690,
     "fjr_monitor": 7_650,
     "fjr_plant": 1_420,

@@ -239,9 +239,9 @@ def test_an_inertia_that_no_body_has_is_a_warning(caplog: pytest.LogCaptureFixtu
         "expected the largest to be at most the sum of the others"
     ]
     caplog.clear()
-    read(TWO.replace(ZERO, 'ixx="100" ixy="0" ixz="0" iyy="100" iyz="0" izz="100"', 1))
+    read(TWO.replace(ZERO.replace('iyy="0"', 'iyy="0.01"'), 'ixx="90" ixy="0" ixz="0" iyy="90" iyz="0" izz="90"', 1))
     assert [record.getMessage() for record in caplog.records] == [
-        "link 'upper' has 1 kg and an inertia of 100 kg m^2, which is a radius of gyration of 10 m; expected at most 5 m"
+        "link 'upper' has 1 kg and an inertia of 90 kg m^2, a radius of gyration of 9.49 m; expected at most 5 m"
     ]
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report counters on /diagnostics and events on ~/events.
 
-Each stop and resume is logged, every other kind of event and of refused message once.
+Each stop is logged, every other kind of event and of refused message once.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.reports import STAMP, EventWriter, Health, refusal
 
 RECEIVED, ANSWERED = "states received", "states answered"
-EACH = (STARTS_REFUSED, STOPS, "resumes")
-"""Kinds that are logged each time."""
 EXPECTED = (
     RECEIVED,
     ANSWERED,
@@ -50,7 +48,8 @@ class Reports(Health):
 
     def event(self, event: Event) -> None:
         """Publish an event, and count and log it by its level and kind."""
-        self._logged -= {event.kind} & set(EACH)
+        if event.kind in (STARTS_REFUSED, STOPS):
+            self._logged.discard(event.kind)
         if event.level == "info":
             self.count[event.kind] += 1
             if self.is_new(event.kind):

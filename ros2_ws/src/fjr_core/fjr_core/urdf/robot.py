@@ -113,7 +113,7 @@ def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
         mass = tree.inertias[link].mass
         if largest > WIDEST**2 * mass > 0:
             _warn(
-                f"link '{link}' has {mass:.3g} kg and an inertia of {largest:.3g} kg m^2, which is a radius of gyration of "
+                f"link '{link}' has {mass:.3g} kg and an inertia of {largest:.3g} kg m^2, a radius of gyration of "
                 f"{np.sqrt(largest / mass):.3g} m; expected at most {WIDEST:g} m"
             )
     for link, fault in tree.faulty.items():
