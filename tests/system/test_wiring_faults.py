@@ -27,7 +27,7 @@ from fjr_monitor.diagnosis.record import Record
 from fjr_msgs_py.scenarios import library
 
 pytestmark = pytest.mark.system
-FIRST = {"velocity of another joint": 32}  # samples; other faults are found within 20
+FIRST = {"velocity sign": 26, "velocity of another joint": 26}  # samples; other faults are found within 20
 NAMES = ("joint1", "joint2")
 LASTING, STATES = 0.04, 30  # s; at 1 kHz
 TRAVEL = {"paper_k31": 0.75, "two_link": 0.25, "arm7": 0.05}  # rad, of any side, until the stop

@@ -368,10 +368,9 @@ def _wrong_velocity(rows: Rows, failing: Flags, count: int, full: bool) -> Wirin
         left = np.where(coarse[first : first + n], np.inf, distances(rows.root[row], rows.y[row] - slopes))
         k = int(np.argmin(left))
         clear = full or bool((np.delete(left, k) > left[k] + CLEARER).all())
-        late = distances(rows.root[row], rows.y[row] - delayed(rows.x[row], rows.y[row, 0]))
-        still = distances(rows.root[row : row + 1], rows.y[row : row + 1])[0]  # velocity and slopes are noise
-        own = min(late[0], late[1:].min() + CLEARER, still + 2 * CLEARER)
-        evidence = float(student(count, own) - student(count, left[k]))
+        late = student(count, distances(rows.root[row], rows.y[row] - delayed(rows.x[row], rows.y[row, 0])))
+        noise = student(count, distances(rows.root[row : row + 1], rows.y[row : row + 1]))[0]  # velocity and slopes
+        evidence = min(late[0], late[1:].min() + CLEARER, noise + CLEARER) - float(student(count, left[k]))
         if clear and left[k] < FOLLOWS * count and evidence > EVIDENCE:
             kind, joints = ("velocity sign", (j,)) if k == j else ("velocity of another joint", (j, k))
             return WiringFault(kind, joints, side)

@@ -47,7 +47,8 @@ static struct fjr_wiring_fault wrong_velocity(const struct fjr_comparison* c, in
   const int m = c->intervals, j = i % N, first = i - j;
   struct fjr_wiring_fault fault = {.count = 0};
   double left[N], late[INTERVALS];
-  double own = fmin(distance(s->S, m, s->y, 1, s->x), distance(s->S, m, s->y, 0, s->x) + 2 * CLEARER);
+  double own = student(m, distance(s->S, m, s->y, 1, s->x));
+  own = fmin(own, student(m, distance(s->S, m, s->y, 0, s->x)) + CLEARER); /* all is noise */
   int k = 0, clear = 1;
   for (int other = 0; other < N; ++other) {
     const double *slope = c->slope[first + other], sign = other == j ? -1 : 1;
@@ -57,10 +58,10 @@ static struct fjr_wiring_fault wrong_velocity(const struct fjr_comparison* c, in
   for (int other = 0; other < N; ++other) clear &= other == k || left[other] > left[k] + CLEARER;
   for (int lag = 1; lag <= LAGS; ++lag) { /* such as a filter's: 100 times rarer */
     delayed(late, s->x, m, lag, s->y[0]);
-    own = fmin(own, distance(s->S, m, s->y, 1, late) + CLEARER);
+    own = fmin(own, student(m, distance(s->S, m, s->y, 1, late)) + CLEARER);
   }
   if (!(c->full || clear) || !(left[k] < FOLLOWS * m)) return fault;
-  if (!(student(m, own) - student(m, left[k]) > EVIDENCE)) return fault;
+  if (!(own - student(m, left[k]) > EVIDENCE)) return fault;
   fault.kind = k == j ? FJR_VELOCITY_SIGN : FJR_VELOCITY_OF_ANOTHER;
   fault.side = i >= N, fault.count = 1 + (k != j), fault.joint[0] = j;
   if (k != j) fault.joint[1] = k;
