@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnose every labelled run and every labelled fault; regenerate the tables of docs/tables/diagnosis.md.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults wiring foreign
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults wiring alarms foreign
 
 Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr. Causes and
 faults take 10 and 15 minutes. Results of `foreign` are kept in FOREIGN: a later call takes up where an earlier one
@@ -31,10 +31,11 @@ from . import cases, faults, foreign
 from .cases import DEGRADED, HOLDING, UNDECIDED, VIOLATED, Case, Label
 from .faults import FAULTS, HEALTHY, ROBOTS, WIRING, duration_of, joints_of
 from .lock_step import read_record, write_bag
-from .wiring import HEALTHY_LASTING, LASTING, SEED, Stop, healthy, wrong
+from .wiring import HEALTHY_LASTING, LASTING, SEED, SENSORS, Stop, healthy, with_sensors, wrong
 
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
 FOREIGN = ROOT / "runs" / "foreign"
+STARTS = 60  # of each robot and kind of noise
 OTHER, SEVERAL = "several or none", "several"
 KINDS = (*FAULTS, *WIRING, HEALTHY)
 SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
@@ -143,6 +144,18 @@ def wiring_of(seed: int) -> list[str]:
     return markdown(head, rows)
 
 
+def alarms() -> list[str]:
+    """Return how many of STARTS healthy starts with other sensors the check of the wiring stops."""
+    rows = []
+    for noise in SENSORS:
+        stopped = [
+            sum(Stop.of(with_sensors(scenario, noise, seed), HEALTHY_LASTING).samples > 0 for seed in range(STARTS))
+            for scenario in ("two_link", "arm7")
+        ]
+        rows.append((noise, *map(str, stopped)))
+    return markdown(("noise, 1 µrad to 1 mrad", "`two_link` stopped", "`arm7` stopped"), rows)
+
+
 def foreign_table() -> list[str]:
     """Return the table of the faults that the sets lack."""
     files = {number: FOREIGN / f"{number:04d}.json" for number in range(foreign.COUNT)}
@@ -164,6 +177,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     ],
     "faults": lambda: of_seed("Validation set", faults.VALIDATION_SEED, faults_of),
     "wiring": lambda: of_seed("Noise of the validation set", SEED, wiring_of),
+    "alarms": alarms,
     "foreign": foreign_table,
 }
 

@@ -15,11 +15,19 @@ from fjr_monitor.diagnosis.record import Record
 
 from .cases import JOINTS, STARTS, TORQUE, Case, nominal, start_of
 from .faults import HEALTHY, NOISE, PAIRS, PLACE, WIRING, noise_of
+from .lock_step import Fault
 
 SEED = 5
 LASTING, HEALTHY_LASTING = 0.15, 0.08  # s
 LIMITS = {"paper_k31": 0.9, "two_link": 1.5}  # N m that motors give at most, unknown to the controller
 HEAVIEST = {"paper_k31": 0.15, "two_link": 0.3, "arm7": 3.0}  # kg
+WHITE, QUIET_VELOCITIES, COLOURED = "white", "white, velocities less noisy", "coloured"
+FILTERED, ENCODERS = "white, velocities from filtered differences", "encoders of 11 to 18 bit, the same velocities"
+ONE, EACH = "one sensor up to 1000 times as noisy as the others", "each sensor of another size"
+SENSORS = (WHITE, QUIET_VELOCITIES, FILTERED, ENCODERS, COLOURED, ONE, EACH)
+"""Kinds of noise of other sensors."""
+BANDWIDTH = 100.0  # 1/s; noise of velocities relative to that of positions
+CORRELATION = 0.9  # of coloured noise, from sample to sample
 
 
 @dataclass(frozen=True)
@@ -121,3 +129,49 @@ def _initial(scenario: str, loaded: Scenario, rng: np.random.Generator) -> dict[
     dq: Array = rng.uniform(-1, 1, n) * rng.choice([0.0, 0.2 if scenario == "arm7" else 1.0])
     sides = {"link_position": q_l, "motor_position": q_m, "link_velocity": dq, "motor_velocity": dq}
     return {f"initial_{side}": value.tolist() for side, value in sides.items()}
+
+
+class NoisySensors:
+    """Sensors of both sides with a kind of noise of SENSORS, 1 urad to 1 mrad: changes of what the plant measures."""
+
+    def __init__(self, noise: str, n: int, sample_period: float, rng: np.random.Generator) -> None:
+        self._noise, self._T, self._rng = noise, sample_period, rng
+        self._size: Array = 10 ** rng.uniform(-6, -3, 2 * n if noise == EACH else 1) * np.ones(2 * n)
+        if noise == ONE:
+            self._size = np.where(np.arange(2 * n) == rng.integers(2 * n), 10 ** rng.uniform(-5, -3), 1e-6)
+        self._velocity_size = self._size * (10 ** rng.uniform(0, 3) if noise == QUIET_VELOCITIES else BANDWIDTH)
+        self._share = 1 - np.exp(-2 * np.pi * rng.uniform(20, 300) * sample_period)  # of a filter of 20 to 300 Hz
+        self._step = 2 * np.pi / 2.0 ** rng.integers(11, 19)
+        self._coloured: Array = np.zeros(2 * n)
+        self._measured: Array = np.zeros(2 * n)
+        self._last: Array | None = None
+        self._filtered: Array = np.zeros(2 * n)
+
+    def position(self, q: Array) -> Array:
+        """Return measured positions (2n,)."""
+        white = self._size * self._rng.standard_normal(len(q))
+        self._coloured = CORRELATION * self._coloured + np.sqrt(1 - CORRELATION**2) * white
+        if self._noise == ENCODERS:
+            self._measured = np.round(q / self._step) * self._step
+        else:
+            self._measured = q + (self._coloured if self._noise == COLOURED else white)
+        return self._measured
+
+    def velocity(self, dq: Array) -> Array:
+        """Return measured velocities (2n,)."""
+        if self._noise not in (FILTERED, ENCODERS):
+            return dq + self._velocity_size * self._rng.standard_normal(len(dq))
+        slope = dq if self._last is None else (self._measured - self._last) / self._T
+        self._filtered += (1.0 if self._last is None else self._share) * (slope - self._filtered)
+        self._last = self._measured
+        return self._filtered.copy()
+
+
+def with_sensors(scenario: str, noise: str, seed: int) -> Case:
+    """Return a healthy start of the robot of the model, beside payload, friction and delays, with a kind of noise."""
+    case = healthy(scenario, seed)
+    sensors = NoisySensors(
+        noise, JOINTS[scenario], nominal(scenario).sample_period, np.random.default_rng([SEED, seed])
+    )
+    changes = {name: value for name, value in case.changes.items() if not name.endswith(("_noise", "_bits"))}
+    return replace(case, changes=changes, robot={}, fault=Fault(position=sensors.position, velocity=sensors.velocity))

@@ -41,7 +41,7 @@ HEADINGS = {
     "degraded": "Degraded",
     "violated": "Violated",
     "unknown": "No verdict",
-    "late": "No verdict: the machine was late",
+    "late": "No verdict: states or answers were late",
 }
 
 

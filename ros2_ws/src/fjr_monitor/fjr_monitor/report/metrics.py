@@ -105,9 +105,9 @@ class Report:
         stopped_late = self.status == "stopped" and not self.lockstep and in_time < KEEPS_UP * answered
         if self.status != "late" and not stopped_late:
             return ""
-        arrived, in_time_share = self.counts.published_fraction, self.counts.answered_in_time_fraction or 0.0
-        seen = f"your machine answered late ({percent(in_time_share, 0)} of the states in time)"
-        if arrived < in_time_share:
+        share, arrived = self.counts.answered_in_time_fraction or 0.0, self.counts.published_fraction
+        seen = f"your machine answered late ({percent(share, 0)} of the states in time)"
+        if arrived < share:
             seen = f"states are missing ({percent(arrived, 0)} of them arrived)"
         return f"{seen}, so this run does not judge the law; try --lockstep"
 

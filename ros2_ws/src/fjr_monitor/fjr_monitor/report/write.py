@@ -173,7 +173,7 @@ def _row(label: str, report: Report) -> tuple[str, ...]:
         report.steady_error(_error),
         f"{in_time} of {counts.published}",
         decay,
-        {"stopped": "stopped", "late": "none: the machine was late"}.get(report.status, kind),
+        {"stopped": "stopped", "late": "none: states or answers were late"}.get(report.status, kind),
     )
 
 

@@ -183,8 +183,8 @@ class Ranges:
             X, M, F = (models.of(symbol).largest for models in slopes)
             yield Mismatch(np.zeros(disturbances), X[:, : 4 * n], M, np.zeros((n, n)), F)
 
-    def second_order(self, lines: Array, accelerations: Array) -> tuple[Array, Array]:
-        """Return the torques (c, 3n, k) and efforts (c, n, k) of second order along lines that z follows.
+    def second_order(self, lines: Array, accelerations: Array) -> KnownErrors:
+        """Return the errors of second order along lines that z follows.
 
         Their columns are those of the lines, then the further ones of `_of_pairs`.
         """
@@ -197,7 +197,7 @@ class Ranges:
             return to_joints(S.torques) @ _of_pairs(torque), to_joints(S.effort) @ _of_pairs(effort)
 
         torques, efforts = map(np.concatenate, zip(*self._in_parts(of_cells), strict=True))
-        return torques, efforts
+        return KnownErrors(torques, np.zeros(torques.shape[:2]), efforts)
 
     def storage(self, tube: Tube) -> float:
         """Return the largest V [J] of the law in a tube; nan if the law has none, inf if it cannot be enclosed."""

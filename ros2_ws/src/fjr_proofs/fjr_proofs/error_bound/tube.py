@@ -338,8 +338,7 @@ class TubeProblem:
         linear, links = self.linear.at(ranges.at), slice(2 * self.linear.n, 3 * self.linear.n)
         torque = linear.inputs[1][:, links] @ linear.coordinates.torques @ errors.torque
         accelerations = tuple(linear.A[:, links] @ z + torque for z in lines)
-        torque, effort = ranges.second_order(lines[0], accelerations[0])
-        second_errors = KnownErrors(torque, np.zeros(torque.shape[:2]), effort)
+        second_errors = ranges.second_order(lines[0], accelerations[0])
         second = respond(second_errors)
         Z = second.Z.copy()
         Z[:, :, : first.Z.shape[2]] += first.Z
