@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layout: imports run one way, packages keep their budget, a module is one subject, a name is one class."""
+"""The layout: imports run one way without circles, packages keep their budget, a module is one subject."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -147,6 +148,16 @@ def violations(package: str) -> list[str]:
 @pytest.mark.parametrize("package", LAYERS)
 def test_imports_run_downwards(package: str) -> None:
     assert violations(package) == []
+
+
+@pytest.mark.parametrize("package", LAYERS)
+def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
+    files = dict(modules(package))
+    arrows: dict[str, set[str]] = {}
+    for module, file in files.items():
+        targets = {name if name in files else name.rpartition(".")[0] for name in imported(module, file)}
+        arrows[module] = targets & files.keys() - {module}
+    TopologicalSorter(arrows).prepare()  # raises CycleError with the circle
 
 
 @pytest.mark.parametrize("package", LAYERS)

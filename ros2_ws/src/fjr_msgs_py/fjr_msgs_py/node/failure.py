@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -13,10 +13,17 @@ from rclpy.node import Node
 
 from fjr_core import FjrError
 
-if TYPE_CHECKING:
-    from .process import NodeProcess
-
 LONGEST = 500  # characters of a sentence about a request
+
+
+class Process(Protocol):
+    """The process of a node (process.NodeProcess)."""
+
+    def end(self, error: FjrError) -> None:
+        """Stop serving callbacks."""
+
+    def apply_process_settings(self, values: Mapping[str, Any]) -> None:
+        """Apply the process settings of the values; raises ParameterError."""
 
 
 class EndingNode(Node):
@@ -30,7 +37,7 @@ class EndingNode(Node):
     values: dict[str, Any]
     starting: ClassVar[bool] = False
     """Whether a process builds the node; it then looks at `ended` itself."""
-    host: NodeProcess | None = None
+    host: Process | None = None
     """The process, if the node has its own."""
     ended: FjrError | None = None
     """The error that ended the node."""

@@ -36,10 +36,7 @@ def descriptor(parameter: Parameter, managed: bool) -> ParameterDescriptor:
     description = f"{parameter.description} [{parameter.unit}]" if parameter.unit else parameter.description
     message = ParameterDescriptor(name=parameter.name, description=description, read_only=read_only)
     kind = type(parameter.default)
-    if isinstance(parameter.default, tuple):
-        message.type = _LIST_TYPES[type(parameter.default[0])]
-    else:
-        message.type = _TYPES[kind]
+    message.type = _LIST_TYPES[type(parameter.default[0])] if isinstance(parameter.default, tuple) else _TYPES[kind]
     bounded = math.isfinite(parameter.minimum) and math.isfinite(parameter.maximum)
     if kind is float and bounded:
         message.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
@@ -83,7 +80,8 @@ class ParameterNode(EndingNode):
     command line that a parameter file overrides.
     """
 
-    values: dict[str, Any]
+    managed: ClassVar[bool] = False
+    """Whether the node can be unconfigured again."""
     _parameters_by_name: Mapping[str, Parameter] = {}
     fault: ParameterError | None = None
     """The error in the parameters of a node that waits for valid ones."""
@@ -163,11 +161,8 @@ class ParameterNode(EndingNode):
 
     def _taken_over(self) -> dict[str, Any]:
         """Return the given parameters; undeclare those that only other nodes have."""
-        given = {
-            name: self.get_parameter(name).value
-            for name in self.get_parameters_by_prefix("")
-            if not name.startswith(_FOREIGN)
-        }
+        declared = self.get_parameters_by_prefix("")
+        given = {name: parameter.value for name, parameter in declared.items() if not name.startswith(_FOREIGN)}
         for name in [name for name in given if is_of_others(self._own, name)]:
             self.undeclare_parameter(name)
             del given[name]
@@ -202,19 +197,14 @@ class ParameterNode(EndingNode):
                 if self.has_parameter(name):
                     self.undeclare_parameter(name)
                 listed = list(value) if isinstance(value, tuple) else value
-                self.declare_parameter(name, listed, descriptor(parameter, self._managed), ignore_override=True)
+                self.declare_parameter(name, listed, descriptor(parameter, self.managed), ignore_override=True)
         finally:
             self._declaring = False
         return found.values
 
     @property
-    def _managed(self) -> bool:
-        """True for a lifecycle node, which can be unconfigured again."""
-        return isinstance(self, LifecycleNode)
-
-    @property
     def _when_open(self) -> str:
-        return "while the node is unconfigured" if self._managed else "before the node starts"
+        return "while the node is unconfigured" if self.managed else "before the node starts"
 
     def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
         if self._declaring:
@@ -254,6 +244,8 @@ class ManagedParameterNode(ParameterNode, LifecycleNode):
 
     A request of a transition that the present state does not have is refused with one sentence in the log.
     """
+
+    managed = True
 
     def guard_services(self) -> None:
         """Guard the services that rclpy creates by itself, and refuse transitions that are not possible now."""

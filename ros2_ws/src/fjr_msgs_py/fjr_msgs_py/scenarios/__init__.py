@@ -9,12 +9,12 @@ from fjr_msgs_py.console.ros2 import INSTALLATION, installed_files
 
 
 def installed(kind: str) -> dict[str, Path]:
-    """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises ScenarioError."""
+    """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises MissingPackageError."""
     found = installed_files(kind)
     if not found:
-        from fjr_msgs_py.scenarios.library import ScenarioError  # loads CasADi
+        from fjr_core.errors import MissingPackageError  # loads CasADi
 
-        raise ScenarioError(f"package fjr_bringup is not installed here; {INSTALLATION}")
+        raise MissingPackageError(f"package fjr_bringup is not installed here; {INSTALLATION}")
     return found
 
 

@@ -18,7 +18,7 @@ from fjr_msgs_py.scenarios import installed
 
 
 class ScenarioError(FjrError):
-    """A scenario does not exist, or no workspace is sourced."""
+    """A scenario does not exist, or may not be written."""
 
 
 def find(name: str | None, kind: str = "scenario") -> Path:
