@@ -17,9 +17,10 @@ from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.robust.law import Robust, RobustLaw
 from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_design.cli.check import Check
-from fjr_msgs_py.console.output import progress_bar
+from fjr_msgs_py.console.output import percent, progress_bar
 
 from .error_bound.contraction import SampledContraction, sampled_contraction
+from .error_bound.drawn_robots import CONFIDENCE, ROBOTS, SHARE, DrawnRobots, drawn_robots
 from .error_bound.search import DELAY, SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
@@ -36,6 +37,7 @@ def errors_bounded(
 ) -> Check:
     """Return the bound for model errors and a delay [samples], by default that of the scenario.
 
+    A bound that is not proven is followed by the errors of drawn robots, if all errors are those of parameters.
     errors: as of `bound_errors`, and STATED. prove, seconds: see `bound_errors`. Raises ParameterError for an unknown
     error, and for a scenario that the bound does not cover.
     """
@@ -52,9 +54,10 @@ def errors_bounded(
                 "difference from the model as an error"
             )
     late = scenario.loop_delay if delay is None else delay * scenario.sample_period
-    loop = scenario.law, scenario.reference, scenario.sample_period, late, _with_stated(scenario, errors)
+    errors, place = _with_stated(scenario, errors), payload_position(scenario)
+    loop = scenario.law, scenario.reference, scenario.sample_period, late, errors
     with progress_bar("bounding the tracking error", PROGRESS, total=1.0, desc="error bound") as bar:
-        bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove, payload_position(scenario), seconds)
+        bound = bound_errors(*loop, lambda share: bar.update(share - bar.n), prove, place, seconds)
     tried = prove or scenario.robot.n <= SECONDS_TO_PROVE
     hint = "no proof was found" if tried else "--prove-error tries a proof"
     values = {
@@ -66,7 +69,32 @@ def errors_bounded(
         "proven": bound.proven,
         "parts": bound.parts,
     }
-    return Check({"error bound": _sentence(scenario, bound, hint)}, values)
+    rows = {"error bound": _sentence(scenario, bound, hint)}
+    if errors and not bound.proven and (drawn := drawn_robots(scenario, errors, late, place)) is not None:
+        values["drawn"] = {
+            "robots": ROBOTS,
+            "unstable": drawn.unstable,
+            "largest": _by_joint(scenario, drawn.largest),
+        }
+        rows[f"    {ROBOTS} drawn robots"] = _sampled(scenario, drawn)
+    return Check(rows, values)
+
+
+def _sampled(scenario: Scenario, drawn: DrawnRobots) -> str:
+    """Return the errors of drawn robots in words."""
+    if drawn.unstable:
+        return f"{drawn.unstable} with an unstable loop, of robots whose parameters are uniform within these errors"
+    return (
+        f"|q_l - q_ld| at most {_largest(scenario, drawn.largest)} from a start on the reference; with "
+        f"{percent(CONFIDENCE, 0)} confidence {percent(SHARE, 0)} of the robots whose parameters are uniform within "
+        "these errors stay below it"
+    )
+
+
+def _largest(scenario: Scenario, position: Array) -> str:
+    """Return the largest of positions (n,) [rad] with unit and joint."""
+    joint = int(np.argmax(position))
+    return f"{at_most(1e3 * position[joint])} m{scenario.robot.units[joint].position} ({scenario.joints[joint]})"
 
 
 def _with_stated(scenario: Scenario, errors: Mapping[str, ArrayLike]) -> Mapping[str, ArrayLike]:
@@ -100,14 +128,12 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     conditions = ", ".join([*(_error(*error, payload_position(scenario)) for error in bound.errors.items()), delay])
     if not bound.found:
         return f"none found with {conditions}; expected smaller errors"
-    joint = int(np.argmax(bound.position))
-    unit = scenario.robot.units[joint].position
     basis = "proven" if bound.proven else f"from sampled constants, not proven: {hint}"
     steady = bound.proven and not np.all(np.isfinite(bound.from_start))
     when = "in steady motion" if steady else "after the transient"
     storage = f", V at most {at_most(1e3 * bound.storage)} mJ" if np.isfinite(bound.storage) else ""
-    largest = f"{at_most(1e3 * bound.position[joint])} m{unit} ({scenario.joints[joint]})"
-    return f"|q_l - q_ld| at most {largest}{storage} {when} along this reference, with {conditions}; {basis}"
+    largest = f"{_largest(scenario, bound.position)}{storage}"
+    return f"|q_l - q_ld| at most {largest} {when} along this reference, with {conditions}; {basis}"
 
 
 def _error(name: str, size: ArrayLike, place: Array) -> str:

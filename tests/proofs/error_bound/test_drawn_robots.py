@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots drawn from stated errors, against another simulation of the same robots, and what `fjr check` says of them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from bench.uncertain_robots import UncertainLoop
+from fjr_core.config.scenario import Scenario
+from fjr_design.batch.draws import uniform
+from fjr_msgs_py.scenarios import library
+from fjr_proofs.check_rows import errors_bounded
+from fjr_proofs.error_bound import drawn_robots as module
+from fjr_proofs.error_bound.drawn_robots import SEED, drawn_robots
+
+PLACE = np.array([0.05, 0.0, 0.1])  # m, of the payload
+DURATION = 2.0  # s: a period of the reference, and a second
+ROBOTS = 40  # in place of 299
+ERRORS: list[dict[str, ArrayLike]] = [
+    {"payload": 0.2, "stiffness": 0.1, "gravity": 0.05, "motor_inertia": 0.1, "link_damping": 0.3},
+    {"payload_mass": 0.2, "payload_position": [0.02, 0.0, 0.03], "link_mass": [0.2, 0.1], "motor_damping": 0.5},
+]
+ONE_NUMBER = ("payload", "gravity", "payload_mass")
+
+
+@pytest.fixture(scope="module")
+def two_link() -> Scenario:
+    swing = {"amplitude": [0.2, 0.3], "frequency": [2 * np.pi, 2 * np.pi], "offset": [0.3, 0.0]}
+    return library.load("two_link", [f"reference.{name}:={value}" for name, value in swing.items()])
+
+
+@pytest.mark.parametrize("errors", ERRORS, ids=" ".join)
+def test_the_largest_errors_are_those_of_another_simulation(
+    two_link: Scenario, errors: dict[str, ArrayLike], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The loop has no delay: the engines differ in the efforts that are in transit at the start."""
+    monkeypatch.setattr(module, "ROBOTS", ROBOTS)
+    found = drawn_robots(two_link, errors, 0.0, PLACE)
+    assert found is not None
+    assert found.unstable == 0
+    widths = {name: 1 if name in ONE_NUMBER else 3 if name == "payload_position" else 2 for name in errors}
+    shares = np.hstack([2 * uniform(name, SEED, 0, ROBOTS, width) - 1 for name, width in widths.items()])
+    loop = UncertainLoop(two_link.law, two_link.reference, two_link.sample_period, 0.0, errors, 0.0, DURATION, PLACE)
+    assert found.largest == pytest.approx(loop.peaks(shares)[1].max(axis=0), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "errors", [{"payload": 0.1, "link_torque": 0.1}, {"payload_mass": 0.1, "gravity": 0.1}, {"gravity_direction": 0.1}]
+)
+def test_other_errors_are_not_drawn(two_link: Scenario, errors: dict[str, ArrayLike]) -> None:
+    assert drawn_robots(two_link, errors, 0.0, PLACE) is None
+
+
+def test_a_bound_that_is_not_proven_is_followed_by_drawn_robots() -> None:
+    scenario, errors = library.load("paper_k31"), {"payload": 0.1}
+    found = errors_bounded(scenario, errors, 0.0, prove=False)
+    said = re.match(r"\|q_l - q_ld\| at most (\S+) mrad", found.rows["    299 drawn robots"])
+    assert said is not None
+    largest = 1e3 * max(found.values["drawn"]["largest"].values())
+    assert largest <= float(said[1]) <= 1.01 * largest
+    assert "drawn" not in errors_bounded(scenario, errors, 0.0, prove=True).values
+
+
+def test_unstable_loops_are_counted(two_link: Scenario) -> None:
+    found = errors_bounded(two_link, {"motor_inertia": 0.9, "stiffness": 0.9}, 8.0, prove=False)
+    assert found.values["drawn"]["unstable"] > 0
+    assert found.rows["    299 drawn robots"].startswith(f"{found.values['drawn']['unstable']} with an unstable loop")
