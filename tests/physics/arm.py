@@ -139,15 +139,15 @@ def rodas(arm: Arm, x: Array, u: Array, h: Array) -> tuple[Array, Array]:
     f = arm.rates(np.concatenate([x[None], moved]), u).reshape(size + 1, d, size)
     J = np.moveaxis((f[1:] - f[0]) / delta[:, None, None], 0, -1)
     inverse = np.linalg.inv(np.eye(size) / (GAMMA * h[:, None, None]) - J)
-    y, slopes, K = x.reshape(d, size), f[0], np.empty((len(STAGES), d, size))
+    y, slopes, K = x.reshape(d, size), f[0], np.empty((len(STAGES), d * size))
     for i, (a, c) in enumerate(STAGES):
         if i:
-            at = y + np.tensordot(a, K[:i], 1)
+            at = y + np.dot(a, K[:i]).reshape(d, size)
             slopes = arm.rates(at.reshape(d, rows, n), u).reshape(d, size)
-        right = slopes + np.tensordot(c, K[:i], 1) / h[:, None]
-        K[i] = (inverse @ right[..., None])[..., 0]
+        right = slopes + np.dot(c, K[:i]).reshape(d, size) / h[:, None]
+        K[i] = (inverse @ right[..., None]).ravel()
     error = np.max(np.abs(K[-1].reshape(d, rows, n)) / TOLERANCE[:rows, None], axis=(1, 2))
-    return (at + K[-1]).reshape(d, rows, n), error
+    return (at + K[-1].reshape(d, size)).reshape(d, rows, n), error
 
 
 @dataclass(frozen=True, eq=False)
