@@ -16,7 +16,7 @@ import mujoco
 import numpy
 import pinocchio
 
-from bench import build, campaign, disturbances, identification_peers, memory, peers, proof, real_time, starts
+from bench import build, disturbances, identification_peers, memory, peers, proof, real_time, starts, sweep
 from bench.figures import ROOT, Figure, page, table
 from fjr_msgs_py.console.provenance import machine
 
@@ -48,7 +48,7 @@ BENCHES = {
     "pauses": Bench(disturbances.recovered, {"pauses": 3, "kills": 1}),
     "certificate": Bench(real_time.with_certificate, {"rounds": 3}),
     "lock-step": Bench(real_time.over_ping_pong, {"repeats": 2, "seconds": 3.0}),
-    "campaign": Bench(campaign.against_peers, {"runs": 500, "rounds": 2}),
+    "sweep": Bench(sweep.against_peers, {"runs": 500, "rounds": 2}),
     "proof": Bench(proof.over_joint_range_and_tube, {"most_boxes": 20}),
     "identification": Bench(identification_peers.against_mujoco, {"records": 2, "of_seven": 0}),
     "identification-time": Bench(identification_peers.of_a_minute, {"duration": 5.0}),

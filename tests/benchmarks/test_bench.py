@@ -17,7 +17,7 @@ import pinocchio as pin
 import pytest
 
 import bench.__main__ as command
-from bench import bare, build, campaign, figures, identification_peers, memory, nodes, real_time
+from bench import bare, build, figures, identification_peers, memory, nodes, real_time, sweep
 from bench.arm import arm7, forward_dynamics, random_motion, rigid_arm7
 from bench.build import chain_urdf, joint_names
 from bench.figures import Figure, kept, page, placed, put, table
@@ -136,9 +136,9 @@ def test_memory_growth_is_the_slope_after_the_first_minute_of_a_process_that_run
 
 
 def test_study_agrees_with_scipy_and_mujoco() -> None:
-    loop, drawn = replace(campaign.loop(), duration=0.4, settle_after=0.1), campaign.draws(3)
+    loop, drawn = replace(sweep.loop(), duration=0.4, settle_after=0.1), sweep.draws(3)
     ours = loop.run(drawn).rms[:, 0]
-    for peer, agrees in ((campaign.scipy_peer, 1e-8), (campaign.mujoco_peer, 1e-11)):
+    for peer, agrees in ((sweep.scipy_peer, 1e-8), (sweep.mujoco_peer, 1e-11)):
         theirs = [peer(loop, drawn, run) for run in range(3)]
         assert theirs == pytest.approx(ours.tolist(), rel=agrees)
 

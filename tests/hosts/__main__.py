@@ -27,7 +27,7 @@ from hosts.comparison import HOSTS, Compared, Comparison, with_states  # noqa: E
 from hosts.inputs import Sequence  # noqa: E402
 
 SAMPLES = 100_000
-TITLES = {"rclpy": "node, rclpy", "native": "node, native thread", "campaign": "study", "C": "exported C"}
+TITLES = {"rclpy": "node, rclpy", "native": "node, native thread", "C": "exported C"}
 HEAD = ("states of", "states", *(TITLES.get(host, host) for host in HOSTS))
 
 

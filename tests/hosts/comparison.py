@@ -20,15 +20,15 @@ from hosts.efforts import (
     NodeHost,
     Replay,
     c_program,
-    campaign_efforts,
     controller_program,
     program_efforts,
     reference_replay,
+    study_efforts,
 )
 from hosts.inputs import Kind, Sequence
 
 ROS2_CONTROL = "ros2_control"
-HOSTS = (*EXECUTORS, "campaign", "C", ROS2_CONTROL)
+HOSTS = (*EXECUTORS, "study", "C", ROS2_CONTROL)
 """Hosts of the control step: nodes in rclpy and with a native thread, study, exported C, exported controller."""
 Build = Callable[[Scenario, Path], Path]
 
@@ -72,7 +72,7 @@ class Comparison:
         """Feed all hosts; study (k, n): efforts of a study whose samples the sequence has."""
         expected = reference_replay(sequence)
         found = {host: self._node_efforts(host, sequence, expected) for host in EXECUTORS}
-        found["campaign"] = campaign_efforts(sequence) if study is None else study
+        found["study"] = study_efforts(sequence) if study is None else study
         found["C"] = self._program_efforts(c_program, sequence)
         different = {host: differences(efforts, expected.efforts) for host, efforts in found.items()}
         if not sequence.has_requests:

@@ -64,7 +64,7 @@ def reference_replay(sequence: Sequence, repeats: bool = True) -> Replay:
     return host.replay(sequence, repeats)
 
 
-def campaign_efforts(sequence: Sequence) -> Efforts:
+def study_efforts(sequence: Sequence) -> Efforts:
     """Return all efforts (k, n) that the step of the compiled loop of a study sends."""
     s = sequence.scenario
     law, settings, measured, seen = s.sampled_law, s.settings, s.measurement, s.observer

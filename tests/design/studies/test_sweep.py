@@ -196,7 +196,7 @@ def test_store_of_another_study_is_refused(tmp_path: Path, changes: Any, program
 @pytest.mark.parametrize("left", ["table.parquet", "parts/000000000-000000010.parquet"])
 def test_results_without_their_study_file_or_with_a_damaged_one_are_refused(tmp_path: Path, left: str) -> None:
     (tmp_path / "parts").mkdir()
-    (tmp_path / left).write_bytes(b"of another campaign")
+    (tmp_path / left).write_bytes(b"of another sweep")
     with pytest.raises(StoreError, match="without their study.json"), opened(tmp_path):
         pass
     assert not (tmp_path / "study.json").exists()

@@ -114,7 +114,7 @@ OF_A_PAGE: dict[str, Any] = {
 
 def page(path: Path, **values: Any) -> str:
     plot = Plot(HOSTILE, HOSTILE, HOSTILE, np.arange(2.0), [Line(HOSTILE, np.ones(2))])
-    html.write_page(path, "monte_carlo.html", HOSTILE, [plot], **values)
+    html.write_page(path, "sweep.html", HOSTILE, [plot], **values)
     return path.read_text(encoding="utf-8")
 
 

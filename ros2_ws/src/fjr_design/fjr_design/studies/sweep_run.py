@@ -142,7 +142,7 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
     ]
     html.write_page(
         path,
-        "monte_carlo.html",
+        "sweep.html",
         headline(sweep, summary),
         plots,
         kicker=f"sweep of {summary.runs:,} runs",

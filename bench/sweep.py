@@ -58,7 +58,7 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
     """Measure the wall time of the study on two cores, and the speed-up over each peer on one core."""
     ours, drawn = loop(), draws(runs)
     ours.run(drawn.taken(range(2)))
-    wall, busy = campaign(ours, drawn)
+    wall, busy = sweep(ours, drawn)
     some: dict[str, tuple[Callable[[Sequence[int]], object], int]] = {
         "ours": (lambda chosen: ours.run(drawn.taken(np.array(chosen))), 100),
         "solve_ivp": (lambda chosen: [scipy_peer(ours, drawn, run) for run in chosen], 1),
@@ -71,7 +71,7 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
                 chosen = [(i * count + k) % runs for k in range(count)]
                 times[name].append(timeit(partial(run, chosen), number=1) / count)
     each = {name: float(np.median(seconds)) for name, seconds in times.items()}
-    name = f"campaign: {runs:,} runs of the paper's joint, 5 s at 1 kHz, on two cores"
+    name = f"sweep: {runs:,} runs of the paper's joint, 5 s at 1 kHz, on two cores"
     parts = {"processor time [s]": busy, "a run [ms]": 1e3 * each["ours"], "cores there": float(os.cpu_count() or 0)}
     figures = [Figure(name, wall, "s", bound=60, aim=20, parts=parts)]
     for name in ("solve_ivp", "MuJoCo"):
@@ -80,11 +80,11 @@ def against_peers(runs: int = RUNS, rounds: int = ROUNDS) -> list[Figure]:
             f"{name}, {runs:,} runs on one core [h]": each[name] * runs / 3600,
         }
         faster = float(np.median(np.array(times[name]) / np.array(times["ours"])))
-        figures.append(Figure(f"campaign, times faster than {name}", faster, "x", bound=10, at_least=True, parts=parts))
+        figures.append(Figure(f"sweep, times faster than {name}", faster, "x", bound=10, at_least=True, parts=parts))
     return figures
 
 
-def campaign(ours: ClosedLoop, drawn: Draws) -> tuple[float, float]:
+def sweep(ours: ClosedLoop, drawn: Draws) -> tuple[float, float]:
     """Run the study in two threads; return wall time and processor time [s]."""
     parts = [slice(begin, begin + PART) for begin in range(0, drawn.runs, PART)]
     start, before = perf_counter(), process_time()
