@@ -175,16 +175,17 @@ def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
         torque += factor * alone(gravity).inertial_torque(q_l, dq_l, dq_l, zero)
         for axis in range(3):
             torque += factor * p["gravity"] * turned[axis] * alone(np.eye(3)[axis]).grad_P_l(q_l)
+    M, torque = p["payload"] * M, p["payload"] * torque  # of the links, not of the payload in kg
     place = end_effector.position(q_l, p["payload_position"])
     J = ca.jacobian(place, q_l)
     bent = ca.jtimes(J @ dq_l, q_l, dq_l)
     M += p["payload_mass"] * J.T @ J
     torque += p["payload_mass"] * J.T @ (bent - p["gravity"] * turned)
     tau = p["stiffness"] * (robot.K @ (q_m - q_l))
-    links = tau - p["link_damping"] * (robot.D_l @ dq_l) - p["payload"] * torque
+    links = tau - p["link_damping"] * (robot.D_l @ dq_l) - torque
     motors = robot.B_m @ u - tau - p["motor_damping"] * (robot.D_m @ dq_m)
     ddq_m = np.linalg.inv(robot.M_m) @ (motors / p["motor_inertia"])
-    return ca.vertcat(dq_l, dq_m, ca.solve(p["payload"] * M, links), ddq_m)
+    return ca.vertcat(dq_l, dq_m, ca.solve(M, links), ddq_m)
 
 
 def _alone(links: ArmDynamics, body: int, of_inertia: bool, gravity: Array) -> ArmDynamics:

@@ -23,6 +23,7 @@ ROBOTS = 40  # in place of 299
 ERRORS: list[dict[str, ArrayLike]] = [
     {"payload": 0.2, "stiffness": 0.1, "gravity": 0.05, "motor_inertia": 0.1, "link_damping": 0.3},
     {"payload_mass": 0.2, "payload_position": [0.02, 0.0, 0.03], "link_mass": [0.2, 0.1], "motor_damping": 0.5},
+    {"payload": 0.3, "payload_mass": 0.5},
 ]
 ONE_NUMBER = ("payload", "gravity", "payload_mass")
 

@@ -70,7 +70,13 @@ CASES = [
         joint,
         SWING,
         T,
-        {"payload_mass": 0.1, "payload_position": 0.02, "gravity_direction": 0.05, "link_central_inertia": 0.2},
+        {
+            "payload": 0.1,  # of the links alone
+            "payload_mass": 0.1,
+            "payload_position": 0.02,
+            "gravity_direction": 0.05,
+            "link_central_inertia": 0.2,
+        },
     ),
     (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.1, 0.1], "stiffness": [0.05, 0.02]}),
 ]

@@ -42,12 +42,12 @@ def drawn_robots(
 ) -> DrawnRobots | None:
     """Return the largest errors of robots that start on the reference; None for errors that cannot be drawn.
 
-    Those are torques, a changing delay, parameters that Draws has not, and payload_mass beside a factor of all weights.
+    Those are torques, a changing delay, parameters that Draws has not, and payload_mass beside a factor of gravity.
     Every parameter is drawn uniformly within its error, each joint by itself. errors, delay [s], payload_position: as
     of `bound_errors`. The law runs without limits, late by the delay, for a period of the reference and SETTLED.
     """
     drawable = {"payload", *DRAWN} & {*PARAMETERS}
-    if not errors.keys() <= drawable or ("payload_mass" in errors and errors.keys() & {"payload", "gravity"}):
+    if not errors.keys() <= drawable or {"payload_mass", "gravity"} <= errors.keys():
         return None
     robot, reference, T = scenario.robot, scenario.reference, scenario.sample_period
     values = {name: _drawn(name, size, robot.n, payload_position) for name, size in errors.items()}

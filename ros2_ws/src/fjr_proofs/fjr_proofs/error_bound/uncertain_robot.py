@@ -3,8 +3,9 @@
 
     p (M(q_l) ddq_l + C dq_l + grad P_l) + D_l dq_l = K (q_m - q_l),   M_m ddq_m + D_m dq_m + K (q_m - q_l) = B_m u
 
-Every uncertain parameter, or its inverse, is a middle plus a share s_j, -1 to 1, of half its width; the shares (u,) are
-a box. The names are those of the glossary (`fjr_core.simulation.deviations`); p is the payload as a factor.
+p, the payload as a factor, is of the links: the mass of a payload in kg is divided by p in M, C and P_l. Every
+uncertain parameter, or its inverse, is a middle plus a share s_j, -1 to 1, of half its width; the shares (u,) are a
+box. The names are those of the glossary (`fjr_core.simulation.deviations`).
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class UncertainRobot:
         inertial, weight, M = arm.inertial_torque(q, dq, dq, ddq), arm.grad_P_l(q), arm.M_l(q)
         if "payload_mass" in given and links.end_effector is not None:
             end_effector = replace(links.end_effector, gravity=turned_gravity(links, given))
-            loaded = PayloadArm(arm, end_effector, p.payload_mass, p.payload_position)
+            loaded = PayloadArm(arm, end_effector, p.payload_mass / p.payload, p.payload_position)
             inertial += loaded.inertial_torque_of_mass(q, dq, ddq)
             weight, M = loaded.grad_P_l(q), loaded.M_l(q)
         return ca.Function("links", [*motion, shares], [inertial + p.gravity * weight, M])
