@@ -89,7 +89,7 @@ BUDGETS = {
     "fjr_controller": 1_830,
     "fjr_design": 9_460,
     "fjr_identification": 6_240,
-    "fjr_proofs": 4_090,
+    "fjr_proofs": 4_110,
     "fjr_engines": 1_270,
     "fjr_bringup": 1_250,
 }

@@ -189,6 +189,14 @@ def test_states_that_a_driver_leaves_out_are_not_answered_late(summary: RunSumma
     assert "states are missing (85 % of them arrived)" in found["advice"]
 
 
+def test_a_slow_machine_leaves_no_verdict_without_V_either(summary: RunSummary) -> None:
+    report = with_answers(summary, 0.0, ()).report
+    report = replace(report, verdict=replace(report.verdict, kind="unknown"))
+    assert report.status == "late"
+    assert "your machine answered late (0 % of the states in time)" in report.advice
+    assert replace(report, lockstep=True).status == "unknown"
+
+
 def test_pages_of_a_slow_machine_advise_lock_step(summary: RunSummary, tmp_path: Path) -> None:
     found = with_answers(summary, 0.5, ("delay",))
     write_run_page(tmp_path / "report.html", found.data, found.report)

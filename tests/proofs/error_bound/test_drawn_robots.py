@@ -70,3 +70,10 @@ def test_unstable_loops_are_counted(two_link: Scenario) -> None:
     found = errors_bounded(two_link, {"motor_inertia": 0.9, "stiffness": 0.9}, 8.0, prove=False)
     assert found.values["drawn"]["unstable"] > 0
     assert found.rows["    299 drawn robots"].startswith(f"{found.values['drawn']['unstable']} with an unstable loop")
+
+
+def test_what_a_proof_leaves_out_of_the_scenario_is_named() -> None:
+    friction, late = "imperfections.motor_coulomb_friction", "imperfections.command_delay:=0.001"
+    scenario = library.load("paper_k31", ["limits.effort:=[0.5]", f"{friction}:=[0.3]", late])
+    row = errors_bounded(scenario, {"payload": 0.1}, None).rows["error bound"]
+    assert row.endswith(f"one sample of delay, without {friction} and effort limits; proven")

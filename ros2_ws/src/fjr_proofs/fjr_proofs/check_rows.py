@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fjr_core.config.controller import effort_limits
 from fjr_core.config.robot import stated_errors
-from fjr_core.config.scenario import Scenario
+from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import FjrError, ParameterError
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.numerics.checks import Array
@@ -24,6 +25,8 @@ from .error_bound.drawn_robots import CONFIDENCE, ROBOTS, SHARE, DrawnRobots, dr
 from .error_bound.search import DELAY, SECONDS_TO_PROVE, TORQUES, ErrorBound, bound_errors
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}|"
+COVERED = tuple(f"imperfections.{name}" for name in ("state_delay", "command_delay", "payload_position", "seed"))
+"""Imperfections of the plant that a proof of the sampled loop takes into account, or that change nothing."""
 STATED = "stated"
 """Error that stands for the stated errors of the robot, as a number of their standard deviations."""
 
@@ -133,7 +136,17 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     when = "in steady motion" if steady else "after the transient"
     storage = f", V at most {at_most(1e3 * bound.storage)} mJ" if np.isfinite(bound.storage) else ""
     largest = f"{_largest(scenario, bound.position)}{storage}"
+    conditions += _without(scenario, bound.errors)
     return f"|q_l - q_ld| at most {largest} {when} along this reference, with {conditions}; {basis}"
+
+
+def _without(scenario: Scenario, errors: Collection[str] = ()) -> str:
+    """Return what a proof of the sampled loop leaves out of the scenario, in words; "" for nothing."""
+    known = COVERED + ("imperfections.payload_mass",) * ("payload_mass" in errors)
+    missing = [name for name in left_out(scenario) if name.startswith("imperfections.") and name not in known]
+    if np.isfinite(effort_limits(scenario.controller_values, scenario.robot)).any():
+        missing.append("effort limits")
+    return f", without {' and '.join(missing)}" if missing else ""
 
 
 def _error(name: str, size: ArrayLike, place: Array) -> str:
@@ -169,7 +182,7 @@ def sampled_proof(scenario: Scenario, delay: float | None) -> Check:
     tube, offset = 1e3 * float(found.tube.min()), 1e3 * float(found.offset.max())
     decay = f"contracts at {at_least(found.rate)} 1/s within {at_least(tube)} m{unit} of the reference"
     rows = {
-        "sampled loop, proven": f"{decay}, {_delays(found.least_delay, found.longest_delay)}",
+        "sampled loop, proven": f"{decay}, {_delays(found.least_delay, found.longest_delay)}{_without(scenario)}",
         "    remaining error": f"at most {at_most(offset, 2)} m{unit} of a link",
     }
     values = {

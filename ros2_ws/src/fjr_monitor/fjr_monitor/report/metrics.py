@@ -42,7 +42,7 @@ from fjr_msgs_py.console.output import finite, number, percent
 from fjr_msgs_py.console.provenance import Provenance
 
 AFTER_CONTACT = 0.5  # s
-KEEPS_UP = 0.9  # fraction of states answered in time below which a violation shows the computer, not the law
+KEEPS_UP = 0.9  # fraction of states answered in time below which a run shows the computer, not the law
 IN_TIME = 0.99  # the same, if delay or loss is the first cause
 VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
 
@@ -81,23 +81,23 @@ class Report:
 
     @property
     def status(self) -> Status:
-        """Return the run in one word: "stopped", "late" if late answers explain a violation, otherwise the verdict.
+        """Return the run in one word: "stopped", "late" if late answers leave no verdict, otherwise the verdict.
 
-        Late answers explain a violation in real time if less than KEEPS_UP of the states were answered in time, or if
-        delay or loss is the first cause and less than IN_TIME were, or arrived.
+        They do so in real time for a violation and without V, if less than KEEPS_UP of the states were answered in time
+        or, with delay or loss as the first cause, less than IN_TIME were, or arrived.
         """
         if self.stop:
             return "stopped"
         in_time = self.counts.answered_in_time_fraction
-        if self.verdict.kind != "violated" or self.lockstep or in_time is None:
+        if self.verdict.kind not in ("violated", "unknown") or self.lockstep or in_time is None:
             return self.verdict.kind
         timed = self.verdict.causes[:1] in (("delay",), ("loss",))
         late = min(in_time, self.counts.published_fraction) < IN_TIME if timed else in_time < KEEPS_UP
-        return "late" if late else "violated"
+        return "late" if late else self.verdict.kind
 
     @property
     def advice(self) -> str:
-        """Return what to do about a late computer, as a sentence; empty if it explains neither violation nor stop.
+        """Return what to do about a late computer, as a sentence; empty if it explains neither status nor stop.
 
         It explains a stop in real time if less than KEEPS_UP of the answers were in time.
         """
