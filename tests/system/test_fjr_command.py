@@ -126,9 +126,19 @@ def test_another_plant_in_the_domain_is_refused_before_anything_is_published(
     start("plant", "--ros-args", "-r", "__node:=other_plant")
     ros.until(lambda: listener.states, "the other plant")
     said = fjr_here("run", "paper_k31", "--no-report", "--output", str(tmp_path), code=Exit.FAILED)
-    assert re.search(r"^fjr: /joint_states has other publishers in .*other_plant.*: stop it or set", said, re.MULTILINE)
+    assert re.search(r"^fjr: /joint_states has other publishers in .*other_plant.*; expected", said, re.MULTILINE)
     assert listener.count_publishers("joint_states") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_second_run_in_the_domain_is_refused_and_leaves_the_first_alone(
+    ros: Ros, start: Start, tmp_path: Path
+) -> None:
+    _, nodes = running(ros, start, tmp_path, *CALM)
+    said = fjr_here("run", "paper_k3p1", "--no-report", "--output", str(tmp_path), code=Exit.FAILED)
+    assert re.search(r"^fjr: another fjr run uses ROS domain \d+; expected .*ROS_DOMAIN_ID", said, re.MULTILINE)
+    assert not list(tmp_path.glob("paper_k3p1*"))
+    assert all(map(is_alive, nodes.values()))
 
 
 def test_no_node_joins_a_run_and_a_publisher_of_states_that_stays_ends_it(

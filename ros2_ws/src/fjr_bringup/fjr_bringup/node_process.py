@@ -62,15 +62,9 @@ class StartedNode:
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True
             )
 
-    @property
-    def running(self) -> bool:
-        """Return whether the process still runs."""
-        return self._process.poll() is None
-
     def check(self) -> None:
         """Raise NodeError with the end of the node's log if the node has ended."""
-        if not self.running:
-            code = self._process.returncode
+        if (code := self._process.poll()) is not None:
             how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
             raise NodeError(f"{self.name} {how}. Its last lines:\n{self.last_lines()}")
 
@@ -86,9 +80,7 @@ class StartedNode:
 
     def stop(self) -> int:
         """Send SIGINT, wait up to GRACE, kill the process group; return the exit code."""
-        with suppress(ProcessLookupError):
-            if self.running:
-                self._process.send_signal(signal.SIGINT)
+        self._process.send_signal(signal.SIGINT)  # without effect if it has ended
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(GRACE)
         with suppress(ProcessLookupError):

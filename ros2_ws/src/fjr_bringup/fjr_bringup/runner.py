@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a scenario on two nodes and record every topic.
 
-Start in this order: the recorder; the plant, paused; the controller. Beside another run it does not start: the graph
-must show no other node of these names and no other publisher of states or commands, and the plant itself listens for
-states of its joints before it publishes. The nodes of the run are known by their enclave. The plant is resumed once all
-are connected. At the end the controller stops first, so that its last command, zero effort, reaches plant and bag.
+Start in this order: the recorder; the plant, paused; the controller. Beside another run of this machine it does not
+start, nor beside other nodes: the graph must show none of these names and no other publisher of states or commands, and
+the plant listens for states of its joints before it publishes. Nodes of the run are known by their enclave. The plant
+resumes once all are connected. At the end the controller stops first, so that plant and bag get its zero effort.
 """
 
 from __future__ import annotations
 
 import os
+import socket
 import threading
 import time
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from fjr_bringup.clients import PlantClient
 from fjr_bringup.node_process import NodeError, StartedNode
 from fjr_core.config.nodes import CONTROLLER, PLANT
 from fjr_core.errors import FjrError
+from fjr_core.files.text_file import write_text
 from fjr_monitor.recording.bag import header_stamp
 from fjr_monitor.recording.recorder import Recorder
 from fjr_monitor.recording.run_folder import RunFolder
@@ -46,6 +48,7 @@ POLL = 0.02  # s
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
 NOT_JUDGED = "expected room for the whole bag: what was not recorded is not judged"
+ALONE = "expected a domain for this run alone: stop the other, or set the environment variable ROS_DOMAIN_ID (0 to 101)"
 UNKNOWN = "an unknown node"
 PASSING = 6.0  # s; a second plant or controller is in the graph for less: it refuses to start, or its lease of 5 s ends
 RECORDER_PRIORITY = 1  # below the nodes, above other programs: without a core for 0.1 s the recorder loses messages
@@ -73,21 +76,31 @@ class RunPlan:
     lockstep: bool
 
 
-def set_ros_environment() -> None:
-    """Set quick discovery, limited to this machine, for this process and the nodes, unless the user set otherwise."""
-    discover_quickly()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+@contextmanager
+def domain_claimed() -> Iterator[None]:
+    """Keep the ROS domain for one run of this machine; raise RunError if another has it.
+
+    Two runs that start together would both end: each would see the other's nodes. The name ends with the process.
+    """
+    with socket.socket(socket.AF_UNIX) as claim:
+        try:
+            claim.bind(f"\0fjr_run_in_ROS_domain_{int(domain())}")
+        except OSError:
+            raise RunError(f"another fjr run uses ROS domain {domain()}; {ALONE}") from None
+        yield
 
 
 def run(plan: RunPlan, stop: threading.Event) -> tuple[Path, dict[str, str]]:
     """Run the plan and write bag, scenario and logs into a new folder.
 
     Return the folder, and the reason for each topic that could not be recorded. Raises FjrError or Interrupted.
+    Discovery is quick and limited to this machine, unless the user set otherwise.
     """
-    set_ros_environment()
-    with RunFolder(plan.folder) as kept:
+    discover_quickly()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with domain_claimed(), RunFolder(plan.folder) as kept:
         plan = replace(plan, folder=kept.path)
-        (plan.folder / "scenario.yaml").write_text(plan.scenario, encoding="utf-8")
+        write_text(plan.folder / "scenario.yaml", plan.scenario)
         with Recorder(plan.folder / "bag") as recorder:
             _Run(plan, recorder, stop).execute(on_go=kept.keep)
         if recorder.loss:  # at the last messages, or while the bag was closed
@@ -147,9 +160,8 @@ class _Run:
         self._wait(self.client.ready, "the plant's pause service")
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
-        log = self.plan.folder / f"{name}.log"
         ros = ["--enclave", self.enclave, "--params-file", str(self.plan.folder / "scenario.yaml"), *arguments]
-        self.nodes[node] = StartedNode(package, name, ros, log)
+        self.nodes[node] = StartedNode(package, name, ros, self.plan.folder / f"{name}.log")
 
     def _wait_for(self, node: str, signature: str) -> None:
         """Wait until the node publishes the topic `signature` and the recorder is connected to all its topics."""
@@ -192,7 +204,7 @@ class _Run:
         found, now = self._others(), time.monotonic()
         self.alone = self.alone if found else now
         if found and now - self.alone >= lasting:
-            raise RunError(f"{found}: stop it or set another ROS_DOMAIN_ID")
+            raise RunError(f"{found}; {ALONE}")
         return bool(found)
 
     def _others(self) -> str:
@@ -212,9 +224,8 @@ class _Run:
         name, duration = self.plan.name, self.plan.duration
         line = f"{name}: running for {duration:g} s of stamped time"
         with progress_bar(line, PROGRESS, desc=name, total=duration) as bar:
-            terminal = not bar.disable
             beat = heartbeat(lambda: f"{name}: {min(self._elapsed(), duration):.1f} of {duration:g} s")
-            with nullcontext() if terminal else beat:
+            with beat if bar.disable else nullcontext():
                 last, deadline, look = 0.0, time.monotonic() + SILENCE_LIMIT, 0.0
                 while last < duration:
                     self._pause()
@@ -238,8 +249,7 @@ class _Run:
         """
         sent, end, deadline = self.recorder.sent, self.recorder.sent(JOINT_COMMANDS), time.monotonic() + CATCH_UP_LIMIT
         while time.monotonic() < deadline:
-            newest = sent(JOINT_COMMANDS)
-            if not any(newest - ENDED < sent(topic) < end for topic in SAMPLES):
+            if not any(sent(JOINT_COMMANDS) - ENDED < sent(topic) < end for topic in SAMPLES):
                 return
             self._pause()
 
