@@ -111,7 +111,7 @@ def test_last_command_is_held_until_command_timeout(ros: Ros, peer: Peer) -> Non
 
 BIG_ENDIAN = bytes(4) + struct.pack(">3I4xd", 0, 0, 1, 0.5)
 BAD_COMMANDS = [
-    (command(1.0, 2.0), "wrong lengths", "data has 2 entries; expected 1, one per joint"),
+    (command(1.0, 2.0), "wrong lengths", "data has length 2; expected 1, one per joint"),
     (command(), "wrong lengths", ""),
     (command(float("nan")), "not finite", "data holds joint1 = nan; expected finite numbers"),
     (command(float("-inf")), "not finite", ""),

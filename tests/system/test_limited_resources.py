@@ -125,7 +125,7 @@ def test_partial_file_is_never_left(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(OSError, match=r"No space left on device: '.*/figures\.json'"):
         write_text(tmp_path / "figures.json", "new")
     assert [path.name for path in tmp_path.iterdir()] == ["figures.json"]
     assert (tmp_path / "figures.json").read_text() == "old"

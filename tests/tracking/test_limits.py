@@ -178,7 +178,7 @@ def test_the_tighter_of_own_and_robot_limits_applies() -> None:
 
 REFUSED: dict[str, dict[str, Any]] = {
     "limits.from_robot' is true; expected false": {"limits.from_robot": True},
-    "'limits.effort' has 2 entries; expected 1": {"limits.effort": (1.0, 2.0)},
+    "'limits.effort' has length 2; expected 1": {"limits.effort": (1.0, 2.0)},
     "expected at least 0.0 N m": {"limits.effort": (-1.0,)},
     "expected a finite number": {"limits.deflection": (float("nan"),)},
     "of joint1 is 0 rad; expected": {"limits.link_position_lower": (1.0,), "limits.link_position_upper": (0.0,)},

@@ -66,7 +66,7 @@ def test_values_are_read_in_the_declared_shape() -> None:
 def test_a_wrong_length_is_rejected_by_name(name: str) -> None:
     declarations = declared(Example, "", vars(DEFAULTS))
     values = complete(table(declarations, 2), {name: [1.0] * 5})
-    with pytest.raises(fjr.ParameterError, match=f"'{name}' has 5 entries"):
+    with pytest.raises(fjr.ParameterError, match=f"'{name}' has length 5"):
         read(declarations, values, 2)
 
 

@@ -88,15 +88,15 @@ def test_all_parameters_but_those_of_files_are_dynamic_and_all_have_units() -> N
 
 BAD: dict[str, tuple[int, dict[str, Any], tuple[str, ...]]] = {
     "type": (2, {"type": "square"}, ("reference.type", "square", "multi_sine", "hold")),
-    "amplitude": (2, {"amplitude": (1.0,)}, ("reference.amplitude", "1 entries", "2")),
+    "amplitude": (2, {"amplitude": (1.0,)}, ("reference.amplitude", "length 1", "2")),
     "rows": (2, {"type": "multi_sine", "multi_sine.phase": (1.0,) * 3}, ("multi_sine.phase", "3", "multiple of 2")),
     "counts": (2, {"type": "multi_sine", "multi_sine.phase": (1.0,) * 4}, ("multi_sine", "2, 2 and 4", "equally many")),
-    "goal": (2, {"type": "point_to_point", "point_to_point.goal": (1.0,)}, ("point_to_point.goal", "1 entries")),
+    "goal": (2, {"type": "point_to_point", "point_to_point.goal": (1.0,)}, ("point_to_point.goal", "length 1")),
     "duration": (2, {"point_to_point.duration": 0.0}, ("point_to_point.duration", "0.0 s", "at least")),
     "dwell": (2, {"point_to_point.dwell": -1.0}, ("point_to_point.dwell", "-1.0 s", "at least 0.0")),
     "ramp": (2, {"circle.ramp": 0.0}, ("circle.ramp", "0.0 s", "at least")),
     "circle": (1, {"type": "circle"}, ("reference.type", "circle", "1 joint", "2 joints")),
-    "hold": (2, {"type": "hold", "offset": (1.0,)}, ("reference.offset", "1 entries")),
+    "hold": (2, {"type": "hold", "offset": (1.0,)}, ("reference.offset", "length 1")),
 }
 
 

@@ -74,7 +74,7 @@ REFUSED = [
     ({"motor": "torque"}, "measurement.velocity is 'measured'", "expected 'observer'"),
     (BEHIND_GEAR, "measurement.gear_ratio is [2.0, 1.0]", "expected 1"),
     ({"gear_ratio": [0.0, 1.0]}, "measurement.gear_ratio is [0.0, 1.0]; expected no zeros"),
-    ({"gear_ratio": [1.0, 1.0, 1.0]}, "has 3 entries; expected 2"),
+    ({"gear_ratio": [1.0, 1.0, 1.0]}, "has length 3; expected 2"),
     ({"velocity": "guessed"}, "expected one of measured, observer"),
     ({"motor": "none"}, "expected one of position, torque"),
     ({"observer_bandwidth": 0.0}, "expected 1.0 to 10000.0"),

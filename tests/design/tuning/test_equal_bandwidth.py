@@ -259,7 +259,7 @@ def test_start_error_changes_the_tuning() -> None:
     ("law", "words"),
     [
         ("{type: pid}", "law.type' is 'pid'; expected one of v_dpbc"),
-        ("{type: lqr, start_error: [0.1, 0.2]}", "law.start_error' has 2 entries; expected 1"),
+        ("{type: lqr, start_error: [0.1, 0.2]}", "law.start_error' has length 2; expected 1"),
         ("{natural_frequency: -1.0}", "law.natural_frequency' holds -1.0"),
         ("{type: pd_gravity, tuned: false, natural_frequency: 0.1}", "law.type' is 'pd_gravity': K_p"),
         ("{tuned: 1}", "law.tuned"),

@@ -29,8 +29,6 @@ from fjr_msgs_py.node.loading import (
 
 ALL = "fjr.all_commands"
 """Key of a context whose help shows all commands."""
-GROUP = "fjr.commands"
-"""Entry points of this group name the modules that declare the commands of a package."""
 GROUPS = {
     "Run": ("demo", "run", "watch", "report"),
     "Your robot": ("new", "check", "gains", "identify"),
@@ -48,8 +46,8 @@ MAY_BE_LEFT_OUT = {"excite": "fjr_identification", "identify": "fjr_identificati
 
 
 def declared() -> dict[str, click.Command]:
-    """Return the commands of all installed packages by name."""
-    for point in entry_points(group=GROUP):
+    """Return the commands of all installed packages by name; each declares its own in modules of this group."""
+    for point in entry_points(group="fjr.commands"):
         point.load()
     return dict(COMMANDS.commands)
 
@@ -150,6 +148,9 @@ def _exit_code(error: Exception) -> Exit:
         sentence, code = str(error), Exit.NOT_UNDERSTOOD if isinstance(error, invalid) else Exit.FAILED
     elif isinstance(error, (OSError, rclpy_implementation.RCLError)):
         sentence, code = " ".join(str(error).split()), Exit.FAILED
+        if isinstance(error, OSError) and error.filename:
+            reason = f"cannot read or write {error.filename} ({error.strerror})"
+            sentence = f"{reason}; expected an existing path, permission and free space"
     else:
         raise error
     tell(sentence)

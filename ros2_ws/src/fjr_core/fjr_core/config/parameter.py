@@ -83,7 +83,7 @@ def vector(values: Values, name: str, n: int, each: str = "one per joint") -> Ar
     """Return a parameter as (n,); raises ParameterError for another length."""
     array = np.asarray(values[name], dtype=float)
     if array.shape != (n,):
-        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {n}, {each}")
+        raise ParameterError(f"parameter '{name}' has length {array.size}; expected {n}, {each}")
     return array
 
 
@@ -94,7 +94,7 @@ def matrix(values: Values, name: str, n: int) -> Array:
         return np.diag(array)
     if array.size != n * n:
         entries = "1, for the one joint" if n == 1 else f"{n}, one per joint, or {n * n}, a matrix by rows"
-        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected {entries}")
+        raise ParameterError(f"parameter '{name}' has length {array.size}; expected {entries}")
     return array.reshape(n, n)
 
 
@@ -102,7 +102,7 @@ def rows(values: Values, name: str, n: int) -> Array:
     """Return a parameter of m*n entries as (m, n); raises ParameterError otherwise."""
     array = np.asarray(values[name], dtype=float)
     if array.size % n:
-        raise ParameterError(f"parameter '{name}' has {array.size} entries; expected a multiple of {n}, by rows")
+        raise ParameterError(f"parameter '{name}' has length {array.size}; expected a multiple of {n}, by rows")
     return array.reshape(-1, n)
 
 

@@ -143,7 +143,7 @@ def reference(values: Values, n: int) -> Reference:
         sizes = [arguments[name].size for name in ("amplitude", "frequency", "phase")]
         if len(set(sizes)) > 1:
             raise ParameterError(
-                f"parameters 'reference.multi_sine.*' have {sizes[0]}, {sizes[1]} and {sizes[2]} entries "
+                f"parameters 'reference.multi_sine.*' have lengths {sizes[0]}, {sizes[1]} and {sizes[2]} "
                 "for amplitude, frequency and phase; expected equally many"
             )
     if kind == "file":

@@ -44,7 +44,7 @@ def _urdf(
     positions = np.asarray(locked_positions, dtype=float)
     if len(locked_joints) != len(positions):
         raise ParameterError(
-            f"parameter 'robot.locked_positions' has {len(positions)} entries; expected {len(locked_joints)}, "
+            f"parameter 'robot.locked_positions' has length {len(positions)}; expected {len(locked_joints)}, "
             "one for each of 'robot.locked_joints'"
         )
     return robot_from_urdf(

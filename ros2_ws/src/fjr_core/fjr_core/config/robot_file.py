@@ -64,7 +64,8 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
         try:
             alone[URDF] = located(read_text(urdf), Path(urdf).parent)
         except (OSError, UnicodeDecodeError) as error:
-            raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({error}); expected a URDF") from None
+            reason = getattr(error, "strerror", error)
+            raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({reason}); expected a URDF") from None
     return alone
 
 

@@ -137,7 +137,7 @@ def read(path: Path, what: str) -> Any:
     try:
         return parse(read_text(path))
     except OSError as error:
-        raise ParameterError(f"cannot read {what} {path}: {error.strerror}") from None
+        raise ParameterError(f"cannot read {what} {path} ({error.strerror}); expected a text file") from None
     except UnicodeDecodeError as error:
         raise ParameterError(f"{path} is not valid YAML: {error}") from None
     except ParameterError as error:

@@ -57,8 +57,8 @@ def read_json(path: Path) -> dict[str, Any]:
 def whole_file(path: Path, sealed: bool = False) -> Iterator[Path]:
     """Yield a path to write to; the file is renamed to `path` once its content is on disk.
 
-    An exception in the block removes the partial file and keeps an earlier one. sealed: write the SHA-256 digest of
-    the content to `<name>.sha256` before the rename.
+    An exception in the block removes the partial file and keeps an earlier one; an OSError names the file. sealed:
+    write the SHA-256 digest of the content to `<name>.sha256` before the rename.
     """
     scratch = path.with_name(f"{path.name}.part")
     try:
@@ -68,7 +68,9 @@ def whole_file(path: Path, sealed: bool = False) -> Iterator[Path]:
         if sealed:
             write_text(_seal(path), _digest(scratch))
         os.replace(scratch, path)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError):  # that of a full disk names none
+            error.filename = str(path)
         scratch.unlink(missing_ok=True)
         raise
 

@@ -89,7 +89,7 @@ def _tolerance(given: ArrayLike, n: int) -> Array:
     array = floats("tolerance", given, TrajectoryError)
     if array.shape not in ((), (1,), (n,)):
         expected = "1" if n == 1 else f"1 or {n}, one per joint"
-        raise TrajectoryError(f"tolerance has {array.size} entries; expected {expected}")
+        raise TrajectoryError(f"tolerance has length {array.size}; expected {expected}")
     if not np.all(array >= 0):
         raise TrajectoryError(f"tolerance is {array.tolist()}; expected 0 or more")
     return np.array(np.broadcast_to(array, n))

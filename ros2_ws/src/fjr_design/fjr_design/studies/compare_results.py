@@ -15,6 +15,7 @@ from typing import Any
 
 from fjr_core.errors import CompareError
 from fjr_core.extensions.law_registry import law_kind
+from fjr_core.files.text_file import write_text
 from fjr_msgs_py.console.output import DASH, number, percent, plural
 
 from .suite import NOMINAL, Suite
@@ -239,7 +240,7 @@ def marks(suite: str) -> tuple[str, str]:
 def replace(path: Path, document: dict[str, Any]) -> None:
     """Write the table of a comparison between its marks in a file, else between those without a name."""
     before, begin, end, after = around_table(path, document["suite"]["name"])
-    path.write_text(f"{before}{begin}\n{markdown(document)}{end}{after}", encoding="utf-8")
+    write_text(path, f"{before}{begin}\n{markdown(document)}{end}{after}")
 
 
 def around_table(path: Path, suite: str) -> tuple[str, str, str, str]:

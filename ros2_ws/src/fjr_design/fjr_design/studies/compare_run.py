@@ -61,7 +61,7 @@ def compare(name: str, output: Path, cores: int, page: Path | None, stop: thread
     folder = output / f"compare_{chosen.name}"
     found = run(planned, folder / CACHE, cores, stop)
     document = compare_results.document(chosen, [(job.robot, job.law.label) for job in planned], found)
-    (folder / RESULTS).write_text(json.dumps(document, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(folder / RESULTS, json.dumps(document, allow_nan=False) + "\n")
     compare_page.write_page(folder / PAGE, document)
     if page is not None:
         compare_results.replace(page, document)

@@ -193,7 +193,7 @@ def read_identification(path: Path) -> Identification:
     try:
         return Identification.from_dict(json.loads(read_text(path)))
     except OSError as error:
-        raise ParameterError(f"cannot read identification {path}: {error.strerror}") from None
+        raise ParameterError(f"cannot read identification {path} ({error.strerror}); expected a text file") from None
     except (ValueError, ParameterError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
         raise ParameterError(f"{path}: {error}") from None
 

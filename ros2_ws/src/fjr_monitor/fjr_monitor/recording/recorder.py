@@ -70,7 +70,6 @@ class BagWriter:
         self.stream = open(self.path, "wb")  # noqa: SIM115 (closed in close)
         self._mcap = Writer(self.stream, compression=CompressionType.NONE)
         self._mcap.start(profile="ros2", library="fjr_bringup")
-        self.stream.flush()
 
     def add_topic(self, topic: str, type_name: str, offered: Sequence[QoSProfile], type_hash: str) -> RecordedTopic:
         """Register a topic with the QoS that its publishers offer; write its schema once per type."""

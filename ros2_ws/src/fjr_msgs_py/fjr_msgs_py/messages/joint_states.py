@@ -63,7 +63,7 @@ def picked(message: JointState, field: str, wanted: Sequence[str]) -> Array:
         expected = f"expected {len(message.name)}, one per name"
         if field == "velocity" and not len(values) and message.position:
             expected += ", or the parameter measurement.velocity set to observer"
-        raise MessageError("wrong lengths", f"{field} has {len(values)} entries; {expected}")
+        raise MessageError("wrong lengths", f"{field} has length {len(values)}; {expected}")
     return _finite(field, values[columns], wanted)
 
 
@@ -113,7 +113,7 @@ def read_efforts(message: Float64MultiArray, joints: Sequence[str]) -> Array:
     """Return the efforts (n,) [N m] of an unnamed command; raises MessageError."""
     effort = np.array(message.data, dtype=float)
     if effort.shape != (len(joints),):
-        raise MessageError("wrong lengths", f"data has {effort.size} entries; expected {len(joints)}, one per joint")
+        raise MessageError("wrong lengths", f"data has length {effort.size}; expected {len(joints)}, one per joint")
     return _finite("data", effort, joints)
 
 
