@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from bench.figures import ROOT
 from fjr_bringup.node_process import executable
-from fjr_bringup.runner import set_ros_environment
+from fjr_msgs_py.console.ros2 import discover_quickly
 from fjr_msgs_py.scenarios import library
 
 HOSTS = ("native", "events")
@@ -46,7 +46,8 @@ class Used(NamedTuple):
 def ros_environment() -> Mapping[str, str]:
     """Set the ROS environment variables of this process; return its environment."""
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
-    set_ros_environment()
+    discover_quickly()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return os.environ
 
 

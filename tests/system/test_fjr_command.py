@@ -7,14 +7,17 @@ import json
 import os
 import re
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from ament_index_python.packages import get_package_share_directory
 from sensor_msgs.msg import JointState
 
+from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run_folder import FolderError, RunFolder
 from fjr_msgs_py.console.ending import Exit
 from nodes.harness import Listener, Ros
@@ -158,6 +161,21 @@ def test_no_node_joins_a_run_and_a_publisher_of_states_that_stays_ends_it(
     assert code == 1, said
     assert "/joint_states has other publishers" in said
     assert len(efforts(tmp_path / "paper_k31")) > 50
+
+
+def test_lock_step_waits_for_a_recorder_that_is_slower(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = BagWriter.write
+
+    def slow_write(*arguments: Any) -> None:
+        time.sleep(1e-4)
+        write(*arguments)
+
+    monkeypatch.setattr(BagWriter, "write", slow_write)
+    options = ("--lockstep", "--no-report", "--duration", "6", "--output", str(tmp_path))
+    fjr_here("run", "paper_k31", *options)
+    counts = json.loads((tmp_path / "paper_k31" / "report.json").read_text())["counts"]
+    assert counts["missing"] == 0
+    assert not any(counts["lost_by_recorder"].values())
 
 
 def test_stop_of_the_controller_is_the_headline_and_every_run_is_kept(tmp_path: Path) -> None:

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fjr_bringup.runner import set_ros_environment
 from fjr_monitor.recording.bag import read_bag
+from fjr_msgs_py.console.ros2 import discover_quickly
 from nodes.harness import Listener, Ros, nanoseconds, seconds
 from system.executables import SLOW, Executable, documented_keys, fjr, fjr_here, installed, running, scenario, wait_for
 from system.shared_runs import Recorded, messages, recorded_run
@@ -118,7 +118,8 @@ def _run(*command: str) -> str:
 def network(monkeypatch) -> Iterator[Network]:
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "")
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
-    set_ros_environment()
+    discover_quickly()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:
         with Network() as made:
             yield made

@@ -40,7 +40,7 @@ LATEST = QoSProfile(depth=1)
 """States and commands: reliable, volatile, only the newest message is kept."""
 
 HISTORY = QoSProfile(depth=5000)
-"""Samples in simulated time: reliable, volatile, sent again to a recorder that had no core for up to half a second."""
+"""Samples in simulated time: reliable, volatile, sent again to a recorder that had no core; lock-step waits for it."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Constant data: reliable, late subscribers receive the last message."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -115,6 +116,8 @@ class NativePlantHost(NativeLoop):
         super().__init__(program, {**callbacks, **own}, [NativeSubscription(node, kind, topic, names.LATEST)])
         self._plant, plant.host, plant.notes = plant, self.pointer, self._notes.pointer
         plant.send = ffi.addressof(program.lib, "fjr_loop_publish")
+        if "FASTRTPS_DEFAULT_PROFILES_FILE" in os.environ:  # by default messages are acknowledged after seconds only
+            plant.settle = ffi.addressof(program.lib, "fjr_loop_settle")
         self._timer = node.create_timer(NOTES_PERIOD, self._read_notes, clock=names.STEADY)
         self._action: Callable[[], Any] = lambda: None
         self._result: Any = None

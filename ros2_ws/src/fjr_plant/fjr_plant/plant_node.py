@@ -86,7 +86,7 @@ class PlantNode(ParameterNode):
 
     def end(self, error: FjrError) -> None:
         """Stop the robot time, reply to waiting clients, and end the node."""
-        self._time_base.end()
+        self._time_base.end_advance(False, "ended")
         super().end(error)
 
     def destroy_node(self) -> None:

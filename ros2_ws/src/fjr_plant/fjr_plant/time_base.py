@@ -98,12 +98,11 @@ class TimeBase(ABC):
         self._reply: Reply | None = None
         self._raised = False  # the error of the fault was raised
         self._lock_step = self.functions == "lock_step"
-        qos = names.sample_qos(node, self._lock_step)
-        states = node.create_publisher(JointState, names.JOINT_STATES, qos)
+        states = node.create_publisher(JointState, names.JOINT_STATES, names.sample_qos(node, self._lock_step))
         self._publishers = [states, states]
         others: dict[int, Callable[[int], None]] = {
             self._lib.FJR_MOVING: lambda _: self._on_moving(),
-            self._lib.FJR_ADVANCED: lambda _: self._end_advance(True, ""),
+            self._lib.FJR_ADVANCED: lambda _: self.end_advance(True, ""),
             self._lib.FJR_SECOND: self._health.at,
             self._lib.FJR_FIRST_ANSWER: lambda _: self._on_first_answer(),
         }
@@ -188,7 +187,7 @@ class TimeBase(ABC):
 
     def reset(self) -> None:
         """Return to the initial state and discard all messages in transit."""
-        self._end_advance(False, "reset")
+        self.end_advance(False, "reset")
         self.host.run(self._reset)
 
     def _reset(self) -> None:
@@ -202,7 +201,7 @@ class TimeBase(ABC):
         self.host.run(lambda: self._pause(wanted))
 
     def _pause(self, wanted: bool) -> None:
-        self._end_advance(False, "paused" if wanted else "resumed")
+        self.end_advance(False, "paused" if wanted else "resumed")
         if wanted and not self.paused:
             self._call("catch_up")
         if wanted != self.paused:
@@ -232,10 +231,6 @@ class TimeBase(ABC):
 
         self.host.run(caught_up)
 
-    def end(self) -> None:
-        """Reply to a waiting client that the advance has ended early."""
-        self._end_advance(False, "ended")
-
     def close(self) -> None:
         """Stop serving commands."""
         self.host.close()
@@ -246,7 +241,7 @@ class TimeBase(ABC):
         left = self.plant.left
         return f"already advancing: {left} of {self._samples} samples are left" if left else ""
 
-    def _end_advance(self, success: bool, why: str) -> None:
+    def end_advance(self, success: bool, why: str) -> None:
         """Reply to the client that waits for the end of an advance."""
         reply, self._reply = self._reply, None
         if reply is None:

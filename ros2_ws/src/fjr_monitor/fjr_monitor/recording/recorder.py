@@ -314,12 +314,15 @@ class Recorder:
 
 
 def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
-    """Return the strongest QoS that all publishers offer, with a deep queue on the reader's side."""
+    """Return the strongest QoS that all publishers offer, with a deep queue on the reader's side.
+
+    A full queue refuses what is reliable, and the publisher sends it again: a plant in lock-step waits for that.
+    """
     offers = [info.qos_profile for info in publishers]
     reliable = all(offer.reliability == QoSReliabilityPolicy.RELIABLE for offer in offers)
     latched = all(offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
     return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
+        history=QoSHistoryPolicy.KEEP_ALL if reliable else QoSHistoryPolicy.KEEP_LAST,
         depth=QUEUE_DEPTH,
         reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
         durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,

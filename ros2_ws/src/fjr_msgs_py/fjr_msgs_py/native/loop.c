@@ -64,6 +64,10 @@ int fjr_loop_publish(void* at, int32_t k, const struct fjr_message* message) {
   return code == RCL_RET_OK ? FJR_GO_ON : rcl_failed(loop, "rcl_publish_serialized_message", code);
 }
 
+void fjr_loop_settle(void* at, int32_t k) {
+  if (rcl_publisher_wait_for_all_acked(((struct fjr_loop*)at)->publisher[k], RCL_MS_TO_NS(2000))) rcl_reset_error();
+}
+
 static void on_announcement(const void* at, size_t count) {
   struct source* source = (struct source*)(uintptr_t)at;
   __atomic_fetch_add(&source->announced, count, __ATOMIC_RELEASE);

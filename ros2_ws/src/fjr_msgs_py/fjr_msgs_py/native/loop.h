@@ -63,9 +63,10 @@ int fjr_loop_runs(struct fjr_loop* loop);
 const char* fjr_loop_reason(const struct fjr_loop* loop);
 
 /* For callbacks; at: struct fjr_loop. fjr_loop_publish sends by the k-th publisher; it returns FJR_GO_ON or FJR_FAILED.
- * fjr_loop_pause waits for a millisecond, a request or the end of the loop, serves requests, and returns FJR_DONE if the
- * loop is to end. */
+ * fjr_loop_settle waits until reliable subscribers have received what it sent, for 2 s at most. fjr_loop_pause waits for a
+ * millisecond, a request or the end of the loop, serves requests, and returns FJR_DONE if the loop is to end. */
 int fjr_loop_publish(void* at, int32_t k, const struct fjr_message* message);
+void fjr_loop_settle(void* at, int32_t k);
 int fjr_loop_pause(void* at);
 
 #endif

@@ -65,6 +65,7 @@ struct fjr_plant {
   double* effort;                      /* (n) */
   void* host;
   int (*send)(void* host, int32_t output, const struct fjr_message* message);
+  void (*settle)(void* host, int32_t output); /* wait until subscribers have received what was sent; NULL: do not */
   int (*notify)(int32_t event, int64_t value, const uint8_t* data, size_t size); /* Python */
   struct fjr_ring* notes;              /* struct fjr_note: events that wait for Python, NULL: none does */
 
@@ -91,6 +92,7 @@ struct fjr_plant {
   int64_t timeout;                     /* 0: none */
   int64_t awaited, other;              /* stamps of the state without a command, of the last other command */
   int64_t sent_at, first_sent_at;      /* steady clock */
+  int64_t times_shown;
 };
 
 /* Real time, then the same functions in lock-step. command, tick: of struct fjr_callbacks; self: struct fjr_plant.
