@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario, parse_scenario
-from fjr_core.errors import CompareError, FjrError
+from fjr_core.errors import CompareError, FjrError, prefixed
 from fjr_core.files.importing import is_named, load, source_digest
 from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_core.law.interfaces import StaticLaw
@@ -193,16 +193,14 @@ def work(job: Job) -> Values:
 
 def _demand(job: Job, label: str, scenario: Scenario) -> MotionDemand:
     """Compute the demand of a reference; raise CompareError for one that stands still."""
-    try:
+    with prefixed(f"'{label}' of {job.robot}: ", CompareError, CompareError):
         return motion_demand(scenario.robot, scenario.reference)
-    except CompareError as error:
-        raise CompareError(f"'{label}' of {job.robot}: {error}") from None
 
 
 def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callable[[float], None]) -> TunedLaw:
     """Return the law with its gains, by the rule or tuned to uncertainties."""
     law = job.law
-    try:
+    with prefixed(f"{law.label} on {job.robot}: ", FjrError, CompareError):
         ruled = tuned_law(law.law, law.robust, first, law.retune, law.options)
         if job.suite.tune is None:
             return ruled
@@ -214,8 +212,6 @@ def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callab
         text = library.text_with(job.robot, job.scenarios[0][1], values)
         given = job.suite.tune, demand, ruled.effort_limit, job.suite.tracks
         return law_for(text, *given, lambda share: on_progress(TUNING * share))
-    except FjrError as error:
-        raise CompareError(f"{law.label} on {job.robot}: {error}") from None
 
 
 def _margins(job: Job, trial: Trial) -> Values:

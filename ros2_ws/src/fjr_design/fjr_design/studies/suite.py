@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_core.config import ros_yaml
-from fjr_core.errors import CompareError, FjrError, ParameterError
+from fjr_core.errors import CompareError, FjrError, prefixed
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.files.importing import is_named
 from fjr_core.files.importing import load as load_class
@@ -80,10 +80,8 @@ class Suite:
 def load(path: Path) -> Suite:
     """Read a suite from a file; raise CompareError, which names the file."""
     document = ros_yaml.read(path, "suite")
-    try:
+    with prefixed(f"suite {path}: ", new=CompareError):
         return read(path.stem, document)
-    except ParameterError as error:
-        raise CompareError(f"suite {path}: {error}") from None
 
 
 def read(name: str, document: Any) -> Suite:
@@ -173,15 +171,13 @@ def scenario_texts(robot: RobotChoice, join: float = 0.0) -> tuple[tuple[str, st
     """
     path = library.find(robot.scenario)
     texts = []
-    try:
+    with prefixed(f"robot '{robot.label}': ", FjrError, CompareError):
         for label, changes in robot.references.items():
             _, scenario = library.as_run(path, changes)
             start = {"start.join_time": join, "limits.start_error": [math.inf] * scenario.robot.n}
             text, scenario = library.as_run(path, {**changes, **start})
             refuse_what_is_left_out(scenario, "a suite sets these itself, use 'imperfections'")
             texts.append((label, text))
-    except FjrError as error:
-        raise CompareError(f"robot '{robot.label}': {error}") from None
     return tuple(texts)
 
 

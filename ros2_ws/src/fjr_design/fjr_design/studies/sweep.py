@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
-from fjr_core.errors import ParameterError
+from fjr_core.errors import ParameterError, prefixed
 from fjr_core.simulation.deviations import JOINT
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
 
@@ -213,10 +213,8 @@ class Sweep:
                 expected = "a single one" if most == 1 else f"1 or {most}"
                 raise ParameterError(f"'vary': {name} has {given} numbers; expected {expected}")
             return
-        try:
+        with prefixed("'vary', for every draw: "):
             Draws(2, **{name: np.array(one.range)})
-        except ParameterError as error:
-            raise ParameterError(f"'vary': {error}, for every draw") from None
 
 
 def from_text(text: str) -> Sweep:
