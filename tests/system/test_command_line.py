@@ -59,6 +59,7 @@ REFUSED = [
     ("check arm7 --set robot.joint_stiffness:=[1.0]", 2, "'robot.joint_stiffness' has length 1; expected 7"),
     ("check paper_k3p1 --set robust.integral_gain:=[40.0]", 2, "integral_gain is [40] 1/s, which makes the loop unst"),
     ("check paper_k31 --error payload=0.1 --error payload=0.2", 2, "'payload' is given 2 times; expected it once"),
+    ("check two_link --error stiffness=0.1,0.2,0.3", 2, "'stiffness' is [0.1, 0.2, 0.3]; expected one number or 2"),
     (
         "check paper_k31 --error payload",
         2,
@@ -93,6 +94,7 @@ REFUSED = [
     ("identify nowhere --robot robot.yaml", 2, "nowhere"),
     ("identify a.csv --map map.yaml", 2, "Missing option '--robot'"),
     ("sweep paper_k31 --runs 1 --output a.csv", 1, "cannot read or write a.csv/paper_k31/parts (Not a directory); exp"),
+    ("sweep paper_k31 --duration 0.5", 1, "settle_after is 1.0 s; expected less than --duration, 0.5 s"),
     ("sweep no_such", 2, "or of the sweeps arm7_tune, paper_joint"),
     ("sweep text.yaml", 2, "the name of a parameter is 5; expected text"),
     ("sweep paper_joint --runs 1.5", 2, "'1.5' is not a number of runs; expected 1 or more"),

@@ -70,6 +70,11 @@ def test_a_reference_beyond_the_limits_is_named(arm: str) -> None:
     assert "fjr: scenario arm has a reference beyond its limits, with which no controller starts: joint 'elbow'" in said
 
 
+def test_a_law_whose_effort_is_not_finite_is_named() -> None:
+    said = fjr_here("check", "paper_k31", "--set", "law.type:=own_code:NanBeyond", code=1)
+    assert re.search(r"effort of the law, or its slope, is not finite at q_l = \[0\.[78]\d*\] rad, at rest", said)
+
+
 def test_limits_of_the_controller_count_beside_those_of_the_robot(arm: str) -> None:
     """An effort beyond them saturates; a reference beyond them keeps the controller from its start."""
     robot = load_scenario(arm).robot
@@ -77,8 +82,9 @@ def test_limits_of_the_controller_count_beside_those_of_the_robot(arm: str) -> N
         np.abs([robot.grad_P_l(q_l) for q_l in load_scenario(arm).reference.configurations(64)]).max(axis=0)[1]
     )
     for share, state in ((0.9, "BEYOND the effort limits of elbow"), (1.1, "within the effort limits")):
-        rows = figures(fjr_here("check", arm, "--set", f"limits.effort:=[1e3, {share * weight}]"))
-        assert rows["weight"].endswith(f"on the reference; {state}")
+        said = fjr_here("check", arm, "--set", f"limits.effort:=[1e3, {share * weight}]")
+        assert figures(said)["weight"].endswith(f"on the reference; {state}")
+        assert (f"{state}: the arm cannot hold it" in said) == (share < 1)
     rows = figures(fjr_here("check", arm, "--set", "limits.effort:=[1e-6, 1e3]"))
     assert rows["first effort"].endswith("BEYOND the effort limits of shoulder")
     rows = figures(fjr_here("check", arm, "--set", "reference.amplitude:=[1e300, 0.1]", code=1))

@@ -168,7 +168,9 @@ def test_file_keeps_the_prior_and_the_guess_of_what_is_not_identifiable(tmp_path
     assert values["robot.motor_inertia"] == [0.03, 0.01]
     assert values["imperfections.motor_coulomb_friction"] == [0.3, 0.0]
     assert values["imperfections.command_delay"] == 5e-4
-    assert "elbow: 40 N m/rad, not identifiable from these records, as before (it stands still; move it)" in file.text
+    assert (
+        "elbow: 40 N m/rad, not identifiable from these records, kept as given (it stands still; move it)" in file.text
+    )
     assert "motor_inertia of shoulder: 0.03 kg m^2, 0.01 to 0.06, weakly identified (it acc" in file.text
     assert "#   offset of shoulder: 0.001 rad, 0.0009 to 0.0011, identified" in file.text
     (tmp_path / "robot.yaml").write_text(file.text)

@@ -86,7 +86,7 @@ def test_a_joint_that_stands_still_keeps_all_guesses(tmp_path: Path) -> None:
     (why,) = [line for line in said.splitlines() if "the joint stands still" in line]
     assert why.startswith("motor_inertia, link_damping, motor_damping, ")
     text = (tmp_path / "out/robot.yaml").read_text()
-    assert f"joint_stiffness of joint1: {K:g} N m/rad, not identifiable from these records, as before" in text
+    assert f"joint_stiffness of joint1: {K:g} N m/rad, not identifiable from these records, kept as given" in text
     robot = load_scenario(tmp_path / "out/robot.yaml")
     assert (robot.robot.K[0, 0], robot.robot.M_m[0, 0]) == (K, B)
     assert len(robot.robot_warnings) == 2

@@ -212,7 +212,7 @@ REFUSED: list[tuple[type[fjr.FjrError], dict[str, Any], str]] = [
     (ParameterError, {"gravity": "much"}, "gravity is 'much'; expected numbers"),
     (ParameterError, {"seed": [0.5, 1, 2]}, "seed is of float64"),
     (StateError, {"duration": 0.0}, "duration is 0.0; expected a positive"),
-    (StateError, {"settle_after": 0.3}, "settle_after is 0.3 s; expected 0 to less than 0.3 s"),
+    (StateError, {"settle_after": 0.3}, "settle_after is 0.3 s; expected less than --duration, 0.3 s"),
     (
         StateError,
         {"duration": 0.3004, "settle_after": 0.3002},

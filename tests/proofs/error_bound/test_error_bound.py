@@ -418,7 +418,7 @@ def test_a_reference_that_ends_is_bounded_from_samples() -> None:
         ((SWING, T, -T), "expected"),
         ((SWING, T, 0.0, {"payloads": 0.1}), "error 'payloads' is unknown; expected some of payload, "),
         ((SWING, T, 0.0, {"payload": -0.1}), "error 'payload' is -0.1; expected 0 to 0.9"),
-        ((SWING, T, 0.0, {"stiffness": [0.1, 0.1]}), r"error 'stiffness' has shape \(2,\); expected one number or 1"),
+        ((SWING, T, 0.0, {"stiffness": [0.1, 0.1]}), r"error 'stiffness' is \[0.1, 0.1\]; expected one number$"),
         ((SWING, T, 0.0, {"payload_position": 0.1}), "error 'payload_position' is given alone; expected one with"),
         ((SWING, T, 0.0, {"stiffness": 1.5}), "error 'stiffness' is 1.5; expected 0 to 0.9"),
         ((SWING, T, 0.8 * T, {"delay": 0.4}), "error 'delay' is 0.4; expected 0 to 0.2, beside a delay of 0.8 samples"),

@@ -73,7 +73,7 @@ def write_page(
         tiles=[
             (f"{counts[IDENTIFIED]} of {sum(counts.values())}", "parameters identified"),
             (str(counts[WEAK]), "weakly identified: read their intervals"),
-            (str(counts[UNKNOWN]), "not identifiable from these records: as before"),
+            (str(counts[UNKNOWN]), "not identifiable from these records: kept as given"),
             (f"{seconds:.3g} s", "of motion"),
         ],
         groups=groups(identification),

@@ -303,7 +303,7 @@ def described(estimate: Estimate) -> str:
     value = f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.value:.4g} {estimate.unit}"
     seen = f", {estimate.seen}" if estimate.seen else ""
     if estimate.verdict == UNKNOWN:
-        return f"{value}{seen}, not identifiable from these records, as before ({estimate.reason})"
+        return f"{value}{seen}, not identifiable from these records, kept as given ({estimate.reason})"
     for digits in range(4, 9):  # as many as distinguish the ends
         low, high = f"{estimate.low:.{digits}g}", f"{estimate.high:.{digits}g}"
         if low != high:

@@ -136,7 +136,7 @@ class ClosedLoop:
             if not 0 < getattr(self, name) < np.inf:
                 raise StateError(f"{name} is {getattr(self, name)}; expected a positive finite number")
         if not 0 <= self.settle_after < self.duration:
-            raise StateError(f"settle_after is {self.settle_after} s; expected 0 to less than {self.duration} s")
+            raise StateError(f"settle_after is {self.settle_after} s; expected less than --duration, {self.duration} s")
         if self._first > self._samples:
             raise StateError(
                 f"no sample of {self.sample_period:g} s lies between settle_after, {self.settle_after:g} s, and the "

@@ -124,6 +124,7 @@ def check(scenario: Scenario) -> Check:
         **_start(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
+    heavy = [f"weight {rows['weight']}: the arm cannot hold it"] if "BEYOND" in rows.get("weight", "") else []
     values = {
         "scenario": scenario.name,
         "stable": found.stable,
@@ -132,7 +133,7 @@ def check(scenario: Scenario) -> Check:
         "lowest_stable_rate_hz": lowest,
         "sample_period_s": found.sample_period,
         **{"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None, **numbers},
-        "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *diverging],
+        "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *diverging, *heavy],
         "refused": refusal(scenario, found) or None,
     }
     return Check(rows, values, failed=values["refused"] is not None)

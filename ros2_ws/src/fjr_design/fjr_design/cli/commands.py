@@ -105,12 +105,12 @@ def check(**given: Any) -> Any:
     """Check rates, stability and margins before a run.
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error, --delay or
-    --prove-error a bound of the tracking error along the reference is computed. Relative errors, of each joint by
-    itself or a list of them: link_mass, link_central_inertia, stiffness, motor_inertia, link_damping, motor_damping; of
-    all together: payload (mass and inertia of the links), gravity. payload=1.4kg is a mass at the last link, up to
-    payload_position [m] beside imperfections.payload_position; gravity_direction is in rad, link_torque and
-    motor_torque are in N m, delay (from sample to sample) in samples. stated=2: the errors under robot.deviations, of
-    two standard deviations.
+    --prove-error a bound of the tracking error along the reference is computed. Relative errors, one number for each
+    joint by itself or a list, as stiffness=0.1,0.2: link_mass, link_central_inertia, stiffness, motor_inertia,
+    link_damping, motor_damping; of all together: gravity, and payload=0.2, one factor of mass and inertia of all links.
+    With a unit, payload=1.4kg is a mass at the last link, up to payload_position [m] beside
+    imperfections.payload_position; gravity_direction is in rad, link_torque and motor_torque are in N m, delay (from
+    sample to sample) in samples. stated=2: the errors under robot.deviations, of two standard deviations.
     """
     return implementation("fjr_design.cli.check").check_scenario(**given)
 

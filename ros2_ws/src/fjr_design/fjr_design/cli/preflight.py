@@ -53,10 +53,14 @@ def refuse_unstable(scenario: Scenario, found: SampledCheck | None = None) -> No
     if (found or checked(scenario, lowest_rate=False)).stable:
         return
     found = found or checked(scenario)
+    what, at = f"scenario {scenario.name}", f"at q_l = {as_list(found.configuration)} {position_unit(scenario)}"
+    if np.isinf(found.spectral_radius):
+        raise UnstableError(
+            f"{what}: the effort of the law, or its slope, is not finite {at}, at rest; expected finite numbers"
+        )
     raise UnstableError(
-        f"scenario {scenario.name} is unstable as sampled at {1 / found.sample_period:g} Hz: "
-        f"spectral radius {found.spectral_radius:.4g} at q_l = {as_list(found.configuration)} "
-        f"{position_unit(scenario)}; {_remedy(scenario, found)}"
+        f"{what} is unstable as sampled at {1 / found.sample_period:g} Hz: spectral radius {found.spectral_radius:.4g} "
+        f"{at}; {_remedy(scenario, found)}"
     )
 
 

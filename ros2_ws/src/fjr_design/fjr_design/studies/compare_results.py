@@ -58,9 +58,11 @@ def _described(law: dict[str, Any]) -> dict[str, Any]:
 def extent(document: dict[str, Any]) -> str:
     """Count laws, versions of them, robots and runs of a comparison, as a sentence."""
     laws, robots = document["laws"], plural(len(document["robots"]), "robot")
-    kinds = plural(len({law_without_additions(law) for law in laws}), "control law")
+    kinds = len({law_without_additions(law) for law in laws})
     runs = f"{plural(document['runs'], 'run')} of {document['suite']['duration']:g} s"
-    return f"{kinds} in {plural(len(laws), 'version')} on {robots}, {runs}."
+    return (
+        f"{plural(kinds, 'control law')}{f' in {len(laws)} versions' if len(laws) > kinds else ''} on {robots}, {runs}."
+    )
 
 
 def law_without_additions(law: dict[str, Any]) -> str:

@@ -159,7 +159,7 @@ def table(identification: Identification) -> list[str]:
     stiffness = f"joint stiffness K of {of_stiffness[IDENTIFIED]} of {plural(len(identification.joints), 'joint')}"
     others = f"{counts[WEAK]} weakly, {counts[UNKNOWN]} not identifiable"
     headline = f"{stiffness} and {plural(counts[IDENTIFIED], 'parameter')} identified, {others}"
-    heads = {UNKNOWN: "not identifiable from these records, as before:", WEAK: "weakly identified:"}
+    heads = {UNKNOWN: "not identifiable from these records, kept as given:", WEAK: "weakly identified:"}
     why = [(head, reasons(identification, verdict)) for verdict, head in heads.items()]
     return [
         headline,

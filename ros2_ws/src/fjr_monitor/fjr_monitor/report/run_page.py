@@ -177,8 +177,9 @@ class RunPlots:
         )
         title = "The rate of V"
         if 0 < data.size < np.inf:
-            apart = data.apart / data.size
-            title = f"V's rate is predicted {'to' if apart < 0.1 else 'only to'} {number(100 * apart, '%', 2)}"
+            title = (
+                f"Prediction and measurement of the rate of V differ by {number(100 * data.apart / data.size, '%', 2)}"
+            )
         return Plot("rate", title, caption, data.steps["t"], lines, y_label="−dV/dt [W]", y_log=True)
 
     def balance(self) -> Plot:

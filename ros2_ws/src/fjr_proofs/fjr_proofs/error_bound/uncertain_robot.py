@@ -129,7 +129,9 @@ def _checked(name: str, error: ArrayLike, numbers: int) -> Array:
     size = floats(f"error '{name}'", error, ParameterError)
     limit = np.inf if DEVIATIONS[name].unit in ("kg", "m") else LARGEST
     if size.shape not in ((), (numbers,)):
-        raise ParameterError(f"error '{name}' has shape {size.shape}; expected one number or {numbers}")
+        raise ParameterError(
+            f"error '{name}' is {size.tolist()}; expected one number{f' or {numbers}' if numbers > 1 else ''}"
+        )
     if not np.all((size >= 0) & (size <= limit) & np.isfinite(size)):
         raise ParameterError(f"error '{name}' is {size.tolist()}; expected 0 to {limit}")
     return np.broadcast_to(size, numbers).astype(float)
