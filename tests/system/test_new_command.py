@@ -101,6 +101,21 @@ def test_joints_that_carry_no_mass_are_locked_with_a_note(tmp_path: Path) -> Non
     assert arm.notes == ("no link beyond elbow has an inertia: roll locked",)
 
 
+def test_friction_and_gear_ratios_that_are_not_read_are_noted(tmp_path: Path) -> None:
+    given = '<dynamics damping="{}" friction="0.0"/><mechanicalReduction>{}</mechanicalReduction></joint>'
+    notes = []
+    for numbers in (("0.0", "1.0"), ("0.7", "1"), ("0", "100")):
+        (tmp_path / "arm.urdf").write_text(two_link_urdf().replace("</joint>", given.format(*numbers)))
+        notes.append([note.split()[0] for note in arm_of(tmp_path / "arm.urdf").notes])
+    assert notes == [[], ["<dynamics>"], ["<transmission>"]]
+
+
+def test_a_name_that_is_changed_is_said(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(two_link_urdf())
+    said = fjr_here("new", str(tmp_path / "arm.urdf"), "--name", "mein Ärmel", "--output", str(tmp_path))
+    assert "name       mein_rmel, for 'mein Ärmel'" in said
+
+
 THIN = '<inertia ixx="1e-06" ixy="0" ixz="0" iyy="1e-06" iyz="0" izz="1e-06"/>'
 
 

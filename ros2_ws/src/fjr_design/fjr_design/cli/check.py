@@ -67,10 +67,9 @@ def check_scenario(
 
     certificate: file for the proof of the rate over the joint range, which takes at most `seconds`. errors: names and
     sizes of model errors. prove_error: prove their bound for any number of joints, and divide it for at most `seconds`
-    for one from the start. prove_sampled: also prove
-    contraction of the sampled loop (sampled_proof). delay [samples] of this proof and of the bound of the tracking
-    error, which is made for errors, for a delay alone and for prove_error. Raises MissingPackageError for a proof
-    without the package of the proofs.
+    for one from the start. prove_sampled: also prove contraction of the sampled loop (sampled_proof). delay [samples]
+    of this proof and of the bound of the tracking error, which is made for errors, for a delay alone and for
+    prove_error. Raises MissingPackageError for a proof without the package of the proofs.
     """
     loaded = library.load(scenario, assignments)
     proofs: dict[str, Check] = {}

@@ -34,7 +34,8 @@ from fjr_msgs_py.scenarios.library import ScenarioError
 
 def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name: str | None, force: bool) -> Result:
     """Write both files, and the URDF of an MJCF; force: replace earlier ones. Raises FjrError, which names the file."""
-    stem = re.sub(r"\W+", "_", name or urdf.stem, flags=re.ASCII).strip("_") or "arm"
+    given = name or urdf.stem
+    stem = re.sub(r"\W+", "_", given, flags=re.ASCII).strip("_") or "arm"
     robot_file, scenario_file = output / f"{stem}_robot.yaml", output / f"{stem}.yaml"
     texts: dict[Path, str] = {}
     try:
@@ -70,6 +71,7 @@ def new(urdf: Path, joints: Sequence[str], chain: int | None, output: Path, name
     }
     lines = _summary(arm, proposal, had_a_choice=not joints and len(arm.chains) > 1)
     lines += [
+        *([f"name       {stem}, for '{given}': letters of ASCII, digits and _"] if stem != given else []),
         f"written    {', '.join(map(str, texts))}",
         f"next       fjr check {quote(str(scenario_file))}",
         f"           fjr run {quote(str(scenario_file))} --lockstep",

@@ -17,6 +17,7 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 
 from fjr_core.errors import RobotError
+from fjr_core.files.text_file import read_bytes
 from fjr_core.model.robot import Robot
 from fjr_core.urdf.robot import MasslessJointError, robot_from_urdf
 from fjr_core.urdf.tree import MOVING, UrdfTree, read_urdf
@@ -29,6 +30,11 @@ HAND = re.compile(
     re.IGNORECASE,
 )
 """Names of joints that belong to a gripper, a hand or a wheel."""
+UNREAD = {
+    r"<dynamics\b[^>]*[1-9]": "<dynamics> is not read: enter damping as motor_damping, friction as imperfections",
+    r"<mechanicalReduction>\s*(?!1(\.0*)?\s*<)": "<transmission> is not read: motor_inertia is that behind the gear",
+}
+"""A note for each kind of number on joints in a URDF that the robot file has to hold instead."""
 LARGEST_FINGER = 4
 """Most joints of a finger: a branch with at most as many joints on each side is a hand, a larger one two arms."""
 Chain = tuple[str, ...]
@@ -72,6 +78,8 @@ def arm_of(
     chosen = tuple(joints) or _chain(found, chain)
     rigid, moving, notes = _rigid(text or urdf, tree, chosen, gravity, drop=not joints)
     robot, guesses, source = _with_joint_data(rigid, moving, known or published(moving))
+    content = text or read_bytes(urdf).decode(errors="replace")
+    notes += tuple(note for pattern, note in UNREAD.items() if re.search(pattern, content))
     return Arm(urdf, moving, robot, _locked(tree, moving), guesses, source, found, notes, tuple(gravity))
 
 

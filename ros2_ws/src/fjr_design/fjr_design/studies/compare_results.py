@@ -60,9 +60,8 @@ def extent(document: dict[str, Any]) -> str:
     laws, robots = document["laws"], plural(len(document["robots"]), "robot")
     kinds = len({law_without_additions(law) for law in laws})
     runs = f"{plural(document['runs'], 'run')} of {document['suite']['duration']:g} s"
-    return (
-        f"{plural(kinds, 'control law')}{f' in {len(laws)} versions' if len(laws) > kinds else ''} on {robots}, {runs}."
-    )
+    versions = f" in {len(laws)} versions" if len(laws) > kinds else ""
+    return f"{plural(kinds, 'control law')}{versions} on {robots}, {runs}."
 
 
 def law_without_additions(law: dict[str, Any]) -> str:
