@@ -219,6 +219,13 @@ def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
     assert bound["proven"]
 
 
+def test_a_payload_without_a_lever_arm_is_named() -> None:
+    place = ("--set", "imperfections.payload_position:=[0.2, 0.0, 0.0]")
+    axis, beside = (fjr_here("check", "paper_k31", "--error", "payload=0.5kg", *more) for more in ((), place))
+    assert ", on the axis of its joint (imperfections.payload_position)" in figures(axis)["error bound"]
+    assert "axis" not in figures(beside)["error bound"]
+
+
 def test_a_proof_that_was_asked_for_and_not_found_is_named() -> None:
     """Without --error or --delay the bound is that of the hold and the scenario's delay."""
     abrupt = ("type:=point_to_point", "point_to_point.returns:=false", "point_to_point.duration:=0.2")

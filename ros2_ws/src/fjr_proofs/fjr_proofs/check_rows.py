@@ -157,7 +157,9 @@ def _error(name: str, size: ArrayLike, place: Array) -> str:
     if name in TORQUES:
         return f"{DEVIATIONS[name].of} of up to {sizes} {unit}"
     if name == "payload_mass":
-        return f"a payload of up to {sizes} kg at ({place[0]:g}, {place[1]:g}, {place[2]:g}) m of the last link"
+        at = f"({place[0]:g}, {place[1]:g}, {place[2]:g}) m of the last link"
+        lever = "" if place.any() else ", on the axis of its joint (imperfections.payload_position)"
+        return f"a payload of up to {sizes} kg at {at}{lever}"
     amount = "one common factor of up to" if name == "payload" else "up to"
     return f"{DEVIATIONS[name].of} off by {amount} {sizes} {unit or '%'}"
 
