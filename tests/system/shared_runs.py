@@ -22,15 +22,11 @@ from nodes.harness import nanoseconds
 from system.bags import STORE
 from system.executables import fjr_here
 
-TRIES = 3
 DURATION = {"paper_k31": 2.5, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s
 
 
 def shared_run(factory: pytest.TempPathFactory, name: str) -> Path:
-    """Return the folder of a run of DURATION seconds, to be read only; `said` next to it holds the output of `fjr`.
-
-    The recorder heard every message: one that gets no core for long may miss some, and reports it.
-    """
+    """Return the folder of a run of DURATION seconds, to be read only; `said` next to it holds the output of `fjr`."""
     base = factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"shared_{name}"
     folder.mkdir(exist_ok=True)
@@ -68,17 +64,15 @@ def record(name: str, duration: float, output: Path, *overrides: str) -> Recorde
 
 
 def complete_run(name: str, duration: float, output: Path, *options: str) -> str:
-    """Run a scenario in lock-step, at most TRIES times until its recorder missed no message; return what `fjr` says."""
-    for _ in range(TRIES):
-        length = ("--duration", str(duration), "--output", str(output))
-        said = fjr_here("run", name, "--lockstep", *length, *options)
-        if is_complete(output / name):
-            break
+    """Run a scenario in lock-step, of which the recorder misses no message; return what `fjr` says."""
+    length = ("--duration", str(duration), "--output", str(output))
+    said = fjr_here("run", name, "--lockstep", *length, *options)
+    assert is_complete(output / name)
     return said
 
 
 def is_complete(folder: Path) -> bool:
-    """Whether the recorder of a run heard every message; one that gets no core for long may miss some."""
+    """Whether the recorder of a run heard every message."""
     counts = json.loads((folder / "report.json").read_text())["counts"]
     return counts["missing"] == 0 and not any(counts["lost_by_recorder"].values())
 
