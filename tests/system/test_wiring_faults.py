@@ -17,7 +17,7 @@ from core.oracles.wiring import NumericCheck, WiringFault
 from diagnosis_benchmark.cases import JOINTS, Case
 from diagnosis_benchmark.faults import PAIRS, ROBOTS, WIRING, joints_of
 from diagnosis_benchmark.lock_step import Fault
-from diagnosis_benchmark.wiring import HEALTHY_LASTING, Stop, healthy, wrong
+from diagnosis_benchmark.wiring import COLOURED, EACH, HEALTHY_LASTING, ONE, Stop, healthy, with_sensors, wrong
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 from fjr_design.batch import scenario_loop
@@ -87,6 +87,12 @@ def test_noise_of_few_samples_is_not_taken_for_the_motion_of_another_joint(robot
     loop = scenario_loop(scenario, scenario.sampled_law, HEALTHY_LASTING, settle_after=HEALTHY_LASTING / 2)
     starts = Draws(500, delay=scenario.sample_period, position_noise=noise, velocity_noise=100 * noise)
     assert "wiring" not in loop.run(starts).cause
+
+
+@pytest.mark.parametrize(("noise", "seed"), [(COLOURED, 0), (COLOURED, 52), (ONE, 5), (EACH, 5), (EACH, 11)])
+def test_unequal_or_coloured_noise_is_not_taken_for_the_motion_of_another_joint(noise: str, seed: int) -> None:
+    """A quiet slope of another joint fits better than its own noisy one; slow noise looks like motion."""
+    assert Stop.of(with_sensors("arm7", noise, seed), HEALTHY_LASTING).samples == 0
 
 
 @pytest.mark.parametrize(

@@ -88,42 +88,56 @@ Flags = NDArray[np.bool_]
 TOLERANCE = 0.15
 SCALE = 0.08
 LAGS, LAG = 5, 0.5
-LATE = 1.0
+LATE = 0.5
+MOTION = 5
 WEIGHT, OFFSET = 0.1, 1e-3
 ROUNDING = 0.01
 DOUBT = 1.5
+FREEDOM, REST = 0.4, 0.7
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Both sides y, x (4n, m - 1) of the rows: links, motors, velocities of links, velocities of motors.
+    """Both sides y, x (2n, k) of the rows of links, then of motors: torques or velocities.
 
-    root (4n, m - 1, m - 1): inverse Cholesky factors of the covariances S.
+    root (2n, k, k): inverse Cholesky factors of the covariances S. freedom: degrees of freedom of the noise.
     """
 
     y: Array
     x: Array
     root: Array
+    freedom: float
 
     @classmethod
-    def of(cls, robot: Robot, window: Window, constant: Array) -> Rows:
-        """Return the rows of a window; constant (n,) [N m]: standard deviation of constant torques."""
+    def torques(cls, robot: Robot, window: Window, constant: Array) -> Rows:
+        """Return the torques in the m - 1 intervals; constant (n,) [N m]: standard deviation of constant ones."""
         means = _Means.of(window)
-        parts = (
-            _links(robot, window, means, constant),
-            _motors(robot, window, means, constant),
-            _speeds(window, means),
-        )
+        parts = _links(robot, window, means, constant), _motors(robot, window, means, constant)
         y, x = (np.concatenate([side.T for side in sides]) for sides in zip(*(part[:2] for part in parts), strict=True))
         S = np.concatenate([loose.transpose(2, 1, 0) @ loose.transpose(2, 0, 1) for _, _, loose, _, _ in parts])
         mean, change = (np.concatenate(noise) for noise in zip(*(part[3:] for part in parts), strict=True))
         rounding = ROUNDING**2 * ((y**2).mean(axis=1) + (x**2).mean(axis=1)) + 1e-18
         for variance, of in zip((mean, change, rounding), _correlations(y.shape[1]), strict=True):
             S += variance[:, None, None] * of
-        return cls(y, x, np.linalg.inv(np.linalg.cholesky(S)))
+        return cls(y, x, np.linalg.inv(np.linalg.cholesky(S)), FREEDOM * (y.shape[1] - 3))
+
+    @classmethod
+    def velocities(cls, window: Window) -> Rows:
+        """Return measured velocities and slopes as components along MOTION polynomials of time: slow motion.
+
+        The noise is white, with the mean square of what the polynomials leave of their difference.
+        """
+        means, Q = _Means.of(window), slow(len(window.t) - 1)
+        y, x, change = (values.T @ Q for values in (means.dq, means.slope, np.diff(window.dq, axis=0)))
+        left = means.dq - means.slope
+        noise = ((left - Q @ (Q.T @ left)) ** 2).sum(axis=0) / (len(Q) - MOTION) + 1e-18
+        noise += ROUNDING**2 * ((means.dq**2).mean(axis=0) + (means.slope**2).mean(axis=0))
+        S = SCALE**2 * x[:, :, None] * x[:, None] + LATE**2 * change[:, :, None] * change[:, None]
+        S += noise[:, None, None] * np.eye(MOTION)
+        return cls(y, x, np.linalg.inv(np.linalg.cholesky(S)), REST * (len(Q) - MOTION))
 
     def misfit(self, sign: float = 1.0) -> Array:
-        """Return (y - x)' S^-1 (y - x) of the rows (4n,), with x multiplied by `sign`."""
+        """Return (y - x)' S^-1 (y - x) of the rows (2n,), with x multiplied by `sign`."""
         return distances(self.root, self.y - sign * self.x)
 
     @property
@@ -135,13 +149,16 @@ class Rows:
     def deviance(self) -> float:
         """Return minus twice the log-likelihood of all rows, without its constant."""
         log_det = -2 * np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum()
-        return float(student(self.y.shape[1], self.misfit()).sum() + log_det)
+        return float(self.student(self.misfit()).sum() + log_det)
+
+    def student(self, misfit: Array) -> Array:
+        """Return minus twice the logarithm of Student's density of misfits: the noise is estimated."""
+        return np.asarray((self.freedom + self.y.shape[1]) * np.log1p(misfit / self.freedom))
 
 
-def student(count: int, misfit: Array) -> Array:
-    """Return minus twice the logarithm of Student's density of misfits of `count` intervals: the noise is estimated."""
-    freedom = FREEDOM * (count - 3)
-    return np.asarray((freedom + count) * np.log1p(misfit / freedom))
+def slow(m: int) -> Array:
+    """Return MOTION orthonormal polynomials of time (m, MOTION)."""
+    return np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, m), MOTION, increasing=True))[0]
 
 
 def distances(root: Array, difference: Array) -> Array:
@@ -204,11 +221,6 @@ def _motors(robot: Robot, window: Window, means: _Means, constant: Array) -> _Pa
     return y, effort[0], loose, _spring_noise(robot, means), means.rate * robot.M_m**2 @ means.velocity[n:]
 
 
-def _speeds(window: Window, means: _Means) -> _Part:
-    loose = np.stack([SCALE * means.slope, LATE * np.diff(window.dq, axis=0)])
-    return means.dq, means.slope, loose, means.velocity, means.rate * means.position
-
-
 def _spring(robot: Robot, means: _Means) -> Array:
     """Return the torque of the springs in the intervals (m - 1, n) [N m]."""
     zeta = means.q[:, robot.n :] - means.q[:, : robot.n]
@@ -267,7 +279,6 @@ CLEARER = 2 * math.log(1e2)
 FAILS = 1.25
 FITS, FOLLOWS = 1.6, 3.0
 CLOSER = 2.0
-FREEDOM = 0.4
 COARSE = 0.5
 CONFIRMED = 2
 EARLY, RARER = 2, 1.1
@@ -325,20 +336,21 @@ def wiring_fault(
     far. constant (n,) [N m]: standard deviation of constant torques.
     """
     n, count, full = robot.n, len(window.t) - 1, len(window.t) >= FULL
-    rows = Rows.of(robot, window, constant)
-    misfit = rows.misfit()
-    right = (rows.misfit(-1.0) - misfit > EVIDENCE) & (misfit < FITS * count) & full
-    failing = (misfit > FAILS * count) & ~known
-    velocity = _wrong_velocity(rows, failing, count, full)
+    rows, speeds = Rows.torques(robot, window, constant), Rows.velocities(window)
+    sizes = np.repeat([count, MOTION], 2 * n)
+    misfit, reversed_ = (np.concatenate([rows.misfit(sign), speeds.misfit(sign)]) for sign in (1.0, -1.0))
+    right = (reversed_ - misfit > EVIDENCE) & (misfit < FITS * sizes) & full
+    failing = (misfit > FAILS * sizes) & ~known
+    velocity = _wrong_velocity(speeds, window, failing[2 * n :], full)
     if velocity is not None:
         return velocity, right, misfit
     links, motors = (set(np.flatnonzero(part).tolist()) for part in failing[: 2 * n].reshape(2, n))
     encoders = (links | motors) - set(np.flatnonzero(known[:n]).tolist())  # the spring is in both equations
     found: list[tuple[float, WiringFault]] = []
     for fault, undone in hypotheses(encoders, motors, n):
-        left, own = Rows.of(robot, undone(window), constant), np.isin(np.arange(2 * n) % n, fault.joints)
-        closer = CLOSER * left.squares[: 2 * n][own].sum() < rows.squares[: 2 * n][own].sum()
-        if closer and left.misfit()[: 2 * n][own].max() < FITS * count:
+        left, own = Rows.torques(robot, undone(window), constant), np.isin(np.arange(2 * n) % n, fault.joints)
+        closer = CLOSER * left.squares[own].sum() < rows.squares[own].sum()
+        if closer and left.misfit()[own].max() < FITS * count:
             found.append((rows.deviance - left.deviance, fault))
     return _decided([each for each in found if each[0] > EVIDENCE], full), right, misfit
 
@@ -354,24 +366,25 @@ def _decided(found: list[tuple[float, WiringFault]], full: bool) -> WiringFault 
     return max([each for each in near if each[1].kind.startswith("effort")] or near)[1]
 
 
-def _wrong_velocity(rows: Rows, failing: Flags, count: int, full: bool) -> WiringFault | None:
+def _wrong_velocity(rows: Rows, window: Window, failing: Flags, full: bool) -> WiringFault | None:
     """Return the fault of a velocity that follows the slope of another position, or of its own with changed sign.
 
     A velocity that follows its own slope late, such as a filter's, is right. It is assumed to be 100 times rarer.
     """
-    n = len(failing) // 4
-    coarse = (rows.x == 0.0).mean(axis=1) > COARSE
-    for row in np.flatnonzero((failing & ~coarse)[2 * n :]) + 2 * n:
-        side, j, first = ("link", "motor")[row // n - 2], int(row % n), row - row % n
+    n, means, Q = len(failing) // 2, _Means.of(window), slow(len(window.t) - 1)
+    coarse = (means.slope == 0.0).mean(axis=0) > COARSE
+    for row in np.flatnonzero(failing & ~coarse):
+        side, j, first = ("link", "motor")[row // n], int(row % n), row - row % n
         slopes = rows.x[first : first + n].copy()
         slopes[j] *= -1.0
         left = np.where(coarse[first : first + n], np.inf, distances(rows.root[row], rows.y[row] - slopes))
         k = int(np.argmin(left))
         clear = full or bool((np.delete(left, k) > left[k] + CLEARER).all())
-        late = student(count, distances(rows.root[row], rows.y[row] - delayed(rows.x[row], rows.y[row, 0])))
-        noise = student(count, distances(rows.root[row : row + 1], rows.y[row : row + 1]))[0]  # velocity and slopes
-        evidence = min(late[0], late[1:].min() + CLEARER, noise + CLEARER) - float(student(count, left[k]))
-        if clear and left[k] < FOLLOWS * count and evidence > EVIDENCE:
+        lagging = delayed(means.slope[:, row], means.dq[0, row]) @ Q
+        late = rows.student(distances(rows.root[row], rows.y[row] - lagging))
+        noise = rows.student(distances(rows.root[row : row + 1], rows.y[row : row + 1]))[0]  # velocity and slopes
+        evidence = min(late[0], late[1:].min() + CLEARER, noise + CLEARER) - float(rows.student(left[k]))
+        if clear and left[k] < FOLLOWS * MOTION and evidence > EVIDENCE:
             kind, joints = ("velocity sign", (j,)) if k == j else ("velocity of another joint", (j, k))
             return WiringFault(kind, joints, side)
     return None

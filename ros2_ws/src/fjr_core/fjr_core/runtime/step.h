@@ -21,6 +21,7 @@
 #define FJR_EVENTS 128
 #define FJR_WINDOW 21    /* states that the check of the wiring compares, at most .. */
 #define FJR_INTERVALS 20 /* .. and the intervals between them */
+#define FJR_MOTION 5     /* polynomials of time that describe motion in them */
 #define FJR_PIECES 16    /* parabolas of a torsion curve, at most */
 #define FJR_NEVER INT64_MIN /* no stamp */
 
@@ -255,6 +256,7 @@ struct fjr_comparison {
   double q[2 * FJR_N][FJR_INTERVALS], dq[2 * FJR_N][FJR_INTERVALS]; /* means over the intervals */
   double slope[2 * FJR_N][FJR_INTERVALS], ddq[2 * FJR_N][FJR_INTERVALS], change[2 * FJR_N][FJR_INTERVALS];
   double u[FJR_N][FJR_INTERVALS], ends[2][FJR_N];                      /* q_l of the first and of the last state */
+  double motion[FJR_MOTION][FJR_INTERVALS];                            /* orthonormal polynomials of time */
   double q_noise[2 * FJR_N], dq_noise[2 * FJR_N], rate, constant[FJR_N]; /* variances, 1 / h^2, deviation */
   double misfit[2 * FJR_N], deviance[2 * FJR_N], squares[2 * FJR_N];     /* of links, then motors, as measured */
   double evidence, effort_evidence, other_evidence;

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  * The check of the wiring: find exchanged joints and wrong signs of efforts and encoders in the first samples.
  *
- * The misfit d of a row with m intervals (wiring_rows.c) is (y - x)' S^-1 (y - x). The noise in S is an estimate, often
+ * The misfit d of a row of m components (wiring_rows.c) is (y - x)' S^-1 (y - x). The noise in S is an estimate, often
  * far too small after 9 states. So y - x has Student's distribution with f degrees of freedom, and the deviance of the row
  * is (f + m) log(1 + d / f) + log det S. Each hypothesis on the wiring is undone in the window; its evidence is the
  * decrease of the deviance over all rows, which is twice the logarithm of a likelihood ratio. Only rows that change are
@@ -20,11 +20,10 @@
 
 #define EVIDENCE 23.025850929940457 /* 2 log 1e5: a false alarm has probability 1e-5 (Wald) */
 #define CLEARER 9.210340371976184   /* 2 log 1e2: against another fault before FULL, and for a velocity that is late */
-#define FAILS 1.25    /* least misfit per interval of a suspected row; its mean is at most 1 / DOUBT if it is right */
-#define FITS 1.6      /* largest misfit per interval of a torque once the fault is undone .. */
+#define FAILS 1.25    /* least misfit per component of a suspected row; its mean is at most 1 if it is right */
+#define FITS 1.6      /* largest misfit per component of a torque once the fault is undone .. */
 #define FOLLOWS 3.0   /* .. and of a velocity */
 #define CLOSER 2.0    /* undoing the fault decreases the mean squares of its torques by this factor, whatever S is */
-#define FREEDOM 0.4   /* degrees of freedom of the noise estimate per fourth difference, as neighbours are correlated */
 #define COARSE 0.5    /* largest share of intervals without motion; else the encoder is too coarse for a slope */
 
 /* ---- Comparison of the wiring as measured ----------------------------------------------------------------------- */
@@ -35,33 +34,34 @@ static int is_coarse(const struct fjr_comparison* c, int i) {
   return still > COARSE * c->intervals;
 }
 
-/* Return the deviance of a misfit of m intervals without log det S. */
-static double student(int m, double misfit) {
-  const double freedom = FREEDOM * (m - 3);
-  return (freedom + m) * log(1 + misfit / freedom);
+/* Return the deviance of a misfit of a row without log det S. */
+static double student(const struct sides* s, double misfit) {
+  return (s->freedom + s->m) * log(1 + misfit / s->freedom);
 }
 
 /* Find the slope that a velocity follows, which does not follow its own, not even late, and is not noise alone; s: its
  * factorised row. */
 static struct fjr_wiring_fault wrong_velocity(const struct fjr_comparison* c, int i, struct sides* s) {
-  const int m = c->intervals, j = i % N, first = i - j;
+  const int m = s->m, j = i % N, first = i - j;
   struct fjr_wiring_fault fault = {.count = 0};
-  double left[N], late[INTERVALS];
-  double own = student(m, distance(s->S, m, s->y, 1, s->x));
-  own = fmin(own, student(m, distance(s->S, m, s->y, 0, s->x)) + CLEARER); /* all is noise */
+  double left[N], late[INTERVALS], slope[MOTION];
+  double own = student(s, distance(s->S, m, s->y, 1, s->x));
+  own = fmin(own, student(s, distance(s->S, m, s->y, 0, s->x)) + CLEARER); /* all is noise */
   int k = 0, clear = 1;
   for (int other = 0; other < N; ++other) {
-    const double *slope = c->slope[first + other], sign = other == j ? -1 : 1;
+    const double sign = other == j ? -1 : 1;
+    slow_motion(c, c->slope[first + other], slope);
     left[other] = is_coarse(c, first + other) ? (double)INFINITY : distance(s->S, m, s->y, sign, slope);
     if (left[other] < left[k]) k = other;
   }
   for (int other = 0; other < N; ++other) clear &= other == k || left[other] > left[k] + CLEARER;
   for (int lag = 1; lag <= LAGS; ++lag) { /* such as a filter's: 100 times rarer */
-    delayed(late, s->x, m, lag, s->y[0]);
-    own = fmin(own, student(m, distance(s->S, m, s->y, 1, late)) + CLEARER);
+    delayed(late, c->slope[i], c->intervals, lag, c->dq[i][0]);
+    slow_motion(c, late, slope);
+    own = fmin(own, student(s, distance(s->S, m, s->y, 1, slope)) + CLEARER);
   }
   if (!(c->full || clear) || !(left[k] < FOLLOWS * m)) return fault;
-  if (!(own - student(m, left[k]) > EVIDENCE)) return fault;
+  if (!(own - student(s, left[k]) > EVIDENCE)) return fault;
   fault.kind = k == j ? FJR_VELOCITY_SIGN : FJR_VELOCITY_OF_ANOTHER;
   fault.side = i >= N, fault.count = 1 + (k != j), fault.joint[0] = j;
   if (k != j) fault.joint[1] = k;
@@ -72,15 +72,15 @@ static struct fjr_wiring_fault wrong_velocity(const struct fjr_comparison* c, in
  * is suspected, -1 if S is not positive definite. known: it is right. */
 static int judge_row(struct fjr_wiring* w, int row, struct sides* s, int known) {
   struct fjr_comparison* c = &w->comparison;
-  const double log_det = factorised(s->S, c->intervals), misfit = distance(s->S, c->intervals, s->y, 1, s->x);
-  const double against = distance(s->S, c->intervals, s->y, -1, s->x) - misfit;
+  const double log_det = factorised(s->S, s->m), misfit = distance(s->S, s->m, s->y, 1, s->x);
+  const double against = distance(s->S, s->m, s->y, -1, s->x) - misfit;
   if (!isfinite(log_det + misfit)) return -1;
   if (row < 2 * N) {
-    c->misfit[row] = misfit, c->deviance[row] = student(c->intervals, misfit) + log_det;
-    c->squares[row] = squares(s, c->intervals);
+    c->misfit[row] = misfit, c->deviance[row] = student(s, misfit) + log_det;
+    c->squares[row] = squares(s, s->m);
   }
-  c->agrees[row] = c->full && against > EVIDENCE && misfit < FITS * c->intervals;
-  return !known && misfit > FAILS * c->intervals;
+  c->agrees[row] = c->full && against > EVIDENCE && misfit < FITS * s->m;
+  return !known && misfit > FAILS * s->m;
 }
 
 /* Evaluate all rows of the latest states as measured: right and suspected ones, and a wrong velocity; return 0 if a row
@@ -201,7 +201,7 @@ static int try_hypothesis(const struct fjr_model* m, struct fjr_comparison* c, c
         torque_row(m, c, &v, arm, row, 1, &s);
         const double log_det = factorised(s.S, count);
         misfit = distance(s.S, count, s.y, 1, s.x), ++work;
-        evidence += c->deviance[row] - (student(count, misfit) + log_det);
+        evidence += c->deviance[row] - (student(&s, misfit) + log_det);
       }
       if (own && !(misfit < FITS * count)) return work;
     }

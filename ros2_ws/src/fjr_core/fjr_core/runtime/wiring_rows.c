@@ -6,17 +6,23 @@
  *   speed   y = dq                                         x = slope of q              of links, then of motors
  *
  * y - x is Gaussian with mean 0 and covariance S: the noise of the sensors, estimated from the window, and the effect
- * of wrong parameters with the standard deviations below.
+ * of wrong parameters with the standard deviations below. The components of a row of torques are the m intervals, those
+ * of a speed are slow motion, along polynomials of time. The mean square of the rest of its y - x is the noise of each
+ * component if the slope has white noise, the position a random walk. It is more than that of a position's white noise.
  */
 #define INTERVALS FJR_INTERVALS
+#define MOTION FJR_MOTION
 #define TOLERANCE 0.15 /* relative error of inertia, stiffness, weight and torque constant */
 #define SCALE 0.08     /* relative error of a velocity */
 #define LAGS 5         /* longest delay of an effort or a velocity in samples .. */
 #define LAG 0.5        /* .. and weight of each earlier effort */
+#define LATE 0.5       /* delay of a velocity beyond whole samples */
 #define WEIGHT 0.1     /* constant torque relative to the largest weight .. */
 #define OFFSET 1e-3    /* .. and offset of an encoder [rad] */
 #define ROUNDING 0.01  /* error of the means over an interval, relative to both sides */
 #define DOUBT 1.5      /* factor on the estimated variance of noise, which is uncertain after few samples */
+#define FREEDOM 0.4    /* degrees of freedom of this estimate per fourth difference, as neighbours are correlated .. */
+#define REST 0.7       /* .. and of the noise of a speed per component of the rest, if that of the position is white */
 
 /* Signals as a hypothesis has them: encoder j of it is sign[j] times encoder from[j] as measured, likewise efforts. */
 struct wires {
@@ -30,9 +36,11 @@ struct arm {
   double coupled[INTERVALS][INTERVALS];
 };
 
-/* Both sides of a row; S: upper triangle of its covariance, then of its Cholesky factor. */
+/* Both sides of a row with m components. S: upper triangle of its covariance, then of its Cholesky factor; freedom:
+ * degrees of freedom of the estimate of noise. */
 struct sides {
-  double y[INTERVALS], x[INTERVALS], S[INTERVALS][INTERVALS];
+  int m;
+  double freedom, y[INTERVALS], x[INTERVALS], S[INTERVALS][INTERVALS];
 };
 
 /* ---- Gaussian rows ---------------------------------------------------------------------------------------------- */
@@ -106,6 +114,27 @@ static double noise_of(const double* values, int states) {
   return DOUBT * (sum / (states - 4)) / 70;
 }
 
+/* Write orthonormal polynomials of time (Gram) by their recurrence. */
+static void take_polynomials(struct fjr_comparison* c) {
+  const double m = c->intervals;
+  double before = 0;
+  fill(c->motion[0], 1 / sqrt(m), c->intervals);
+  for (int order = 1; order < MOTION; ++order) {
+    const double *last = c->motion[order - 1], *older = c->motion[order > 1 ? order - 2 : 0];
+    const double norm = order / 2.0 * sqrt((m * m - order * order) / (4.0 * order * order - 1));
+    for (int k = 0; k < c->intervals; ++k)
+      c->motion[order][k] = ((k - (m - 1) / 2) * last[k] - before * older[k]) / norm;
+    before = norm;
+  }
+}
+
+/* Write the components of x along the polynomials. */
+static void slow_motion(const struct fjr_comparison* c, const double* x, double* to) {
+  fill(to, 0, MOTION);
+  for (int order = 0; order < MOTION; ++order)
+    for (int k = 0; k < c->intervals; ++k) to[order] += c->motion[order][k] * x[k];
+}
+
 /* Means and slopes of the latest states. */
 static void take_signals(const struct fjr_wiring* w, struct fjr_comparison* c) {
   const int states = w->count < FJR_WINDOW ? (int)w->count : FJR_WINDOW, m = states - 1;
@@ -114,6 +143,7 @@ static void take_signals(const struct fjr_wiring* w, struct fjr_comparison* c) {
   for (int k = 0; k < states; ++k) at[k] = (int)((w->count - states + k) % FJR_WINDOW);
   for (int k = 0; k < m; ++k) h[k] = w->t[at[k + 1]] - w->t[at[k]], total += h[k];
   c->intervals = m;
+  take_polynomials(c);
   c->rate = 1 / (total / m * (total / m));
   for (int i = 0; i < 2 * N; ++i) {
     double q[FJR_WINDOW], dq[FJR_WINDOW];
@@ -264,18 +294,25 @@ static void motor_row(const struct fjr_model* m, const struct fjr_comparison* c,
 
 static void torque_row(const struct fjr_model* m, const struct fjr_comparison* c, const struct wires* v,
                        const struct arm* arm, int row, int needs_S, struct sides* s) {
+  s->m = c->intervals, s->freedom = FREEDOM * (s->m - 3);
   if (row < N)
     link_row(m, c, v, arm, row, needs_S, s);
   else
     motor_row(m, c, v, row - N, needs_S, s);
 }
 
-/* Write measured velocity and slope of encoder i with S, whose error of scale is relative to the slope. */
+/* Write slow motion of encoder i by velocity and by slope with S, whose error of scale is relative to the slope. */
 static void speed_row(const struct fjr_comparison* c, int i, struct sides* s) {
-  copy(s->y, c->dq[i], c->intervals);
-  copy(s->x, c->slope[i], c->intervals);
-  for (int a = 0; a < c->intervals; ++a) fill(s->S[a], 0, c->intervals);
-  add_product(s->S, c->intervals, SCALE * SCALE, s->x);
-  add_product(s->S, c->intervals, 1, c->change[i]);
-  add_noise(s, c->intervals, c->dq_noise[i], c->rate * c->q_noise[i]);
+  const double *y = c->dq[i], *x = c->slope[i], rounding = ROUNDING * ROUNDING / c->intervals;
+  double change[MOTION], left = 0, noise = 1e-18;
+  s->m = MOTION, s->freedom = REST * (c->intervals - MOTION);
+  slow_motion(c, y, s->y), slow_motion(c, x, s->x), slow_motion(c, c->change[i], change);
+  for (int k = 0; k < c->intervals; ++k) {
+    left += (y[k] - x[k]) * (y[k] - x[k]);
+    noise += rounding * (y[k] * y[k] + x[k] * x[k]);
+  }
+  noise += (left - MOTION * squares(s, MOTION)) / (c->intervals - MOTION);
+  for (int a = 0; a < MOTION; ++a) fill(s->S[a], 0, MOTION), s->S[a][a] = noise;
+  add_product(s->S, MOTION, SCALE * SCALE, s->x);
+  add_product(s->S, MOTION, LATE * LATE, change);
 }
