@@ -208,7 +208,7 @@ TABLE = "torsion_deflection: [0.1, 0.1], torsion_torque"
 FULL_K, BY_TORQUE = "joint_stiffness: [40.0, 1.0, 1.0, 25.0]", "measurement: {velocity: observer, motor: torque}"
 REFUSED = [
     ("cubic_stiffness: [-1.0, 0.0]", "", "'robot.cubic_stiffness' holds -1.0 N m/rad^3; expected at least 0.0"),
-    ("cubic_stiffness: [1.0]", "", "'robot.cubic_stiffness' has 1"),
+    ("cubic_stiffness: [1.0]", "", "'robot.cubic_stiffness' has length 1"),
     (f"{TABLE}: [5.0, 5.0], cubic_stiffness: [1.0, 1.0]", "", "torsion is given with a cubic stiffness"),
     (f"{TABLE}: [5.0, 5.0, 6.0, 6.0]", "", "'robot.torsion_torque' has 2 points; expected 1"),
     (f"{TABLE}: [5.0, 0.0]", "", "torsion of joint 2 is [[0.1], [0.0]]; expected increasing positive"),
