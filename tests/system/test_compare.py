@@ -118,7 +118,7 @@ def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, start: St
     assert "Traceback" not in said
     left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
     assert left
-    assert f"compare: {left} law" in fjr_here(*arguments)
+    assert f"compare: {left} of {len(QUICK['laws'])} pairs of law and robot" in fjr_here(*arguments)
 
 
 class Failing:
