@@ -41,7 +41,7 @@ from fjr_monitor.report.performance import (
 from fjr_msgs_py.console.output import finite, number, percent
 from fjr_msgs_py.console.provenance import Provenance
 
-AFTER_CONTACT = 0.5  # s; a stop in contact or so long after it names the contact
+AFTER_CONTACT = 0.5  # s
 KEEPS_UP = 0.9  # fraction of states answered in time below which a violation shows the computer, not the law
 IN_TIME = 0.99  # the same, if delay or loss is the first cause
 VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
