@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Synthesise gains for a seven-joint arm from its URDF, check the sampled loop and simulate it without ROS."""
+"""Synthesise gains for a seven-joint arm from its URDF, check the sampled loop and simulate it; needs fjr_design."""
 
 from pathlib import Path
 

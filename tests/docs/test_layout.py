@@ -84,7 +84,7 @@ LAYERS = {
 BUDGETS = {
     "fjr_core": 13_420,
     "fjr_msgs_py": 3_690,
-    "fjr_monitor": 7_650,
+    "fjr_monitor": 7_700,
     "fjr_plant": 1_420,
     "fjr_controller": 1_830,
     "fjr_design": 9_460,

@@ -113,7 +113,6 @@ REFUSED = [
     ("echo //bad//", 2, "'//bad//' is not a topic name; expected"),
     ("record /", 2, "'/' is not a topic name; expected"),
     ("watch --browser --once", 2, "--browser shows the loop until Ctrl-C; expected it without --once"),
-    ("watch --foxglove", 2, "is served by foxglove_bridge now; expected: ros2 launch foxglove_bridge"),
     ("watch --port 9000", 2, "--port is given without --browser"),
     ("watch --browser --port 70000", 2, "expected 0 to 65535"),
     ("watch --remap joint_states", 2, "expected FROM:=TO"),

@@ -96,7 +96,7 @@ def test_kept_results_are_not_run_again(folder: Path) -> None:
     text = one.read_text()
     one.write_text(text[: len(text) // 2])  # as after a full disk
     _, said = compared(folder, QUICK)
-    assert "1 law on a robot to run" in said
+    assert "1 of 3 pairs of law and robot to run" in said
     table = said[said.index("\none joint\n") :].splitlines()
     assert {"RMS error [mrad]", "peak effort"} <= {line.split("  ")[0] for line in table}
     files = ", ".join(str(folder / "runs" / "compare_mine" / f"comparison.{kind}") for kind in ("html", "json"))
@@ -118,7 +118,7 @@ def test_interrupted_comparison_keeps_finished_results(tmp_path: Path, start: St
     assert "Traceback" not in said
     left = len(QUICK["laws"]) - len(list(kept.glob("*.json")))
     assert left
-    assert f"compare: {left} law" in fjr_here(*arguments)
+    assert f"compare: {left} of {len(QUICK['laws'])} pairs of law and robot" in fjr_here(*arguments)
 
 
 class Failing:

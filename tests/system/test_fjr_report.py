@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
+import shutil
 import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
@@ -23,8 +26,10 @@ from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Columns, Shown
 from fjr_msgs_py.scenarios import library
+from nodes.harness import nanoseconds
 from system.bags import JOINT_STATE, STORE, rewritten, text_message
 from system.executables import fjr_here, scenario
+from system.shared_runs import messages
 
 pytestmark = pytest.mark.system
 STATES, ANSWERS, EFFORTS = "/joint_states", "/joint_commands", "/effort_controller/commands"
@@ -196,6 +201,90 @@ def looped(topic: str, message: Any) -> Any:
     late = stamp.nanosec > 700_000_000 or stamp.sec > 0
     again = replace(stamp, sec=0, nanosec=(stamp.nanosec - 700_000_000) % 10**9) if late else stamp
     return replace(message, header=replace(message.header, stamp=again))
+
+
+def test_a_table_holds_the_numbers_of_the_messages(run: Path, tmp_path: Path) -> None:
+    file, joints = tmp_path / "new" / "run.csv", ("shoulder", "elbow")
+    assert f"time series: {file}" in fjr_here("report", str(run), "--table", str(file))
+    with file.open(encoding="utf-8", newline="") as stream:
+        header, *lines = csv.reader(stream)
+    columns = dict(zip(header, np.array([[float(cell) for cell in line] for line in lines]).T, strict=True))
+    heard: dict[str, dict[int, Any]] = {topic: {} for topic in (STATES, ANSWERS, REFERENCE)}
+    for topic, message in messages(run, *heard):
+        heard[topic].setdefault(nanoseconds(message), message)
+    stamps = sorted(heard[STATES])[: len(lines)]  # the nodes run a moment longer than planned
+    assert len(stamps) == len(lines) > 900
+    np.testing.assert_array_equal(columns["t [s]"], (np.array(stamps) - stamps[0]) * 1e-9)
+    states = [heard[STATES][stamp] for stamp in stamps]
+    for side, suffix in (("l", ""), ("m", "_motor")):
+        for joint in joints:
+            place = list(states[0].name).index(joint + suffix)
+            for symbol, unit, sent in (("q", "rad", "position"), ("dq", "rad/s", "velocity")):
+                values = [getattr(message, sent)[place] for message in states]
+                np.testing.assert_array_equal(columns[f"{symbol}_{side}.{joint} [{unit}]"], values)
+    nothing = dict.fromkeys(joints, np.nan)
+    for symbol, unit, topic, sent, error in (
+        ("u", "N m", ANSWERS, "effort", 0.0),
+        ("q_ld", "rad", REFERENCE, "position", 1e-12),  # computed from the scenario
+        ("dq_ld", "rad/s", REFERENCE, "velocity", 1e-12),
+    ):
+        named = {stamp: dict(zip(each.name, getattr(each, sent), strict=True)) for stamp, each in heard[topic].items()}
+        for joint in joints:
+            values = np.array([named.get(stamp, nothing)[joint] for stamp in stamps])
+            known = np.isfinite(values)
+            assert known.sum() > 900
+            np.testing.assert_allclose(columns[f"{symbol}.{joint} [{unit}]"][known], values[known], rtol=0, atol=error)
+    assert {"V [J]", "H [J]", "latency [s]", *(f"external_torque.{joint} [N m]" for joint in joints)} <= {*header}
+
+    fjr_here("report", str(run), "--table", str(file.with_suffix(".parquet")))
+    table = pq.read_table(file.with_suffix(".parquet"))
+    assert table.column_names == header
+    for name, values in columns.items():
+        np.testing.assert_array_equal(table.column(name).to_numpy(), values)
+
+
+def test_a_table_is_of_one_run_and_replaces_a_file_only_by_force(run: Path, tmp_path: Path) -> None:
+    file, other = tmp_path / "run.csv", tmp_path / "run.xlsx"
+    file.write_text("mine")
+    said = fjr_here("report", str(run), "--table", str(file), code=2)
+    assert said == f"fjr: {file} exists; expected a new file, or --force\n"
+    assert file.read_text() == "mine"
+    said = fjr_here("report", str(run), "--table", str(other), code=2)
+    assert said == f"fjr: {other} is no table; expected a name that ends with .csv or .parquet\n"
+    assert "--table is of one bag; 2 are given; expected one" in fjr_here(
+        "report", str(run), str(run), "--table", str(tmp_path / "two.csv"), code=2
+    )
+    fjr_here("report", str(run), "--table", str(file), "--force")
+    assert file.read_text().startswith("t [s],")
+
+
+def test_several_runs_show_the_parameters_that_differ(run: Path, tmp_path: Path) -> None:
+    folders = [shutil.copytree(run, tmp_path / each / "two_link") for each in ("one", "two")]
+    changed, _ = library.as_run(run / "scenario.yaml", {"gains.Lambda_l": [5.0, 6.0]})
+    stiffness = "\n/**/fjr_plant:\n  ros__parameters:\n    robot: {joint_stiffness: [900.0, 800.0]}\n"
+    (folders[1] / "scenario.yaml").write_text(changed + stiffness)
+    said = fjr_here("report", *map(str, folders))
+    rows = [line.split("  ") for line in said.splitlines() if line.startswith(("parameter ", "gains.", "robot."))]
+    rows = [[cell.strip() for cell in row if cell.strip()] for row in rows]
+    given = load_scenario(run / "scenario.yaml").controller_values
+    before, soft = (str(list(given[each])) for each in ("gains.Lambda_l", "robot.joint_stiffness"))
+    assert rows == [
+        ["parameter", *map(str, folders)],
+        ["robot.joint_stiffness", soft, f"{soft}, plant: [900.0, 800.0]"],
+        ["gains.Lambda_l", before, "[5.0, 6.0]"],
+    ]
+    page = (tmp_path / "comparison.html").read_text()
+    assert f"<tr><th>gains.Lambda_l</th><td>{before}</td><td>[5.0, 6.0]</td></tr>" in page
+    assert "Parameters that differ" not in fjr_here("report", str(folders[0]))
+
+    other = tmp_path / "arm7.yaml"
+    other.write_text(library.as_run(Path(scenario("arm7")), {})[0])
+    shutil.copy(other, folders[1] / "scenario.yaml")
+    said = fjr_here("report", *map(str, folders))
+    begin = said.index("\nparameter ")
+    listed = said[begin:].strip().partition("\n\n")[0].splitlines()
+    assert len(listed) == 1 + 12 + 1
+    assert re.fullmatch(r"and \d+ more", listed[-1])
 
 
 @pytest.mark.parametrize(

@@ -249,6 +249,23 @@ def test_other_storage_and_commands_without_stamps_give_the_same_positions(
     assert any("is taken to answer the last state sent before it" in note for note in notes)
 
 
+def test_table_of_a_run_is_the_same_record_as_its_bag(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
+    run = shared_run(tmp_path_factory, "two_link")
+    scenario = load_scenario(run / "scenario.yaml")
+    output = ("--output", str(tmp_path / "reports"))  # the run is shared
+    fjr_here("report", str(run), "--table", str(tmp_path / "log.csv"), *output)
+    text, todo = written_map(tmp_path / "log.csv", scenario.joints)
+    assert FILL_IN not in text
+    assert all(line.startswith("check ") for line in todo)
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    mapping = read_map(tmp_path / "map.yaml", scenario.joints)
+    reading = Reading(mapping, 0.0, 2.0)
+    found, _ = read_record(tmp_path / "log.csv", scenario.joints, scenario.robot, reading)
+    wanted, _ = read_record(run, scenario.joints, scenario.robot, Reading(None, 0.0, 2.0))
+    for name in ("q_l", "q_m", "u"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+
+
 def test_bag_of_another_robot_is_refused(
     tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, kr300: Robot
 ) -> None:

@@ -56,8 +56,9 @@ UNIT = {
 }
 """Unit of a word; m and n alone are units only at the end of a name, where N m may be two words."""
 TIME_WORDS = {"time", "timestamp", "stamp", "t"}
-IGNORED = {"reference", "ref", "desired", "des", "setpoint", "target", "velocity", "vel", "speed", "dq", "qd"}
+IGNORED = {"reference", "ref", "ld", "desired", "des", "setpoint", "target", "velocity", "vel", "speed", "dq", "qd"}
 IGNORED |= {"acceleration", "acc", "ddq", "current", "temperature", "temp", "error", "err", "state", "status"}
+IGNORED |= {"external"}  # with a torque: an estimate of `fjr report --table`
 EFFORTS = {"torque", "effort", "tau", "trq", "u", "force", "moment"}
 POSITIONS = {"position", "pos", "angle", "q", "theta", "encoder", "enc"}
 SIDES = {MOTOR: {"motor", "rotor", "qm", "m"}, LINK: {"link", "load", "output", "secondary", "ql", "l"}}

@@ -81,7 +81,7 @@ BASELINES = (
     LawKind(
         name="lqr",
         title="LQR",
-        paper="scipy.linalg.solve_continuous_are",
+        paper="Anderson, Moore 1990",
         make=Lqr,
         tuning_rule=LqrGains.standard,
         storage="decays for small errors about one equilibrium",

@@ -6,7 +6,7 @@
 u_d and theta_d follow from the inverse dynamics of the reference (inverse_dynamics.py). A, B: the robot linearised
 about the equilibrium at one configuration. P solves A' P + P A - P B R^-1 B' P + Q = 0 and F = R^-1 B' P, which
 minimises the integral of x~' Q x~ + u~' R u~ for the linear system. V = x~' P x~ / 2 has dV/dt = -(x~' Q x~ + u~' R u~)
-/ 2 for small errors about this equilibrium; elsewhere nothing is proven.
+/ 2 for small errors about this equilibrium; elsewhere nothing is proven. (Anderson, Moore: Optimal Control, 1990)
 """
 
 from __future__ import annotations

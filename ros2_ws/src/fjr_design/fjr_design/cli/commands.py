@@ -46,7 +46,7 @@ def _drawn_plants_options(cores: str) -> Callable[[Any], Any]:
 @command()
 @click.argument("urdf", type=options.PATH)
 @click.option(
-    "--joints", type=options.names, metavar="A,B,...", default="", help="Joints to move. [default: the longest chain]"
+    "--joints", type=options.names, metavar="A,B", default="", show_default="longest chain", help="Joints to move."
 )
 @click.option("--chain", type=options.CHAIN, metavar="N", help="Number of a chain that the command has listed, from 1.")
 @click.option("--name", metavar="NAME", help="Name of the scenario. [default: of the URDF]")

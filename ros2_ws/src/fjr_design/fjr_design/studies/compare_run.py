@@ -26,7 +26,7 @@ from fjr_core.files.text_file import is_sealed, read_json, write_text
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.numerics.jit import program_digest
 from fjr_msgs_py.console.ending import Interrupted
-from fjr_msgs_py.console.output import Result, aligned, finite, plural, progress_bar, tell
+from fjr_msgs_py.console.output import Result, aligned, finite, progress_bar, tell
 from fjr_msgs_py.scenarios import library
 
 from ..batch import scenario_loop
@@ -40,7 +40,7 @@ TRACE_POINTS = 600
 SETTLED = 0.02  # of the motion; band of the settling time
 TUNING = 0.8  # of the work on a law that is tuned to uncertainties
 PAGE, RESULTS, CACHE = "comparison.html", "comparison.json", "kept"
-PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total} laws on robots, {elapsed} < {remaining}"
+PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total} pairs of law and robot, {elapsed} < {remaining}"
 QUIET = 2.0  # s until the progress bar appears
 Values = dict[str, Any]
 
@@ -116,7 +116,7 @@ def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> l
         missing.sort(key=lambda job: joints[job.robot], reverse=True)  # the longest first
         try:
             with processes(min(cores, len(missing))) as workers:
-                results |= _compute(missing, kept, workers, stop)
+                results |= _compute(missing, len(jobs), kept, workers, stop)
         except BrokenExecutor:
             raise CompareError(
                 f"a worker process died (killed or out of memory). Finished results are in {kept}; "
@@ -125,10 +125,10 @@ def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> l
     return [result for job in jobs if (result := results[job.key]) is not None]
 
 
-def _compute(missing: Sequence[Job], kept: Path, workers: Processes, stop: threading.Event) -> dict[str, Values]:
+def _compute(missing: list[Job], jobs: int, kept: Path, workers: Processes, stop: threading.Event) -> dict[str, Values]:
     results: dict[str, Values] = {}
     shares = {job.key: 0.0 for job in missing}
-    line = f"compare: {plural(len(missing), 'law on a robot', 'laws on robots')} to run"
+    line = f"compare: {len(missing)} of {jobs} pairs of law and robot to run"
     with progress_bar(line, PROGRESS, total=len(missing), desc="compare", delay=QUIET) as bar:
 
         def keep(key: str, result: Values) -> None:

@@ -51,7 +51,7 @@ def excite(**given: Any) -> Any:
 @click.option(
     "--write-map", is_flag=True, help="Write a mapping file from the column names of RECORD, and identify nothing."
 )
-@click.option("--joints", type=options.names, metavar="A,B,...", default="", help="Joints to identify. [default: all]")
+@click.option("--joints", type=options.names, metavar="A,B", default="", show_default="all", help="Joints to identify.")
 @click.option("--start", type=options.SINCE, metavar="S", default=0.0, help="Skip the first S seconds of each record.")
 @duration_option("Duration in seconds of each record. [default: all]")
 @click.option(
@@ -62,7 +62,11 @@ def excite(**given: Any) -> Any:
 @click.option("--link-inertia", is_flag=True, help="Correct mass and inertia of the links, near those of the URDF.")
 @click.option("--static-friction", is_flag=True, help="Identify static friction.")
 @click.option(
-    "--position-torque", metavar="JOINT", default="", help="Joint with a torque that depends on its position."
+    "--position-torque",
+    metavar="JOINT",
+    default="",
+    show_default=False,
+    help="Joint with a torque that depends on its position.",
 )
 @output_option("Folder for robot.yaml, identification.json and the page.", "identified")
 def identify(**given: Any) -> Any:

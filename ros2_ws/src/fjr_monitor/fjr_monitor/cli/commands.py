@@ -25,14 +25,12 @@ from fjr_msgs_py.console.options import (
 @click.argument("bags", nargs=-1, required=True, metavar="BAG...", type=options.PATH)
 @click.option("--scenario", metavar="NAME", help="Scenario of the robot: a name or a file. [default: next to the bag]")
 @output_option("Folder for the reports. [default: next to the bag]")
-@click.option(
-    "--namespace",
-    metavar="NS",
-    default="",
-    show_default=False,
-    help="Namespace of the nodes, if the bag holds several.",
-)
+@click.option("--namespace", metavar="NS", default="", show_default=False, help="Namespace, if a bag has several.")
 @film_option
+@click.option(
+    "--table", "series", type=options.PATH, metavar="FILE", help="Write the time series as a table, .csv or .parquet."
+)
+@click.option("--force", is_flag=True, help="Replace an earlier table.")
 def report(**given: Any) -> Any:
     """Write pages and figures from bags of any robot.
 
@@ -105,7 +103,6 @@ def play(**given: Any) -> Any:
     help="Remap a topic, e.g. joint_states:=/robot/joint_states; may be repeated.",
 )
 @click.option("--browser", is_flag=True, help="Show the arm in 3D on a page of this computer.")
-@click.option("--foxglove", is_flag=True, hidden=True, help="Served by foxglove_bridge now.")
 @click.option("--port", type=options.PORT, metavar="N", help="Port of the page; 0: any free one. [default: 0]")
 @json_lines
 def watch(**given: Any) -> Any:

@@ -69,12 +69,14 @@ def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
         yield from _of_side(seen, j, LINK, j)
         yield from _of_side(seen, j, MOTOR, n + j)
         yield from _of_spring(seen, j)
-        yield from _of_motor(seen, j)
+        gain = seen.placed({n + j: seen.u[:, j] * seen.robot.B_m[j, j]})
+        yield Hypothesis("torque constant", j, MOTOR, "%", gain, lambda fitted: 100 * float(fitted[0]))
+        yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({n + j: -seen.ddq[:, n + j]}))
         yield from _of_body(seen, j)
 
 
 def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
-    """Return constant torque, frictions and position offset of one side of a joint."""
+    """Return constant torque and frictions of one side of a joint; offset, gain, eccentricity, drift of its encoder."""
     dq, damping = seen.dq[:, channel], (seen.robot.D_l if side == LINK else seen.robot.D_m)[j, j]
 
     def at_least(least: float) -> Callable[[Array], float | None]:
@@ -84,11 +86,6 @@ def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypot
     coulomb = seen.placed({channel: -np.tanh(dq / SMOOTHING)})
     yield Hypothesis("Coulomb friction", j, side, "N m", coulomb, at_least(0.0))
     yield Hypothesis("viscous friction", j, side, "N m s/rad", seen.placed({channel: -dq}), at_least(-damping))
-    yield from _of_encoder(seen, j, side, channel)
-
-
-def _of_encoder(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
-    """Return offset, gain, eccentricity and drift of the encoder on one side of a joint."""
     q, dq = seen.found.states[:, :, channel], seen.found.states[:, :, 2 * seen.robot.n + channel]
     one = np.ones_like(q)
     t = np.cumsum(seen.found.dt)[:, None] * one
@@ -112,14 +109,6 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
         torque = -np.clip(zeta, -half, half) * k
         columns, play = seen.placed({j: torque, n + j: -torque}), 2 * float(half)
         yield Hypothesis("backlash", j, JOINT, "rad", columns, lambda _, play=play: play, lambda A, c: np.ones(1))  # type: ignore[misc]
-
-
-def _of_motor(seen: Residuals, j: int) -> Iterator[Hypothesis]:
-    """Return torque constant and inertia of the motor."""
-    channel, given = seen.robot.n + j, seen.u[:, j] * seen.robot.B_m[j, j]
-    gain = seen.placed({channel: given})
-    yield Hypothesis("torque constant", j, MOTOR, "%", gain, lambda fitted: 100 * float(fitted[0]))
-    yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({channel: -seen.ddq[:, channel]}))
 
 
 def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:

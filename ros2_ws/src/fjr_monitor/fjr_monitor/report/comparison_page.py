@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from fjr_core.config.scenario import Scenario
 from fjr_core.model.robot import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
@@ -23,13 +24,14 @@ from fjr_monitor.report import html
 from fjr_monitor.report.html import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_monitor.report.metrics import Report
 from fjr_monitor.report.shown import PAGE, RunSummary
-from fjr_msgs_py.console.output import number
+from fjr_msgs_py.console.output import DASH, number
 
 SAME = 0.2  # largest relative difference of two settling times that count as equal
 COLOURED = {"holding": "ok", "degraded": "maybe", "violated": "no", "unknown": "maybe", "late": "maybe"}
 POINTS = 240  # of a distribution curve
 SHORTEST = 1e-3  # ms
 TRANSIENT = 0.6  # s
+DIFFERING, LONGEST = 12, 80  # parameters that differ, characters of a value
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,26 @@ def write_comparison(path: Path, runs: Sequence[RunSummary], claim: Claim | None
     notes = [f"{run.label}: {note}" for run in runs for note in (*run.notes, *run.report.missing)]
     title = claim.title if claim and claim.title else labels
     given: dict[str, Any] = {"labels": labels, "claim": claim, "runs": runs, "links": links, "colours": COLOURED}
+    given["differences"] = differences(runs)
     html.write_page(path, "runs.html", title, plots, notes=notes, **given)
+
+
+def differences(runs: Sequence[RunSummary]) -> list[tuple[str, ...]]:
+    """Return name and value in each run of the parameters that differ; the last row counts those after DIFFERING."""
+    scenarios = [run.data.run.scenario for run in runs]
+    names = dict.fromkeys(name for each in scenarios for name in (*each.controller_values, *each.plant_values))
+    rows = [(name, *(_value(each, name) for each in scenarios)) for name in names]
+    rows = [row for row in rows if len(set(row[1:])) > 1]
+    shown = [tuple(cell[:LONGEST] for cell in row) for row in rows[:DIFFERING]]
+    more = len(rows) - len(shown)
+    return [*shown, (f"and {more} more", *("" for _ in runs))] if more else shown
+
+
+def _value(scenario: Scenario, name: str) -> str:
+    """Return the value of a parameter, of both nodes if it differs between them; a dash if the scenario has none."""
+    nodes = scenario.controller_values, scenario.plant_values
+    found = [list(value) if isinstance(value := values[name], tuple) else value for values in nodes if name in values]
+    return ", plant: ".join(dict.fromkeys(" ".join(str(value).split()) for value in found)) or DASH
 
 
 def side_by_side_plots(runs: Sequence[RunSummary]) -> list[Plot]:

@@ -25,6 +25,9 @@ from fjr_core.numerics.checks import Array
 from fjr_msgs_py.console.output import milliseconds, number, percent, sentence
 from fjr_msgs_py.console.provenance import provenance, without_home
 
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 DRAWN = 4000  # points of a line; longer lines are decimated to the minimum and maximum of each bucket
 STORED = 40_000  # values of all lines of a plot, so that pages of many joints stay small
 DRAWABLE = 1e12  # larger magnitudes are not drawn
@@ -194,10 +197,6 @@ def drawable(values: Array, log: bool = False) -> Array:
     """Return the values with NaN for those that an axis cannot show: huge ones, and on a log axis those <= 1e-37."""
     good = (np.abs(values) < DRAWABLE) & ((values > 1e-37) | (not log))
     return np.where(good, values, np.nan)
-
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 
 class AssetError(FjrError):

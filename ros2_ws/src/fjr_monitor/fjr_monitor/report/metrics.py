@@ -162,13 +162,6 @@ class Report:
         write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
 
 
-def _in_contact(stop: ControllerStop, touched: Contact | None) -> ControllerStop:
-    """Return a stop, with the contact that began before it and ended less than AFTER_CONTACT ago, in its reason."""
-    if touched is None or not touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
-        return stop
-    return replace(stop, reason=f"{stop.reason}; {touched.sentence}")
-
-
 class Metrics:
     """What is known of a run once all its parts were read twice: first what the second reading depends on.
 
@@ -226,7 +219,9 @@ class Metrics:
         """Return the report of `duration` seconds of stamped time; more: fields that the bag does not hold."""
         run, verdict, law = self.run, self.verdict(), self.run.scenario.certified_law
         joints = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
-        touched = contact(run, law, joints) if joints and law else None
+        stop, touched = run.stop, contact(run, law, joints) if joints and law else None
+        if stop and touched and touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
+            stop = replace(stop, reason=f"{stop.reason}; {touched.sentence}")
         lost = {topic: each.lost for topic, each in sorted(run.bag.topics.items())}
         versions: dict[str, str] = {}
         for each in VERSIONS:
@@ -239,7 +234,7 @@ class Metrics:
             lockstep=run.lockstep,
             bag=str(run.bag.path),
             bag_complete=run.bag.complete,
-            stop=run.stop and _in_contact(run.stop, touched),
+            stop=stop,
             verdict=verdict,
             contact=touched,
             missing=(*run.bag.notes, *run.notes),

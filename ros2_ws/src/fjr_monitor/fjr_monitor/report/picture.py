@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -42,11 +41,6 @@ STYLE = {
 }
 
 
-def can_draw() -> bool:
-    """Return whether Matplotlib is installed."""
-    return find_spec("matplotlib") is not None
-
-
 def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> Path | None:
     """Write a figure of this size [inch] that `draw` fills; return its path, or None and say so without Matplotlib."""
     try:
@@ -54,8 +48,7 @@ def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure]
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        missing = "Matplotlib is not installed; expected it from: pip install matplotlib"
-        tell(f"{path} is left out: {missing}")
+        tell(f"{path} is left out: Matplotlib is not installed; expected it from: pip install matplotlib")
         return None
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")

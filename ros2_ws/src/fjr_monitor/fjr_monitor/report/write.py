@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import os
 import tempfile
@@ -11,6 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +22,13 @@ import numpy as np
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import FjrError, RecordError
 from fjr_core.files import importing
-from fjr_core.files.text_file import read_json
+from fjr_core.files.text_file import read_json, whole_file
 from fjr_monitor.recording.bag import Bag, bag_folder, read_bag
 from fjr_monitor.recording.files import files_of
 from fjr_monitor.recording.run import Recording
-from fjr_monitor.report.comparison_page import Claim, write_comparison
+from fjr_monitor.report.comparison_page import Claim, differences, write_comparison
 from fjr_monitor.report.metrics import Metrics, Report
-from fjr_monitor.report.picture import can_draw, write_picture
+from fjr_monitor.report.picture import write_picture
 from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
@@ -36,6 +39,7 @@ from fjr_msgs_py.scenarios import library
 
 SCENARIO, COMPARISON = "scenario.yaml", "comparison.html"
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
+CSV, PARQUET = TABLES = ".csv", ".parquet"
 LARGE = 50e6  # bytes: reading a larger bag is announced
 KNOWN: dict[str, Any] = {
     "scenario": str,
@@ -64,7 +68,8 @@ def report_run(
     scenario, bag = load_scenario(folder / SCENARIO, user_code=False), read_bag(folder / "bag")
     known = {"not_recorded": dict(skipped or {}), "failure": failure, "provenance": provenance()}
     summary = report_bag(name, bag, scenario, folder, duration, pages, **known)
-    if pages and can_draw() and summary.data.metrics.energy_known and summary.data.metrics.efforts_known:
+    metrics = summary.data.metrics
+    if pages and find_spec("matplotlib") and metrics.energy_known and metrics.efforts_known:
         draw = partial(draw_overview, name, summary.data, summary.report)
         with without_warnings():
             write_with_fallback(summary.folder, lambda place: write_picture(place / "overview.png", (14.0, 8.0), draw))
@@ -106,6 +111,32 @@ def compare(summaries: Sequence[RunSummary], folder: Path, claim: Claim | None =
     with without_warnings():
         written = write_with_fallback(folder, lambda place: write_comparison(place / COMPARISON, summaries, claim))
     return written / COMPARISON
+
+
+def check_table(file: Path, force: bool) -> None:
+    """Raise RecordError for a file of another kind than TABLES and, without force, for one that exists."""
+    if file.suffix not in TABLES:
+        raise RecordError(f"{file} is no table; expected a name that ends with {' or '.join(TABLES)}")
+    if file.exists() and not force:
+        raise RecordError(f"{file} exists; expected a new file, or --force")
+
+
+def write_table(run: Recording, file: Path) -> None:
+    """Write the time series of a run, with a row for each state; raises MissingPackageError without pyarrow."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(file) as scratch, without_warnings():
+        if file.suffix == CSV:
+            with scratch.open("w", encoding="utf-8", newline="") as stream:
+                writer = csv.writer(stream, lineterminator="\n")
+                for number, columns in enumerate(run.time_series()):
+                    writer.writerows([] if number else [columns])
+                    writer.writerows(np.column_stack(list(columns.values())).tolist())
+            return
+        tables = map(importing.module("pyarrow").table, run.time_series())
+        first = next(tables)
+        with importing.module("pyarrow.parquet").ParquetWriter(scratch, first.schema, compression="zstd") as writer:
+            for each in chain([first], tables):
+                writer.write_table(each)
 
 
 def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
@@ -192,15 +223,23 @@ def _number(value: float | None, form: str) -> str:
 
 
 def report(
-    bags: Sequence[Path], scenario: str | None, output: Path | None, namespace: str, film: Path | None = None
+    bags: Sequence[Path],
+    scenario: str | None,
+    output: Path | None,
+    namespace: str,
+    film: Path | None = None,
+    series: Path | None = None,
+    force: bool = False,
 ) -> Result:
     """Report each bag, and compare them if there are several; the result has failed if any bag failed.
 
     scenario: of the robot; None: that next to each bag. output: folder of the reports; None: next to each bag.
-    film: file of a moving picture of the only bag.
+    film, series: files of a moving picture and of the time series of the only bag. force: series may exist.
     """
-    if film is not None and len(bags) > 1:
-        raise RecordError(f"--film shows one bag; {len(bags)} are given; expected one")
+    if (film or series) and len(bags) > 1:
+        raise RecordError(f"{'--film shows' if film else '--table is of'} one bag; {len(bags)} are given; expected one")
+    if series is not None:
+        check_table(series, force)
     if film is not None:
         importing.module("fjr_engines.film").check(film)
     summaries: list[RunSummary] = []
@@ -226,6 +265,8 @@ def report(
         raise RecordError(failures[-1])
     if film is not None:
         importing.module("fjr_engines.film").film(summaries[0].data, film)
+    if series is not None:
+        write_table(summaries[0].data.run, series)
     names = [each.label for each in summaries]  # or the folder if two runs have the same scenario
     summaries = [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
     missing = [f"{each.label}: {note}" for each in summaries for note in each.report.missing]
@@ -235,8 +276,11 @@ def report(
     if len(summaries) > 1:
         common = Path(os.path.commonpath([each.folder.resolve().parent for each in summaries]))
         page = compare(summaries, output or common)
-    lines = [table(summaries), output_paths(summaries), *([f"side by side: {page}"] if page else [])]
-    values = {"runs": [each.values for each in summaries], "comparison": page, "failures": failures}
+    rows = differences(summaries)
+    differ = ["", *aligned([("parameter", *(each.label for each in summaries)), *rows])] if rows else []
+    more = [f"{what}: {file}" for what, file in (("time series", series), ("side by side", page)) if file]
+    lines = [table(summaries), *differ, output_paths(summaries), *more]
+    values = {"runs": [each.values for each in summaries], "comparison": page, "table": series, "failures": failures}
     return Result("\n".join(lines), values, Exit.FAILED if failures else Exit.DONE)
 
 

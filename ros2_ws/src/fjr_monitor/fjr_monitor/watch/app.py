@@ -49,7 +49,6 @@ FRAME = 0.04  # s between updates of a browser
 PLAIN_PERIOD = 1.0  # s between updates of other outputs
 LOOK = 1.0  # s between queries of the ROS graph
 PATIENCE = 2.0  # s until a notice that it is waiting
-FOXGLOVE = "ros2 launch foxglove_bridge foxglove_bridge_launch.xml"
 
 
 def watch(
@@ -60,7 +59,6 @@ def watch(
     timeout: float,
     remaps: tuple[str, ...],
     browser: bool,
-    foxglove: bool,
     port: int | None,
     as_json: bool,
 ) -> None:
@@ -69,8 +67,6 @@ def watch(
     scenario: source of effort limits and of the arm in 3D; None: the robot description. once: show one view, after at
     most `timeout` [s], or raise TopicError. port: of the page in the browser; None or 0: any free one.
     """
-    if foxglove:
-        raise UsageError(f"--foxglove is served by foxglove_bridge now; expected: {FOXGLOVE}")
     if browser and (once or as_json):
         raise UsageError(f"--browser shows the loop until Ctrl-C; expected it without {'--once' if once else '--json'}")
     if port is not None and not browser:
@@ -94,12 +90,9 @@ def _known(scenario: str) -> tuple[dict[str, float], str, Mapping[str, float]]:
     """Return the effort limits [N m] by joint, the URDF and the positions of locked joints [rad, m] of a scenario."""
     loaded = library.load(scenario, robot_only=True)
     values, efforts = loaded.controller_values, loaded.settings.effort
-    limits = zip(loaded.joints, np.asarray(efforts).tolist(), strict=True)
-    return (
-        {joint: limit for joint, limit in limits if np.isfinite(limit)},
-        description(values),
-        locked_positions(values),
-    )
+    pairs = zip(loaded.joints, np.asarray(efforts).tolist(), strict=True)
+    limits = {joint: limit for joint, limit in pairs if np.isfinite(limit)}
+    return limits, description(values), locked_positions(values)
 
 
 class _Display:

@@ -49,12 +49,8 @@ CERTIFICATE = (  # published label, displayed name, unit
 
 def render(view: View, width: int = WIDE) -> RenderableType:
     """Render the whole view; below WIDE characters without velocities and deflections."""
-    parts: list[RenderableType] = [
-        _header(view),
-        _joints(view.joints, width >= WIDE),
-        _certificate(view),
-        _health(view),
-    ]
+    joints = _joints(view.joints, width >= WIDE)
+    parts: list[RenderableType] = [_header(view), joints, _certificate(view), _health(view)]
     if view.events:
         parts.append(_events(view))
     if view.missing:
