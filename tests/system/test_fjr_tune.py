@@ -67,7 +67,7 @@ def test_tuned_gains_are_better_on_fresh_draws_and_keep_the_constraints(folder: 
     assert found["success"]["tuned"] >= 0.9
     assert found["figures"]["effort_peak"]["tuned_50%"] <= 27.0
     assert set(json.JSONDecoder().raw_decode(said[said.index("{") :])[0]) == documented_keys()["tune"]
-    written = load_scenario(place / "tuned.yaml")
+    written = load_scenario(place / "joint_v_dpbc.yaml")
     for name, value in found["parameters"].items():
         assert list(written.controller_values[name]) == pytest.approx(value, rel=1e-12)
     assert set(found["factors"]) == set(found["parameters"])
@@ -97,7 +97,7 @@ def test_a_search_that_was_cut_off_ends_with_the_same_result_on_another_number_o
     shown = fjr_here("tune", str(study), "--cores", "1", "--output", str(folder / "other"))
     start = {"scenario": "the scenario", "rule": "the rule of equal bandwidth"}[result(folder)["start"]]
     assert f"factors on the gains of {start}:" in shown
-    assert f"scenario with these gains: {other / 'tuned.yaml'}" in shown
+    assert f"scenario with these gains: {other / 'joint_v_dpbc.yaml'}" in shown
     assert "constraints are violated" not in shown
     assert {part: part.stat().st_mtime_ns for part in kept} == kept
     for name in ("table.parquet", "result.json"):
@@ -107,7 +107,8 @@ def test_a_search_that_was_cut_off_ends_with_the_same_result_on_another_number_o
 def test_a_scenario_is_tuned_for_the_usual_uncertainties_also_with_another_law(folder: Path) -> None:
     size = ["--candidates", "6", "--draws", "4", "--fresh", "8", "--duration", "1.2"]
     fjr_here("tune", "paper_k31", "--law", "backstepping", *size, "--output", str(folder))
-    written = load_scenario(folder / "paper_k31_backstepping" / "tuned.yaml")
+    written = load_scenario(folder / "paper_k31_backstepping" / "paper_k31_backstepping.yaml")
+    assert written.name == "paper_k31_backstepping"  # a run of it, runs/NAME, is no folder of studies
     assert written.controller_values["law.type"] == "backstepping"
     assert written.controller_values["law.tuned"] is False
     assert len(written.controller_values["law.gain_factors"]) == 2

@@ -157,7 +157,7 @@ def tune(
 
 
 def _shown(tuned: Tuned, folder: Path) -> Result:
-    scenario = folder / "tuned.yaml"
+    scenario = folder / f"{folder.name}.yaml"
     values = tuned.study.coordinates.values(tuned.found.chosen)
     write_text(scenario, tuned.study.sweep.scenario_text)
     write_text(scenario, library.as_run(scenario, values)[0])
