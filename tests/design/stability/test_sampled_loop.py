@@ -16,6 +16,7 @@ from fjr_core.law.linearized import equilibria_at, plant_matrices
 from fjr_core.model.configuration_sampling import sample_configurations
 from fjr_core.stability.linearization import closed_form, linearize, spectral_radius
 from fjr_design.stability.sampled_loop import check
+from fjr_msgs_py.scenarios import library
 from fuzzing import refused
 
 SAMPLES = 400  # of a simulated run: 0.98^400 = 3e-4, 1.02^400 = 3e3
@@ -294,3 +295,17 @@ def test_invalid_arguments_are_refused(arguments: dict[str, object], words: tupl
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
     for call in (check, spectral_radius):
         refused(fjr.StateError, lambda call=call: call(law, **{"sample_period": 1e-3, **arguments}), *words)
+
+
+def test_a_delay_in_ms_taken_for_one_in_s_is_refused_at_once() -> None:
+    law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+    refused(fjr.StateError, lambda: check(law, 1e-3, 1.0), "delay is 1 s", "at most 64 samples of 0.001 s")
+
+
+def test_an_unstable_late_loop_of_seven_joints_is_checked_at_few_configurations() -> None:
+    arm = library.load("arm7", [])
+    found = check(arm.law, arm.sample_period, 10 * arm.sample_period, plant=arm.plant)
+    assert not found.stable
+    assert found.configurations < 64
+    in_time = check(arm.law, arm.sample_period, plant=arm.plant, lowest_rate=False)
+    assert found.delay_margin == pytest.approx(in_time.delay_margin, abs=0.02)

@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fjr_core.errors import StateError
 from fjr_core.law.interfaces import SampledLaw, StaticLaw, check_law, static_part
 from fjr_core.law.linearized import Equilibria, Indices, equilibria_at, plant_matrices
 from fjr_core.law.vdpbc import TrackingLaw
@@ -43,7 +44,8 @@ WITHIN = 0.02  # samples below the delay margin, and fraction above the lowest r
 MOST_STATES = 64  # of plant and delayed efforts: limits the delay at which all configurations are checked
 WITH_STATE = 8  # configurations, about, at which a controller with a state is checked: the worst of the static loop
 RATES_WITH_STATE = 3  # the first of these, at which the lowest stable rate is searched
-MOST_LATE = 5.0  # samples; largest delay at which the worst configurations are selected
+LATEST = 64  # samples; largest delay that is checked
+MOST_LATE = 5.0  # samples; largest delay at which the worst configurations of an unstable loop are selected
 ROUNDS = 8  # checks of all configurations
 HIGHEST_RATE = 1e5  # Hz; highest sample rate considered
 LOWEST_RATE = 1.0  # Hz
@@ -96,9 +98,11 @@ def check(
     Of more than 48 configurations the closed form of the static loop selects the worst, at which margins are searched.
     A static loop is then checked at all of them just within the margins, for delays up to MOST_STATES states. A loop
     with a controller state is checked only at about WITH_STATE of the worst.
-    Raises StateError for a sample period that is not positive, a negative delay and wrong shapes.
+    Raises StateError for a sample period that is not positive, a negative delay or one over LATEST, and wrong shapes.
     """
     checked_times(sample_period, delay)
+    if delay > LATEST * sample_period:
+        raise StateError(f"the loop's delay is {delay:g} s; expected at most {LATEST} samples of {sample_period:g} s")
     check_law(law)
     q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
     below = static_part(law)
@@ -121,14 +125,17 @@ def _of_many(
     law: TrackingLaw, everywhere: SampledLoop, plant: Plant, sample_period: float, delay: float, lowest_rate: bool
 ) -> SampledCheck:
     """Check a static loop at the worst configurations of its closed form and at those that violate its margins."""
-    q_l, few = everywhere.configurations, everywhere.critical(sample_period, delay, KEPT)
+    q_l, late = everywhere.configurations, delay
+    if everywhere.at(np.arange(1)).radii(sample_period, delay)[0] >= 1:
+        late = min(delay, MOST_LATE * sample_period)
+    few = everywhere.critical(sample_period, late, KEPT)
     for _ in range(ROUNDS):
         found = _checked(linearize(law, q_l[few], plant), sample_period, delay, lowest_rate)
         missed = np.setdiff1d(_unstable(everywhere, found), few)
         if not len(missed):
             break
         few = np.append(few, missed)
-    return replace(found, configurations=len(q_l))
+    return replace(found, configurations=len(q_l) if late == delay else len(few))
 
 
 def _worst_of(everywhere: SampledLoop, found: SampledCheck) -> Indices:
