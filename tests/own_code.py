@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import sys
+import time
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -96,6 +99,28 @@ class Counts(Pd):
         return np.full(self.robot.n, 1e-9 * self.calls)
 
 
+class Complex(Pd):
+    """Returns a complex effort."""
+
+    def effort(self, position: Array, velocity: Array, jets: Array) -> Array:
+        return super().effort(position, velocity, jets) + 0.1j  # type: ignore[return-value]
+
+
+class Exits(Pd):
+    """Ends the process."""
+
+    def effort(self, position: Array, velocity: Array, jets: Array) -> Array:
+        sys.exit("enough")
+
+
+class Slow(Pd):
+    """Takes 3 ms."""
+
+    def effort(self, position: Array, velocity: Array, jets: Array) -> Array:
+        time.sleep(3e-3)
+        return super().effort(position, velocity, jets)
+
+
 class NotFinite(Pd):
     """Returns no finite effort."""
 
@@ -185,6 +210,16 @@ class PlantFails(Ideal):
         if x[self.robot.n] > 0.7:
             raise ValueError("too far")
         return super().derivative(x, u)
+
+
+class PlantCounts(Ideal):
+    """Depends on the number of its calls."""
+
+    calls = 0
+
+    def derivative(self, x: Array, u: Array) -> Array:
+        self.calls += 1
+        return super().derivative(x, u) + 1e-9 * self.calls
 
 
 class OtherVelocities(Ideal):

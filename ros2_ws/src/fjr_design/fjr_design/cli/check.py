@@ -106,11 +106,15 @@ def check(scenario: Scenario) -> Check:
     lowest, at = found.lowest_stable_rate, as_list(found.configuration)
     start = hard_start(scenario)
     start_error = _start_error(scenario, start) if start else ""
-    diverging = [f"scenario {scenario.name}: {start_error}"] if start and start.diverges else []
+    faults = [start_error] if start and start.diverges else []
+    time, period = 1e6 * _time_in_python(scenario), 1e6 * found.sample_period
+    faults += [f"the law takes {time:.0f} us; expected less than a sample of {period:.0f} us"] if time > period else []
+    faults = [f"scenario {scenario.name}: {fault}" for fault in faults]
     rows = {
         "scenario": f"{scenario.name}: {', '.join(scenario.joints)}; {1 / found.sample_period:g} Hz",
         **_in_the_loop(scenario),
         **rates,
+        **({"evaluated": f"in Python, {time:.0f} us a sample"} if time else {}),
         **_springs(scenario),
         **({"start error": start_error} if start_error else {}),
         "spectral radius": f"{found.spectral_radius:.6f}, the worst of {plural(found.configurations, 'configuration')}",
@@ -123,7 +127,7 @@ def check(scenario: Scenario) -> Check:
         **_start(scenario),
         "as sampled": "stable" if found.stable else "UNSTABLE",
     }
-    heavy = [f"weight {rows['weight']}: the arm cannot hold it"] if "BEYOND" in rows.get("weight", "") else []
+    faults += [f"weight {rows['weight']}: the arm cannot hold it"] if "BEYOND" in rows.get("weight", "") else []
     values = {
         "scenario": scenario.name,
         "stable": found.stable,
@@ -132,7 +136,7 @@ def check(scenario: Scenario) -> Check:
         "lowest_stable_rate_hz": lowest,
         "sample_period_s": found.sample_period,
         **{"beta_per_s": None, "beta_is_proven": False, "beta_attained_per_s": None, **numbers},
-        "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *diverging, *heavy],
+        "warnings": [*scenario.warnings, *scenario.motion_warnings, *scenario.robot_warnings, *faults],
         "refused": refusal(scenario, found) or None,
     }
     return Check(rows, values, failed=values["refused"] is not None)
@@ -231,13 +235,16 @@ def _other_law(scenario: Scenario) -> dict[str, str]:
             f"natural frequency {found.omega:.4g} rad/s, damping ratio {found.damping:.3g}: bandwidth "
             f"{found.bandwidth:.4g} rad/s, peak effort {found.peak:.4g}; {found.sentence}"
         )
-    if scenario.law.in_python:
-        n, jets = scenario.robot.n, scenario.reference.jets(0.0)
-        position, velocity = scenario.x0[: 2 * n], np.zeros(2 * n)
-        evaluate = partial(scenario.law.measured_command, position, velocity, jets)
-        time = np.median(timeit.repeat(evaluate, number=1, repeat=EVALUATIONS))
-        rows["evaluated"] = f"in Python, {1e6 * time:.0f} us a sample"
     return {**rows, "certificate": "none for this law"}
+
+
+def _time_in_python(scenario: Scenario) -> float:
+    """Return the median time [s] that an evaluation of a law in Python takes, 0 for another law."""
+    if not scenario.law.in_python:
+        return 0.0
+    n, jets = scenario.robot.n, scenario.reference.jets(0.0)
+    evaluate = partial(scenario.law.measured_command, scenario.x0[: 2 * n], np.zeros(2 * n), jets)
+    return float(np.median(timeit.repeat(evaluate, number=1, repeat=EVALUATIONS)))
 
 
 def _elsewhere(scenario: Scenario) -> dict[str, str]:
