@@ -14,6 +14,7 @@ import fjr_core as fjr
 import own_code
 from fjr_core.extensions.law_registry import law_kind
 from fjr_core.extensions.python_code import own_law, own_plant
+from fjr_core.files.importing import load, source_digest
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
@@ -94,6 +95,28 @@ def test_results_of_another_version_of_the_module_have_another_fingerprint(tmp_p
     assert len(set(fingerprints)) == 2
 
 
+def test_an_edit_of_what_the_module_imports_changes_the_digest_of_a_class(tmp_path, monkeypatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    package = tmp_path / "package_of_laws"
+    package.mkdir()
+    texts = {
+        "package_of_laws/__init__.py": "",
+        "package_of_laws/law.py": "from . import base\n\nclass Law(base.Base): pass\n",
+        "package_of_laws/base.py": "from numbers_of_laws import K_p\n\nclass Base: pass\n",
+        "numbers_of_laws.py": "K_p = 1.0\n",
+        "other_law.py": "class Other: pass\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    kind, _ = load("package_of_laws.law:Law"), load("other_law:Other")
+    before = {name: source_digest(kind) for name in ("", *texts)}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(f"{text}# edited\n")
+        before[name] = source_digest(kind)
+    assert before["other_law.py"] == before["numbers_of_laws.py"]
+    assert len(set(before.values())) == len(texts)
+
+
 FAILS = fjr.PythonLaw(own_code.Fails(JOINT), JOINT)
 FAR = fjr.Sine(1.0, 1.0), JOINT.state(0.8, 0.8, 0, 0), REACH
 PLANT_FAILS = own_plant("own_code:PlantFails", JOINT, {})
@@ -144,6 +167,9 @@ def test_ctrl_c_ends_a_study_in_python_soon() -> None:
 REFUSED = {
     "WrongShape": "u of WrongShape has shape (2,); expected (1,)",
     "Text": "u of Text is 'much'; expected numbers of shape (1,)",
+    "Complex": "u of Complex is complex; expected real numbers of shape (1,)",
+    "Counts": "u of Counts differs in a second evaluation; expected a pure function, without memory",
+    "Exits": "Exits raises SystemExit: enough (own_code.py, line",
     "NotFinite": "u of NotFinite is [inf] at rest at 0; expected finite numbers",
     "Changes": "Changes raises ValueError: output array is read-only (own_code.py, line",
     "WrongArguments": "WrongArguments.effort takes (x: ",
@@ -234,3 +260,5 @@ def test_what_is_part_of_the_plant_itself_is_refused() -> None:
             NonidealPlant(PLANT).check(Imperfections(2, **{name: 1.0}))
     with pytest.raises(fjr.ParameterError, match="'implicit_midpoint'; expected 'rk4' for the plant Ideal"):
         own_plant("own_code:Ideal", ARM, {}, "implicit_midpoint")
+    with pytest.raises(fjr.UserCodeError, match="dx of PlantCounts differs in a second evaluation; expected a pure"):
+        own_plant("own_code:PlantCounts", ARM, {})

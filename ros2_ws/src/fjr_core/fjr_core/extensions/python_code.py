@@ -23,13 +23,13 @@ from ..model.robot import Robot
 from ..motions.reference import JETS
 from ..numerics.checks import Array, floats, matrix
 from ..numerics.integrators import rk4_expression
-from ..numerics.symbolic import dense_function
 
 Shapes = Mapping[str, tuple[int, ...]]
 """Names of arguments or results with the shapes of their arrays."""
 INTEGRATOR = "rk4"
 """The only integrator of a plant in Python: an implicit one needs derivatives."""
 ARGUMENTS = ("position", "velocity", "jets")
+NEARBY = 0.1  # largest argument of the evaluation that would change a memory
 
 
 class PythonFunction(ca.Callback):
@@ -100,7 +100,7 @@ class PythonFunction(ca.Callback):
             return [checked(f"{name} of {self.name()}", value, shape) for (name, shape), value in pairs]
         except FjrError as error:
             self._failure = self._failure or error
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self._failure = self._failure or UserCodeError(f"{self.name()} raises {described(error)}; expected a value")
         return [np.nan] * len(self._outputs)
 
@@ -111,6 +111,17 @@ def checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     if array.shape != shape:
         raise UserCodeError(f"{name} has shape {array.shape}; expected {shape}")
     return array
+
+
+def _check_at_rest(name: str, evaluate: Callable[..., Array], *shapes: int | tuple[int, ...]) -> None:
+    """Raise UserCodeError unless the result is finite at rest at 0, and the same again after another evaluation."""
+    rest, rng = [np.zeros(shape) for shape in shapes], np.random.default_rng(0)
+    first = evaluate(*rest)
+    if not np.isfinite(first).all():
+        raise UserCodeError(f"{name} is {first.tolist()} at rest at 0; expected finite numbers")
+    evaluate(*(rng.uniform(0.0, NEARBY, shape) for shape in shapes))
+    if not np.array_equal(evaluate(*rest), first):
+        raise UserCodeError(f"{name} differs in a second evaluation; expected a pure function, without memory")
 
 
 def _dense(shape: tuple[int, ...]) -> ca.Sparsity:
@@ -136,7 +147,7 @@ class PythonPlant(Plant):
 
     A state after a failed evaluation is nan; `raise_failure` then raises UserCodeError. gradient and structure are
     those of the robot, eq. (36). Raises ParameterError if `own` is no OwnPlant and for another integrator, and
-    UserCodeError if it fails or is not finite at rest at 0.
+    UserCodeError if it fails, is not finite at rest at 0, or has a memory.
     """
 
     in_python = True
@@ -147,9 +158,7 @@ class PythonPlant(Plant):
             raise ParameterError(f"integrator is {integrator!r}; expected {INTEGRATOR!r} for the plant {self.title}")
         importing.check_method(own, "derivative", ("x", "u"))
         super().__init__(robot, integrator)
-        dx = self.derivative(np.zeros(4 * robot.n), np.zeros(robot.n))
-        if not np.isfinite(dx).all():
-            raise UserCodeError(f"dx of {self.title} is {dx.tolist()} at rest at 0; expected finite numbers")
+        _check_at_rest(f"dx of {self.title}", self.derivative, 4 * robot.n, robot.n)
 
     def __repr__(self) -> str:
         return f"PythonPlant({self.title}, {self.robot!r})"
@@ -210,7 +219,7 @@ class PythonLaw(StaticLaw):
     """An OwnLaw as a StaticLaw; V is nan if it has no storage. It is not compiled.
 
     An effort of a failed evaluation is nan; `raise_failure` then raises UserCodeError. Raises ParameterError if `own`
-    is no OwnLaw, and UserCodeError if it fails or is not finite at rest at 0.
+    is no OwnLaw, and UserCodeError if it fails, is not finite at rest at 0, or has a memory.
     """
 
     in_python = True
@@ -221,9 +230,8 @@ class PythonLaw(StaticLaw):
         importing.check_method(own, "effort", ARGUMENTS)
         if hasattr(own, "storage"):
             importing.check_method(own, "storage", ARGUMENTS)
-        u, _ = self.measured_command(np.zeros(2 * robot.n), np.zeros(2 * robot.n), np.zeros((JETS, robot.n)))
-        if not np.isfinite(u).all():
-            raise UserCodeError(f"u of {self.title} is {u.tolist()} at rest at 0; expected finite numbers")
+        shapes = 2 * robot.n, 2 * robot.n, (JETS, robot.n)
+        _check_at_rest(f"u of {self.title}", lambda *given: self.measured_command(*given)[0], *shapes)
 
     def __repr__(self) -> str:
         return f"PythonLaw({self.title}, {self.robot.n} joints)"
@@ -232,11 +240,6 @@ class PythonLaw(StaticLaw):
     def has_storage(self) -> bool:
         """Return whether the law has a storage V."""
         return hasattr(self.own, "storage")
-
-    @property
-    def gain_values(self) -> Array:
-        """No gains (0,)."""
-        return np.zeros(0)
 
     @cached_property
     def hold_damping(self) -> Array:
@@ -271,14 +274,10 @@ class PythonLaw(StaticLaw):
         inputs = {"position": (2 * n,), "velocity": (2 * n,), "jets": (JETS, n), "gains": (0,)}
         return PythonFunction(self.title, self._evaluate, inputs, {"u": (n,), "V": ()})
 
-    @cached_property
-    def command_function(self) -> ca.Function:
-        """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V."""
-        n = self.robot.n
-        x, jets = ca.MX.sym("x", 4 * n), ca.MX.sym("jets", n, JETS)
-        velocity = self.robot.to_velocity(x)
-        u, V = self.measured_expression(x[: 2 * n], velocity, jets, ca.MX.zeros(0, 1))
-        return dense_function("command", {"x": x, "jets": jets}, {"u": u, "V": V})
+    def command(self, x: Any, jets: Any) -> Array:
+        """Return u(x, x, t) (n,) as StaticLaw does; raises UserCodeError."""
+        velocity = np.concatenate(self.robot.velocities(x))
+        return self.measured_command(np.asarray(x)[: len(velocity)], velocity, jets)[0]
 
     def _evaluate(self, position: Array, velocity: Array, jets: Array, _gains: Array) -> tuple[Any, Any]:
         u = self.own.effort(position, velocity, jets)
@@ -288,8 +287,7 @@ class PythonLaw(StaticLaw):
 def own_law(name: str, robot: Robot, options: Mapping[str, Any], compile: bool = False) -> StaticLaw:
     """Return the law of the class `module:Class`, built for the robot with these options.
 
-    An object that is a StaticLaw itself is made of expressions and compiled on request. Raises ParameterError, and
-    UserCodeError if the law fails or is not finite at rest at 0.
+    An object that is a StaticLaw itself is made of expressions and compiled on request. Raises as PythonLaw does.
     """
     own = importing.build(name, robot, options)
     if not isinstance(own, StaticLaw):

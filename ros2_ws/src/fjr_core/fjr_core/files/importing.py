@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import inspect
 import os
+import re
 import sys
 import traceback
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from typing import Any
 from ..errors import MissingPackageError, ParameterError
 
 SEPARATOR = ":"
+INSTALLED = {"site-packages", "dist-packages"}
 
 
 def is_named(name: object) -> bool:
@@ -43,19 +45,17 @@ def load(name: str) -> type:
 def build(name: str, first: Any, options: Mapping[str, Any]) -> Any:
     """Return an instance: the class called with `first` and the options as keywords. Raises ParameterError."""
     kind = load(name)
+    title, taken = kind.__name__, inspect.signature(kind)
     try:
-        inspect.signature(kind).bind(first, **options)
+        taken.bind(first, **options)
     except TypeError as error:
-        taken = inspect.signature(kind)
-        raise ParameterError(
-            f"{kind.__name__} takes {taken} ({error}); expected (robot) and options with defaults"
-        ) from None
+        raise ParameterError(f"{title} takes {taken} ({error}); expected (robot) and options with defaults") from None
     try:
         return kind(first, **options)
     except ParameterError:
         raise
-    except Exception as error:
-        raise ParameterError(f"{kind.__name__}(...) raises {described(error)}; expected an object") from None
+    except (Exception, SystemExit) as error:
+        raise ParameterError(f"{title}(...) raises {described(error)}; expected an object") from None
 
 
 def option_defaults(name: str) -> dict[str, Any]:
@@ -94,11 +94,21 @@ def described(error: BaseException) -> str:
 
 
 def source_digest(kind: type) -> str:
-    """Return a hash of the source of the class's module; results of another version are not reused."""
-    try:
-        return hashlib.sha256(Path(inspect.getfile(kind)).read_bytes()).hexdigest()
-    except (OSError, TypeError):  # defined at a prompt
-        return ""
+    """Return a hash of the sources of the class; results of another version are not reused.
+
+    These are its module, the loaded modules that its text names, their packages, and so on, but no installed ones.
+    """
+    digest, names, package = hashlib.sha256(), [kind.__module__], kind.__module__.partition(".")[0]
+    for name in names:  # which grows
+        file, top = Path(getattr(sys.modules.get(name), "__file__", None) or "prompt"), name.partition(".")[0]
+        installed = top in sys.stdlib_module_names or top.startswith("fjr_") or INSTALLED & {*file.parts}
+        if file.is_file() and (top == package or not installed):
+            source = file.read_bytes()
+            digest.update(source)
+            words = set(re.findall(r"\w+", source.decode(errors="replace")))
+            named = (each for each in [*sys.modules] if each.rpartition(".")[2] in words or name.startswith(f"{each}."))
+            names += sorted(set(named).difference(names))
+    return digest.hexdigest()
 
 
 def _user_module(name: str, module: str) -> Any:
@@ -109,12 +119,10 @@ def _user_module(name: str, module: str) -> Any:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name and (module == error.name or module.startswith(f"{error.name}.")):
-            raise ParameterError(
-                f"module {error.name} of {name!r} is not found; expected it on the Python path (PYTHONPATH) "
-                f"or in {os.getcwd()}"
-            ) from None
+            place = f"on the Python path (PYTHONPATH) or in {os.getcwd()}"
+            raise ParameterError(f"module {error.name} of {name!r} is not found; expected it {place}") from None
         raise ParameterError(f"module {module} cannot be imported: {error}; expected it installed") from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ParameterError(f"module {module} raises {described(error)}; expected it to be importable") from None
 
 
