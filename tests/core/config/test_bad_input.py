@@ -136,6 +136,7 @@ VALUES = [
     ("plant", {"integrator": "euler"}, "euler", "rk4", "implicit_midpoint"),
     ("simulation", {"x0": X[:4]}, "x0", "(4,)", "(8,)"),
     ("simulation", {"x0": np.full(8, NAN)}, "x0", "nan", "finite"),
+    ("simulation", {"x0": X + 0.1j}, "x0", "complex", "real"),
     ("simulation", {"duration": 0.0}, "duration", "0.0", "positive"),
     ("simulation", {"sample_period": INF}, "period", "inf", "positive"),
     ("simulation", {"inner_step": NAN}, "nan", "positive"),

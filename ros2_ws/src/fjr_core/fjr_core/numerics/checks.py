@@ -17,9 +17,11 @@ MOTOR = "_motor"
 """Ending of the name of a joint's motor side."""
 
 
-def floats(name: str, value: object, error: type[FjrError], shape: str = "") -> Array:
-    """Return `value` as a new float array; raise `error` unless all entries are numbers. shape: for the message."""
+def floats(name: str, value: Any, error: type[FjrError], shape: str = "") -> Array:
+    """Return `value` as a new float array; raise `error` unless all entries are real. shape: for the message."""
     try:
+        if np.iscomplexobj(value):  # NumPy would drop the imaginary part
+            raise error(f"{name} is complex; expected real numbers{shape}")
         return np.array(value, dtype=float)
     except (TypeError, ValueError):
         raise error(f"{name} is {value!r}; expected numbers{shape}") from None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
-from .checks import Array
+from .checks import Array, floats
 
 BROADCAST = ("u", "delta_u", "omega")  # efforts: a scalar stands for n equal entries
 TIMES = ("t", "dt")  # numbers
@@ -72,14 +72,10 @@ def evaluate(function: ca.Function, *arguments: ArrayLike) -> tuple[Array, ...]:
 
 
 def _assign(name: str, own: Array, given: ArrayLike) -> None:
-    try:
-        shape = np.shape(given)
-        if shape == own.shape or (shape == () and name in BROADCAST):
-            own[...] = given
-            return
-    except (TypeError, ValueError):
-        raise StateError(f"{name} is {given!r}; expected numbers of shape {own.shape}") from None
-    raise StateError(f"{name} has shape {shape}; expected {own.shape}")
+    array = floats(name, given, StateError, f" of shape {own.shape}")
+    if array.shape != own.shape and not (array.shape == () and name in BROADCAST):
+        raise StateError(f"{name} has shape {array.shape}; expected {own.shape}")
+    own[...] = array
 
 
 def not_converged(function: ca.Function) -> StateError:

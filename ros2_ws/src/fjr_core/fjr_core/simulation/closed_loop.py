@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import FjrError, StateError
+from ..errors import FjrError, StateError, TrajectoryError
 from ..law.interfaces import SampledLaw, StaticLaw, check_law, raise_failure, ready_step
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot, Units, joined
@@ -211,7 +211,7 @@ def _diverged(t: float) -> StateError:
 
 def _empty_trajectory(robot: Robot, t: Array, jets: Array) -> Trajectory:
     x, u, V = np.empty((len(t), 4 * robot.n)), np.empty((len(t), robot.n)), np.empty(len(t))
-    return Trajectory(t, x, u, jets, V, robot.units)
+    return Trajectory(t, x, u, checks.floats("jets of the reference", jets, TrajectoryError), V, robot.units)
 
 
 class PlotError(FjrError):
