@@ -147,15 +147,21 @@ def test_failure_is_reported_while_other_jobs_run(
     assert time.monotonic() - begun < HANG
 
 
-def test_key_of_kept_results_depends_on_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    job = compare_run.jobs(suite.read("mine", QUICK))[0]
-    before = job.key
+def test_key_of_kept_results_depends_on_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def key(scenario: str = "paper_k31") -> str:
+        return compare_run.jobs(suite.read("mine", {**QUICK, "robots": {"joint": {"scenario": scenario}}}))[0].key
+
+    before, own_plant = key(), tmp_path / "own_plant.yaml"
+    own_plant.write_text(library.as_run(library.find("paper_k31"), {"plant.type": "own_code:Ideal"})[0])
     with monkeypatch.context() as other:
         other.setattr(jit_cache, "source_digest", lambda *_: "another")
         compare_run._source.cache_clear()
-        assert job.key != before
+        assert key() != before
     compare_run._source.cache_clear()
-    assert job.key == before
+    assert key() == before
+    before = key(str(own_plant))
+    monkeypatch.setattr(compare_run, "source_digest", lambda _: "another")
+    assert key(str(own_plant)) != before
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -83,11 +83,12 @@ class Job:
     scenarios: tuple[tuple[str, str], ...]
     suite: Suite
 
-    @property
+    @cached_property
     def key(self) -> str:
-        """Cache key: hash of this job, fjr_core, CasADi, this package and the source of a law of the user."""
-        own = source_digest(load(self.law.law)) if is_named(self.law.law) else ""
-        return hashlib.sha256((json.dumps(asdict(self)) + _source() + own).encode()).hexdigest()[:32]
+        """Cache key: hash of this job, fjr_core, CasADi, this package and the sources of a law or plant of the user."""
+        plant = parse_scenario(self.robot, self.scenarios[0][1]).plant_values["plant.type"]
+        own = [source_digest(load(str(name))) for name in (self.law.law, plant) if is_named(name)]
+        return hashlib.sha256("".join([json.dumps(asdict(self)), _source(), *own]).encode()).hexdigest()[:32]
 
 
 @cache
