@@ -191,6 +191,7 @@ SHAPES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "effort-x_v": (lambda: LAW.effort(np.zeros(7), X, JETS), ("x_v", "(7,)", "(8,)")),
     "effort-jets-transposed": (lambda: LAW.effort(X, X, JETS.T), ("jets", "(2, 5)", "(5, 2)")),
     "effort-ragged-jets": (lambda: LAW.effort(X, X, [[0.0], [0.0, 0.0]]), ("jets",)),
+    "effort-complex": (lambda: LAW.effort(X + 0.1j, X, JETS), ("x_v is complex", "real numbers")),
     "effort-text": (lambda: LAW.effort("here", X, JETS), ("x_v",)),
     "rate": (lambda: LAW.rate(np.zeros((3, 5))), ("configurations", "(3, 5)", "2")),
     "rate-nan": (lambda: LAW.rate([[NAN, 0.0]]), ("configurations", "nan", "finite")),
@@ -212,6 +213,17 @@ SHAPES: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
 def test_states_inputs_and_jets_of_the_wrong_shape_are_rejected(name: str) -> None:
     call, words = SHAPES[name]
     refused(fjr.StateError, call, *words)
+
+
+@pytest.mark.parametrize("period", [1e-3, None])
+def test_a_complex_reference_is_rejected(period: float | None) -> None:
+    class Motion:
+        n = 2
+
+        def jets(self, t: np.ndarray) -> np.ndarray:
+            return np.full((*np.shape(t), 5, 2), 0.1j)
+
+    refused(fjr.TrajectoryError, lambda: run(reference=Motion(), sample_period=period), "jets", "complex", "real")
 
 
 def test_divergence_is_reported_with_its_time() -> None:
