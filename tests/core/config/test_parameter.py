@@ -97,9 +97,8 @@ def test_options_of_a_file_for_both_nodes_reach_law_and_plant() -> None:
     np.testing.assert_array_equal(law.weights, [2.0])
     assert scenario.controller_values["law.options.weights"] == (2.0,)
     assert scenario.warnings == (
-        "law.type own_code:Pd is evaluated in Python: sweeps and comparisons are not compiled, so they take longer",
-        "plant.type own_code:Ideal is evaluated in Python: "
-        "sweeps and comparisons are not compiled, so they take longer",
+        "law.type own_code:Pd is evaluated in Python: sweeps and comparisons are not compiled and take longer",
+        "plant.type own_code:Ideal is evaluated in Python: sweeps and comparisons are not compiled and take longer",
     )
 
 

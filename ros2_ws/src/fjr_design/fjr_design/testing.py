@@ -122,9 +122,8 @@ class _Check:
         once = [evaluate(*sample) for sample in samples]
         again = [evaluate(*sample) for sample in reversed(samples)][::-1]
         at = next((k for k, found in enumerate(once) if not np.isfinite(found[finite]).all()), None)
-        symbol = name.partition(" ")[0]
         where = "" if at is None else self.where(samples[at])
-        fault = f"{symbol} is not finite at {where}; expected finite numbers" if where else ""
+        fault = f"{name.partition(' ')[0]} is not finite at {where}; expected finite numbers" if where else ""
         self.add(fault, f"{name} is finite at {len(samples)} states")
         same = all(np.array_equal(first, second, equal_nan=True) for first, second in zip(once, again, strict=True))
         fault = "a second evaluation at the same state differs; expected a pure function, without memory"

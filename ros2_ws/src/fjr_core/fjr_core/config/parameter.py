@@ -153,9 +153,7 @@ def in_python(parameter: Parameter, values: Values) -> str:
     name = str(values[parameter.name])
     if not importing.is_named(name) or issubclass(importing.load(name), StaticLaw):
         return ""
-    return (
-        f"{parameter.name} {name} is evaluated in Python: sweeps and comparisons are not compiled, so they take longer"
-    )
+    return f"{parameter.name} {name} is evaluated in Python: sweeps and comparisons are not compiled and take longer"
 
 
 def unread_options(parameters: Iterable[Parameter], given: Mapping[str, object], user_code: bool = True) -> set[str]:

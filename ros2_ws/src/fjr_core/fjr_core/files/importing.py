@@ -60,8 +60,7 @@ def build(name: str, first: Any, options: Mapping[str, Any]) -> Any:
 
 def option_defaults(name: str) -> dict[str, Any]:
     """Return the defaults of the constructor's arguments after the first. Raises ParameterError for one without."""
-    kind = load(name)
-    found = {}
+    kind, found = load(name), {}
     for each in list(inspect.signature(kind).parameters.values())[1:]:
         if each.kind in (each.VAR_KEYWORD, each.VAR_POSITIONAL):
             continue

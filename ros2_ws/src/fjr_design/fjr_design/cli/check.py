@@ -107,7 +107,8 @@ def check(scenario: Scenario) -> Check:
     start = hard_start(scenario)
     start_error = _start_error(scenario, start) if start else ""
     faults = [start_error] if start and start.diverges else []
-    time, period = 1e6 * _time_in_python(scenario), 1e6 * found.sample_period
+    time = 1e6 * _evaluation_time(scenario) if scenario.law.in_python else 0.0
+    period = 1e6 * found.sample_period
     faults += [f"the law takes {time:.0f} us; expected less than a sample of {period:.0f} us"] if time > period else []
     faults = [f"scenario {scenario.name}: {fault}" for fault in faults]
     rows = {
@@ -238,10 +239,8 @@ def _other_law(scenario: Scenario) -> dict[str, str]:
     return {**rows, "certificate": "none for this law"}
 
 
-def _time_in_python(scenario: Scenario) -> float:
-    """Return the median time [s] that an evaluation of a law in Python takes, 0 for another law."""
-    if not scenario.law.in_python:
-        return 0.0
+def _evaluation_time(scenario: Scenario) -> float:
+    """Return the median time [s] that an evaluation of the law takes."""
     n, jets = scenario.robot.n, scenario.reference.jets(0.0)
     evaluate = partial(scenario.law.measured_command, scenario.x0[: 2 * n], np.zeros(2 * n), jets)
     return float(np.median(timeit.repeat(evaluate, number=1, repeat=EVALUATIONS)))

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -88,12 +88,8 @@ class Job:
         """Cache key: hash of this job, fjr_core, CasADi, this package and the sources of a law or plant of the user."""
         plant = parse_scenario(self.robot, self.scenarios[0][1]).plant_values["plant.type"]
         own = [source_digest(load(str(name))) for name in (self.law.law, plant) if is_named(name)]
-        return hashlib.sha256("".join([json.dumps(asdict(self)), _source(), *own]).encode()).hexdigest()[:32]
-
-
-@cache
-def _source() -> str:
-    return program_digest(Path(__file__).parents[1])
+        parts = [json.dumps(asdict(self)), program_digest(Path(__file__).parents[1]), *own]
+        return hashlib.sha256("".join(parts).encode()).hexdigest()[:32]
 
 
 def jobs(suite: Suite) -> list[Job]:
