@@ -89,6 +89,22 @@ class Changes(Pd):
         return np.zeros(self.robot.n)
 
 
+class Noisy(Pd):
+    """Differs from call to call, but at rest."""
+
+    def effort(self, position: Array, velocity: Array, jets: Array) -> Array:
+        return np.array(position[:1] * np.random.default_rng().normal())
+
+
+class Stops(Pd):
+    """Raises an exception a little beside the reference."""
+
+    def effort(self, position: Array, velocity: Array, jets: Array) -> Array:
+        if abs(position[0] - jets[0, 0]) > 1e-3:
+            raise ValueError("too far from the reference")
+        return np.zeros(1)
+
+
 class Counts(Pd):
     """Depends on the number of its calls."""
 

@@ -2,7 +2,7 @@
 """Studies of robust options and of noise: tables of docs/tables, between their markers.
 
 . ros2_ws/install/setup.sh && .venv/bin/python -m tools.study_tables robust
-fjr tune arm7_tune && .venv/bin/python -m tools.study_tables noise --tuned runs/tuned/arm7_tune_v_dpbc/tuned.yaml
+fjr tune arm7_tune && .venv/bin/python -m tools.study_tables noise --tuned runs/tuned/*/arm7_tune_v_dpbc.yaml
 
 They are seeded and need no ROS. `robust` also draws docs/figures/robust.png.
 """
@@ -123,7 +123,7 @@ DRAWN = 200  # plants
 
 
 def noise(tuned: Path) -> None:
-    """Write the noise that arm7 tolerates with six sets of gains; tuned: tuned.yaml of `fjr tune arm7_tune`."""
+    """Write the noise that arm7 tolerates with six sets of gains; tuned: scenario of `fjr tune arm7_tune`."""
     study = planned("arm7_tune", Options(1, None, Path(), {}, {}))
     robot, given = study.scenario.robot, study.scenario.gains
     softer = replace(given, Pi_m=robot.K)
@@ -163,7 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the named studies."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("studies", nargs="+", choices=("robust", "noise"))
-    parser.add_argument("--tuned", type=Path, help="tuned.yaml that `fjr tune arm7_tune` has written, for noise")
+    parser.add_argument("--tuned", type=Path, help="scenario that `fjr tune arm7_tune` has written, for noise")
     given = parser.parse_args(arguments)
     if "noise" in given.studies and given.tuned is None:
         parser.error("noise needs --tuned")

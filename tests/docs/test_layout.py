@@ -82,9 +82,9 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 13_420,
+    "fjr_core": 13_430,
     "fjr_msgs_py": 3_690,
-    "fjr_monitor": 7_700,
+    "fjr_monitor": 7_710,
     "fjr_plant": 1_420,
     "fjr_controller": 1_830,
     "fjr_design": 9_460,

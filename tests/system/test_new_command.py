@@ -102,12 +102,12 @@ def test_joints_that_carry_no_mass_are_locked_with_a_note(tmp_path: Path) -> Non
 
 
 def test_friction_and_gear_ratios_that_are_not_read_are_noted(tmp_path: Path) -> None:
-    given = '<dynamics damping="{}" friction="0.0"/><mechanicalReduction>{}</mechanicalReduction></joint>'
-    notes = []
-    for numbers in (("0.0", "1.0"), ("0.7", "1"), ("0", "100")):
+    given = '<dynamics damping="{0}" friction="0.0"/><{1}>{2}</{1}><!-- <dynamics damping="0.5"/> --></joint>'
+    notes, old, new = [], "mechanicalReduction", "mechanical_reduction"
+    for numbers in (("0.0", old, " 1.0 "), ("0.7", new, "1"), ("0", old, "100"), ("0", new, " 100")):
         (tmp_path / "arm.urdf").write_text(two_link_urdf().replace("</joint>", given.format(*numbers)))
         notes.append([note.split()[0] for note in arm_of(tmp_path / "arm.urdf").notes])
-    assert notes == [[], ["<dynamics>"], ["<transmission>"]]
+    assert notes == [[], ["<dynamics>"], *[["<transmission>"]] * 2]
 
 
 def test_a_name_that_is_changed_is_said(tmp_path: Path) -> None:

@@ -102,8 +102,8 @@ def test_an_edit_of_what_the_module_imports_changes_the_digest_of_a_class(tmp_pa
     texts = {
         "package_of_laws/__init__.py": "",
         "package_of_laws/law.py": "from . import base\n\nclass Law(base.Base): pass\n",
-        "package_of_laws/base.py": "from numbers_of_laws import K_p\n\nclass Base: pass\n",
-        "numbers_of_laws.py": "K_p = 1.0\n",
+        "package_of_laws/base.py": "from fjr_numbers_of_laws import K_p\n\nclass Base: pass\n",
+        "fjr_numbers_of_laws.py": "K_p = 1.0\n",
         "other_law.py": "class Other: pass\n",
     }
     for name, text in texts.items():
@@ -113,7 +113,7 @@ def test_an_edit_of_what_the_module_imports_changes_the_digest_of_a_class(tmp_pa
     for name, text in texts.items():
         (tmp_path / name).write_text(f"{text}# edited\n")
         before[name] = source_digest(kind)
-    assert before["other_law.py"] == before["numbers_of_laws.py"]
+    assert before["other_law.py"] == before["fjr_numbers_of_laws.py"]
     assert len(set(before.values())) == len(texts)
 
 
@@ -169,6 +169,7 @@ REFUSED = {
     "Text": "u of Text is 'much'; expected numbers of shape (1,)",
     "Complex": "u of Complex is complex; expected real numbers of shape (1,)",
     "Counts": "u of Counts differs in a second evaluation; expected a pure function, without memory",
+    "Noisy": "u of Noisy differs in a second evaluation",
     "Exits": "Exits raises SystemExit: enough (own_code.py, line",
     "NotFinite": "u of NotFinite is [inf] at rest at 0; expected finite numbers",
     "Changes": "Changes raises ValueError: output array is read-only (own_code.py, line",
@@ -184,6 +185,10 @@ REFUSED = {
 @pytest.mark.parametrize(("name", "sentence"), REFUSED.items(), ids=REFUSED)
 def test_what_is_no_law_is_refused_in_one_sentence(name: str, sentence: str) -> None:
     assert refused(fjr.FjrError, lambda: own_law(f"own_code:{name}", JOINT, {})).startswith(sentence)
+
+
+def test_a_law_may_stop_the_arm_by_an_exception_near_rest() -> None:
+    assert isinstance(own_law("own_code:Stops", JOINT, {}), fjr.PythonLaw)
 
 
 @pytest.mark.parametrize(

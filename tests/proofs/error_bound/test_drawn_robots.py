@@ -77,3 +77,7 @@ def test_what_a_proof_leaves_out_of_the_scenario_is_named() -> None:
     scenario = library.load("paper_k31", ["limits.effort:=[0.5]", f"{friction}:=[0.3]", late])
     row = errors_bounded(scenario, {"payload": 0.1}, None).rows["error bound"]
     assert row.endswith(f"one sample of delay, without {friction} and effort limits; proven")
+    heavier = library.load("paper_k31", ["imperfections.payload_mass:=2.0"])
+    for errors in ({"payload_mass": 0.1}, {"payload_mass": 0.1, "link_torque": 1e4}):  # bounded, not bounded
+        row = errors_bounded(heavier, errors, None).rows["error bound"]
+        assert ", without imperfections.payload_mass" in row

@@ -58,7 +58,6 @@ UNIT = {
 TIME_WORDS = {"time", "timestamp", "stamp", "t"}
 IGNORED = {"reference", "ref", "ld", "desired", "des", "setpoint", "target", "velocity", "vel", "speed", "dq", "qd"}
 IGNORED |= {"acceleration", "acc", "ddq", "current", "temperature", "temp", "error", "err", "state", "status"}
-IGNORED |= {"external"}  # with a torque: an estimate of `fjr report --table`
 EFFORTS = {"torque", "effort", "tau", "trq", "u", "force", "moment"}
 POSITIONS = {"position", "pos", "angle", "q", "theta", "encoder", "enc"}
 SIDES = {MOTOR: {"motor", "rotor", "qm", "m"}, LINK: {"link", "load", "output", "secondary", "ql", "l"}}
@@ -308,7 +307,7 @@ def _meaning(column: str, joints: Sequence[str]) -> Meaning:
             break
     unit, words = _unit_of(words)
     said = set(words)
-    if said & IGNORED:
+    if said & IGNORED or ("external" in said and said & EFFORTS):  # the latter: an estimate of `fjr report --table`
         return Meaning(column)
     if said & TIME_WORDS and not said & (EFFORTS | POSITIONS):
         return Meaning(column, TIME, "", unit)

@@ -116,7 +116,8 @@ class NativePlantHost(NativeLoop):
         super().__init__(program, {**callbacks, **own}, [NativeSubscription(node, kind, topic, names.LATEST)])
         self._plant, plant.host, plant.notes = plant, self.pointer, self._notes.pointer
         plant.send = ffi.addressof(program.lib, "fjr_loop_publish")
-        if "FASTRTPS_DEFAULT_PROFILES_FILE" in os.environ:  # by default messages are acknowledged after seconds only
+        profile = os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "")
+        if profile.endswith("fjr_bringup/config/fastdds.xml"):  # others may acknowledge messages after seconds only
             plant.settle = ffi.addressof(program.lib, "fjr_loop_settle")
         self._timer = node.create_timer(NOTES_PERIOD, self._read_notes, clock=names.STEADY)
         self._action: Callable[[], Any] = lambda: None

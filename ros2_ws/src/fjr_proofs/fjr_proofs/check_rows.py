@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,7 +79,7 @@ def errors_bounded(
             "unstable": drawn.unstable,
             "largest": _by_joint(scenario, drawn.largest),
         }
-        rows[f"    {ROBOTS} drawn robots"] = _sampled(scenario, drawn)
+        rows[f"    {ROBOTS} drawn robots"] = _sampled(scenario, drawn) + _without(scenario, bound.errors)
     return Check(rows, values)
 
 
@@ -129,6 +129,7 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     if np.isclose(samples, 1):
         delay = "one sample of delay"
     conditions = ", ".join([*(_error(*error, payload_position(scenario)) for error in bound.errors.items()), delay])
+    conditions += _without(scenario, bound.errors)
     if not bound.found:
         return f"none found with {conditions}; expected smaller errors"
     basis = "proven" if bound.proven else f"from sampled constants, not proven: {hint}"
@@ -136,13 +137,13 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     when = "in steady motion" if steady else "after the transient"
     storage = f", V at most {at_most(1e3 * bound.storage)} mJ" if np.isfinite(bound.storage) else ""
     largest = f"{_largest(scenario, bound.position)}{storage}"
-    conditions += _without(scenario, bound.errors)
     return f"|q_l - q_ld| at most {largest} {when} along this reference, with {conditions}; {basis}"
 
 
-def _without(scenario: Scenario, errors: Collection[str] = ()) -> str:
-    """Return what a proof of the sampled loop leaves out of the scenario, in words; "" for nothing."""
-    known = COVERED + ("imperfections.payload_mass",) * ("payload_mass" in errors)
+def _without(scenario: Scenario, errors: Mapping[str, ArrayLike] = {}) -> str:
+    """Return what a statement on the sampled loop leaves out of the scenario, in words; "" for nothing."""
+    payload = "imperfections.payload_mass"
+    known = COVERED + (payload,) * bool(scenario.plant_values[payload] <= np.max(errors.get("payload_mass", 0.0)))
     missing = [name for name in left_out(scenario) if name.startswith("imperfections.") and name not in known]
     if np.isfinite(effort_limits(scenario.controller_values, scenario.robot)).any():
         missing.append("effort limits")

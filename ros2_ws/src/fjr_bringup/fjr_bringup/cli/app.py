@@ -150,7 +150,7 @@ def _exit_code(error: Exception) -> Exit:
         sentence, code = " ".join(str(error).split()), Exit.FAILED
         if isinstance(error, OSError) and error.filename:
             reason = f"cannot read or write {error.filename} ({error.strerror})"
-            sentence = f"{reason}; expected an existing path, permission and free space"
+            sentence = f"{reason}; expected a path with permission and free space"
     else:
         raise error
     tell(sentence)

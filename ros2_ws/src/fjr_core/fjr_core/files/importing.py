@@ -19,6 +19,8 @@ from ..errors import MissingPackageError, ParameterError
 
 SEPARATOR = ":"
 INSTALLED = {"site-packages", "dist-packages"}
+OWN = {f"fjr_{name}" for name in ("core", "msgs_py", "plant", "controller", "design", "monitor", "identification")}
+OWN |= {"fjr_proofs", "fjr_engines", "fjr_bringup"}
 
 
 def is_named(name: object) -> bool:
@@ -100,7 +102,7 @@ def source_digest(kind: type) -> str:
     digest, names, package = hashlib.sha256(), [kind.__module__], kind.__module__.partition(".")[0]
     for name in names:  # which grows
         file, top = Path(getattr(sys.modules.get(name), "__file__", None) or "prompt"), name.partition(".")[0]
-        installed = top in sys.stdlib_module_names or top.startswith("fjr_") or INSTALLED & {*file.parts}
+        installed = top in sys.stdlib_module_names or top in OWN or INSTALLED & {*file.parts}
         if file.is_file() and (top == package or not installed):
             source = file.read_bytes()
             digest.update(source)

@@ -32,7 +32,7 @@ HAND = re.compile(
 """Names of joints that belong to a gripper, a hand or a wheel."""
 UNREAD = {
     r"<dynamics\b[^>]*[1-9]": "<dynamics> is not read: enter damping as motor_damping, friction as imperfections",
-    r"<mechanicalReduction>\s*(?!1(\.0*)?\s*<)": "<transmission> is not read: motor_inertia is that behind the gear",
+    r"<mechanical_?[rR]eduction>\s*(?!\s|1(\.0*)?\s*<)": "<transmission> is not read: motor_inertia is behind the gear",
 }
 """A note for each kind of number on joints in a URDF that the robot file has to hold instead."""
 LARGEST_FINGER = 4
@@ -78,7 +78,7 @@ def arm_of(
     chosen = tuple(joints) or _chain(found, chain)
     rigid, moving, notes = _rigid(text or urdf, tree, chosen, gravity, drop=not joints)
     robot, guesses, source = _with_joint_data(rigid, moving, known or published(moving))
-    content = text or read_bytes(urdf).decode(errors="replace")
+    content = re.sub(r"<!--.*?-->", "", text or read_bytes(urdf).decode(errors="replace"), flags=re.DOTALL)
     notes += tuple(note for pattern, note in UNREAD.items() if re.search(pattern, content))
     return Arm(urdf, moving, robot, _locked(tree, moving), guesses, source, found, notes, tuple(gravity))
 

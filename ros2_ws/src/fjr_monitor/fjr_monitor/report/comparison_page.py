@@ -108,9 +108,16 @@ def differences(runs: Sequence[RunSummary]) -> list[tuple[str, ...]]:
     names = dict.fromkeys(name for each in scenarios for name in (*each.controller_values, *each.plant_values))
     rows = [(name, *(_value(each, name) for each in scenarios)) for name in names]
     rows = [row for row in rows if len(set(row[1:])) > 1]
-    shown = [tuple(cell[:LONGEST] for cell in row) for row in rows[:DIFFERING]]
+    shown = [(row[0], *_cut(row[1:])) for row in rows[:DIFFERING]]
     more = len(rows) - len(shown)
     return [*shown, (f"and {more} more", *("" for _ in runs))] if more else shown
+
+
+def _cut(values: Sequence[str]) -> list[str]:
+    """Return at most LONGEST characters of each value; of longer ones from shortly before the first difference on."""
+    same = len(os.path.commonprefix(values)) if max(map(len, values)) > LONGEST else 0
+    start = max(0, same - LONGEST // 4)
+    return [value[start : start + LONGEST] for value in values]
 
 
 def _value(scenario: Scenario, name: str) -> str:
