@@ -77,7 +77,7 @@ static int judge_row(struct fjr_wiring* w, int row, struct sides* s, int known) 
   if (!isfinite(log_det + misfit)) return -1;
   if (row < 2 * N) {
     c->misfit[row] = misfit, c->deviance[row] = student(s, misfit) + log_det;
-    c->squares[row] = squares(s, s->m);
+    c->squares[row] = squares(s);
   }
   c->agrees[row] = c->full && against > EVIDENCE && misfit < FITS * s->m;
   return !known && misfit > FAILS * s->m;
@@ -188,7 +188,7 @@ static int try_hypothesis(const struct fjr_model* m, struct fjr_comparison* c, c
   for (int k = 0; k < 2 * fault->count; ++k) {
     const int row = fault->joint[k / 2] + k % 2 * N;
     if (changed[row]) torque_row(m, c, &v, arm, row, 0, &s);
-    before += c->squares[row], left += changed[row] ? squares(&s, count) : c->squares[row];
+    before += c->squares[row], left += changed[row] ? squares(&s) : c->squares[row];
   }
   if (!(CLOSER * left < before)) return work;
   for (int pass = 0; pass < 2; ++pass) /* the joints of the fault, which must fit, then all others */

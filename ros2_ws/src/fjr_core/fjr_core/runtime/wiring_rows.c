@@ -91,10 +91,10 @@ static double distance(double (*R)[INTERVALS], int m, const double* y, double fa
   return sum;
 }
 
-static double squares(const struct sides* s, int m) {
+static double squares(const struct sides* s) {
   double sum = 0;
-  for (int k = 0; k < m; ++k) sum += (s->y[k] - s->x[k]) * (s->y[k] - s->x[k]);
-  return sum / m;
+  for (int k = 0; k < s->m; ++k) sum += (s->y[k] - s->x[k]) * (s->y[k] - s->x[k]);
+  return sum / s->m;
 }
 
 /* x delayed by `late` intervals; `before` it is another value. */
@@ -311,7 +311,7 @@ static void speed_row(const struct fjr_comparison* c, int i, struct sides* s) {
     left += (y[k] - x[k]) * (y[k] - x[k]);
     noise += rounding * (y[k] * y[k] + x[k] * x[k]);
   }
-  noise += (left - MOTION * squares(s, MOTION)) / (c->intervals - MOTION);
+  noise += (left - MOTION * squares(s)) / (c->intervals - MOTION);
   for (int a = 0; a < MOTION; ++a) fill(s->S[a], 0, MOTION), s->S[a][a] = noise;
   add_product(s->S, MOTION, SCALE * SCALE, s->x);
   add_product(s->S, MOTION, LATE * LATE, change);
