@@ -46,8 +46,7 @@ class Used(NamedTuple):
 def ros_environment() -> Mapping[str, str]:
     """Set the ROS environment variables of this process; return its environment."""
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
-    discover_quickly()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    discover_quickly(locally=True)
     return os.environ
 
 

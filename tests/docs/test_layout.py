@@ -83,7 +83,7 @@ LAYERS = {
 
 BUDGETS = {
     "fjr_core": 13_430,
-    "fjr_msgs_py": 3_690,
+    "fjr_msgs_py": 3_692,
     "fjr_monitor": 7_710,
     "fjr_plant": 1_420,
     "fjr_controller": 1_830,
@@ -91,7 +91,7 @@ BUDGETS = {
     "fjr_identification": 6_240,
     "fjr_proofs": 4_110,
     "fjr_engines": 1_270,
-    "fjr_bringup": 1_250,
+    "fjr_bringup": 1_248,
 }
 """Most lines of Python of each package. What needs more raises its budget in the same commit and says why."""
 SUBJECT = (60, 390)

@@ -118,8 +118,7 @@ def _run(*command: str) -> str:
 def network(monkeypatch) -> Iterator[Network]:
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "")
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
-    discover_quickly()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    discover_quickly(locally=True)
     try:
         with Network() as made:
             yield made

@@ -94,10 +94,8 @@ def run(plan: RunPlan, stop: threading.Event) -> tuple[Path, dict[str, str]]:
     """Run the plan and write bag, scenario and logs into a new folder.
 
     Return the folder, and the reason for each topic that could not be recorded. Raises FjrError or Interrupted.
-    Discovery is quick and limited to this machine, unless the user set otherwise.
     """
-    discover_quickly()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    discover_quickly(locally=True)
     with domain_claimed(), RunFolder(plan.folder) as kept:
         plan = replace(plan, folder=kept.path)
         write_text(plan.folder / "scenario.yaml", plan.scenario)

@@ -49,10 +49,10 @@ def refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
         raise FjrError(f"{found} does this better: use `{command}` ({advantage}), or add --force")
 
 
-def discover_quickly() -> None:
+def discover_quickly(locally: bool = False) -> None:
     """Use a DDS profile with quick discovery unless the user set another; set the folder of the ROS 2 logs.
 
-    Raises FjrError for an invalid ROS_DOMAIN_ID.
+    locally: discover this machine only, unless the user set a range. Raises FjrError for an invalid ROS_DOMAIN_ID.
     """
     from ament_index_python.packages import get_package_share_directory  # loaded on use
 
@@ -63,3 +63,5 @@ def discover_quickly() -> None:
     ensure_log_folder()
     profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    if locally:
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
