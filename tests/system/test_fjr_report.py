@@ -11,6 +11,7 @@ import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from fjr_monitor.recording import signals
 from fjr_monitor.recording.bag import header_stamp, read_bag
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
+from fjr_monitor.report.comparison_page import differences
 from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Columns, Shown
 from fjr_msgs_py.scenarios import library
@@ -472,3 +474,15 @@ def test_an_unsuitable_bag_is_refused_with_the_reason(run: Path, tmp_path: Path)
 def test_a_bag_without_a_scenario_asks_for_one(run: Path, tmp_path: Path) -> None:
     bag = rewritten(run / "bag", tmp_path / "copy", topics=OURS)
     assert "expected scenario.yaml next to the bag, or --scenario" in fjr_here("report", str(bag), code=2)
+
+
+def test_long_values_are_shown_from_where_they_differ() -> None:
+    rates = [f"gains.Lambda_l:=[{', '.join(['10.123456789012'] * 6 + [last])}]" for last in ("10.5", "11.5")]
+    runs = [
+        SimpleNamespace(data=SimpleNamespace(run=SimpleNamespace(scenario=library.load("arm7", [rate]))))
+        for rate in rates
+    ]
+    ((name, first, second),) = differences(runs)  # type: ignore[arg-type]
+    assert name == "gains.Lambda_l"
+    assert (first[-6:], second[-6:]) == (" 10.5]", " 11.5]")
+    assert len(first) < 80

@@ -74,11 +74,8 @@ def errors_bounded(
     }
     rows = {"error bound": _sentence(scenario, bound, hint)}
     if errors and not bound.proven and (drawn := drawn_robots(scenario, errors, late, place)) is not None:
-        values["drawn"] = {
-            "robots": ROBOTS,
-            "unstable": drawn.unstable,
-            "largest": _by_joint(scenario, drawn.largest),
-        }
+        largest = _by_joint(scenario, drawn.largest)
+        values["drawn"] = {"robots": ROBOTS, "unstable": drawn.unstable, "largest": largest}
         rows[f"    {ROBOTS} drawn robots"] = _sampled(scenario, drawn) + _without(scenario, bound.errors)
     return Check(rows, values)
 
@@ -95,9 +92,9 @@ def _sampled(scenario: Scenario, drawn: DrawnRobots) -> str:
 
 
 def _largest(scenario: Scenario, position: Array) -> str:
-    """Return the largest of positions (n,) [rad] with unit and joint."""
-    joint = int(np.argmax(position))
-    return f"{at_most(1e3 * position[joint])} m{scenario.robot.units[joint].position} ({scenario.joints[joint]})"
+    """Return the largest of positions (n,) [rad] with unit and joint; of an arm with both kinds, also that in m."""
+    of_unit = {scenario.robot.units[j].position: j for j in np.argsort(position)}  # the last of a unit is its largest
+    return " and ".join(f"{at_most(1e3 * position[j])} m{unit} ({scenario.joints[j]})" for unit, j in of_unit.items())
 
 
 def _with_stated(scenario: Scenario, errors: Mapping[str, ArrayLike]) -> Mapping[str, ArrayLike]:

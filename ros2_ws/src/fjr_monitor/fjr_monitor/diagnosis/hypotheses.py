@@ -69,9 +69,7 @@ def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
         yield from _of_side(seen, j, LINK, j)
         yield from _of_side(seen, j, MOTOR, n + j)
         yield from _of_spring(seen, j)
-        gain = seen.placed({n + j: seen.u[:, j] * seen.robot.B_m[j, j]})
-        yield Hypothesis("torque constant", j, MOTOR, "%", gain, lambda fitted: 100 * float(fitted[0]))
-        yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({n + j: -seen.ddq[:, n + j]}))
+        yield from _of_motor(seen, j, n + j)
         yield from _of_body(seen, j)
 
 
@@ -109,6 +107,13 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
         torque = -np.clip(zeta, -half, half) * k
         columns, play = seen.placed({j: torque, n + j: -torque}), 2 * float(half)
         yield Hypothesis("backlash", j, JOINT, "rad", columns, lambda _, play=play: play, lambda A, c: np.ones(1))  # type: ignore[misc]
+
+
+def _of_motor(seen: Residuals, j: int, channel: int) -> Iterator[Hypothesis]:
+    """Return torque constant and inertia of the motor."""
+    gain = seen.placed({channel: seen.u[:, j] * seen.robot.B_m[j, j]})
+    yield Hypothesis("torque constant", j, MOTOR, "%", gain, lambda fitted: 100 * float(fitted[0]))
+    yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({channel: -seen.ddq[:, channel]}))
 
 
 def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
