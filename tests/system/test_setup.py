@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from envsetup import commands, machine, pins
+from envsetup import cli, commands, machine, pins
 from envsetup.commands import SetupError
 from envsetup.machine import has_wheels, uses_sourced_ros
 from envsetup.virtualenv import Environment
@@ -227,13 +227,32 @@ def test_a_required_package_that_is_not_there_ends_the_set_up(monkeypatch: pytes
         replace(TOOL, required=True).ensure(tmp_path / "log", dict(os.environ))
 
 
+def test_a_user_without_a_compiler_gets_that_of_pypi(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    pretended(monkeypatch, checkout, user=1000)
+    monkeypatch.setattr(cli, "ROOT", checkout)
+    monkeypatch.setenv("CC", "no-such-compiler")
+    for kind in (Environment, Workspace):
+        monkeypatch.setattr(kind, "ensure", lambda *_: None)
+    monkeypatch.setattr(Environment, "_pip", lambda _self, _title, _constraints, *wanted: asked.extend(wanted))
+    cli.set_up("build", sourced_ros=False)
+    assert asked == [f"--requirement={checkout}/requirements/compiler.txt"]
+
+
 @pytest.mark.parametrize(
-    ("name", "wanted", "code", "counts"), [("gcc", "", 0, True), ("mycc", "mycc -m64", 0, True), ("gcc", "", 1, False)]
+    ("name", "wanted", "code", "counts"),
+    [
+        ("gcc", "", 0, True),
+        ("mycc", "mycc -m64", 0, True),
+        ("gcc", "", 1, False),
+        ("python", "", 0, True),  # -m ziglang cc
+        ("python", "mycc", 0, False),
+    ],
 )
 def test_compiler_is_accepted_if_it_compiles(name: str, wanted: str, code: int, counts: bool, tmp_path: Path) -> None:
     program(tmp_path / name, f"exit {code}")
     env = {"PATH": str(tmp_path), "CC": wanted}
-    assert machine.compiler(env).is_there(env) == counts
+    assert machine.compiler(env, tmp_path / "python").is_there(env) == counts
 
 
 def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from envsetup.commands import PREFIX, SetupError, say
-from envsetup.machine import base_interpreter, extras, ros_interpreter, uses_sourced_ros
+from envsetup.machine import base_interpreter, compiler, extras, ros_interpreter, uses_sourced_ros
 from envsetup.virtualenv import Environment
 from envsetup.workspace import Workspace
 
@@ -62,8 +62,11 @@ def set_up(target: str, sourced_ros: bool) -> None:
     with alone(ROOT / ".setup"):
         environment.ensure(LEVELS[target])
         if target != "lint":
-            for extra in extras(target, environment.python, environment.env, sourced_ros):
-                extra.ensure(ROOT / ".setup" / "extras.log", environment.env)
+            log, python = ROOT / ".setup" / "extras.log", environment.python
+            if not compiler(environment.env, python).ensure(log, environment.env):
+                environment.add_compiler()
+            for extra in extras(target, python, sourced_ros):
+                extra.ensure(log, environment.env)
             Workspace(environment).ensure()
 
 

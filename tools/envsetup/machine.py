@@ -99,10 +99,13 @@ class Extra:
         """Return whether one of the checks succeeds."""
         return any(_succeeds(check, env, self.given) for check in self.checks)
 
-    def ensure(self, log: Path, env: dict[str, str]) -> None:
-        """Install the packages if possible; otherwise print one line and continue, or raise SetupError if required."""
+    def ensure(self, log: Path, env: dict[str, str]) -> bool:
+        """Install the packages if possible; return whether it is there, after one line if not.
+
+        Raise SetupError if it is required and cannot be installed.
+        """
         if self.is_there(env):
-            return
+            return True
         names, details = " ".join(self.packages), ""
         if not self.packages or not shutil.which("apt-get"):
             reason = "; install it if you can"
@@ -113,7 +116,7 @@ class Extra:
                 say(f"{self.title} is missing and will be installed")
                 apt_install(self.packages, log, env)
                 if self.is_there(env):
-                    return
+                    return True
                 reason = f", although {' and '.join(self.packages)} are installed"
             except SetupError as error:
                 reason, details = f"; {error}", error.details
@@ -121,6 +124,7 @@ class Extra:
         if self.required:
             raise SetupError(lack, details)
         say(lack)
+        return False
 
 
 def apt_install(packages: tuple[str, ...], log: Path, env: dict[str, str]) -> None:
@@ -141,17 +145,17 @@ def venv_module() -> Extra:
     return Extra(f"the module venv of {python}", packages, without, checks, required=True)
 
 
-def compiler(env: Mapping[str, str]) -> Extra:
-    """Return the C compiler for law and plant: $CC, or cc, gcc or clang, that finds the headers of the C library."""
-    compilers = [env["CC"].split()] if env.get("CC", "").split() else [["cc"], ["gcc"], ["clang"]]
+def compiler(env: Mapping[str, str], python: Path) -> Extra:
+    """Return the C compiler of the nodes: $CC, or cc, gcc or clang with the C library's headers, or ziglang's."""
+    wanted = env.get("CC", "").split()
+    compilers = [wanted] if wanted else [["cc"], ["gcc"], ["clang"], [str(python), "-m", "ziglang", "cc"]]
     checks = [[*each, "-fsyntax-only", "-x", "c", "-"] for each in compilers]
-    slow = "law and plant run in CasADi's virtual machine, many times slower"
-    return Extra("a C compiler (cc, gcc or clang)", ("gcc", "libc6-dev"), slow, checks, b"#include <math.h>\n")
+    instead = "ziglang from PyPI (100 MB) takes its place and compiles more slowly"
+    return Extra("a C compiler (cc, gcc or clang)", ("gcc", "libc6-dev"), instead, checks, b"#include <math.h>\n")
 
 
-def extras(target: str, python: Path, env: Mapping[str, str], sourced_ros: bool) -> Iterator[Extra]:
-    """Yield what a target can use: C compiler, Pinocchio beside a sourced ROS 2, C++ compiler and browser."""
-    yield compiler(env)
+def extras(target: str, python: Path, sourced_ros: bool) -> Iterator[Extra]:
+    """Yield what a target can use: Pinocchio beside a sourced ROS 2, C++ compiler and browser."""
     if sourced_ros and target in ("test", "bench"):
         yield pinocchio(python)
     if target == "test":

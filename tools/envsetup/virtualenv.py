@@ -50,6 +50,11 @@ class Environment:
         self._install(level)
         pins.write_stamp(self._stamp, {"identity": self.identity(), "installed": wanted})
 
+    def add_compiler(self) -> None:
+        """Install the C compiler that comes as a wheel."""
+        file = self.root / "requirements" / "compiler.txt"
+        self._pip("C compiler ziglang", self._constraints(), f"--requirement={file}")
+
     def identity(self) -> list[str]:
         """Return the properties that require a new environment when they change."""
         ros = self.env.get("AMENT_PREFIX_PATH", "") if self.sourced_ros else ""
