@@ -184,9 +184,10 @@ def test_a_violation_that_a_slow_machine_explains_is_no_verdict_and_advises_lock
 def test_states_that_a_driver_leaves_out_are_not_answered_late(summary: RunSummary) -> None:
     (found,) = _result([with_answers(summary, 1.0, ("model mismatch",), arrived=0.85)]).values["runs"]
     assert (found["status"], found["advice"]) == ("violated", "")
-    (found,) = _result([with_answers(summary, 1.0, ("loss",), arrived=0.85)]).values["runs"]
-    assert found["status"] == "late"
-    assert "states are missing (85 % of them arrived)" in found["advice"]
+    for cause in ("loss", "sampling"):
+        (found,) = _result([with_answers(summary, 1.0, (cause,), arrived=0.85)]).values["runs"]
+        assert found["status"] == "late"
+        assert "states are missing (85 % of them arrived)" in found["advice"]
 
 
 def test_a_slow_machine_leaves_no_verdict_without_V_either(summary: RunSummary) -> None:
@@ -359,6 +360,6 @@ def test_a_demonstration_that_is_stopped_in_real_time_is_repeated_in_lock_step(
     assert summary.report.stop is not None
     assert summary.report.lockstep
     said = capsys.readouterr().err
-    assert re.search(r"the run in real time was stopped at 0\S* s, with \d+\S* % of the states .* in lock-step", said)
+    assert re.search(r"in real time was stopped at 0\S* s: \d+\S* % of the states arrived, .* in lock-step", said)
     assert ["repeated in lock-step" in note for note in summary.notes] == [True]
     assert len(list((tmp_path / "runs").glob("stopping-*"))) == 2

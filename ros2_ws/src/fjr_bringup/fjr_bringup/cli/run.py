@@ -82,11 +82,11 @@ def _demonstrate(name: str, duration: float, output: Path) -> RunSummary:
     summary = _record_and_report(_plan(name, {}, duration, output))
     if _exit_code([summary]) == Exit.DONE:
         return summary
-    report = summary.report
+    report, counts = summary.report, summary.report.counts
     what = f"was stopped at {report.stop.at_s:.3g} s" if report.stop else f"is {report.status}"
-    in_time = percent(report.counts.answered_in_time_fraction, 1)
+    arrived, in_time = percent(counts.published_fraction, 1), percent(counts.answered_in_time_fraction, 1)
     note = (
-        f"the run in real time {what}, with {in_time} of the states answered in time; "
+        f"the run in real time {what}: {arrived} of the states arrived, {in_time} of these were answered in time; "
         "repeated in lock-step, where the robot waits for each command"
     )
     print(f"{name}: {note}", file=sys.stderr)

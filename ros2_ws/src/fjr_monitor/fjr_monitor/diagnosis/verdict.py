@@ -22,7 +22,7 @@ _EXPLANATIONS = {
     SATURATION: "the effort was saturated at a limit",
     "delay": "the effort acted late",
     "loss": "states or efforts were lost",
-    SAMPLING: "the effort is held too long at this sample period",
+    SAMPLING: "the effort is held too long, at this sample period or while states are missing",
     NOISE: "noise of the sensors moves the robot",
 }
 

@@ -23,7 +23,7 @@ from fjr_core.law.rate import NO_RATE
 from fjr_core.model.robot import joined
 from fjr_monitor.diagnosis.diagnosis import FirstPass, SecondPass
 from fjr_monitor.diagnosis.thresholds import JointTolerances
-from fjr_monitor.diagnosis.verdict import EXTERNAL, Diagnosis, unknown
+from fjr_monitor.diagnosis.verdict import EXTERNAL, SAMPLING, Diagnosis, unknown
 from fjr_monitor.recording.run import ControllerStop, Recording, RunData
 from fjr_monitor.recording.timing import Clock, Counts, Timing
 from fjr_monitor.report.contact import Contact, contact
@@ -43,7 +43,8 @@ from fjr_msgs_py.console.provenance import Provenance
 
 AFTER_CONTACT = 0.5  # s
 KEEPS_UP = 0.9  # fraction of states answered in time below which a run shows the computer, not the law
-IN_TIME = 0.99  # the same, if delay or loss is the first cause
+IN_TIME = 0.99  # the same, if one of TIMED is the first cause
+TIMED = ("delay", "loss", SAMPLING)
 VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
 
 Status = Literal["stopped", "late", "holding", "degraded", "violated", "unknown"]
@@ -84,14 +85,14 @@ class Report:
         """Return the run in one word: "stopped", "late" if late answers leave no verdict, otherwise the verdict.
 
         They do so in real time for a violation and without V, if less than KEEPS_UP of the states were answered in time
-        or, with delay or loss as the first cause, less than IN_TIME were, or arrived.
+        or, with one of TIMED as the first cause, less than IN_TIME were, or arrived.
         """
         if self.stop:
             return "stopped"
         in_time = self.counts.answered_in_time_fraction
         if self.verdict.kind not in ("violated", "unknown") or self.lockstep or in_time is None:
             return self.verdict.kind
-        timed = self.verdict.causes[:1] in (("delay",), ("loss",))
+        timed = any(cause in TIMED for cause in self.verdict.causes[:1])
         late = min(in_time, self.counts.published_fraction) < IN_TIME if timed else in_time < KEEPS_UP
         return "late" if late else self.verdict.kind
 
