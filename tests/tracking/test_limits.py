@@ -206,3 +206,10 @@ def test_a_link_position_that_changes_faster_than_its_velocity_limit_is_a_stop(j
     assert (
         tracker.reason == f"stopped: position jump of joint1: change of q_l = {jump:.6g} rad; expected {side}0.042 rad"
     )
+
+
+def test_a_change_of_position_that_may_be_noise_is_no_jump() -> None:
+    tracker = passing(link_velocity=1e-3)
+    for k, q_l in enumerate((0.0, 0.009, 0.0, 0.011)):
+        tracker.command(sample(k * MS, q_l, 0.0), k * MS)
+        assert tracker.counters["stops: position jump"] == (q_l > 0.01)

@@ -2,7 +2,8 @@
  * Limits of the measured state: positions, velocities, deflection and tracking error. A value at its limit is within.
  */
 
-#define TIMING 0.02 /* s; error of the time between two stamps, as where a driver stamps late; it covers noise, too */
+#define TIMING 0.02 /* s; error of the time between two stamps, as where a driver stamps late */
+#define LEAST 0.01  /* rad, m; a smaller change of position may be noise */
 
 static void stop(struct fjr_controller* c, int32_t cause, struct fjr_event event) {
   struct fjr_supervisor* s = &c->supervisor;
@@ -46,7 +47,8 @@ static void check_limits(struct fjr_controller* c, const double* q_ld, int64_t s
 static void check_change(struct fjr_controller* c, int64_t stamp, int64_t elapsed) {
   const double time = (double)elapsed * 1e-9 + TIMING, *change = c->measured.change;
   for (int i = 0; i < N && !c->supervisor.stopped; ++i) {
-    const double lower = c->settings.lower[2 * N + i] * time, upper = c->settings.upper[2 * N + i] * time;
+    const double lower = fmin(c->settings.lower[2 * N + i] * time, -LEAST);
+    const double upper = fmax(c->settings.upper[2 * N + i] * time, LEAST);
     const double expected = c->measured.values[2 * N + i] * time;
     const int below = change[i] < lower;
     if (!(below || change[i] > upper) || expected < lower || expected > upper) continue;
