@@ -102,6 +102,10 @@ REFUSED = [
     ),
     (OBSERVED.read, JointState(name=ELBOW, position=[0.0, 0.0]), "no stamp", "header.stamp is 0 ns"),
     (STATE.read, JointState(name=ELBOW, position=[0.0, NAN]), "not finite", "position holds elbow_motor = nan"),
+    (
+        *(STATE.read, JointState(name=ELBOW, position=[0.0, 0.0], velocity=[NAN, NAN]), "not finite"),
+        "expected finite numbers, or the parameter measurement.velocity set to observer",
+    ),
     (TORQUE.read, JointState(name=ELBOW, position=[1.0, 2.0]), "wrong lengths", "effort has length 0; expected 2"),
     (TORQUE.read, JointState(name=["elbow"], position=[1.0], effort=[NAN]), "not finite", "effort holds elbow = nan"),
     (efforts, Float64MultiArray(data=[1.0]), "wrong lengths", "data has length 1; expected 2, one per joint"),

@@ -37,7 +37,7 @@ LIFE = {
     "configure": ("inactive", "configured", "configured: law v_dpbc for joint1"),
     "activate": ("active", "activated", "activated: waiting for states on /joint_states"),
     "ask": ("active", "tracking", "tracking: the effort is the law's own"),
-    "deactivate": ("inactive", "deactivated", "deactivated: no efforts are sent"),
+    "deactivate": ("inactive", "deactivated", "deactivated: no further efforts are sent"),
     "cleanup": ("unconfigured", "cleaned up", "cleaned up: all parameters may change"),
 }
 """State after a transition, and kind and sentence of its event."""

@@ -74,13 +74,14 @@ BAD: dict[str, tuple[JointTrajectory, str, str]] = {
 }
 
 
-def test_an_invalid_message_is_refused_in_one_sentence_and_changes_nothing(ros: Ros, manager: Manager) -> None:
+def test_an_invalid_message_is_refused_in_one_sentence_and_changes_nothing(ros: Ros, manager: Manager, capfd) -> None:
     node = manager.started(0.0)
     for case, (message, kind, sentence) in BAD.items():
         event = manager.send(message)
         assert (event.name, event.level) == (f"trajectory refused: {kind}", event.WARN), case
         assert re.search(sentence, event.message), case
         assert "\n" not in event.message
+        ros.until_said(capfd, event.message)  # each of them, also of the same kind
     np.testing.assert_allclose(reference_at(manager, 0.2), [[np.sin(0.2)], [np.cos(0.2)]])
     manager.reported(node, "trajectory refused: efforts")
 

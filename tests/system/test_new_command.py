@@ -69,6 +69,10 @@ def test_the_arm_tracks_and_its_files_are_replaced_only_on_request(made: Path) -
     late, n = run.t >= 2.0, loop.robot.n
     assert np.abs(run.x[late, :n] - run.jets[late, 0]).max() < 1e-4
     assert np.all(np.abs(run.u).max(axis=0) < 0.8 * loop.robot.limits.effort)
+    deflection = np.abs(run.x[:, n : 2 * n] - run.x[:, :n]).max(axis=0)
+    limit = np.asarray(loop.controller_values["limits.deflection"])
+    assert np.all(deflection < 0.4 * limit)
+    assert np.all(limit < 2 * np.pi / 100)  # a turn of a motor before the gear
 
 
 def test_joints_that_a_urdf_locks_and_the_priority_are_written(tmp_path: Path) -> None:

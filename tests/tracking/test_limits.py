@@ -192,3 +192,24 @@ def test_invalid_values_are_refused_with_a_sentence() -> None:
     for sentence, given in REFUSED.items():
         refused(fjr.ParameterError, lambda given=given: built(**given), sentence)
     refused(fjr.ParameterError, lambda: settings(deflection=float("nan")), "limits.deflection")
+
+
+@pytest.mark.parametrize("jump", [2 * np.pi, -0.05])
+def test_a_link_position_that_changes_faster_than_its_velocity_limit_is_a_stop(jump: float) -> None:
+    tracker = passing(link_velocity=2.0)
+    for k in range(3):
+        tracker.command(sample(k * MS, 0.02 * k, 0.0), k * MS)
+        assert tracker.state is State.TRACKING
+    tracker.command(sample(3 * MS, 0.04 + jump, 0.0), 3 * MS)
+    assert tracker.counters == {"stops": 1, "stops: position jump": 1}
+    side = "at least -" if jump < 0 else "at most "
+    assert (
+        tracker.reason == f"stopped: position jump of joint1: change of q_l = {jump:.6g} rad; expected {side}0.042 rad"
+    )
+
+
+def test_a_change_of_position_that_may_be_noise_is_no_jump() -> None:
+    tracker = passing(link_velocity=1e-3)
+    for k, q_l in enumerate((0.0, 0.009, 0.0, 0.011)):
+        tracker.command(sample(k * MS, q_l, 0.0), k * MS)
+        assert tracker.counters["stops: position jump"] == (q_l > 0.01)

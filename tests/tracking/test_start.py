@@ -206,7 +206,7 @@ def test_tracking_continues_at_once_without_a_join_time() -> None:
     command = tracker.command(sample(SECOND, 0.4, 0.5), SECOND)
     np.testing.assert_array_equal(command.jets, SINE.jets(1.0))
     assert command.state is State.TRACKING
-    assert [*tracker.events][-1].sentence == "recovery: tracking continues at once"
+    assert [*tracker.events][-1].sentence == "recovery: tracking at once; a gap of 1 s without states had ended"
 
 
 @pytest.mark.parametrize("policy", ["zero", "gravity_hold"])

@@ -109,3 +109,13 @@ def test_a_spline_through_its_waypoints_is_the_motion(name: str) -> None:
     assert np.abs(spline.jets(t)[:, 0] - motion.jets(t)[:, 0]).max() < 2e-6
     np.testing.assert_array_equal(points.velocities[-1], 0.0)
     assert len(points.times) < 2000
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 0.0])
+def test_a_motion_that_ends_at_its_turning_point_rests_there(tolerance: float) -> None:
+    """Its last acceleration is not zero; the arm does not come to rest elsewhere."""
+    t = np.arange(0, 1.0005, 1e-3 if tolerance else 0.1)
+    motion = fjr.SampledMotion(t, 0.25 * (1 - np.cos(np.pi * t))[:, None], tolerance=tolerance)
+    np.testing.assert_allclose(motion.jets(100.0), [[0.5], [0], [0], [0], [0]], atol=1e-5)
+    beyond = np.abs(motion.jets(np.linspace(1, 4, 301))[:, 0] - 0.5)
+    assert beyond.max() < 0.06

@@ -156,7 +156,7 @@ class ControllerNode(ManagedParameterNode):
     def _deactivate(self) -> str:
         if self._control is not None:
             self._control.stop()
-        return "no efforts are sent"
+        return "no further efforts are sent"
 
     def _clean_up(self) -> str:
         if self._control is not None:

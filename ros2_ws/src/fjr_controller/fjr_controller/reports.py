@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report counters on /diagnostics and events on ~/events.
 
-Each stop is logged, every other kind of event and of refused message once.
+Each stop and refused trajectory is logged, every other kind of event and of refused message once.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.reports import STAMP, EventWriter, Health, refusal
 
 RECEIVED, ANSWERED = "states received", "states answered"
+TRAJECTORY_REFUSED = "trajectory refused"
 EXPECTED = (
     RECEIVED,
     ANSWERED,
@@ -48,7 +49,7 @@ class Reports(Health):
 
     def event(self, event: Event) -> None:
         """Publish an event, and count and log it by its level and kind."""
-        if event.kind in (STARTS_REFUSED, STOPS):
+        if event.kind.startswith((STARTS_REFUSED, STOPS, TRAJECTORY_REFUSED)):
             self._logged.discard(event.kind)
         if event.level == "info":
             self.count[event.kind] += 1

@@ -20,9 +20,9 @@ from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.node.participant import SeparateSubscription
 
 from .planner import Outcome, Planner, PlanningRules, TrajectoryPlan
-from .reports import Reports
+from .reports import TRAJECTORY_REFUSED, Reports
 
-REFUSED, GIVEN_UP = "trajectory refused", "trajectories given up"
+GIVEN_UP = "trajectories given up"
 
 
 class TrajectoryInterface:
@@ -116,7 +116,7 @@ class TrajectoryInterface:
             self._reports.event(Event("info", GIVEN_UP, "a trajectory was discarded before it was planned"))
             return
         kind = error.kind if isinstance(error, MessageError) else "cannot be followed"
-        self._reports.event(Event("warn", f"{REFUSED}: {kind}", f"{REFUSED}: {error}"))
+        self._reports.event(Event("warn", f"{TRAJECTORY_REFUSED}: {kind}", f"{TRAJECTORY_REFUSED}: {error}"))
 
     def _on_read(self, message: JointTrajectory | MessageError | None) -> None:
         if isinstance(message, JointTrajectory):

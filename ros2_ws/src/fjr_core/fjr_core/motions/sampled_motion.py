@@ -105,8 +105,8 @@ def _brought_to_rest(times: Array, jets: Array) -> tuple[Array, Array]:
         duration = np.nanmax(np.append(3 * speed / acceleration, np.diff(times)[-1]))
     duration = float(np.clip(duration, np.diff(times)[-1], times[-1] - times[0]))
     free = np.zeros((2, JETS), dtype=bool)
-    free[1, 0] = True  # the position at rest, which minimises the jerk
-    ends = minimum_jerk(np.array([0.0, duration]), np.stack([last, np.zeros_like(last)]), free)
+    free[1, 0] = np.any(speed**2 > 2e-3 * np.abs(last[2]))  # of least jerk, unless it can stop within 1 mrad or mm
+    ends = minimum_jerk(np.array([0.0, duration]), np.stack([last, np.vstack([last[:1], 0 * last[1:]])]), free)
     return np.append(times, times[-1] + duration), np.concatenate([jets, ends[1:]])
 
 

@@ -22,6 +22,7 @@ KINDS = (
     "states older than the last",
     "states stale",
     "states repeated",
+    "states frozen",
     "jumps doubted",
     "reference restarts",
     "silences",
@@ -37,6 +38,7 @@ KINDS = (
     "stops: motor velocity",
     "stops: deflection",
     "stops: tracking error",
+    "stops: position jump",
     "stops: contact",
     "stops: law",
     "resumes",
@@ -50,7 +52,7 @@ KINDS = (
     CONTACTS,
 )
 """Names of the counters, in the order of enum fjr_kind in step.h."""
-ERRORS = (STARTS_REFUSED, STOPS, "efforts not finite")
+ERRORS = (STARTS_REFUSED, STOPS, "states frozen", "efforts not finite")
 WARNINGS = ("reference restarts", "silences", "forward jumps", "observer restarts", "efforts saturated", CONTACTS)
 """Kinds of events by level; all others inform."""
 
@@ -102,6 +104,7 @@ class Finding:
 
 
 SIMPLE = {
+    "states frozen": "states frozen: positions repeat although their velocities are not zero; they are not answered",
     "reference restarts": "the time of the states jumped back: the reference starts again",
     "forward jumps": "the time of the states jumped forward",
     "observer restarts": "the velocity observer was reset: a gap, or a state without an effort",
@@ -119,6 +122,8 @@ LIMITED = {
     "motor velocity": ("dq_m", "velocity"),
     "deflection": ("q_m - q_l", "position"),
     "tracking error": ("q_l - q_ld", "position"),
+    "position jump": ("change of q_l", "position"),
+    "contact": ("external torque", "effort"),
 }
 """Limited quantities: symbol, and field of Units."""
 
@@ -187,8 +192,8 @@ class Journal:
         if kind == "silences":
             return f"no valid state for more than {found.value:g} s: the stop effort is sent", {}
         if kind == "recoveries":
-            within = f"transition to the reference within {found.value:g} s"
-            return f"recovery: {within if found.value else 'tracking continues at once'}", {}
+            what = f"transition to the reference within {found.value:.3g} s" if found.value else "tracking at once"
+            return f"recovery: {what}{self._after_gap(found.stamp)}", {}
         if kind == "references changed":
             return f"another reference: {self.followed.popleft()}", {}
         if kind == "efforts saturated":
@@ -196,8 +201,10 @@ class Journal:
             return f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]}
         joint = settings.joints[found.joint] if found.joint >= 0 else ""
         if kind == CONTACTS:
-            torque = f"{found.value:.3g} {settings.units[found.joint].effort} on {joint} (threshold {found.limit:.3g})"
-            return f"contact: external torque on {', '.join(joints_of(found.detail, settings.joints))}: {torque}", {}
+            joints, unit = joints_of(found.detail, settings.joints), settings.units[found.joint].effort
+            alone = f" together; {joint} alone" if len(joints) > 1 else ""
+            torque = f"{found.value:.3g} {unit} (threshold {found.limit:.3g})"
+            return f"contact: external torque on {', '.join(joints)}{alone}: {torque}", {}
         values: dict[str, float | str] = {"joint": joint} if joint else {}
         if not math.isnan(found.value):
             values |= {"value": found.value, "limit": found.limit}
@@ -216,12 +223,13 @@ class Journal:
         return f"stopped: {sentence}{self._after_gap(found.stamp)}", values
 
     def _after_gap(self, stamp: int) -> str:
-        """Return that the stop follows a gap of the states, or nothing."""
+        """Return that the event follows a gap of the states, or nothing."""
         stamps = self._step.controller.stamps
         since = stamp - stamps.gap_end
         if stamps.gap_end == NEVER or not 0 <= since <= AFTER_GAP:
             return ""
-        return f"; {since * 1e-9:.2g} s before, a gap of {stamps.gap * 1e-9:.2g} s without states had ended"
+        before = f"{since * 1e-9:.2g} s before, " if since else ""
+        return f"; {before}a gap of {stamps.gap * 1e-9:.2g} s without states had ended"
 
     def outside(self) -> str:
         """Return which limit the last state violates, "" if none."""
@@ -239,10 +247,6 @@ def joints_of(bits: int, joints: Sequence[str]) -> list[str]:
 
 
 def _violation(cause: str, found: Any, joint: str, settings: Settings) -> str:
-    if cause == "contact":
-        unit = settings.units[found.joint].effort
-        torque = f"external torque of {found.value:.3g} {unit} on {joint}"
-        return f"contact: {torque}; expected at most {found.limit:.3g} {unit}"
     symbol, quantity = LIMITED[cause]
     unit, side = getattr(settings.units[found.joint], quantity), "at least" if found.below else "at most"
     return f"{cause} of {joint}: {symbol} = {found.value:.6g} {unit}; expected {side} {found.limit:.6g} {unit}"

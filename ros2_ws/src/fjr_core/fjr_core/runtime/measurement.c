@@ -6,6 +6,8 @@
 
 #define LONGEST_CALL 1.5e-3 /* s; longer intervals are predicted in several calls */
 #define OBSERVED 5          /* samples after an observer reset before its velocities are used */
+#define UNSEEN 0.01         /* rad, m; a motion by the measured velocities that positions have to show, ... */
+#define UNCHANGED 20000000  /* ns; ... after this time: slow encoders repeat their values */
 
 static void forget_observer(struct fjr_controller* c) { c->measured.stamp = FJR_NEVER; }
 
@@ -57,12 +59,32 @@ static void joint_positions(const struct fjr_model* m, const struct fjr_sample* 
     position[N + i] = m->torque ? position[i] + deflection[i] : sample->motor[i] / m->gear_ratio[i];
 }
 
+/* True if samples with new stamps have repeated the same values for a while in which a link has moved by its velocity:
+ * their source is dead. */
+static int is_frozen(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample) {
+  struct fjr_sample* first = &c->unchanged;
+  const int64_t elapsed = sample->stamp - first->stamp;
+  const int64_t counted = elapsed < c->stamps.timeout ? elapsed : c->stamps.timeout;
+  int changed = m->observer || elapsed < 0;
+  double moved = 0;
+  for (int i = 0; i < N; ++i) {
+    const double dq_l = sample->velocity[i], dq_m = sample->velocity[N + i];
+    changed |= sample->link[i] != first->link[i] || sample->motor[i] != first->motor[i];
+    changed |= dq_l != first->velocity[i] || dq_m != first->velocity[N + i];
+    moved = fmax(moved, fabs(dq_l) * (double)counted * 1e-9);
+  }
+  if (changed) *first = *sample;
+  return !changed && elapsed > UNCHANGED && moved > UNSEEN;
+}
+
 /* Write the measured state; return 1 if it is finite. How large it may be is a matter of the limits (state_limits.c). */
 static int measure(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample,
                    enum fjr_order order) {
   struct fjr_measured* s = &c->measured;
   double position[2 * N];
   joint_positions(m, sample, position);
+  for (int i = 0; i < N; ++i) s->change[i] = position[i] - s->link[i];
+  copy(s->link, position, N);
   if (!m->observer) {
     copy(s->values, position, 2 * N);
     copy(s->values + 2 * N, sample->velocity, N);

@@ -2,6 +2,9 @@
  * Limits of the measured state: positions, velocities, deflection and tracking error. A value at its limit is within.
  */
 
+#define TIMING 0.02 /* s; error of the time between two stamps, as where a driver stamps late */
+#define LEAST 0.01  /* rad, m; a smaller change of position may be noise */
+
 static void stop(struct fjr_controller* c, int32_t cause, struct fjr_event event) {
   struct fjr_supervisor* s = &c->supervisor;
   s->stopped = cause;
@@ -37,6 +40,21 @@ static void check_limits(struct fjr_controller* c, const double* q_ld, int64_t s
   struct fjr_event found;
   complete_values(c->measured.values, q_ld);
   if (violated(c, c->measured.values, stamp, &found)) stop(c, found.detail, found);
+}
+
+/* Stop if a link position has changed by more than its velocity limit allows, although its velocity is within: an
+ * encoder jumps by a turn, or two robots send their states. elapsed [ns]: since the last sample. */
+static void check_change(struct fjr_controller* c, int64_t stamp, int64_t elapsed) {
+  const double time = (double)elapsed * 1e-9 + TIMING, *change = c->measured.change;
+  for (int i = 0; i < N && !c->supervisor.stopped; ++i) {
+    const double lower = fmin(c->settings.lower[2 * N + i] * time, -LEAST);
+    const double upper = fmax(c->settings.upper[2 * N + i] * time, LEAST);
+    const double expected = c->measured.values[2 * N + i] * time;
+    const int below = change[i] < lower;
+    if (!(below || change[i] > upper) || expected < lower || expected > upper) continue;
+    const struct fjr_event event = {FJR_STOPS, FJR_STOPS_POSITION_JUMP, i, below, stamp, change[i], below ? lower : upper};
+    stop(c, FJR_STOPS_POSITION_JUMP, event);
+  }
 }
 
 int fjr_is_outside(const struct fjr_controller* c, struct fjr_event* found) {

@@ -98,8 +98,14 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
     count(c, order == FJR_OLDER ? FJR_STATES_OLDER : FJR_JUMPS_DOUBTED);
     return 0;
   }
+  if (is_frozen(m, c, sample)) {
+    const struct fjr_event event = {FJR_STATES_FROZEN, NONE, NONE, 0, stamp, NAN, NAN};
+    report_episode(c, &c->journal.frozen, event);
+    return 0;
+  }
   if (order == FJR_LATE || order == FJR_GAP) note_gap(&c->stamps, stamp, arrival);
   if (!measure(m, c, sample, order)) return without_effort(m, c, stamp, command);
+  if (order == FJR_NEXT || order == FJR_REPEATED) check_change(c, stamp, stamp - c->stamps.last);
   stop_miswired(c, stamp);
   heed_contact(c, stamp);
   watch_wiring(m, c, order, stamp);
@@ -109,7 +115,7 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   accept_law(c);
   const int64_t elapsed = accept_stamp(&c->stamps, stamp, arrival);
   if (c->supervisor.stopped) c->stopped_time += elapsed;
-  c->journal.not_finite = 0;
+  c->journal.not_finite = c->journal.frozen = 0;
   write_command(c, command, command->V, order == FJR_BACK);
   return 1;
 }

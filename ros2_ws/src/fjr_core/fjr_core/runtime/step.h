@@ -130,10 +130,11 @@ struct fjr_command {
 
 /* What is counted; an event has the kind of its counter. The names stand in events.py, in this order. */
 enum fjr_kind {
-  FJR_STATES_OLDER, FJR_STATES_STALE, FJR_STATES_REPEATED, FJR_JUMPS_DOUBTED, FJR_REFERENCE_RESTARTS, FJR_SILENCES, FJR_FORWARD_JUMPS,
+  FJR_STATES_OLDER, FJR_STATES_STALE, FJR_STATES_REPEATED, FJR_STATES_FROZEN, FJR_JUMPS_DOUBTED,
+  FJR_REFERENCE_RESTARTS, FJR_SILENCES, FJR_FORWARD_JUMPS,
   FJR_OBSERVER_RESTARTS, FJR_RECOVERIES, FJR_STARTS_REFUSED, FJR_STOPS, FJR_STOPS_WIRING, FJR_STOPS_LINK_POSITION,
   FJR_STOPS_MOTOR_POSITION, FJR_STOPS_LINK_VELOCITY, FJR_STOPS_MOTOR_VELOCITY, FJR_STOPS_DEFLECTION,
-  FJR_STOPS_TRACKING_ERROR, FJR_STOPS_CONTACT, FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
+  FJR_STOPS_TRACKING_ERROR, FJR_STOPS_POSITION_JUMP, FJR_STOPS_CONTACT, FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
   FJR_EFFORTS_RATE_LIMITED, FJR_GAINS_CHANGED, FJR_SETTINGS_CHANGED, FJR_REFERENCES_CHANGED, FJR_HOLDS, FJR_CONTACTS,
   FJR_KINDS
 };
@@ -164,7 +165,7 @@ struct fjr_journal {
   int64_t events; /* written so far; event k is at event[k % FJR_EVENTS] */
   struct fjr_event event[FJR_EVENTS];
   struct fjr_wiring_fault wiring; /* of the last stop for the wiring */
-  int32_t saturation, not_finite; /* an episode is on */
+  int32_t saturation, not_finite, frozen; /* an episode is on */
 };
 
 /* ---- Controller ------------------------------------------------------------------------------------------------ */
@@ -188,6 +189,7 @@ struct fjr_stamps {
 /* values: q_l, q_m, dq_l, dq_m, q_m - q_l, q_l - q_ld. */
 struct fjr_measured {
   double values[6 * FJR_N];
+  double link[FJR_N], change[FJR_N]; /* link positions of the sample; what they have changed by since the last one */
   double x_hat[4 * FJR_N]; /* of the observer */
   int64_t stamp;           /* of the observer, FJR_NEVER: it starts with the next sample */
   int32_t k;               /* samples since the observer started */
@@ -291,6 +293,7 @@ struct fjr_controller {
   const struct fjr_reference* start_reference;
   struct fjr_stamps stamps;
   struct fjr_measured measured;
+  struct fjr_sample unchanged; /* the first of those that equal the last one but for the stamp */
   struct fjr_supervisor supervisor;
   struct fjr_law_state law;
   struct fjr_effort_limits limits;

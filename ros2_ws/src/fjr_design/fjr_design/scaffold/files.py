@@ -46,7 +46,8 @@ SCENARIO = """\
       phase: {phase}
     limits:
       from_robot: {from_robot}            # range, speed and effort of the URDF
-      tracking_error: {tracking_error}   # {unit}
+      deflection: {deflection}   # {unit}, of the springs: 3 times that under the effort limit
+      tracking_error: {tracking_error}
       start_error: {start_error}
     on_stop: gravity_hold         # the weight, with damped motors
     start: {{ramp_time: 0.1, join_time: 1.0}}   # s; to the law's effort; to the reference, beyond start_error
@@ -54,6 +55,7 @@ SCENARIO = """\
     state_timeout: 0.2            # s without a state: on_stop
 """
 ROUNDED, EXACT = 9, 17  # digits of a number
+DEFLECTION = 3.0  # times that under the effort limit: more than a motion needs, less than a motor encoder that jumps
 TRACKING_ERROR, START_ERROR = (0.15, 0.03), (0.1, 0.02)  # rad, m; limits of revolute and prismatic joints
 
 
@@ -72,12 +74,9 @@ def robot_text(arm: Arm, folder: Path) -> str:
         "      model: urdf",
         f"      urdf: {_scalar(path_from(folder, arm.urdf))}",
         f"      gravity: {_list(arm.gravity)}   # m/s^2 in the root link of the URDF; differs for a wall-mounted arm",
-        *(
-            [f"      locked_joints: {_list(stuck)}", f"      locked_positions: {_list(stuck.values())}"]
-            if stuck
-            else []
-        ),
     ]
+    if stuck:
+        lines += [f"      locked_joints: {_list(stuck)}", f"      locked_positions: {_list(stuck.values())}"]
     for name, matrix in (("joint_stiffness", arm.robot.K), ("motor_inertia", arm.robot.M_m)):
         lines.append(f"      {name}: {_list(np.diag(matrix), EXACT)}   # {UNITS[name]}{origin_of(arm, name)}")
     if arm.guesses:
@@ -92,7 +91,7 @@ def robot_text(arm: Arm, folder: Path) -> str:
 
 def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> str:
     """Return the scenario file, next to this robot file."""
-    motion, gains, n = proposal.motion, proposal.gains, arm.robot.n
+    motion, gains, n, limits = proposal.motion, proposal.gains, arm.robot.n, arm.robot.limits
     values = {key.partition(".")[2]: entries for key, entries in gain_values(gains.gains, n).items()}
     slides = [unit.position == "m" for unit in arm.robot.units]
     return SCENARIO.format(
@@ -105,11 +104,11 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
         q_l=_list(proposal.q_l),
         q_m=_list(proposal.q_m),
         gains="\n".join(gain_lines(values, n, indent=6)),
-        amplitude=_list(motion.amplitude),
-        frequency=_list(motion.frequency),
-        offset=_list(motion.offset),
-        phase=_list(motion.phase),
-        from_robot="false" if arm.robot.limits is None else "true",
+        **{name: _list(getattr(motion, name)) for name in ("amplitude", "frequency", "offset", "phase")},
+        from_robot="false" if limits is None else "true",
+        deflection=_list(
+            np.full(n, np.inf) if limits is None else DEFLECTION * limits.effort / np.diag(arm.robot.K), 3
+        ),
         tracking_error=_list(TRACKING_ERROR[each] for each in slides),
         start_error=_list(START_ERROR[each] for each in slides),
     )

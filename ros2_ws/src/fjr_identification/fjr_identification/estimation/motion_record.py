@@ -138,7 +138,7 @@ def _check_gaps(name: str, t: Array, counts: Array, period: float) -> None:
         i = int(np.argmax(counts))
         raise RecordError(
             f"{name}: time jumps by {t[i + 1] - t[i]:.6g} s at sample {i + 1} ({t[i]:.6g} s); "
-            f"expected steps of {period * 1e3:.6g} ms (give the parts as records of their own)"
+            f"expected steps of {period * 1e3:.6g} ms (give one part by start and duration, or the parts as records)"
         )
     share = float(np.mean(counts > 1))
     if share > MOST_MISSING:

@@ -24,6 +24,7 @@ from ..names import state_names
 from .cdr import Form
 
 SECOND = 1_000_000_000  # ns
+OR_OBSERVED = ", or the parameter measurement.velocity set to observer"
 FIRST_UNSENDABLE = 2**31 * SECOND  # ns; the seconds of a stamp are a signed 32-bit integer
 
 
@@ -60,9 +61,8 @@ def picked(message: JointState, field: str, wanted: Sequence[str]) -> Array:
     """
     columns, values = _columns(list(message.name), wanted), np.asarray(getattr(message, field), dtype=float)
     if len(values) != len(message.name):
-        expected = f"expected {len(message.name)}, one per name"
-        if field == "velocity" and not len(values) and message.position:
-            expected += ", or the parameter measurement.velocity set to observer"
+        observed = OR_OBSERVED if field == "velocity" and not len(values) and message.position else ""
+        expected = f"expected {len(message.name)}, one per name{observed}"
         raise MessageError("wrong lengths", f"{field} has length {len(values)}; {expected}")
     return _finite(field, values[columns], wanted)
 
@@ -80,7 +80,8 @@ def _columns(names: list[str], wanted: Sequence[str]) -> list[int]:
 def _finite(field: str, values: Array, names: Sequence[str]) -> Array:
     bad = [f"{name} = {value}" for name, value in zip(names, values, strict=True) if not np.isfinite(value)]
     if bad:
-        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers")
+        observed = OR_OBSERVED if field == "velocity" else ""
+        raise MessageError("not finite", f"{field} holds {', '.join(bad)}; expected finite numbers{observed}")
     return values
 
 
