@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 import fjr_core as fjr
+from fjr_controller import command_loop
 from fjr_core.config.law import control_law
 from fjr_core.extensions.law_registry import LAWS
 from nodes.harness import Peer, Ros, nanoseconds, stamped
@@ -129,6 +130,14 @@ def test_use_sim_time_changes_only_while_unconfigured(ros: Ros, manager: Manager
     manager.ask(stamped(0.0))
     manager.answer(stamped(0.6))  # a stop comes with it
     ros.until(lambda: "silences" in manager.kinds(), "the silence by the stamps")
+
+
+def test_simulated_time_without_a_clock_is_told(ros: Ros, manager: Manager, capfd, monkeypatch) -> None:
+    monkeypatch.setattr(command_loop, "TIMELESS", 2)
+    ros.controller(use_sim_time=True)
+    for k in range(4):
+        manager.ask(stamped(1e-3 * k))
+    ros.until_said(capfd, "use_sim_time is true, but no time comes on /clock: silences are not noticed")
 
 
 def test_process_settings_are_applied_after_configure(ros: Ros, manager: Manager) -> None:

@@ -36,8 +36,9 @@ SILENCE_CHECKS = 10  # per state_timeout
 READING_PERIOD = 0.05  # s
 READING_PERIOD_SIMULATED = 0.02  # s; simulated time stands still while the queue is full
 RECORDS = 4096  # 4 s at 1 kHz
-LOST = "samples not reported"
+LOST, NO_CLOCK = "samples not reported", "no clock"
 AT_ONCE = 1024  # records between two callbacks of other parts of the node
+TIMELESS = 200  # answered states, after which simulated time must have begun
 IN_PYTHON = "the law or the observer is evaluated in Python (compile is false, or a law of one's own)"
 
 Listener = Callable[[JointSample, Command], None]
@@ -263,6 +264,8 @@ class CommandLoop:
             self._lost = self._ring.lost
             self._reports.warn(LOST, "samples were not reported: the process of the node has too little time")
             self._reports.count[LOST] = self._lost
+        if self._simulated and self._struct.answered > TIMELESS and not self._node.get_clock().now().nanoseconds:
+            self._reports.tell(NO_CLOCK, "use_sim_time is true, but no time comes on /clock: silences are not noticed")
         self._reports.count[RECEIVED] = self._struct.received
         self._reports.count[ANSWERED] = self._struct.answered
         self._reports.publish_events()
