@@ -166,7 +166,7 @@ HAND_WRITTEN = """
 /**:
   ros__parameters:
     a: 1e-1
-    b: [1e-1, 1E3, 1.5e2, +2.e-1, -.5e+1, 0.3, .inf]
+    b: [1e-1, 1E3, 1.5e2, +2e-1, -.5e+1, 0.3, .inf]
     c: 0.5
 /**/probe:
   ros__parameters:
