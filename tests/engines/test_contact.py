@@ -157,9 +157,9 @@ def test_an_obstacle_comes_back_only_where_the_arm_is_not() -> None:
     assert loop.contacts
 
 
-@pytest.mark.parametrize("seed", [101, pytest.param(102, marks=pytest.mark.full)])
-def test_report_at_random_walls_names_the_joints_and_the_force(seed: int, tmp_path: Path) -> None:
-    for k, wall in enumerate(random_walls(2, seed)):
+@pytest.mark.parametrize(("seed", "count"), [(101, 1), pytest.param(102, 3, marks=pytest.mark.full)])
+def test_report_at_random_walls_names_the_joints_and_the_force(seed: int, count: int, tmp_path: Path) -> None:
+    for k, wall in enumerate(random_walls(count, seed)):
         seen = met(wall, tmp_path / str(k))
         assert seen.external
         assert seen.right

@@ -90,9 +90,6 @@ def test_imperfection_takes_effect_at_its_change(run: Run, name: str) -> None:
 
 NONSENSE = {
     "link_coulomb_friction": ([-1.0], "0.0"),
-    "cubic_stiffness": ([1.0, 2.0], "expected 1, one per joint"),
-    "torque_ripple": ([float("nan")], "finite"),
-    "command_repetition": (1, "DOUBLE"),
     "period_jitter": (0.001, "less than the period"),
     "motor_coulomb_friction": ([1e6], "friction damps with"),
     "seed": (3, "read-only"),

@@ -202,7 +202,7 @@ SIDES = ("left", "right")
 
 def test_two_arms_with_separate_clocks_run_in_parallel_and_are_distinguishable(ros: Ros, start: Start) -> None:
     observer, clocks = Listener(ros, only=("diagnostics",)), {arm: [] for arm in SIDES}
-    paused = ("-p", "lockstep:=true", "-p", "start_paused:=true", "-p", "advance_samples:=2500")
+    paused = ("-p", "lockstep:=true", "-p", "start_paused:=true", "-p", "advance_samples:=1200")
     for arm, heard in clocks.items():
         observer.create_subscription(Clock, f"/{arm}/clock", heard.append, 5000)
         for node, timed in (("plant", paused), ("controller", ("-p", "use_sim_time:=true"))):

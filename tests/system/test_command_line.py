@@ -183,12 +183,8 @@ def test_a_urdf_or_robot_file_in_place_of_a_scenario_names_what_to_do(folder: Pa
         assert "expected a scenario, such as arm.yaml, which names it" in refused(command, "arm_robot.yaml")
 
 
-def test_names_that_nothing_reads_are_refused(folder: Path) -> None:
+def test_names_in_a_robot_file_that_nothing_reads_are_refused(folder: Path) -> None:
     file = folder / "mine.yaml"
-    file.write_text("/**: {ros__parameters: {limits: {efort: [1.0]}}}\n")
-    assert "unknown parameter 'limits.efort'; did you mean 'limits.effort'?" in refused("check", "mine.yaml")
-    file.write_text("robot: {joint_stiffness: [3.1]}\n")
-    assert "has 'robot' at the top, where only sections of nodes are read" in refused("check", "mine.yaml")
     (folder / "arm_robot.yaml").write_text(ROBOT.replace("joint_stiffness", "joint_stifness"))
     file.write_text("/**: {ros__parameters: {robot: {file: arm_robot.yaml}}}\n")
     hint = "unknown parameter 'robot.joint_stifness'; did you mean 'robot.joint_stiffness'?"

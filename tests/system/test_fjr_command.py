@@ -9,6 +9,7 @@ import re
 import signal
 import time
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -163,14 +164,16 @@ def test_no_node_joins_a_run_and_a_publisher_of_states_that_stays_ends_it(
     assert len(efforts(tmp_path / "paper_k31")) > 50
 
 
-def test_lock_step_waits_for_a_recorder_that_is_slower(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write = BagWriter.write
+def test_lock_step_waits_for_a_recorder_that_stands_still(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a time in which the nodes would compute more samples than its queues hold."""
+    write, written, standstill = BagWriter.write, count(), 2.0
 
-    def slow_write(*arguments: Any) -> None:
-        time.sleep(1e-4)
+    def late_write(*arguments: Any) -> None:
+        if next(written) == 1000:
+            time.sleep(standstill)
         write(*arguments)
 
-    monkeypatch.setattr(BagWriter, "write", slow_write)
+    monkeypatch.setattr(BagWriter, "write", late_write)
     options = ("--lockstep", "--no-report", "--duration", "6", "--output", str(tmp_path))
     fjr_here("run", "paper_k31", *options)
     assert is_complete(tmp_path / "paper_k31")

@@ -73,8 +73,8 @@ def test_the_small_page_of_every_scenario_draws_all_its_plots_and_the_arm(
 
 
 def test_page_agrees_with_the_report(pages: Path, browser: Browser) -> None:
-    report = json.loads((pages / "arm7" / "report.json").read_text())
-    browser.open(pages / "arm7" / "report.html", **SMALL)
+    report = json.loads((pages / "two_link" / "report.json").read_text())
+    browser.open(pages / "two_link" / "report.html", **SMALL)
     text = browser.value("document.body.innerText")
     rows = browser.value("[...document.querySelectorAll('table.figures tbody th')].map((cell) => cell.textContent)")
     assert rows == [joint["joint"] for joint in report["joints"]]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
@@ -78,16 +77,6 @@ def test_arms_converge_within_3_s_from_equilibrium_and_respect_their_limits(name
     assert np.max(error[run.t >= 3.0]) < 1e-4
     if scenario.robot.limits is not None:
         assert np.all(np.abs(run.u).max(axis=0) < scenario.robot.limits.effort)
-
-
-NUMBERS = {"1e-1": 0.1, "1E3": 1000.0, "1.5e2": 150.0, "+2.e-1": 0.2, "-.5e+1": -5.0, "0.3": 0.3, ".inf": math.inf}
-
-
-@pytest.mark.parametrize("text", NUMBERS)
-def test_numbers_are_read_as_ros_reads_them(text: str) -> None:
-    value = ros_yaml.parse(f"[{text}]")[0]
-    assert isinstance(value, float)
-    assert value == NUMBERS[text]
 
 
 def test_document_round_trips() -> None:

@@ -68,7 +68,21 @@ def test_storage_of_a_constant_reference_decays_by_the_damping_alone(name: str, 
     assert residual(dV, -dq @ arm.D_l @ dq, -dtheta @ (arm.D_m + D) @ dtheta) < TOLERANCE
 
 
-@pytest.mark.parametrize("name", ON_MOTORS)
+@pytest.mark.parametrize("name", ["pd_gravity", "torque_feedback"])
+@arms
+@seeds
+def test_feedforward_is_that_of_the_reference_alone(name: str, arm: Arm, seed: int) -> None:
+    """For a constant reference, effort and storage in every state are those of the law without feedforward."""
+    plain, p = loop_of(name, arm), place(arm, seed)
+    law = LAWS[f"{name}_feedforward" if name == "torque_feedback" else "pd_feedforward"]
+    with_feedforward = PlainLoop(arm, law.make(arm.robot, plain.law.gains))  # type: ignore[attr-defined]
+    jets = constant_jets(p.jets[0])
+    for of in ("effort", "storage"):
+        wanted = getattr(plain, of)(p.x, jets)
+        np.testing.assert_allclose(getattr(with_feedforward, of)(p.x, jets), wanted, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["pd_gravity", "torque_feedback"])
 @stiff
 def test_constant_reference_is_the_only_equilibrium_and_is_attractive(name: str, arm: Arm) -> None:
     """If K_p outweighs gravity, V has one stationary point and the arm converges to it from far away."""

@@ -147,7 +147,7 @@ def test_a_record_in_parts_has_the_diagnosis_of_the_whole(changed: dict[str, flo
     u[[0, 400, 401, 402, 700, 2000]] = np.nan
     gaps = replace(seen, u=u).rows(rows)
     timed = replace(gaps, sent=gaps.t, answered=gaps.t + 1e-4 * (1 + np.arange(len(gaps.t)) % 5))
-    for whole, size in ((gaps, 300), (timed.rows(slice(900)), 13)):
+    for whole, size in ((gaps, 300), (timed.rows(slice(450)), 13)):
         wanted, found = (diagnose(whole, LAW, size=each) for each in (len(whole.t), size))
         assert (found.kind, found.causes, found.sentence) == (wanted.kind, wanted.causes, wanted.sentence)
         assert list(found.figures) == list(wanted.figures)
