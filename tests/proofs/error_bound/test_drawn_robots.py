@@ -63,6 +63,7 @@ def test_a_bound_that_is_not_proven_is_followed_by_drawn_robots() -> None:
     assert said is not None
     largest = 1e3 * max(found.values["drawn"]["largest"].values())
     assert largest <= float(said[1]) <= 1.01 * largest
+    assert f"at the samples of {found.values['drawn']['seconds']:.3g} s" in found.rows["    299 drawn robots"]
     assert "drawn" not in errors_bounded(scenario, errors, 0.0, prove=True).values
 
 

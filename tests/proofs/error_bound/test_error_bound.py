@@ -180,12 +180,15 @@ def linear_step(robot: fjr.Robot, torque: float, z: np.ndarray, u: float) -> np.
     return np.asarray((expm(whole * T) @ np.append(z, 1.0))[:4])
 
 
-def response(law: fjr.TrackingLaw, torques: np.ndarray) -> np.ndarray:
-    """Return q_l at the samples of a joint without gravity at rest, under link torques that change at the samples."""
+def response(law: fjr.TrackingLaw, torques: np.ndarray, robot: fjr.Robot | None = None) -> np.ndarray:
+    """Return q_l at the samples of a joint without gravity at rest, under link torques that change at the samples.
+
+    robot: that of the law by default.
+    """
     z, positions = np.zeros(4), [0.0]
     for torque in torques:
         u, _ = law.measured_command(z[:2], z[2:], np.zeros((5, 1)))
-        z = linear_step(law.robot, torque, z, u[0])
+        z = linear_step(robot or law.robot, torque, z, u[0])
         positions.append(z[0])
     return np.array(positions)
 
@@ -197,6 +200,18 @@ def test_the_worst_torque_of_a_linear_joint_nearly_reaches_the_bound() -> None:
     seen = response(law, worst[-samples:])[-1]
     (bound,) = bound_errors(law, STILL, T, 0.0, {"link_torque": 0.3}).position
     assert seen <= bound <= 1.05 * seen
+
+
+def test_the_worst_torque_on_the_lightest_robot_stays_within_the_bound() -> None:
+    """A torque accelerates a light robot more than its model; the loop of this one nearly oscillates."""
+    gains, samples = fjr.Gains(5.5, 350.0, 14.0, 35.0, 60.0, 0.16), 3000
+    law = fjr.TrackingLaw(fjr.single_link(gravity_torque=0.0), gains, compile=True)
+    light = fjr.single_link(gravity_torque=0.0, link_inertia=0.3 * 0.031)
+    impulse = response(law, np.append(np.ones(1), np.zeros(samples)), light)[1:]
+    seen = response(law, 0.1 * np.sign(impulse[::-1]), light)[-1]
+    bound = bound_errors(law, STILL, T, 0.0, {"payload": 0.7, "link_torque": 0.1})
+    assert bound.proven
+    assert seen <= bound.position <= 1.2 * seen
 
 
 def test_a_constant_torque_leaves_the_error_of_the_closed_form() -> None:

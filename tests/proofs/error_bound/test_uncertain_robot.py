@@ -141,3 +141,11 @@ def test_factors_are_in_the_order_of_the_joints_of_the_robot() -> None:
     )
     torque, M = UncertainRobot(swapped, {"link_mass": [0.0, 0.1]}).links(Q, DQ, DDQ, [1.0])
     check([torque.full().ravel(), M.full()], links_of(expected))
+
+
+def test_without_gravity_its_direction_changes_nothing() -> None:
+    robot = fjr.planar_two_link()
+    links = serial_chain(robot.links.bodies, (0.0, 0.0, 0.0))
+    weightless = replace(robot, links=links)
+    torque, _ = UncertainRobot(weightless, {"gravity_direction": 0.1}).links(Q, DQ, DDQ, [1.0, -1.0])
+    assert torque.full().ravel() == pytest.approx(links.inertial_torque(Q, DQ, DQ, DDQ).full().ravel(), rel=1e-12)

@@ -75,7 +75,7 @@ def errors_bounded(
     rows = {"error bound": _sentence(scenario, bound, hint)}
     if errors and not bound.proven and (drawn := drawn_robots(scenario, errors, late, place)) is not None:
         largest = _by_joint(scenario, drawn.largest)
-        values["drawn"] = {"robots": ROBOTS, "unstable": drawn.unstable, "largest": largest}
+        values["drawn"] = {"robots": ROBOTS, "unstable": drawn.unstable, "largest": largest, "seconds": drawn.seconds}
         rows[f"    {ROBOTS} drawn robots"] = _sampled(scenario, drawn) + _without(scenario, bound.errors)
     return Check(rows, values)
 
@@ -85,9 +85,9 @@ def _sampled(scenario: Scenario, drawn: DrawnRobots) -> str:
     if drawn.unstable:
         return f"{drawn.unstable} with an unstable loop, of robots whose parameters are uniform within these errors"
     return (
-        f"|q_l - q_ld| at most {_largest(scenario, drawn.largest)} from a start on the reference; with "
-        f"{percent(CONFIDENCE, 0)} confidence {percent(SHARE, 0)} of the robots whose parameters are uniform within "
-        "these errors stay below it"
+        f"|q_l - q_ld| at most {_largest(scenario, drawn.largest)} at the samples of {drawn.seconds:.3g} s from a "
+        f"start on the reference; with {percent(CONFIDENCE, 0)} confidence {percent(SHARE, 0)} of the robots drawn "
+        f"uniformly within these errors stay below {'either alone' if len({*scenario.robot.units}) > 1 else 'it'}"
     )
 
 

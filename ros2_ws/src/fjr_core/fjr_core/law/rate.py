@@ -75,10 +75,10 @@ def _of_blocks(robot: Robot, gains: CheckedGains, beta_sigma_l: float, largest_i
         beta_m = _safe(beta_m, _position_block(gains.Pi_m, gains.Lambda_m), gains.Pi_m)
     smallest_damping = min(float(np.linalg.eigvalsh(damping)[0]) for damping in (damping_l, damping_m))
     largest_inertia = max(largest_inertia, float(np.linalg.eigvalsh(robot.M_m)[-1]))
-    beta_q = min(beta_l, beta_m)
+    beta = min(beta_l, beta_m, beta_sigma_l, beta_sigma_m)
     return Rate(
-        beta=min(beta_q, beta_sigma_l, beta_sigma_m),
-        beta_paper=min(beta_q, smallest_damping / largest_inertia),
+        beta=beta,
+        beta_paper=min(beta, smallest_damping / largest_inertia),
         beta_l=beta_l,
         beta_m=beta_m,
         beta_sigma_l=beta_sigma_l,

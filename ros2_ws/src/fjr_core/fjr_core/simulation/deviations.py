@@ -157,10 +157,10 @@ class ChangedLinks:
 def turned_gravity(links: ArmDynamics, deviations: Mapping[str, ca.SX]) -> ca.SX:
     """Return gravity (3,) [m/s^2] in the base frame, turned by `gravity_direction` (2,) [rad] if it is given.
 
-    The angles are about two axes normal to gravity. Links without an end effector have none.
+    The angles are about two axes normal to gravity. Links without an end effector, or gravity, have none.
     """
     gravity = np.zeros(3) if links.end_effector is None else links.end_effector.gravity
-    if "gravity_direction" not in deviations:
+    if "gravity_direction" not in deviations or not gravity.any():
         return ca.SX(ca.DM(gravity))
     size, (x, y) = np.linalg.norm(gravity), np.linalg.svd(gravity[None, :])[2][1:]
     a, b = ca.vertsplit(deviations["gravity_direction"])

@@ -31,10 +31,11 @@ SEED = 1
 
 @dataclass(frozen=True)
 class DrawnRobots:
-    """Runs of ROBOTS robots. largest (n,) [rad]: |q_l - q_ld| of those whose loop is stable. unstable: the others."""
+    """Runs of ROBOTS robots over `seconds`. largest (n,) [rad]: |q_l - q_ld| of stable loops. unstable: the others."""
 
     largest: Array
     unstable: int
+    seconds: float
 
 
 def drawn_robots(
@@ -62,7 +63,7 @@ def drawn_robots(
     loop = ClosedLoop(robot, scenario.law, reference, start, duration, T, inner, settle_after=0.0)
     outcomes = loop.run(Draws(ROBOTS, delay=delay, **{"payload_position": payload_position, **values}))
     largest = outcomes.peak[outcomes.stable].max(axis=0, initial=0.0)
-    return DrawnRobots(largest, int(np.sum(~outcomes.stable)))
+    return DrawnRobots(largest, int(np.sum(~outcomes.stable)), duration)
 
 
 def _drawn(name: str, error: ArrayLike, n: int, place: ArrayLike = 0.0) -> Array:

@@ -25,6 +25,7 @@ from .deviation_model import CentreMotion, DeviationModel
 from .enclosures import Mismatch, Ranges
 from .known_response import KnownErrors, Response, course, steady_response
 from .linear_loop import LinearLoop, linear_loop
+from .uncertain_robot import INVERSE
 
 STEPS = 5  # of Newton's method
 MOST_ROUNDS = 500
@@ -353,7 +354,9 @@ class TubeProblem:
     @cached_property
     def _unknown(self) -> Array:
         S, unknown = self.linear.coordinates, self.ranges.unknown_errors(self._known_errors)
-        unknown[: len(self.disturbing)] += self.disturbing
+        ends, of_joints = (self.ranges.low, self.ranges.high), self.linear.model.uncertain.of_joints
+        least = [np.minimum(*(of_joints(name, end) for end in ends)) + np.zeros(self.linear.n) for name in INVERSE]
+        unknown[: len(self.disturbing)] += self.disturbing / np.concatenate(least)  # as the equations are divided
         changes = [S.torque] if self.linear.late else []
         return np.asarray(np.abs(block_diag(S.torques, *changes, S.effort)) @ unknown)
 
