@@ -74,6 +74,12 @@ def test_entries_without_a_bound_may_become_negative_and_damping_shortens_each_b
     np.testing.assert_allclose(step, [0.5, 0.5])
 
 
+def test_information_that_rounding_makes_indefinite_has_a_step() -> None:
+    H, free = np.array([[1.0, 1.0], [1.0, 1.0 - 1e-14]]), np.zeros(2, dtype=bool)
+    assert np.linalg.eigvalsh(H)[0] < 0
+    assert bounded_step(H, np.ones(2), np.zeros(2), free).sum() == pytest.approx(1.0)
+
+
 # Jumps at reversals are those of a new integration; eliminated, they are generalised least squares.
 
 WIDTH = np.repeat([1e-2, 2e-2], len(LAGS))

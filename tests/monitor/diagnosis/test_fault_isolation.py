@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -20,10 +21,10 @@ from fjr_monitor.diagnosis.diagnosis import diagnose, innovations
 from fjr_monitor.diagnosis.fault_isolation import velocity_faults
 from fjr_monitor.diagnosis.hypotheses import SECOND_MOMENTS, Hypothesis, body_torques
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.residuals import residuals
+from fjr_monitor.diagnosis.residuals import Residuals, residuals
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.torque_faults import UNKNOWN, FittedFault, torque_fault, unexplained
-from fjr_monitor.diagnosis.verdict import Diagnosis
+from fjr_monitor.diagnosis.verdict import EXTERNAL, Diagnosis
 from monitor.diagnosis.loops import PERIOD, Sensed, recorded
 
 DURATION = 1.5
@@ -154,15 +155,20 @@ def test_begin_of_a_fault_of_the_robot_is_the_likeliest() -> None:
     assert finding.since == pytest.approx(0.8, abs=0.04)
 
 
-def found_in(seen: Record, signs: Array, drawn: bool) -> Finding:
-    """Return what is found if torques of 0.1 N m times `signs` (4,) act in a record; drawn: anew in each block."""
+def torques_of(seen: Record, torque: Callable[[Residuals], Array]) -> Finding:
+    """Return what is found if torques (b, 4) [N m] act in the blocks of a record, with noise."""
     found, rng, noise = innovations(seen, law()), np.random.default_rng(2), np.full(4, 1e-3)
     left = residuals(found, np.zeros((len(found), 2)), law())
     assert left is not None
-    size = 0.1 * (rng.standard_normal((len(left.r), 1)) if drawn else np.ones((len(left.r), 1)))
-    r = size * signs + noise * rng.standard_normal(left.r.shape)
+    r = torque(left) + noise * rng.standard_normal(left.r.shape)
     (finding,) = torque_fault(replace(left, r=r, sigma=noise, noise=noise), NAMES)
     return finding
+
+
+def found_in(seen: Record, signs: Array, drawn: bool) -> Finding:
+    """Return what is found if torques of 0.1 N m times `signs` (4,) act in a record; drawn: anew in each block."""
+    draw = np.random.default_rng(3).standard_normal if drawn else np.ones
+    return torques_of(seen, lambda left: 0.1 * draw((len(left.r), 1)) * signs)
 
 
 @pytest.mark.parametrize(("joints", "named"), [((0,), True), ((0, 1), False)])
@@ -185,6 +191,40 @@ def test_place_of_an_unknown_torque_is_named(channels: tuple[int, ...], joint: s
     signs = sum(np.eye(4)[channel] * (-1) ** i for i, channel in enumerate(channels))
     finding = found_in(record(), signs, drawn=True)
     assert (finding.kind, finding.joint, finding.side) == (UNKNOWN, joint, side)
+
+
+def test_a_limit_of_the_effort_is_no_torque_constant() -> None:
+    (finding,) = verdict(acting=lambda u: np.clip(u, [-np.inf, -0.6], [np.inf, 0.6])).findings
+    assert (finding.kind, finding.joint, finding.side) == ("effort limit", "elbow", "motor")
+    assert finding.size == pytest.approx(0.6, rel=0.06)  # of 60 tested ones
+
+
+def test_a_motor_that_follows_no_command_has_no_kind_of_fault() -> None:
+    """Nearly all of a large command is missing: each kind that takes it away explains the residual, not what acts."""
+    acted = np.zeros(2)
+
+    def acting(u: Array) -> Array:
+        acted[:] = u[0], acted[1] + np.clip(u[1] - acted[1], -6e-3, 6e-3)
+        return acted.copy()
+
+    (finding,) = verdict(acting=acting).findings
+    assert (finding.kind, finding.joint, finding.side) == (UNKNOWN, "elbow", "motor")
+
+
+def test_a_cable_that_pulls_on_a_link_is_no_payload() -> None:
+    finding = torques_of(record(), lambda left: (0.1 - 0.8 * left.means(left.q)[:, 1:2]) * np.eye(4)[1])
+    assert (finding.kind, finding.joint, finding.side) == ("pull of a cable", "elbow", "link")
+    assert finding.size == pytest.approx(0.8, rel=0.02)
+
+
+@pytest.mark.parametrize(("swings", "kind"), [(False, EXTERNAL), (True, UNKNOWN)])
+def test_a_torque_that_swings_is_a_resonance_and_no_contact(swings: bool, kind: str) -> None:
+    def torque(left: Residuals) -> Array:
+        k, driven = np.arange(len(left.r)), np.sign(left.means(left.dq)[:, 1])
+        push = 0.3 * np.cos(2.0 * k) if swings else 0.3 * driven
+        return np.where(k < len(k) // 3, push, 0.0)[:, None] * np.eye(4)[1]
+
+    assert torques_of(record(), torque).kind == kind
 
 
 @pytest.mark.parametrize("ripple", [0.0, 0.05])

@@ -77,7 +77,13 @@ def identify(
     file = _write(output, nominal, identification, motions, compared, values)
     paths = [output / name for name in (ROBOT, VALUES, PAGE)]
     sensors = ["", "what the records lack:", *lacks] if lacks else []
-    lines = [*table(identification), *sensors, *_hold_out_lines(compared), *_last_lines(paths, file)]
+    lines = [*table(identification), *sensors]
+    for held in compared:
+        lines += ["", f"hold-out {held.record}: share of the deflection that a model leaves unexplained"]
+        lines += aligned([("unexplained", *HOLD_OUT[1:]), *hold_out_rows(held)])
+    lines += ["", f"written    {', '.join(map(str, paths))}"]
+    following = [f"next       fjr check {paths[0]}", f"           fjr run {paths[0]} --lockstep"]
+    lines += [f"no gains   {file.reason}"] if file.reason else following
     return Result("\n".join(lines), {**values, "files": paths})
 
 
@@ -185,20 +191,3 @@ def unconfirmed(compared: Sequence[HoldOut]) -> list[str]:
     for sentence in sentences:
         tell(sentence)
     return sentences
-
-
-def _hold_out_lines(compared: Sequence[HoldOut]) -> list[str]:
-    """Return the tables of unexplained deflections as text."""
-    lines: list[str] = []
-    for held in compared:
-        lines += ["", f"hold-out {held.record}: share of the deflection that a model leaves unexplained"]
-        lines += aligned([("unexplained", *HOLD_OUT[1:]), *hold_out_rows(held)])
-    return lines
-
-
-def _last_lines(paths: Sequence[Path], file: RobotFile) -> list[str]:
-    """Return where the results are and what comes next."""
-    lines = ["", f"written    {', '.join(map(str, paths))}"]
-    if file.reason:
-        return [*lines, f"no gains   {file.reason}"]
-    return [*lines, f"next       fjr check {paths[0]}", f"           fjr run {paths[0]} --lockstep"]

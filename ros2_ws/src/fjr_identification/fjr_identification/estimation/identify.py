@@ -42,7 +42,7 @@ from .motion_record import MotionRecord
 from .multiple_shooting import PredictedSegments
 from .optimise import optimise, parameter_step, refine
 from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
-from .reversals import COLOURED, coloured, with_reversals
+from .reversals import COLOURED, coloured, joints_with_jumps, with_reversals
 from .validation import deflection_error, motion_fits, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 
@@ -140,7 +140,7 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
     best = _optimum(setup, start, progress)
     if coloured(best) >= COLOURED and not setup.options.static_friction:
         setup, best = _falling_with_speed(setup, best, progress)
-    best = with_reversals(best, lambda share: progress("friction of another shape", share))
+    best, smooth = with_reversals(best, lambda share: progress("friction of another shape", share)), best
     progress("intervals", 0.0)
     spurious, held = spurious_information(best), best.problem.coordinates.held
     parts = best.projected
@@ -157,7 +157,7 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
         last = refine(best.problem.holding(fixed), z, near.x0, best.noise, again)
     doubt = "" if last.converged else NOT_CONVERGED
     step = None if last.converged else parameter_step(last, 0.0)
-    estimates = estimates_at(setup, parts, spurious, fixed, last.z, doubt, step)
+    estimates = estimates_at(setup, parts, spurious, fixed, last.z, doubt, step, joints_with_jumps(smooth, best))
     return Simulation(setup, best, estimates, simulated_fits(last, last.noise), last.converged)
 
 

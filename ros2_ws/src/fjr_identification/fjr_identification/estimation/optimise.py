@@ -26,6 +26,7 @@ NEGLIGIBLE = 1e-5  # of the prior's width; a smaller step is rounding, in record
 SIMILAR = 0.1  # of the logarithm of noise levels
 ROUGHLY, LEAST_DECREASE = 0.5, 1e-2  # of -log L; a descent ends with a step that gains less
 STALLED, PATIENCE = 0.01, 3  # share of the decrease that the normal equations predict, and steps in a row below it
+ROUNDING = 1e-13  # of the largest eigenvalue; information loses as much where initial states take nearly all of it
 HARDEST = 1e3  # damping at which no step is found
 
 Progress = Callable[[float], None]
@@ -145,11 +146,11 @@ def distance(at: PredictedSegments) -> float:
 def bounded_step(H: Array, g: Array, z: Array, bounded: Array, damping: float = 0.0) -> Array:
     """Return the step (p,) that maximises g' step - step' (H + damping diag H) step / 2.
 
-    H (p, p): positive definite. z + step is not negative where bounded (p,).
+    H (p, p): positive definite but for rounding. z + step is not negative where bounded (p,).
     """
     if not len(z):
         return np.zeros(0)
     scale = np.sqrt(np.diag(H))
-    R = np.linalg.cholesky(H / np.outer(scale, scale) + damping * np.eye(len(z))).T
-    least = np.where(bounded, -z * scale, -np.inf)
-    return np.asarray(lsq_linear(R, np.linalg.solve(R.T, g / scale), (least, np.inf), method="bvls").x / scale)
+    w, V = np.linalg.eigh(H / np.outer(scale, scale) + damping * np.eye(len(z)))
+    root, least = np.sqrt(np.maximum(w, ROUNDING * w[-1])), np.where(bounded, -z * scale, -np.inf)
+    return np.asarray(lsq_linear((V * root).T, V.T @ (g / scale) / root, (least, np.inf), method="bvls").x / scale)

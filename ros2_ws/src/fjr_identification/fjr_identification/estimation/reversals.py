@@ -35,6 +35,7 @@ Residuals of less, as of an autoregression, widen standard deviations by sqrt((1
 scores of segments show without jumps.
 """
 LAGS = np.array([-0.04, -0.02, -0.01, 0.0, 0.005, 0.01, 0.02, 0.04])  # s; from a reversal to the jumps
+SHAPE = 0.2  # of the residuals of a signal, left by jumps at reversals where friction has another shape
 FIRST = 1e-2  # rad/s; width of jumps before it is estimated
 ROUNDS = 2
 LEAST = 1e-9  # of the first width
@@ -128,3 +129,9 @@ def with_reversals(best: PredictedSegments, progress: Progress) -> PredictedSegm
         squares, counts = (np.asarray(sum(getattr(jump, name) for jump in jumps)) for name in ("squares", "counts"))
         width = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), LEAST * first)
     return best
+
+
+def joints_with_jumps(smooth: PredictedSegments, best: PredictedSegments) -> set[int]:
+    """Return the joints whose friction has another shape: jumps at reversals explain most of what is left without."""
+    pairs = zip(best.problem.signals, best.residual < SHAPE * smooth.residual, strict=True)
+    return {joint for (_, joint), explained in pairs if explained}

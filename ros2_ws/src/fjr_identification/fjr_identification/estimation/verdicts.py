@@ -21,7 +21,7 @@ from .intervals import posterior
 from .motion_record import MotionRecord
 from .multiple_shooting import NormalEquations, PredictedSegments
 from .optimise import bounded_step
-from .parameters import HARDENING, KINDS, PAYLOAD, SMOOTHING
+from .parameters import COULOMB, HARDENING, KINDS, LOAD, OF_LINKS, PAYLOAD, SMOOTHING, STATIC, TIMING
 
 SHARP = 0.25
 """Standard deviation of an identified parameter: of its logarithm, or relative to its size or to its prior's width."""
@@ -47,6 +47,15 @@ WITHOUT_LINK = {
     ),
     "offset": "without a link encoder the offset shifts the link alone; measure the link, or a gravity torque",
 }
+SHAPED = ("link_damping", "motor_damping", *COULOMB, *STATIC, *LOAD, SMOOTHING, *TIMING)
+"""Parameters that friction of another shape than the model's resembles at reversals."""
+OTHER_SHAPE = "friction has another shape, such as that of bristles, and acts like damping and skew at reversals"
+WIDER = 2.5
+"""Factor on standard deviations of a joint whose friction has another shape.
+
+No record shows this error: jumps at reversals make residuals white. On 71 records of LuGre's friction (tests/physics)
+98 % of the errors of damping are within 4.4 standard deviations, 98 % of those of stiffness within 2.3.
+"""
 WITHOUT_MOTOR = {"offset": "without a motor position the offset shifts the motor alone; measure the motor"}
 
 
@@ -123,17 +132,21 @@ def estimates_at(
     z: Array,
     doubt: str = "",
     step: Array | None = None,
+    other_shape: Collection[int] = (),
 ) -> Estimates:
     """Return the estimates at z (p,) from normal equations of segments or blocks and their spurious information (p, p).
 
     fixed: entries that are not identifiable. doubt: why no parameter is better than weakly identified; "": none. step
-    (p,): by which z is away from the minimum, if it was not reached; it counts as an error.
+    (p,): by which z is away from the minimum, if it was not reached; it counts as an error. other_shape: joints whose
+    friction has another shape than the model's.
     """
     coordinates, width, joints = setup.coordinates, setup.coordinates.width, setup.records[0].joints
     distribution = posterior(parts, spurious, width, fixed)
     partners = _partners(setup, posterior(parts, spurious, width).covariance)
     away = np.zeros(len(z)) if step is None else np.minimum(np.abs(step), width)
-    covariance = distribution.covariance + np.diag(away**2)
+    shaped = np.array([name not in OF_LINKS and j in other_shape for name, j in coordinates.free])
+    wider = np.where(shaped, WIDER, 1.0)
+    covariance = distribution.covariance * np.outer(wider, wider) + np.diag(away**2)
     sd = np.where(np.isfinite(distribution.from_records), np.sqrt(np.diag(covariance)), width)
     mean = z.copy()
     mean[list(fixed)] = coordinates.mean[list(fixed)]
@@ -142,15 +155,16 @@ def estimates_at(
         prior = float(setup.prior.values[name][j])
         ends = mean[k] + 1.96 * sd[k] * np.array([0.0, -1.0, 1.0])
         value, low, high = natural(ends, KINDS[name].coordinate).tolist()
+        why = "; ".join(filter(None, (doubt, OTHER_SHAPE if shaped[k] and name in SHAPED else "")))
         if k in fixed:
-            verdict, value = UNKNOWN, prior
+            verdict, value, why = UNKNOWN, prior, ""
         else:
             size = 1.0 if KINDS[name].coordinate == LOG else max(abs(value), SHARP * width[k])
-            verdict = IDENTIFIED if sd[k] <= SHARP * size and not doubt else WEAK
-        why = reason(name, verdict, setup.records, -1 if name in PAYLOAD else j, partners.get(k, ""))
-        why = doubt if doubt and verdict != UNKNOWN else why
-        joint = "" if name in PAYLOAD else joints[j]
-        estimates.append(Estimate(name, joint, _unit(setup, name, j), value, low, high, prior, verdict, why))
+            verdict = IDENTIFIED if sd[k] <= SHARP * size and not why else WEAK
+        why = why or reason(name, verdict, setup.records, -1 if name in PAYLOAD else j, partners.get(k, ""))
+        joint, unit = "" if name in PAYLOAD else joints[j], KINDS[name].unit
+        unit = PRISMATIC_UNITS.get(unit, unit) if joint and any(setup.robot.prismatic[j : j + 1]) else unit
+        estimates.append(Estimate(name, joint, unit, value, low, high, prior, verdict, why))
     return Estimates(tuple(estimates), mean, covariance)
 
 
@@ -182,9 +196,3 @@ def reason(name: str, verdict: str, records: Sequence[MotionRecord], j: int, par
     shared = f"nearly the effect of {partner}; " if partner else ""
     without = WITHOUT_LINK if not link else {} if motor else WITHOUT_MOTOR
     return shared + without.get(name, KINDS[name].revealed_by)
-
-
-def _unit(setup: Estimation, name: str, j: int) -> str:
-    unit = KINDS[name].unit
-    slides = bool(setup.robot.prismatic) and name not in PAYLOAD and setup.robot.prismatic[j]
-    return PRISMATIC_UNITS.get(unit, unit) if slides else unit

@@ -259,15 +259,10 @@ def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float,
     """Return the change of the state (k, 4n, 4) due to each of CAUSES in each interval."""
     other, answered = found.sent - found.law, found.answered[:, None]
     saturation = other * (answered & ~foreign(found, limit)[:, None]) + acted.cut
-    loss = acted.lost + other * ~answered + _outdated(found, period)
+    samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
+    share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
+    outdated = (found.law - np.vstack([found.law[1:], found.law[-1:]])) * share[:, None]  # mean over what a gap missed
+    loss = acted.lost + other * ~answered + outdated
     mismatch = found.error - state_change(found, acted.cut + acted.late + acted.lost + foreseen(found), robot)
     efforts = (state_change(found, effort, robot) for effort in (saturation, acted.late, loss))
     return np.stack([mismatch, *efforts], axis=2)
-
-
-def _outdated(found: Innovations, period: float) -> Array:
-    """Return the mean difference (k, n) between the held effort and that of the law, had it been sampled in a gap."""
-    law = np.vstack([found.law[1:], found.law[-1:]])
-    samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
-    share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
-    return np.asarray((found.law - law) * share[:, None])

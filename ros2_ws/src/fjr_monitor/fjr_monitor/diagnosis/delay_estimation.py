@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
@@ -63,7 +62,7 @@ def needed(found: Innovations, robot: Robot) -> Array:
     the motors, as in A. De Luca, R. Mattone, Actuator failure detection and isolation using generalized momenta, ICRA
     2003. The part that the known latency explains is subtracted.
     """
-    residual: Array = found.error[:, 3 * robot.n :] @ _effort(robot) / found.dt[:, None]
+    residual: Array = found.error[:, 3 * robot.n :] @ np.linalg.solve(robot.B_m, robot.M_m).T / found.dt[:, None]
     return found.sent + residual - foreseen(found)
 
 
@@ -73,12 +72,6 @@ def foreseen(found: Innovations) -> Array:
     The older effort acts until the command arrives.
     """
     return np.asarray(found.latency[:, None] * (found.older - found.sent))
-
-
-@lru_cache(maxsize=8)
-def _effort(robot: Robot) -> Array:
-    """Return (B_m^-1 M_m)' (n, n), which maps accelerations to efforts."""
-    return np.asarray(np.linalg.solve(robot.B_m, robot.M_m).T)
 
 
 def effort_delay(
@@ -174,7 +167,9 @@ class ActingSums:
         shape = found.sent.shape
         cut = _clipped(found.sent, found.after, self._largest) if age.measured else np.zeros(shape, dtype=bool)
         whole = self._mixed <= thresholds.MIXED * self._changed  # no change in an interval
-        usual = _median(self._counts)
+        ends = np.cumsum(self._counts)
+        middle = [np.searchsorted(ends, place, side="right") for place in ((ends[-1] - 1) // 2, ends[-1] // 2)]
+        usual = float(np.mean(middle)) if ends[-1] else 0.0  # the median
         if not (whole or age.measured):  # by chance another effort is nearest
             samples, usual = np.full_like(samples, age.whole), float(age.whole)
             newer, older = (_delayed(found.sent, age.whole + later) for later in (0, 1))
@@ -229,13 +224,6 @@ def _samples(sent: Array, acting: Array, whole: int = 0, most: int = thresholds.
     distances = np.array([np.abs(acting - _delayed(sent, whole + j)).max(axis=1) for j in range(most + 1)])
     nearest = np.argmin(distances, axis=0)
     return np.where(distances.min(axis=0) <= thresholds.SAME_OLDER * distances[0], nearest, 0)
-
-
-def _median(counts: Sequence[int] | NDArray[np.int64]) -> float:
-    """Return the median of whole numbers from 0 on that occur `counts` times; 0 if there is none."""
-    ends = np.cumsum(counts)
-    middle = [np.searchsorted(ends, place, side="right") for place in ((ends[-1] - 1) // 2, ends[-1] // 2)]
-    return float(np.mean(middle)) if ends[-1] else 0.0
 
 
 def _clipped(sent: Array, acting: Array, largest: Array) -> NDArray[np.bool_]:

@@ -26,10 +26,13 @@ from .residuals import Residuals, over_rows
 SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARAMETERS = 4 + len(SECOND_MOMENTS)
 LINK, MOTOR, JOINT = "link", "motor", "joint"
+CABLE = "pull of a cable"
 SMOOTHING = 0.01
 """Speed [rad/s] below which the sign of a velocity is uncertain."""
 FREEPLAYS = np.geomspace(0.02, 2.0, 40)
 """Tested half-widths of backlash relative to the RMS deflection."""
+LIMITS = np.geomspace(2e-3, 0.95, 60)  # of an effort, relative to the largest one that is sent
+CLIPPED = 5  # smallest number of blocks in which an effort exceeds its limit
 LONGEST_ARM = 1.5
 """Largest considered distance [m] of a payload from its joint."""
 STEPS = 60
@@ -54,8 +57,8 @@ class Hypothesis:
 
     @property
     def unknowns(self) -> int:
-        """How many numbers are fitted: four of a point mass."""
-        return min(self.columns.shape[2], 4)
+        """How many numbers are fitted: four of a point mass, which a cable resembles where a joint moves little."""
+        return 4 if self.kind == CABLE else min(self.columns.shape[2], 4)
 
     def place(self, names: Sequence[str]) -> str:
         """Return where the fault is, with the names of the joints."""
@@ -84,6 +87,9 @@ def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypot
     coulomb = seen.placed({channel: -np.tanh(dq / SMOOTHING)})
     yield Hypothesis("Coulomb friction", j, side, "N m", coulomb, at_least(0.0))
     yield Hypothesis("viscous friction", j, side, "N m s/rad", seen.placed({channel: -dq}), at_least(-damping))
+    if side == LINK:
+        pull = [seen.placed({channel: signal}) for signal in (-seen.q[:, channel], np.ones_like(dq))]
+        yield Hypothesis(CABLE, j, side, "N m/rad", np.concatenate(pull, axis=2))
     q, dq = seen.found.states[:, :, channel], seen.found.states[:, :, 2 * seen.robot.n + channel]
     one = np.ones_like(q)
     t = np.cumsum(seen.found.dt)[:, None] * one
@@ -105,14 +111,23 @@ def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
     yield Hypothesis("cubic stiffness", j, JOINT, "N m/rad^3", seen.placed({j: zeta**3, n + j: -(zeta**3)}))
     for half in FREEPLAYS * np.sqrt(np.mean(zeta**2)):
         torque = -np.clip(zeta, -half, half) * k
-        columns, play = seen.placed({j: torque, n + j: -torque}), 2 * float(half)
-        yield Hypothesis("backlash", j, JOINT, "rad", columns, lambda _, play=play: play, lambda A, c: np.ones(1))  # type: ignore[misc]
+        yield _of_size("backlash", j, JOINT, "rad", seen.placed({j: torque, n + j: -torque}), 2 * float(half))
+
+
+def _of_size(kind: str, joint: int, side: str, unit: str, columns: Array, size: float) -> Hypothesis:
+    """Return a fault of one size, whose columns (b, 2n, 1) are the residual."""
+    return Hypothesis(kind, joint, side, unit, columns, lambda _: size, lambda A, c: np.ones(1))
 
 
 def _of_motor(seen: Residuals, j: int, channel: int) -> Iterator[Hypothesis]:
-    """Return torque constant and inertia of the motor."""
-    gain = seen.placed({channel: seen.u[:, j] * seen.robot.B_m[j, j]})
+    """Return torque constant, limit of the effort and inertia of the motor."""
+    u, B = seen.u[:, j], seen.robot.B_m[j, j]
+    gain = seen.placed({channel: u * B})
     yield Hypothesis("torque constant", j, MOTOR, "%", gain, lambda fitted: 100 * float(fitted[0]))
+    for limit in LIMITS * np.max(np.abs(u)):
+        columns = seen.placed({channel: (np.clip(u, -limit, limit) - u) * B})
+        if np.count_nonzero(columns) >= CLIPPED:
+            yield _of_size("effort limit", j, MOTOR, "N m", columns, float(limit))
     yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({channel: -seen.ddq[:, channel]}))
 
 

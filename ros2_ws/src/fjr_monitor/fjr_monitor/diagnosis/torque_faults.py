@@ -43,6 +43,9 @@ NEGLIGIBLE = 0.05
 """External torque relative to that of the joint with the largest up to which a joint is not named."""
 DRIVEN = 0.1
 """Share of the energy by a torque that drives a joint, above which it is no friction."""
+OF_COMMAND = ("torque constant", "effort limit")  # whose residual is a part of the command
+SWINGS = 0.1
+"""Largest share of the blocks with an external torque that acts the other way in the next block."""
 REACTION = 0.2
 """Largest torque on a motor, relative to the largest on a link, that is attributed to the prediction of the spring."""
 
@@ -128,7 +131,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     kinds = {(each.kind, each.fault.joint): each for each in reversed(equal) if each.fault.unknowns == simplest}
     several = list(kinds.values())[::-1]
     joint, same = several[0].fault.joint, len({each.fault.joint for each in several}) == 1
-    if share < EXPLAINED or not same:
+    if share < EXPLAINED or not same or (best.kind in OF_COMMAND and not _acts(seen, best)):
         return (external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names),)
     if len(several) > MOST_KINDS:
         what = f"{names[joint]}: no one kind of fault explains the residual torque better than others"
@@ -140,6 +143,15 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     kind = " or ".join(each.kind for each in several)
     side = first.fault.side if len({each.fault.side for each in several}) == 1 else ""
     return (Finding(kind, names[joint], side, first.size, first.fault.unit, share, what, since),)
+
+
+def _acts(seen: Residuals, best: FittedFault) -> bool:
+    """Return whether a fault of the command explains the effort that acted, too, not only that most is missing."""
+    joint, channel = best.fault.joint, seen.robot.n + best.fault.joint
+    y = seen.r / seen.sigma
+    acted = y[:, channel] + seen.means(seen.u[:, joint]) * seen.robot.B_m[joint, joint] / seen.sigma[channel]
+    left = best.left - float((np.delete(y, channel, axis=1) ** 2).sum())
+    return left < max(PRESENT**2 * len(y), (1 - EXPLAINED) * float(acted @ acted))
 
 
 def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:
@@ -178,6 +190,9 @@ def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
     often = float((acting & felt).any(axis=1).mean())
     power = (seen.r * seen.means(seen.dq))[:, :n]
     driven = np.maximum(power, 0.0).sum(axis=0) > DRIVEN * np.abs(power).sum(axis=0)
+    pairs = acting[1:] & acting[:-1]
+    turned = (pairs & (np.diff(np.sign(seen.r[:, :n]), axis=0) != 0)).sum(axis=0)
+    driven &= turned <= SWINGS * pairs.sum(axis=0)
     if not (felt & driven).any() or often > EPISODE or largest[n:].max() > REACTION * on_l.max():
         return None
     concerned = ", ".join(names[j] for j in np.flatnonzero(felt))

@@ -71,7 +71,10 @@ class RecordedStates:
         if self._foreign:
             nothing = np.full_like(table.position, np.nan)
             return States(table.stamp, table.publish_time, nothing, nothing, nothing[:, n:], number)
-        position, velocity = self._positions(table), table.velocity / self._ratio
+        position, velocity = table.position / self._ratio, table.velocity / self._ratio
+        if self._measured.by_torque:  # q_m = q_l + K^-1 tau
+            deflection = np.linalg.solve(np.asarray(self._measured.K), table.effort[:, :n].T).T
+            position = np.hstack([table.position[:, :n], table.position[:, :n] + deflection])
         if self._needed is None:
             self._see(table, position)
         known = np.isfinite(np.hstack([table.position, table.velocity])[:, self._needed])
@@ -104,13 +107,6 @@ class RecordedStates:
             )
         note = f"the states name {', '.join(more)}, too, which the scenario's robot does not have"
         return False, note if more else ""
-
-    def _positions(self, table: JointTable) -> Array:
-        """Return link and motor positions (k, 2n) [rad]; q_m = q_l + K^-1 tau where the joint torque is measured."""
-        if not self._measured.by_torque:
-            return table.position / self._ratio
-        n, q_l = self._n, table.position[:, : self._n]
-        return np.hstack([q_l, q_l + np.linalg.solve(np.asarray(self._measured.K), table.effort[:, :n].T).T])
 
 
 @dataclass

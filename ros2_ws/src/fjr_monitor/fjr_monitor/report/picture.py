@@ -73,7 +73,11 @@ def draw_plot(ax: Axes, plot: Plot, width: int) -> None:
     ax.set_title(fill(plot.title, 4 * width // 5), pad=6 + 1.35 * SMALL * (1 + caption.count("\n")))
     ax.set_ylim(*plot.y_range)
     if plot.x_log:
-        _label_log_axis(ax, *ax.get_xlim())
+        low, high = ax.get_xlim()  # few ticks with plain numbers
+        ticks = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
+        shown = [tick for tick in ticks if low <= tick <= high]
+        shown = shown if len(shown) <= FEW else [tick for tick in ticks[::3] if low <= tick <= high]
+        ax.set_xticks(shown or [low], [f"{tick:g}" for tick in shown or [low]])
     if plot.y_log:  # in plain text: Matplotlib's own formulas take a tenth of the drawing
         ax.yaxis.set_major_formatter(lambda value, _: f"10{str(round(np.log10(value))).translate(SUPERSCRIPT)}")
     ax.yaxis.get_offset_text().set_horizontalalignment("right")  # beside the caption
@@ -94,11 +98,3 @@ def _draw_line(ax: Axes, plot: Plot, line: Line) -> None:
         style = {"drawstyle": "steps-post"} if line.step else {}
         dashes = {"dashes": tuple(pixels / line.width for pixels in line.dash)} if line.dash else {}
         ax.plot(plot.x, values, color=colour, lw=line.width, label=label, **style, **dashes)
-
-
-def _label_log_axis(ax: Axes, low: float, high: float) -> None:
-    """Set few ticks with plain numbers."""
-    ticks = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
-    shown = [tick for tick in ticks if low <= tick <= high]
-    shown = shown if len(shown) <= FEW else [tick for tick in ticks[::3] if low <= tick <= high]
-    ax.set_xticks(shown or [low], [f"{tick:g}" for tick in shown or [low]])

@@ -113,14 +113,6 @@ def compare(summaries: Sequence[RunSummary], folder: Path, claim: Claim | None =
     return written / COMPARISON
 
 
-def check_table(file: Path, force: bool) -> None:
-    """Raise RecordError for a file of another kind than TABLES and, without force, for one that exists."""
-    if file.suffix not in TABLES:
-        raise RecordError(f"{file} is no table; expected a name that ends with {' or '.join(TABLES)}")
-    if file.exists() and not force:
-        raise RecordError(f"{file} exists; expected a new file, or --force")
-
-
 def write_table(run: Recording, file: Path) -> None:
     """Write the time series of a run, with a row for each state; raises MissingPackageError without pyarrow."""
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -238,8 +230,10 @@ def report(
     """
     if (film or series) and len(bags) > 1:
         raise RecordError(f"{'--film shows' if film else '--table is of'} one bag; {len(bags)} are given; expected one")
-    if series is not None:
-        check_table(series, force)
+    if series is not None and series.suffix not in TABLES:
+        raise RecordError(f"{series} is no table; expected a name that ends with {' or '.join(TABLES)}")
+    if series is not None and series.exists() and not force:
+        raise RecordError(f"{series} exists; expected a new file, or --force")
     if film is not None:
         importing.module("fjr_engines.film").check(film)
     summaries: list[RunSummary] = []
