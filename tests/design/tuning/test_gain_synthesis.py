@@ -198,3 +198,13 @@ def test_the_inertia_is_the_least_that_the_joint_carries_while_the_other_moves_f
 
 def test_a_prismatic_joint_carries_a_mass() -> None:
     assert " kg)" in sentence(replace(one_joint(5000.0), prismatic=(True,)))
+
+
+def test_joints_without_coupling_have_no_gains_of_rounding() -> None:
+    arm = robot("planar")
+    straight, folded = (arm.M_l([0.0, q])[0, 1] for q in (0.0, np.pi))
+    q = np.arccos((straight + folded) / (folded - straight))  # the coupling is linear in cos q
+    where = np.array([[0.0, q + 1e-15], [0.0, q - 1e-15]])
+    assert 0 < abs(np.mean([arm.M_l(each)[0, 1] for each in where])) < 1e-12
+    gains = synthesize(arm, 2.0, 1e-3, configurations=where)
+    assert np.count_nonzero(gains.Pi_l) == np.count_nonzero(gains.K_ld) == 2
