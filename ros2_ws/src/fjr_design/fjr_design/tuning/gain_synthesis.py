@@ -203,7 +203,7 @@ def gain_search(
     equilibria = equilibria_at(robot, checked_configurations(robot, configurations))
     inertias = list(equilibria.M_l)
     M = np.mean(inertias if configurations is not None else inertias[:RATE_CONFIGURATIONS], axis=0)
-    M[M**2 < 1e-24 * np.outer(np.diag(M), np.diag(M))] = 0.0  # rounding, of joints without coupling
+    M[np.abs(M) < np.sqrt(1e-24 * np.outer(np.diag(M), np.diag(M)))] = 0.0  # rounding, of joints without coupling
     if configurations is None:
         inertias += [np.asarray(vertex) for vertex in robot.links.M_l_vertices or ()]
     s = max(float(relative_eigenvalues(M_l, M)[-1]) for M_l in inertias)
