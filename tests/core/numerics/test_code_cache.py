@@ -177,7 +177,9 @@ def as_nobody(tmp_path: Path, cache: Path, code: str, variables: dict[str, str] 
             folder.chmod(folder.stat().st_mode | 0o011)  # the folders of pytest are private to its user
     environment = {name: value for name, value in os.environ.items() if name not in ("HOME", "XDG_CACHE_HOME")}
     environment |= {"XDG_CACHE_HOME": str(cache.parent), "TMPDIR": str(tmp_path / "tmp"), **(variables or {})}
-    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
+    readable = tmp_path / "source"  # the checkout may be in root's own folder
+    shutil.copytree(compiling.PACKAGE, readable / compiling.PACKAGE.name, dirs_exist_ok=True)
+    environment["PYTHONPATH"] = os.pathsep.join([str(readable), *sys.path])
     become = f"import os, casadi, fjr_core.numerics.jit\nos.setgroups([]); os.setgid({NOBODY}); os.setuid({NOBODY})\n"
     result = subprocess.run(
         [sys.executable, "-c", become + code], env=environment, capture_output=True, text=True, check=False
