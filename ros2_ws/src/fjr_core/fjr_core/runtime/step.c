@@ -98,8 +98,9 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
     count(c, order == FJR_OLDER ? FJR_STATES_OLDER : FJR_JUMPS_DOUBTED);
     return 0;
   }
-  if (is_frozen(m, c, sample)) {
-    const struct fjr_event event = {FJR_STATES_FROZEN, NONE, NONE, 0, stamp, NAN, NAN};
+  const int32_t frozen = frozen_joints(m, c, sample);
+  if (frozen) {
+    const struct fjr_event event = {FJR_STATES_FROZEN, frozen, NONE, 0, stamp, NAN, NAN};
     report_episode(c, &c->journal.frozen, event);
     return 0;
   }
@@ -147,6 +148,7 @@ void fjr_init(struct fjr_controller* c, const struct fjr_settings* settings, con
   c->gains = gains;
   c->stamps.timeout = settings->state_timeout;
   c->limits.stamp = FJR_NEVER;
+  fill(c->seen.link, NAN, N);
   forget_observer(c);
   fjr_start(c, reference);
 }
@@ -157,6 +159,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
   init_supervisor(&c->supervisor, c->start_reference);
   fjr_wiring_start(&c->wiring);
   c->policy.released = c->contact.heeded = 0;
+  c->journal.not_finite = c->journal.frozen = 0;
 }
 
 void fjr_apply(struct fjr_controller* c, const struct fjr_settings* settings) {

@@ -293,7 +293,8 @@ struct fjr_controller {
   const struct fjr_reference* start_reference;
   struct fjr_stamps stamps;
   struct fjr_measured measured;
-  struct fjr_sample unchanged; /* the first of those that equal the last one but for the stamp */
+  struct fjr_sample seen;  /* the last one, answered or not */
+  int64_t changed[FJR_N];  /* stamp since which it has these values, for each joint */
   struct fjr_supervisor supervisor;
   struct fjr_law_state law;
   struct fjr_effort_limits limits;
