@@ -330,7 +330,7 @@ ROWS = [
         FALLS,
         tampered(0.2, stuck),
         1.0,
-        counted=("states frozen", *LATER),
+        counted=("states frozen", "recoveries"),
     ),
     Row(
         "each state preceded by one 50 ms older, 1 s",

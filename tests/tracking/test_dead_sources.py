@@ -23,12 +23,33 @@ TIMING, LEAST = constant("TIMING"), constant("LEAST")
 FIRST = 5 * SECOND
 
 
-def answered(tracker: ControlStep, stamp: int, *parts: Any) -> bool:
-    return tracker.command(sample(stamp, *parts), stamp) is not None
+def healthy(tracker: ControlStep, stamp: int, *parts: Any) -> bool:
+    """Send a state at its stamp; return whether it is not frozen."""
+    before = tracker.counters["states frozen"]
+    assert tracker.command(sample(stamp, *parts), stamp) is not None
+    return tracker.counters["states frozen"] == before
 
 
 def two(simulated: bool = False, **given: Any) -> ControlStep:
     return ControlStep(TWO, Hold([0.0, 0.0]), settings(2, **given), simulated=simulated)
+
+
+@pytest.mark.parametrize("stop", ["zero", "gravity_hold"])
+def test_frozen_states_have_the_stop_effort_at_once_and_the_next_other_one_is_a_recovery(stop: str) -> None:
+    """The last effort is no effort to hold for state_timeout: the law has computed it from states that were frozen."""
+    tracker = ControlStep(LAW, fjr.Sine(1.0, 1.0), settings(on_stop=stop))
+    sent = [tracker.command(sample(FIRST + k * MS, 0.5, 0.5, 1.0), FIRST + k * MS).u for k in range(100)]
+    np.testing.assert_array_equal([(u == tracker.stop_effort()).all() for u in sent], [k > 22 for k in range(100)])
+    assert [event.kind for event in tracker.events if event.level == "error"] == ["states frozen"]
+    again = tracker.command(sample(FIRST + 100 * MS, 0.51, 0.5, 1.0), FIRST + 100 * MS)
+    assert again.state is State.JOINING
+    assert tracker.events[-1].sentence.endswith("; a gap of 0.078 s without states had ended")
+
+
+def test_one_state_sent_twice_is_not_frozen_at_any_rate() -> None:
+    tracker = two()
+    for k in range(20):
+        assert healthy(tracker, FIRST + 40 * k * MS, 0.2 * (k // 2), 0.2 * (k // 2), 2.5)
 
 
 speeds = st.floats(1.2 * UNSEEN / COUNTED, 5.0)
@@ -40,20 +61,20 @@ def test_a_joint_that_stands_still_at_a_velocity_is_refused_once_it_must_have_mo
     joint: int, speed: float, sign: float, timeout: float, ms: int
 ) -> None:
     """As where one drive has left the bus, and its last values stay in the process data."""
-    tracker, late = two(simulated=True, state_timeout=timeout), max(UNCHANGED * 1e-9, UNSEEN / speed)
+    tracker = two(simulated=True, state_timeout=timeout)
+    late = max(UNCHANGED * 1e-9 + 2e-3 * ms, UNSEEN / speed)
     dq = np.zeros(2)
     dq[joint] = sign * speed
     for k in range(0, 700, ms):
         moving = np.full(2, 1e-3 * k)
         moving[joint] = 0.1
-        refused = not answered(tracker, FIRST + k * MS, moving, moving, dq)
+        refused = not healthy(tracker, FIRST + k * MS, moving, moving, dq)
         assume(abs(k * 1e-3 - late) > 1e-9)
         assert refused == (k * 1e-3 > late)
         if refused:
             break
     else:
         pytest.fail("never refused")
-    tracker.silence(FIRST + k * MS)
     event = next(event for event in tracker.events if event.level == "error")
     assert f"the values of joint{joint + 1} repeat" in event.sentence
 
@@ -77,7 +98,7 @@ def test_no_healthy_encoder_is_frozen_or_jumps(
         q, dq = amplitude * math.sin(rate * t), amplitude * rate * math.cos(rate * t)
         if resolution:
             q, dq = resolution * round(q / resolution), 0.01 * round(dq / 0.01)
-        assert answered(tracker, stamp, [q, 0.0], [q, 0.0], [dq + offset, offset])
+        assert healthy(tracker, stamp, [q, 0.0], [q, 0.0], [dq + offset, offset])
     assert tracker.state is not State.STOPPED
 
 
@@ -87,7 +108,7 @@ def test_an_arm_at_rest_or_held_by_brakes_is_answered_without_end(simulated: boo
     for offset in (0.0, 0.99 * UNSEEN / COUNTED):
         tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(), simulated=simulated)
         for k in range(1000):
-            assert answered(tracker, FIRST + k * 200 * MS, 0.0, 0.0, offset)
+            assert healthy(tracker, FIRST + k * 200 * MS, 0.0, 0.0, offset)
 
 
 def test_an_arm_that_rests_in_its_equilibrium_and_then_moves_is_never_frozen() -> None:
@@ -108,16 +129,14 @@ def test_an_observer_of_the_velocities_refuses_no_repeated_position() -> None:
 def test_a_simulation_that_starts_again_with_the_same_values_is_answered_at_once() -> None:
     tracker = two(simulated=True)
     for start in (FIRST, SECOND, 0):
-        for k in range(15):
-            stamp = start + k * MS
-            assert tracker.command(sample(stamp, 0.1, 0.1, 2.0), stamp) is not None
+        assert all(healthy(tracker, start + k * MS, 0.1, 0.1, 2.0) for k in range(15))
 
 
 def test_a_tracking_error_of_a_joint_whose_values_do_not_change_says_so() -> None:
     """A driver that froze at rest, a closed brake or a drive that is off: the reference moves, the joint does not."""
     tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1))
     for k in range(600):
-        answered(tracker, FIRST + k * MS, 0.0, 0.0)
+        healthy(tracker, FIRST + k * MS, 0.0, 0.0)
     assert "; its values have not changed for 0.34 s (driver, brake or drive?)" in tracker.reason
     loop = Loop(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1), LAW.robot.state(0.15, 0.15, 0.0, 0.0))
     loop.run(0.1)
@@ -130,7 +149,7 @@ def test_frozen_states_are_said_again_after_the_next_activation() -> None:
     for k in range(60):
         if k == 30:
             tracker.start()
-        answered(tracker, FIRST + k * MS, 0.5, 0.5, 1.0)
+        healthy(tracker, FIRST + k * MS, 0.5, 0.5, 1.0)
     assert [event.kind for event in tracker.events].count("states frozen") == 2
 
 
@@ -157,15 +176,15 @@ def test_a_link_that_moved_further_than_its_limit_allows_stops(
     joint: int, sign: float, speed: float, ms: int, more: float
 ) -> None:
     tracker, jump = two(link_velocity=np.full(2, speed)), np.zeros(2)
-    assert answered(tracker, FIRST, 0.0, 0.0)
+    assert healthy(tracker, FIRST, 0.0, 0.0)
     jump[joint] = sign * more * max(speed * (ms * 1e-3 + TIMING), LEAST)
-    answered(tracker, FIRST + ms * MS, jump, 0.0)
+    healthy(tracker, FIRST + ms * MS, jump, 0.0)
     assert f"position jump of joint{joint + 1}" in tracker.reason
 
 
 @pytest.mark.parametrize("broken", [(math.nan, 0.0, 0.0), (7.0, math.nan, 0.0), (7.0, 0.0, math.nan)])
 def test_a_state_that_is_not_finite_does_not_hide_a_jump(broken: tuple[float, ...]) -> None:
     tracker = tracker_at(FIRST, link_velocity=2.0)
-    answered(tracker, FIRST + MS, *broken)
-    answered(tracker, FIRST + 2 * MS, 7.0, 0.0)
+    healthy(tracker, FIRST + MS, *broken)
+    healthy(tracker, FIRST + 2 * MS, 7.0, 0.0)
     assert tracker.counters["stops: position jump"] == 1

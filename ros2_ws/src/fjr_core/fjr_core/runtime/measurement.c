@@ -7,7 +7,7 @@
 #define LONGEST_CALL 1.5e-3 /* s; longer intervals are predicted in several calls */
 #define OBSERVED 5          /* samples after an observer reset before its velocities are used */
 #define UNSEEN 0.01         /* rad, m; a motion by the measured velocity that a position has to show, ... */
-#define UNCHANGED 20000000  /* ns; ... after this time: slow encoders repeat their values */
+#define UNCHANGED 20000000  /* ns; ... after this time and two intervals: slow encoders repeat their values */
 #define COUNTED 0.5         /* s; ... within this time: at rest a velocity may have a small offset */
 
 static void forget_observer(struct fjr_controller* c) { c->measured.stamp = FJR_NEVER; }
@@ -65,6 +65,7 @@ static void joint_positions(const struct fjr_model* m, const struct fjr_sample* 
 static int32_t frozen_joints(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample) {
   const struct fjr_sample* last = &c->seen;
   const double *dq = sample->velocity, *dq_last = last->velocity;
+  const int64_t interval = c->stamps.interval;
   int32_t found = 0;
   for (int i = 0; i < N; ++i) {
     const int stands = sample->link[i] == last->link[i] && sample->motor[i] == last->motor[i];
@@ -73,7 +74,7 @@ static int32_t frozen_joints(const struct fjr_model* m, struct fjr_controller* c
     const double moved = m->observer ? 0 : fabs(dq[i]) * fmin((double)elapsed * 1e-9, COUNTED);
     if (!same || elapsed < 0)
       c->changed[i] = sample->stamp;
-    else if (elapsed > UNCHANGED && moved > UNSEEN)
+    else if (interval && elapsed > UNCHANGED + 2 * interval && moved > UNSEEN)
       found |= 1 << i % 31;
   }
   c->seen = *sample;
