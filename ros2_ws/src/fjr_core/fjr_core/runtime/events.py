@@ -104,7 +104,7 @@ class Finding:
 
 
 SIMPLE = {
-    "states frozen": "states frozen: the values of {joints} repeat at a velocity that is not zero: the stop effort is sent",
+    "states frozen": "states frozen: the values of {joints} repeat at a non-zero velocity: the stop effort is sent",
     "reference restarts": "the time of the states jumped back: the reference starts again",
     "forward jumps": "the time of the states jumped forward",
     "observer restarts": "the velocity observer was reset: a gap, or a state without an effort",

@@ -64,11 +64,13 @@ static int not_finite(const struct fjr_model* m, struct fjr_controller* c, int64
   return without_effort(m, c, stamp, command);
 }
 
-/* As at a silence: the last effort is of states that were frozen already, and the next other state is a recovery. */
+/* As at a silence the stop effort once: the last effort is of states that were frozen already. The next other state is a
+ * recovery. */
 static int frozen(const struct fjr_model* m, struct fjr_controller* c, int32_t joints, int64_t stamp,
                   struct fjr_command* command) {
   const struct fjr_event event = {FJR_STATES_FROZEN, joints, NONE, 0, stamp, NAN, NAN};
   report_episode(c, &c->journal.frozen, event);
+  if (c->stamps.silent) return 0;
   c->stamps.silent = 1;
   return without_effort(m, c, stamp, command);
 }

@@ -139,9 +139,9 @@ enum fjr_kind {
   FJR_KINDS
 };
 
-/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW; of a saturation, contact or frozen states the joints as bits.
- * joint: -1 for none. value, limit: NaN for none; of a recovery and of a silence `value` is the duration [s]. below:
- * value < limit was found. */
+/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW; of a saturation, a contact or frozen
+ * states the joints as bits. joint: -1 for none. value, limit: NaN for none; of a recovery and of a silence `value` is
+ * the duration [s]. below: value < limit was found. */
 struct fjr_event {
   int32_t kind, detail, joint, below;
   int64_t stamp;
