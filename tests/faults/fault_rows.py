@@ -175,6 +175,29 @@ def frozen() -> Tamper:
     return tamper
 
 
+def stuck() -> Tamper:
+    """Repeat the values of the first message under new stamps."""
+    first: list[JointState] = []
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        first.append(message)
+        del first[1:]
+        message.position, message.velocity = first[0].position, first[0].velocity
+        yield message
+
+    return tamper
+
+
+def turned() -> Tamper:
+    """Shift the first position by a turn."""
+
+    def tamper(message: JointState) -> Iterable[JointState]:
+        message.position[0] += 2 * math.pi
+        yield message
+
+    return tamper
+
+
 def aged(samples: int) -> Tamper:
     """Send a message that is `samples` older before each message."""
     past: deque[JointState] = deque(maxlen=samples + 1)
@@ -301,6 +324,13 @@ ROWS = [
         tampered(0.2, frozen),
         1.0,
         counted=("states repeated", "forward jumps", "recoveries"),
+    ),
+    Row(
+        "values of one state repeated under new stamps, 200 ms",
+        FALLS,
+        tampered(0.2, stuck),
+        1.0,
+        counted=("states frozen", "recoveries"),
     ),
     Row(
         "each state preceded by one 50 ms older, 1 s",

@@ -27,13 +27,15 @@ FAULTS: dict[range, Tamper] = {
     range(220, 240): fault_rows.aged(15),
     range(260, 280): fault_rows.frozen(),
     range(300, 450): fault_rows.dropped(),
+    range(460, 500): fault_rows.stuck(),
     range(550, 600): fault_rows.jumped(10),
+    range(645, 646): fault_rows.turned(),
 }
 """Faults of the states by the samples at which they act."""
-LIMITED = {"controller": {"limits.effort": [1.5]}}
+LIMITED = {"controller": {"limits.effort": [1.5], "limits.link_velocity": [20.0]}}
 SAMPLES, RESTARTED, ASKED = 700, 650, 140
 HAPPENED = {"states older than the last", "jumps doubted", "reference restarts", "silences", "forward jumps",
-            "recoveries", "efforts saturated"}  # fmt: skip
+            "recoveries", "efforts saturated", "states frozen", "stops: position jump"}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ import fjr_core as fjr
 from fjr_controller.planner import LONG, PlanningProblem
 from fjr_msgs_py.messages.trajectories import TrajectoryReader, trajectory_message
 from fjr_msgs_py.names import state_names
-from nodes.harness import Ros, stamped
+from nodes.harness import Ros, Stranger, stamped
 from nodes.managed import Manager, trajectory
 from time_limits import HANG
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -180,8 +180,8 @@ class Gate:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.waiting, self.threads = 0, set()
-        self._open, self._solve = threading.Event(), PlanningProblem.solve
-        monkeypatch.setattr(PlanningProblem, "solve", lambda problem: self._pass(problem))
+        self._open, self._solve = threading.Event(), PlanningProblem.outcome
+        monkeypatch.setattr(PlanningProblem, "outcome", lambda problem: self._pass(problem))
         self.open = self._open.set
 
     def _pass(self, problem: PlanningProblem) -> Any:
@@ -323,7 +323,7 @@ def test_unexpected_errors_of_planning_and_of_a_callback_are_logged_and_the_node
 ) -> None:
     node = manager.started(0.0, use_sim_time=simulated)
     with monkeypatch.context() as patched:
-        patched.setattr(PlanningProblem, "solve", failing)
+        patched.setattr("fjr_controller.planner.check_motion", failing)
         event = manager.send(move())
     assert event.name == "trajectory refused: failed"
     assert "injected failure" in event.message
@@ -390,3 +390,13 @@ def test_resume_is_refused_outside_the_limits_and_each_stop_is_logged(ros: Ros, 
     manager.ask(stamped(0.003, 0.0))
     assert list(manager.ask(stamped(0.004, 0.0, 3.0)).effort) == [0.0]
     ros.until_said(capfd, "stopped: link velocity")
+
+
+def test_a_position_jump_names_the_sources_of_the_states_if_there_are_two(ros: Ros, manager: Manager, capfd) -> None:
+    other = Stranger("joint_states", stamped(0.002, 4.0))
+    node = manager.started(0.0, limits__link_velocity=[2.0])
+    ros.until(lambda: node.count_publishers("joint_states") == 2, "the second source")
+    other.publisher.publish(stamped(0.002, 4.0))
+    said = ros.until_said(capfd, "position jump of joint1", "states come from")
+    assert "/other" in said.partition("states come from")[2]
+    other.close()

@@ -197,6 +197,8 @@ def test_a_motion_is_refused_with_the_reason_or_accepted(loop: None, tmp_path: P
     assert "trajectory refused: joint 'joint1' would reach" in said
     said = fjr_here("send", motion_file(tmp_path, MOTION), *left, "--tolerance", "0.002")
     assert "accepted: smoothed within" in said
+    rest = float(said.partition("s at [")[2].partition("] rad")[0])  # beyond the last sample
+    assert MOTION[-1] < rest < MOTION[-1] + 0.5
 
 
 def test_without_a_controller_the_command_ends_with_one_sentence(monkeypatch, tmp_path: Path) -> None:

@@ -177,22 +177,3 @@ def test_outside_names_the_limit_that_keeps_a_stopped_controller_stopped() -> No
     tracker.command(sample(stamp + MS, 0.5, 0.5), stamp + MS + LATENCY)
     assert tracker.outside() == ""
     np.testing.assert_equal(tracker.state, State.STOPPED)
-
-
-def test_samples_that_stand_still_at_a_velocity_have_no_command_until_they_move_again() -> None:
-    """A driver repeats its last values with new stamps: law and damped stop would drive the arm blindly."""
-    tracker, last = running(0.5), SECOND + 500 * MS
-    answers = [tracker.command(sample(last + k * MS, 0.5, 0.5, 1.0), last + k * MS + LATENCY) for k in range(1, 100)]
-    assert [answer is not None for answer in answers] == [k <= 21 for k in range(1, 100)]
-    assert [event.sentence[:13] for event in tracker.events if event.level == "error"] == ["states frozen"]
-    assert tracker.silence(last + 601 * MS) is not None
-    again = tracker.command(sample(last + 700 * MS, 0.51, 0.5, 1.0), last + 700 * MS + LATENCY)
-    assert again.state is State.JOINING
-    assert [*tracker.events][-1].sentence.endswith("; a gap of 0.68 s without states had ended")
-
-
-@pytest.mark.parametrize(("dq", "step"), [(0.0, 0.0), (0.4, 0.0), (1.0, 1e-9)])
-def test_samples_at_rest_slow_or_moving_are_not_frozen(dq: float, step: float) -> None:
-    tracker, last = running(0.5), SECOND + 500 * MS
-    for k in range(1, 25):
-        assert tracker.command(sample(last + k * MS, 0.5 + k * step, 0.5, dq), last + k * MS + LATENCY) is not None

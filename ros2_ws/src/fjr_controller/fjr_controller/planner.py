@@ -79,20 +79,16 @@ class PlanningProblem:
     jets: Array
     rules: PlanningRules
 
-    def solve(self) -> TrajectoryPlan:
-        """Return the plan. Raise FjrError if the trajectory of the message cannot be tracked."""
-        waypoints = self.rules.reader.read(self.request.message).upcoming(self.request.now).upcoming(self.begin)
-        waypoints = waypoints.completed(self.jets[0])
-        times, start = waypoints.times / SECOND, waypoints.start
-        assert start is not None
-        spline = Spline(times, waypoints.positions, waypoints.velocities, waypoints.accelerations, start=self.jets)
-        check_motion(spline, self.rules.limits, 0.0, spline.end, self.rules.joints)
-        return TrajectoryPlan(spline, start)
-
     def outcome(self) -> TrajectoryPlan | Exception:
-        """Return the plan, or the exception that was raised."""
+        """Return the plan, or the error: a FjrError if the trajectory of the message cannot be tracked."""
         try:
-            return self.solve()
+            waypoints = self.rules.reader.read(self.request.message).upcoming(self.request.now).upcoming(self.begin)
+            waypoints = waypoints.completed(self.jets[0])
+            times, start = waypoints.times / SECOND, waypoints.start
+            assert start is not None
+            spline = Spline(times, waypoints.positions, waypoints.velocities, waypoints.accelerations, start=self.jets)
+            check_motion(spline, self.rules.limits, 0.0, spline.end, self.rules.joints)
+            return TrajectoryPlan(spline, start)
         except Exception as error:
             return error
 
@@ -127,6 +123,7 @@ class Planner:
         self._node, self._step, self._is_active = node, step, is_active
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._worker = None if simulated else ThreadPoolExecutor(1, "fjr_planning", step_back)
+        self.rules: PlanningRules  # also for the trajectory that is being planned
         self._request: PlanningRequest | None = None
         self._drops = 0
 
@@ -148,10 +145,6 @@ class Planner:
 
         self._worker.submit(lambda: executor.create_task(end, _read(data)))
 
-    def apply(self, rules: PlanningRules) -> None:
-        """Replace the rules, also for the trajectory that is being planned."""
-        self._rules = rules
-
     def request(self, message: JointTrajectory, on_done: Callable[[Outcome], None]) -> None:
         """Plan the trajectory in place of the one that is being planned; a message without points means hold.
 
@@ -162,7 +155,7 @@ class Planner:
             try:
                 now = self.newest()
                 if not message.points:
-                    self._rules.reader.read(message)
+                    self.rules.reader.read(message)
             except FjrError as error:
                 on_done(error)
                 return
@@ -197,7 +190,7 @@ class Planner:
         begin = max(nanoseconds(request.message.header.stamp), newest)
         jets = self._step.jets_at(begin)
         assert jets is not None
-        problem = PlanningProblem(request, begin, jets, self._rules)
+        problem = PlanningProblem(request, begin, jets, self.rules)
         if self._worker is None:
             self._conclude(problem, number, problem.outcome())
         else:
@@ -244,7 +237,7 @@ class Planner:
         jets, now = self._step.jets_at(problem.begin), self._step.jets_at(newest)
         assert jets is not None
         assert now is not None
-        if problem.rules is not self._rules or not np.array_equal(jets, problem.jets):
+        if problem.rules is not self.rules or not np.array_equal(jets, problem.jets):
             return None
         if isinstance(outcome, FjrError):
             raise outcome

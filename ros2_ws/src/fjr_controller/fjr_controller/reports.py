@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import inspect
 import sys
+from dataclasses import replace
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import STARTS_REFUSED, STOPS, Event
+from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader, deserialised
 from fjr_msgs_py.native.loop import LARGEST
 from fjr_msgs_py.native.program import Program
+from fjr_msgs_py.node.conflicting_publishers import node_of
 from fjr_msgs_py.node.reports import STAMP, EventWriter, Health, refusal
 
 RECEIVED, ANSWERED = "states received", "states answered"
@@ -69,9 +72,13 @@ class Reports(Health):
         self._events.publish("info", kind, sentence)
 
     def publish_events(self) -> None:
-        """Publish the events of the control step since the last call."""
+        """Publish the events of the control step since the last call; a position jump names several sources."""
         while self._step.events:
-            self.event(self._step.events.popleft())
+            event = self._step.events.popleft()
+            found = self._node.get_publishers_info_by_topic(names.JOINT_STATES) if "jump of" in event.sentence else ()
+            if len(found) > 1:
+                event = replace(event, sentence=f"{event.sentence}; states come from {', '.join(map(node_of, found))}")
+            self.event(event)
 
     def publish(self) -> None:
         """Publish the counters; the number of the control step is used for a kind that both count."""

@@ -61,7 +61,7 @@ class TrajectoryInterface:
         allow_partial: accept trajectories that do not name every joint.
         """
         self._limits, self._join_time = limits, join_time
-        self.planner.apply(PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial)))
+        self.planner.rules = PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial))
 
     def follow(
         self, message: JointTrajectory, reason: str, on_done: Callable[[TrajectoryPlan | None], object] = lambda _: None

@@ -17,6 +17,7 @@ from fjr_core.files import importing
 from fjr_core.numerics.jit import c_compiler
 from fjr_design.cli.preflight import refuse_coarse_steps, refuse_unstable
 from fjr_monitor.recording.files import BagError
+from fjr_monitor.recording.run_folder import RunFolder
 from fjr_monitor.report.comparison_page import Claim, paper_claim
 from fjr_monitor.report.shown import RunSummary
 from fjr_monitor.report.write import compare, output_paths, play_hint, report_run, stops, table
@@ -111,7 +112,8 @@ def _plan(
         if not force:
             refuse_coarse_steps(scenario)
             refuse_unstable(scenario)
-        scenario.warm_up()
+        with RunFolder(output / path.stem):  # so is a folder that cannot be written
+            scenario.warm_up()
     return RunPlan(path.stem, text, duration, output / path.stem, bool(scenario.plant_values["lockstep"]))
 
 

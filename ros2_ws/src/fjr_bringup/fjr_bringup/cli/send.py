@@ -13,6 +13,7 @@ from fjr_core.config.controller import effort_limits
 from fjr_core.config.reference import motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
 from fjr_core.motions.sampled_motion import SampledMotion, waypoints
+from fjr_design.cli.preflight import as_list
 from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result, tell
@@ -37,7 +38,7 @@ def send_motion(
     node = absolute(f"{namespace.strip('/')}/{controller}".lstrip("/"))
     with stoppable() as stop, own_node("fjr_send") as own, closing(TrajectoryClient(own, node, stop)) as client:
         smooth = motion_of_file(str(motion), tolerance, client.joints)
-        warnings = _warnings(smooth, scenario, client.joints)
+        warnings = _warnings(smooth, scenario, client.joints) if scenario else []
         for sentence in warnings:
             tell(sentence)
         points = waypoints(smooth, EXACT)
@@ -45,18 +46,15 @@ def send_motion(
     described = f"interpolated, {np.size(smooth.times)} samples"
     if smooth.smoothed:
         described = f"smoothed within {np.max(smooth.deviation):.2g} of the samples"
-    sent = f"{len(points.times)} points, first sample after {lead:g} s, at rest after {lead + smooth.end:.6g} s"
-    values = {"controller": node, "points": len(points.times), "lead_s": lead, "rest_s": lead + smooth.end}
-    return Result(f"accepted: {described}; {sent}", {**values, "warnings": warnings})
+    end, rest = lead + smooth.end, points.positions[-1]
+    sent = f"{len(points.times)} points, first sample after {lead:g} s, at rest after {end:.6g} s at {as_list(rest)}"
+    values = {"controller": node, "points": len(points.times), "lead_s": lead, "rest_s": end, "rest": rest}
+    return Result(f"accepted: {described}; {sent} rad (m)", {**values, "warnings": warnings})
 
 
-def _warnings(motion: SampledMotion, scenario: str | None, joints: tuple[str, ...]) -> list[str]:
-    """Return the warnings of a motion for the robot of a scenario; none without a scenario."""
-    if scenario is None:
-        return []
+def _warnings(motion: SampledMotion, scenario: str, joints: tuple[str, ...]) -> list[str]:
+    """Return the warnings of a motion for the robot of a scenario."""
     loaded = library.load(scenario, robot_only=True)
     if loaded.joints != joints:
-        raise ParameterError(
-            f"scenario {loaded.name} has the joints {loaded.joints}; expected {joints}, as the controller"
-        )
+        raise ParameterError(f"{loaded.name} has the joints {loaded.joints}; expected {joints}, as the controller")
     return motion_warnings(motion, loaded.robot, joints, effort_limits(loaded.controller_values, loaded.robot))

@@ -230,10 +230,7 @@ class ControlStep:
 
         If recovery.join_time is 0 a refused start is checked again. A sample that violates a limit stops again.
         """
-        self.refresh()
-        self._journal.update()
-        if self.controller.supervisor.stopped:
-            self._change("resume")
+        self._change("resume")
 
     def between_samples(self) -> AbstractContextManager[None]:
         """Return a context in which no sample is answered; with simulated time the plant waits meanwhile."""

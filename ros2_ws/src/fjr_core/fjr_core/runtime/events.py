@@ -104,7 +104,7 @@ class Finding:
 
 
 SIMPLE = {
-    "states frozen": "states frozen: positions repeat although their velocities are not zero; they are not answered",
+    "states frozen": "states frozen: the values of {joints} repeat at a non-zero velocity: the stop effort is sent",
     "reference restarts": "the time of the states jumped back: the reference starts again",
     "forward jumps": "the time of the states jumped forward",
     "observer restarts": "the velocity observer was reset: a gap, or a state without an effort",
@@ -115,6 +115,7 @@ SIMPLE = {
 }
 """Sentence of the events without values."""
 AFTER_GAP = 5_000_000_000  # ns; a stop within this time after a gap of the states names the gap
+STILL = 100_000_000  # ns; a tracking error of a joint whose values have not changed for longer says so
 LIMITED = {
     "link position": ("q_l", "position"),
     "motor position": ("q_m", "position"),
@@ -187,8 +188,9 @@ class Journal:
     def _said(self, kind: str, found: Any) -> tuple[str, dict[str, float | str]]:
         """Return the sentence and the values of an event."""
         settings = self._step.settings
+        joints = joints_of(found.detail, settings.joints)  # of a kind whose detail is joints
         if kind in SIMPLE:
-            return SIMPLE[kind], {}
+            return SIMPLE[kind].format(joints=", ".join(joints)), {}
         if kind == "silences":
             return f"no valid state for more than {found.value:g} s: the stop effort is sent", {}
         if kind == "recoveries":
@@ -197,11 +199,10 @@ class Journal:
         if kind == "references changed":
             return f"another reference: {self.followed.popleft()}", {}
         if kind == "efforts saturated":
-            joints = joints_of(found.detail, settings.joints)
             return f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]}
         joint = settings.joints[found.joint] if found.joint >= 0 else ""
         if kind == CONTACTS:
-            joints, unit = joints_of(found.detail, settings.joints), settings.units[found.joint].effort
+            unit = settings.units[found.joint].effort
             alone = f" together; {joint} alone" if len(joints) > 1 else ""
             torque = f"{found.value:.3g} {unit} (threshold {found.limit:.3g})"
             return f"contact: external torque on {', '.join(joints)}{alone}: {torque}", {}
@@ -219,7 +220,9 @@ class Journal:
             fault = Finding.of_wiring(self._step.controller.journal.wiring, settings.joints)
             sentence = fault.sentence if fault is not None else cause
         else:
-            sentence = self._step.law_failure if cause == "law" else _violation(cause, found, joint, settings)
+            sentence = self._step.law_failure if cause == "law" else _violation(found, settings)
+        if cause == "tracking error" and (still := found.stamp - self._step.controller.changed[found.joint]) > STILL:
+            sentence += f"; its values have not changed for {still * 1e-9:.2g} s (driver, brake or drive?)"
         return f"stopped: {sentence}{self._after_gap(found.stamp)}", values
 
     def _after_gap(self, stamp: int) -> str:
@@ -236,9 +239,7 @@ class Journal:
         found = self._step.ffi.new("struct fjr_event*")
         if not self._step.lib.fjr_is_outside(self._step.controller, found):
             return ""
-        settings = self._step.settings
-        cause = KINDS[found.detail].removeprefix("stops: ")
-        return _violation(cause, found, settings.joints[found.joint], settings)
+        return _violation(found, self._step.settings)
 
 
 def joints_of(bits: int, joints: Sequence[str]) -> list[str]:
@@ -246,7 +247,8 @@ def joints_of(bits: int, joints: Sequence[str]) -> list[str]:
     return [joint for i, joint in enumerate(joints) if bits >> i % 31 & 1]
 
 
-def _violation(cause: str, found: Any, joint: str, settings: Settings) -> str:
+def _violation(found: Any, settings: Settings) -> str:
+    cause, joint = KINDS[found.detail].removeprefix("stops: "), settings.joints[found.joint]
     symbol, quantity = LIMITED[cause]
     unit, side = getattr(settings.units[found.joint], quantity), "at least" if found.below else "at most"
     return f"{cause} of {joint}: {symbol} = {found.value:.6g} {unit}; expected {side} {found.limit:.6g} {unit}"

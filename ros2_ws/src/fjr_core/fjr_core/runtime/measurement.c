@@ -6,8 +6,9 @@
 
 #define LONGEST_CALL 1.5e-3 /* s; longer intervals are predicted in several calls */
 #define OBSERVED 5          /* samples after an observer reset before its velocities are used */
-#define UNSEEN 0.01         /* rad, m; a motion by the measured velocities that positions have to show, ... */
-#define UNCHANGED 20000000  /* ns; ... after this time: slow encoders repeat their values */
+#define UNSEEN 0.01         /* rad, m; a motion by the measured velocity that a position has to show, ... */
+#define UNCHANGED 20000000  /* ns; ... after this time and two intervals: slow encoders repeat their values */
+#define COUNTED 0.5         /* s; ... within this time: at rest a velocity may have a small offset */
 
 static void forget_observer(struct fjr_controller* c) { c->measured.stamp = FJR_NEVER; }
 
@@ -59,22 +60,25 @@ static void joint_positions(const struct fjr_model* m, const struct fjr_sample* 
     position[N + i] = m->torque ? position[i] + deflection[i] : sample->motor[i] / m->gear_ratio[i];
 }
 
-/* True if samples with new stamps have repeated the same values for a while in which a link has moved by its velocity:
- * their source is dead. */
-static int is_frozen(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample) {
-  struct fjr_sample* first = &c->unchanged;
-  const int64_t elapsed = sample->stamp - first->stamp;
-  const int64_t counted = elapsed < c->stamps.timeout ? elapsed : c->stamps.timeout;
-  int changed = m->observer || elapsed < 0;
-  double moved = 0;
+/* Return as bits the joints whose values have repeated under new stamps for a while in which the velocity has moved the
+ * link: their source is dead. */
+static int32_t frozen_joints(const struct fjr_model* m, struct fjr_controller* c, const struct fjr_sample* sample) {
+  const struct fjr_sample* last = &c->seen;
+  const double *dq = sample->velocity, *dq_last = last->velocity;
+  const int64_t interval = c->stamps.interval;
+  int32_t found = 0;
   for (int i = 0; i < N; ++i) {
-    const double dq_l = sample->velocity[i], dq_m = sample->velocity[N + i];
-    changed |= sample->link[i] != first->link[i] || sample->motor[i] != first->motor[i];
-    changed |= dq_l != first->velocity[i] || dq_m != first->velocity[N + i];
-    moved = fmax(moved, fabs(dq_l) * (double)counted * 1e-9);
+    const int stands = sample->link[i] == last->link[i] && sample->motor[i] == last->motor[i];
+    const int same = stands && (m->observer || (dq[i] == dq_last[i] && dq[N + i] == dq_last[N + i]));
+    const int64_t elapsed = sample->stamp - c->changed[i];
+    const double moved = m->observer ? 0 : fabs(dq[i]) * fmin((double)elapsed * 1e-9, COUNTED);
+    if (!same || elapsed < 0)
+      c->changed[i] = sample->stamp;
+    else if (interval && elapsed > UNCHANGED + 2 * interval && moved > UNSEEN)
+      found |= 1 << i % 31;
   }
-  if (changed) *first = *sample;
-  return !changed && elapsed > UNCHANGED && moved > UNSEEN;
+  c->seen = *sample;
+  return found;
 }
 
 /* Write the measured state; return 1 if it is finite. How large it may be is a matter of the limits (state_limits.c). */
@@ -83,8 +87,6 @@ static int measure(const struct fjr_model* m, struct fjr_controller* c, const st
   struct fjr_measured* s = &c->measured;
   double position[2 * N];
   joint_positions(m, sample, position);
-  for (int i = 0; i < N; ++i) s->change[i] = position[i] - s->link[i];
-  copy(s->link, position, N);
   if (!m->observer) {
     copy(s->values, position, 2 * N);
     copy(s->values + 2 * N, sample->velocity, N);
@@ -96,6 +98,7 @@ static int measure(const struct fjr_model* m, struct fjr_controller* c, const st
   }
   int finite = 1;
   for (int i = 0; i < 4 * N; ++i) finite &= isfinite(s->values[i]) != 0;
+  for (int i = 0; i < N && finite; ++i) s->change[i] = position[i] - s->link[i], s->link[i] = position[i];
   return finite;
 }
 

@@ -46,11 +46,9 @@ static void write_command(const struct fjr_controller* c, struct fjr_command* co
   command->bound_start = c->supervisor.bound_start;
 }
 
-/* The stop policy's effort for a sample that has no finite effort; nothing else changes. */
+/* The stop policy's effort for a sample that has no effort of the law; nothing else changes. */
 static int without_effort(const struct fjr_model* m, struct fjr_controller* c, int64_t stamp,
                           struct fjr_command* command) {
-  const struct fjr_event event = {FJR_EFFORTS_NOT_FINITE, NONE, NONE, 0, stamp, NAN, NAN};
-  report_episode(c, &c->journal.not_finite, event);
   forget_observer(c);
   forget_law(c);
   standing_effort(m, c, command->u);
@@ -58,6 +56,23 @@ static int without_effort(const struct fjr_model* m, struct fjr_controller* c, i
   active_jets(&c->supervisor.reference, stamp, command->jets);
   write_command(c, command, NAN, 0);
   return 1;
+}
+
+static int not_finite(const struct fjr_model* m, struct fjr_controller* c, int64_t stamp, struct fjr_command* command) {
+  const struct fjr_event event = {FJR_EFFORTS_NOT_FINITE, NONE, NONE, 0, stamp, NAN, NAN};
+  report_episode(c, &c->journal.not_finite, event);
+  return without_effort(m, c, stamp, command);
+}
+
+/* As at a silence the stop effort once: the last effort is of states that were frozen already. The next other state is a
+ * recovery. */
+static int frozen(const struct fjr_model* m, struct fjr_controller* c, int32_t joints, int64_t stamp,
+                  struct fjr_command* command) {
+  const struct fjr_event event = {FJR_STATES_FROZEN, joints, NONE, 0, stamp, NAN, NAN};
+  report_episode(c, &c->journal.frozen, event);
+  if (c->stamps.silent) return 0;
+  c->stamps.silent = 1;
+  return without_effort(m, c, stamp, command);
 }
 
 /* State transitions of this sample; return 0 if there is no transition to the reference. */
@@ -98,18 +113,15 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
     count(c, order == FJR_OLDER ? FJR_STATES_OLDER : FJR_JUMPS_DOUBTED);
     return 0;
   }
-  if (is_frozen(m, c, sample)) {
-    const struct fjr_event event = {FJR_STATES_FROZEN, NONE, NONE, 0, stamp, NAN, NAN};
-    report_episode(c, &c->journal.frozen, event);
-    return 0;
-  }
+  const int32_t joints = frozen_joints(m, c, sample);
+  if (joints) return frozen(m, c, joints, stamp, command);
   if (order == FJR_LATE || order == FJR_GAP) note_gap(&c->stamps, stamp, arrival);
-  if (!measure(m, c, sample, order)) return without_effort(m, c, stamp, command);
+  if (!measure(m, c, sample, order)) return not_finite(m, c, stamp, command);
   if (order == FJR_NEXT || order == FJR_REPEATED) check_change(c, stamp, stamp - c->stamps.last);
   stop_miswired(c, stamp);
   heed_contact(c, stamp);
   watch_wiring(m, c, order, stamp);
-  if (!attempt(m, c, order, stamp, command)) return without_effort(m, c, stamp, command);
+  if (!attempt(m, c, order, stamp, command)) return not_finite(m, c, stamp, command);
   remember_position(c);
   blend_and_limit(m, c, command->u, command->V, stamp);
   accept_law(c);
@@ -147,6 +159,7 @@ void fjr_init(struct fjr_controller* c, const struct fjr_settings* settings, con
   c->gains = gains;
   c->stamps.timeout = settings->state_timeout;
   c->limits.stamp = FJR_NEVER;
+  fill(c->seen.link, NAN, N);
   forget_observer(c);
   fjr_start(c, reference);
 }
@@ -157,6 +170,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
   init_supervisor(&c->supervisor, c->start_reference);
   fjr_wiring_start(&c->wiring);
   c->policy.released = c->contact.heeded = 0;
+  c->journal.not_finite = c->journal.frozen = 0;
 }
 
 void fjr_apply(struct fjr_controller* c, const struct fjr_settings* settings) {

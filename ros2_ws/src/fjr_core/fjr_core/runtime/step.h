@@ -139,9 +139,9 @@ enum fjr_kind {
   FJR_KINDS
 };
 
-/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW; of a saturation or contact the joints as bits.
- * joint: -1 for none. value, limit: NaN for none; of a recovery and of a silence `value` is the duration [s]. below:
- * value < limit was found. */
+/* detail: of a stop the counter of its cause, FJR_STOPS_WIRING .. FJR_STOPS_LAW; of a saturation, a contact or frozen
+ * states the joints as bits. joint: -1 for none. value, limit: NaN for none; of a recovery and of a silence `value` is
+ * the duration [s]. below: value < limit was found. */
 struct fjr_event {
   int32_t kind, detail, joint, below;
   int64_t stamp;
@@ -293,7 +293,8 @@ struct fjr_controller {
   const struct fjr_reference* start_reference;
   struct fjr_stamps stamps;
   struct fjr_measured measured;
-  struct fjr_sample unchanged; /* the first of those that equal the last one but for the stamp */
+  struct fjr_sample seen;  /* the last one, answered or not */
+  int64_t changed[FJR_N];  /* stamp since which it has these values, for each joint */
   struct fjr_supervisor supervisor;
   struct fjr_law_state law;
   struct fjr_effort_limits limits;

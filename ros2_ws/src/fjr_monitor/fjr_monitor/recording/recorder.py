@@ -177,7 +177,7 @@ class Recorder:
     def __init__(self, folder: Path, topics: Collection[str] = ()) -> None:
         """topics: absolute names of the topics to record; empty: all."""
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.node: Node = rclpy.create_node(
             "fjr_recorder", context=self.context, enable_rosout=False, start_parameter_services=False
         )

@@ -109,7 +109,7 @@ def own_node(name: str, arguments: list[str] | None = None, domain: int | None =
     arguments: as after --ros-args. domain: ROS domain; None: that of the environment.
     """
     context = rclpy.Context()
-    ros = ["--ros-args", *arguments] if arguments else None
+    ros = ["--ros-args", *arguments] if arguments else []  # None: sys.argv, where a:=b of --set is a remap rule
     rclpy.init(args=ros, context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node(name, context=context, enable_rosout=False, start_parameter_services=False)

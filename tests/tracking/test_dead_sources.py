@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""States of a source that is dead, or of two: what is refused or stops, and what every healthy robot may send."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+import fjr_core as fjr
+from fjr_core.motions.point_to_point import Hold
+from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.events import State
+from fjr_core.runtime.library import constant
+from tracking.tracked import LAW, MS, SECOND, TWO, Loop, bare_sample, sample, settings, tracker_at
+
+UNSEEN, UNCHANGED, COUNTED = constant("UNSEEN"), int(constant("UNCHANGED")), constant("COUNTED")
+TIMING, LEAST = constant("TIMING"), constant("LEAST")
+FIRST = 5 * SECOND
+
+
+def healthy(tracker: ControlStep, stamp: int, *parts: Any) -> bool:
+    """Send a state at its stamp; return whether it is not frozen."""
+    before = tracker.counters["states frozen"]
+    command = tracker.command(sample(stamp, *parts), stamp)
+    frozen = tracker.counters["states frozen"] - before
+    assert frozen or command is not None
+    return not frozen
+
+
+def two(simulated: bool = False, **given: Any) -> ControlStep:
+    return ControlStep(TWO, Hold([0.0, 0.0]), settings(2, **given), simulated=simulated)
+
+
+@pytest.mark.parametrize("stop", ["zero", "gravity_hold"])
+def test_frozen_states_have_the_stop_effort_once_and_the_next_other_one_is_a_recovery(stop: str) -> None:
+    """The last effort is no effort to hold for state_timeout: the law has computed it from states that were frozen."""
+    tracker = ControlStep(LAW, fjr.Sine(1.0, 1.0), settings(on_stop=stop))
+    sent = [tracker.command(sample(FIRST + k * MS, 0.5, 0.5, 1.0), FIRST + k * MS) for k in range(100)]
+    assert [command is not None for command in sent] == [k <= 23 for k in range(100)]
+    assert [(command.u == tracker.stop_effort()).all() for command in sent[:24]] == [k == 23 for k in range(24)]
+    assert [event.kind for event in tracker.events if event.level == "error"] == ["states frozen"]
+    again = tracker.command(sample(FIRST + 100 * MS, 0.51, 0.5, 1.0), FIRST + 100 * MS)
+    assert again.state is State.JOINING
+    assert tracker.events[-1].sentence.endswith("; a gap of 0.078 s without states had ended")
+
+
+def test_one_state_sent_twice_is_not_frozen_at_any_rate() -> None:
+    tracker = two()
+    for k in range(20):
+        assert healthy(tracker, FIRST + 40 * k * MS, 0.2 * (k // 2), 0.2 * (k // 2), 2.5)
+
+
+speeds = st.floats(1.2 * UNSEEN / COUNTED, 5.0)
+signs = st.sampled_from([-1.0, 1.0])
+
+
+@given(joint=st.integers(0, 1), speed=speeds, sign=signs, timeout=st.floats(0.002, 5.0), ms=st.integers(1, 10))
+def test_a_joint_that_stands_still_at_a_velocity_is_refused_once_it_must_have_moved_whatever_the_others_do(
+    joint: int, speed: float, sign: float, timeout: float, ms: int
+) -> None:
+    """As where one drive has left the bus, and its last values stay in the process data."""
+    tracker = two(simulated=True, state_timeout=timeout)
+    late = max(UNCHANGED * 1e-9 + 2e-3 * ms, UNSEEN / speed)
+    dq = np.zeros(2)
+    dq[joint] = sign * speed
+    for k in range(0, 700, ms):
+        moving = np.full(2, 1e-3 * k)
+        moving[joint] = 0.1
+        refused = not healthy(tracker, FIRST + k * MS, moving, moving, dq)
+        assume(abs(k * 1e-3 - late) > 1e-9)
+        assert refused == (k * 1e-3 > late)
+        if refused:
+            break
+    else:
+        pytest.fail("never refused")
+    event = next(event for event in tracker.events if event.level == "error")
+    assert f"the values of joint{joint + 1} repeat" in event.sentence
+
+
+@given(
+    period=st.integers(500_000, 50 * MS),
+    every=st.integers(1, 20 * MS),
+    resolution=st.sampled_from([0.0, 1e-6, 4e-3]),
+    amplitude=st.floats(0.0, 2.0),
+    rate=st.floats(0.1, 6.0),
+    offset=st.floats(-0.005, 0.005),
+    start=st.integers(0, 100),
+)
+def test_no_healthy_encoder_is_frozen_or_jumps(
+    period: int, every: int, resolution: float, amplitude: float, rate: float, offset: float, start: int
+) -> None:
+    """Up to 20 ms slower than the states, coarse, with an offset of the velocity, at rest or fast, also at its turn."""
+    tracker = two(link_velocity=np.full(2, 1.001 * amplitude * rate + 0.01))
+    for stamp in range(FIRST + start * SECOND, FIRST + start * SECOND + 600 * MS, period):
+        t = (stamp - stamp % every) * 1e-9
+        q, dq = amplitude * math.sin(rate * t), amplitude * rate * math.cos(rate * t)
+        if resolution:
+            q, dq = resolution * round(q / resolution), 0.01 * round(dq / 0.01)
+        assert healthy(tracker, stamp, [q, 0.0], [q, 0.0], [dq + offset, offset])
+    assert tracker.state is not State.STOPPED
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_an_arm_at_rest_or_held_by_brakes_is_answered_without_end(simulated: bool) -> None:
+    """Exact zeros in a simulation without noise; a small offset of the velocity, for minutes and after jumps."""
+    for offset in (0.0, 0.99 * UNSEEN / COUNTED):
+        tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(), simulated=simulated)
+        for k in range(1000):
+            assert healthy(tracker, FIRST + k * 200 * MS, 0.0, 0.0, offset)
+
+
+def test_an_arm_that_rests_in_its_equilibrium_and_then_moves_is_never_frozen() -> None:
+    loop = Loop(TWO, Hold([0.0, 0.0]), settings(2, link_velocity=np.full(2, 3.0)), TWO.robot.state(0.0, 0.0, 0.0, 0.0))
+    loop.run(0.2)
+    loop.tracker.follow(fjr.Sine([0.5, 0.7], [2.0, 3.0]))
+    loop.run(1.0)
+    assert loop.tracker.state is not State.STOPPED
+    assert not loop.tracker.counters["states frozen"]
+
+
+def test_an_observer_of_the_velocities_refuses_no_repeated_position() -> None:
+    tracker = ControlStep(LAW, Hold([0.5]), settings(), fjr.VelocityObserver(LAW.robot, 150.0))
+    for k in range(100):
+        assert tracker.command(bare_sample(FIRST + k * MS), FIRST + k * MS) is not None
+
+
+def test_a_simulation_that_starts_again_with_the_same_values_is_answered_at_once() -> None:
+    tracker = two(simulated=True)
+    for start in (FIRST, SECOND, 0):
+        assert all(healthy(tracker, start + k * MS, 0.1, 0.1, 2.0) for k in range(15))
+
+
+def test_a_tracking_error_of_a_joint_whose_values_do_not_change_says_so() -> None:
+    """A driver that froze at rest, a closed brake or a drive that is off: the reference moves, the joint does not."""
+    tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1))
+    for k in range(600):
+        healthy(tracker, FIRST + k * MS, 0.0, 0.0)
+    assert "; its values have not changed for 0.34 s (driver, brake or drive?)" in tracker.reason
+    loop = Loop(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1), LAW.robot.state(0.15, 0.15, 0.0, 0.0))
+    loop.run(0.1)
+    assert "tracking error" in loop.tracker.reason
+    assert "have not changed" not in loop.tracker.reason
+
+
+def test_frozen_states_are_said_again_after_the_next_activation() -> None:
+    tracker = tracker_at(FIRST)
+    for k in range(60):
+        if k == 30:
+            tracker.start()
+        healthy(tracker, FIRST + k * MS, 0.5, 0.5, 1.0)
+    assert [event.kind for event in tracker.events].count("states frozen") == 2
+
+
+@given(
+    speed=st.floats(0.1, 6.0),
+    errors=st.lists(st.floats(-TIMING / 2, TIMING / 2), min_size=20, max_size=20),
+    gaps=st.lists(st.integers(1, 90), min_size=20, max_size=20),
+)
+def test_a_joint_at_its_velocity_limit_does_not_jump_whenever_its_states_are_stamped(
+    speed: float, errors: list[float], gaps: list[int]
+) -> None:
+    """Also in a burst: stamps that follow each other at once, of positions that were read earlier."""
+    tracker, stamp, t = tracker_at(link_velocity=speed), FIRST, FIRST * 1e-9
+    for error, gap in zip(errors, gaps, strict=True):
+        t += gap * 1e-3
+        stamp = max(round((t + error) * 1e9), stamp + 1)
+        q = 0.999 * speed * (t - FIRST * 1e-9)
+        tracker.command(sample(stamp, q, q, 0.999 * speed), stamp)
+    assert not tracker.counters["stops: position jump"]
+
+
+@given(joint=st.integers(0, 1), sign=signs, speed=st.floats(0.0, 5.0), ms=st.integers(1, 90), more=st.floats(1.01, 1e6))
+def test_a_link_that_moved_further_than_its_limit_allows_stops(
+    joint: int, sign: float, speed: float, ms: int, more: float
+) -> None:
+    tracker, jump = two(link_velocity=np.full(2, speed)), np.zeros(2)
+    assert healthy(tracker, FIRST, 0.0, 0.0)
+    jump[joint] = sign * more * max(speed * (ms * 1e-3 + TIMING), LEAST)
+    healthy(tracker, FIRST + ms * MS, jump, 0.0)
+    assert f"position jump of joint{joint + 1}" in tracker.reason
+
+
+@pytest.mark.parametrize("broken", [(math.nan, 0.0, 0.0), (7.0, math.nan, 0.0), (7.0, 0.0, math.nan)])
+def test_a_state_that_is_not_finite_does_not_hide_a_jump(broken: tuple[float, ...]) -> None:
+    tracker = tracker_at(FIRST, link_velocity=2.0)
+    healthy(tracker, FIRST + MS, *broken)
+    healthy(tracker, FIRST + 2 * MS, 7.0, 0.0)
+    assert tracker.counters["stops: position jump"] == 1
