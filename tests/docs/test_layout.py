@@ -60,7 +60,8 @@ LAYERS = {
     ),
     "fjr_design": (
         "batch testing",
-        "stability baselines uncertainty",
+        "stability baselines",
+        "uncertainty",
         "tuning",
         "exports studies",
         "scaffold",

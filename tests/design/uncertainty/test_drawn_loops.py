@@ -13,11 +13,11 @@ from fjr_core.law.linearized import equilibria_at
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linear_controller import Sensing, controller
 from fjr_core.stability.linearization import on_plant
+from fjr_design.stability.sampled_loop import contracting
 from fjr_design.tuning.gain_synthesis import gain_search
 from fjr_design.uncertainty.drawn_loops import (
     DrawnLoops,
     DrawnPlants,
-    contracting,
     draws_needed,
     in_common,
     largest_share,

@@ -19,7 +19,7 @@ from ..model import springs
 from ..model.robot import Robot
 from ..motions.reference import JETS
 from ..numerics.checks import Array
-from ..numerics.symbolic import symbols
+from ..numerics.symbolic import evaluate_rows, symbols
 from .gains import CheckedGains
 from .interfaces import StaticLaw
 
@@ -89,14 +89,8 @@ def equilibria_at(robot: Robot, configurations: Array) -> Equilibria:
     q_l = ca.SX.sym("q_l", robot.n)
     hessian = ca.jacobian(robot.links.grad_P_l(q_l), q_l)
     both = ca.Function("M_l_and_N_l", [q_l], [ca.densify(robot.links.M_l(q_l)), ca.densify(hessian)])
-    M_l, N_l = both.map(len(configurations))(configurations.T)  # one call: each costs more than these functions
-    return Equilibria(robot, configurations, _stacked(M_l), _stacked(N_l))
-
-
-def _stacked(side_by_side: ca.DM) -> Array:
-    """Return matrices that stand side by side, (n, k n), as a stack (k, n, n)."""
-    n = side_by_side.shape[0]
-    return np.ascontiguousarray(side_by_side.full().reshape(n, -1, n).swapaxes(0, 1))
+    columns = (each.reshape(-1, robot.n, robot.n) for each in evaluate_rows(both, configurations))
+    return Equilibria(robot, configurations, *(np.ascontiguousarray(each.swapaxes(1, 2)) for each in columns))
 
 
 def plant_matrices(points: Equilibria) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ from ..motions.reference import JETS
 from ..numerics.checks import Array
 from ..numerics.integrators import rk4_expression
 from ..numerics.one_line import one_line
-from ..numerics.symbolic import dense_function, symbols
+from ..numerics.symbolic import dense_function, evaluate_rows, symbols
 
 OUTPUTS = ("V", "H", "dissipation", "dissipated", "u_law", "drive", "slope")
 
@@ -99,9 +99,8 @@ class Certificate:
             nothing = np.zeros(0)
             efforts, slopes = np.zeros((0, n)), np.zeros((0, 4 * n))
             return CertificateSeries(*(nothing,) * 5, u_law=efforts, slope=slopes, drive=efforts, dissipation=nothing)
-        columns = jets.transpose(2, 0, 1).reshape(n, k * JETS)
-        found = self.function(position.T, velocity.T, columns, self.law.gain_values)
-        V, H, dissipation, dissipated, u_law, drive, slope = (result.full().T for result in found)
+        found = evaluate_rows(self.function, position, velocity, jets, np.tile(self.law.gain_values, (k, 1)))
+        V, H, dissipation, dissipated, u_law, drive, slope = found
         u = np.where(np.isnan(u), u_law, u)
         return CertificateSeries(
             V=V[:, 0],
@@ -161,10 +160,9 @@ class Prediction:
         calls = np.maximum(1, np.ceil(dt / LONGEST - 1e-6)).astype(int)
         for count in np.unique(calls):  # a gap does not make every interval take as long
             rows = np.flatnonzero(calls == count)
-            q, dq = ca.DM(position[rows].T), ca.DM(velocity[rows].T)
+            held = u[rows], dt[rows] / count
             for _ in range(count):
-                q, dq = self.function(q, dq, u[rows].T, dt[None, rows] / count)
-            position[rows], velocity[rows] = q.full().T, dq.full().T
+                position[rows], velocity[rows] = evaluate_rows(self.function, position[rows], velocity[rows], *held)
         return position, velocity
 
     @cached_property

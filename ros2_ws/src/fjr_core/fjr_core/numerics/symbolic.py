@@ -98,6 +98,14 @@ def bind(function: ca.Function, arguments: Sequence[Array], results: Sequence[Ar
     return trigger
 
 
+def evaluate_rows(function: ca.Function, *arguments: ArrayLike) -> list[Array]:
+    """Return the dense outputs (k, size) of a function at k rows of its arguments (k, size), all column-major."""
+    given = [np.ascontiguousarray(rows, dtype=float) for rows in arguments]  # a call would convert them one by one
+    found = [np.empty((len(given[0]), function.numel_out(i))) for i in range(function.n_out())]
+    bind(function.map(len(given[0])), given, found)()
+    return found
+
+
 def _numpy_shape(rows: int, columns: int) -> tuple[int, ...]:
     return (columns, rows) if columns > 1 else (rows,)
 

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check the sampled loop of one controller on plants that differ from its model, drawn or wrong in one parameter.
 
-The loop is linearised as in sampled_loop, for all draws and configurations at once. A map M is stable if a power of it
-contracts, |M^(2^j)| < 1; repeated squaring decides that for thousands of maps in the time of a few hundred spectral
-radii. The maps that it does not decide get their eigenvalues.
+The loop is linearised as in sampled_loop, for all draws and configurations at once.
 """
 
 from __future__ import annotations
@@ -23,9 +21,9 @@ from fjr_core.numerics.checks import Array
 from fjr_core.simulation.deviations import MATRICES
 from fjr_core.stability.linear_controller import Controller, Sensing, controller
 from fjr_core.stability.linearization import held_maps, map_of_held, on_plant, split
+from fjr_design.stability.sampled_loop import contracting
 
 CONFIDENCE = 0.99
-SQUARINGS = 14
 MOST_MAPS = 512  # in memory at a time
 FIELDS = tuple(MATRICES)
 SCREENED, CLOSELY = 16, 8  # draws that choose the worst configurations, and how many these are
@@ -155,25 +153,6 @@ class DrawnLoops:
         B[..., v_m, :] = own.robot.B_m / plants.motor_inertia[:, None, :, None]
         frequency = float(np.sqrt(np.abs(A[..., 2 * n :, : 2 * n]).sum(axis=-1).max()))
         return A.reshape(k * c, 4 * n, 4 * n), B.reshape(k * c, 4 * n, n), frequency
-
-
-def contracting(maps: Array) -> NDArray[np.bool_]:
-    """Return which maps (k, N, N) have a spectral radius below 1."""
-    stable, open_ = np.zeros(len(maps), dtype=bool), np.arange(len(maps))
-    power = maps
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(SQUARINGS):
-            norm = np.linalg.norm(power, axis=(1, 2))
-            stable[open_[norm < 1]] = True
-            rest = ~(norm < 1) & (norm < 1e30)
-            open_, power = open_[rest], power[rest]
-            if not len(open_):
-                break
-            power = power @ power
-    left = np.flatnonzero(~stable & np.isfinite(maps).all(axis=(1, 2)))
-    if len(left):
-        stable[left] = np.abs(np.linalg.eigvals(maps[left])).max(axis=1) < 1
-    return stable
 
 
 def _held(A: Array, B: Array, times: Array, frequency: float) -> tuple[Array, Array]:

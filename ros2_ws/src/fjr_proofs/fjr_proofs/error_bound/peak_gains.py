@@ -23,6 +23,7 @@ import numpy as np
 from fjr_core.law.linearized import Indices
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import c_library_of
+from fjr_core.numerics.symbolic import evaluate_rows
 from fjr_core.stability.linearization import held_maps
 
 from ..verification.taylor_models import ROUNDING
@@ -119,13 +120,5 @@ def _chained(models: CellModels, samples: int) -> tuple[Array, Array, Array]:
 
 def columnwise(function: ca.Function, *arguments: Array) -> list[Array]:
     """Return the outputs (size, k) of a function at k columns of its arguments (size, k), in column-major order."""
-    k = arguments[0].shape[1]
-    given = []
-    for i, columns in enumerate(arguments):  # as matrices (rows, k columns) side by side
-        rows, width = function.size_in(i)
-        given.append(columns.T.reshape(k, width, rows).transpose(2, 0, 1).reshape(rows, k * width))
-    results, found = function.map(k)(*given), []
-    for i, matrices in enumerate(results if isinstance(results, tuple) else (results,)):
-        rows, width = function.size_out(i)
-        found.append(matrices.full().reshape(rows, k, width).transpose(2, 0, 1).reshape(rows * width, k))
-    return found
+    found = evaluate_rows(function, *(columns.T for columns in arguments))
+    return [np.ascontiguousarray(rows.T) for rows in found]
