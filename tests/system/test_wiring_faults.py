@@ -7,7 +7,7 @@ The check in C agrees with its equations in NumPy (core/oracles/wiring.py) on th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -47,7 +47,8 @@ def compared(case: Case, run: Record) -> str:
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
         found, expected = here.see(t, q, dq), oracle.see(t, q, dq)
         assert found == said(expected, names)
-        assert Finding.of_wiring(here.state.fault, names) == said(oracle.last, names)
+        last = [astuple(each) for each in (Finding.of_wiring(here.state.fault, names), said(oracle.last, names)) if each]
+        np.testing.assert_equal(*(last or [(), ()]))  # a size may be NaN
         np.testing.assert_array_equal(np.array(list(here.state.right), dtype=bool), oracle.right)
         np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[: 2 * robot.n], **SAME)
         assert here.done == oracle.right.all()
