@@ -236,6 +236,25 @@ def test_gains_are_confirmed_on_fresh_draws_of_the_posterior(posterior: Path) ->
     assert "is of joints joint1; expected those of the scenario" in shown
 
 
+def test_late_robots_of_an_identification_lose_the_integral_where_the_arm_is_lightest(tmp_path: Path) -> None:
+    """Of two_link with this gain, one that acts 2.3 ms late is unstable with its elbow folded, and only there."""
+    values = {"joint_stiffness": (40.0, 25.0), "effort_delay": (2.3e-3, 2.3e-3)}
+    joints = ("shoulder", "elbow")
+    estimates = [
+        Estimate(name, joint, "", value, 0.9 * value, 1.1 * value, value, IDENTIFIED)
+        for name, each in values.items()
+        for joint, value in zip(joints, each, strict=True)
+    ]
+    mean, free = np.log([each.value for each in estimates]), tuple(range(4))
+    found = Identification(joints, tuple(estimates), free, (LOG,) * 4, mean, 1e-4 * np.eye(4))
+    path = tmp_path / "identification.json"
+    path.write_text(json.dumps(found.as_dict()), encoding="utf-8")
+    command = ("gains", "two_link", "--beta", "8", "--everywhere", "--from", f"{path}")
+    assert "0 of 4,603 robots" in fjr_here(*command)
+    shown = fjr_here(*command, "--set", "robust.integral_gain:=[20.0, 20.0]", code=Exit.FAILED)
+    assert "4603 of 4,603 robots drawn afresh from the identification are unstable" in shown
+
+
 def test_a_sweep_draws_from_the_posterior_next_to_it(posterior: Path, tmp_path: Path) -> None:
     study = tmp_path / "study.yaml"
     study.write_text("{scenario: paper_k31, posterior: identification.json, runs: 20, duration: 1.5}", encoding="utf-8")

@@ -184,6 +184,18 @@ def test_radii_with_model_errors_are_those_of_the_changed_plant() -> None:
         assert radii[quantity, 1.3] == pytest.approx(exact, rel=1e-4), quantity
 
 
+@pytest.mark.parametrize("bandwidth", [None, 150.0])
+def test_margin_with_integral_action_holds_where_the_arm_is_lightest(bandwidth: float | None) -> None:
+    """The gains of the integral are the same everywhere; the loop without it is worst elsewhere."""
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")
+    law = sampled_law(fjr.TrackingLaw(scenario.robot, scenario.gains), Robust(integral_gain=20.0))
+    sensing, T = Sensing(bandwidth), 1e-3
+    margin = fjr.check(law, T, sensing=sensing, lowest_rate=False).delay_margin
+    folded = Loop(law, scenario.robot, np.array([2.16, -3.06]), T, 0.0, sensing)
+    assert converges(replace(folded, delay=round((margin - 0.05) * T, 6)), 4000)
+    assert not converges(replace(folded, delay=round((margin + 0.15) * T, 6)), 4000)
+
+
 ROWS = re.findall(
     r"^\| `(\w+)` \|((?: [\d.]+ \|){5})$", Path("docs/tables/robust.md").read_text(encoding="utf-8"), re.MULTILINE
 )

@@ -106,3 +106,18 @@ def test_4603_draws_of_which_none_is_lost_show_one_in_a_thousand_with_99_percent
     assert largest_share(0, 4603) == pytest.approx(1e-3, rel=1e-3)
     assert (1 - largest_share(0, 4603)) ** 4603 == pytest.approx(0.01)
     assert largest_share(5, 1000) > largest_share(4, 1000) > 4e-3
+
+
+def test_draws_lost_at_a_rate_are_lost_at_every_faster_one() -> None:
+    """Then the same draws serve all rates of a search, which stops at the first that none loses.
+
+    It is wrong only if the slowest of the rates that lose more than the share loses no draw: one chance in a hundred,
+    however many rates are tried. With other draws each try would have its own.
+    """
+    plants = drawn(4603, 0.1, delay=10e-3)
+    lost = []
+    for beta in (9.0, 8.5, 8.0, 7.0, 6.0):
+        law = fjr.TrackingLaw(ROBOT, fjr.synthesize(ROBOT, beta, 2 * T, configurations=CONFIGURATIONS))
+        lost.append(DrawnLoops(law, equilibria_at(ROBOT, CONFIGURATIONS), 2 * T, 0.0).unstable(plants))
+    assert lost[0].sum() > lost[1].sum() > lost[2].sum() > 0 == lost[4].sum()
+    assert not any((slower & ~faster).any() for faster, slower in zip(lost, lost[1:], strict=False))

@@ -13,6 +13,7 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.errors import GainsError, prefixed
 from fjr_core.files import importing
 from fjr_core.files.text_file import read_text, write_text
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.rate import Rate
 from fjr_core.law.vdpbc import TrackingLaw
@@ -74,8 +75,9 @@ def synthesised(
         domain = joint_range(robot) if everywhere else prover.near_reference(loaded)[0]
     gains = synthesize(robot, beta, period, delay * period, where, loaded.joints, design, domain)
     law = TrackingLaw(robot, gains)
-    found, rate = _checked(loaded, law, delay * period, where), law.rate(where)
-    confirmed, counted = posterior.confirmed(law, delay * period, where) if posterior else ("", {})
+    sampled = sampled_law(law, robust_action(loaded.controller_values, law))
+    found, rate = _checked(loaded, sampled, delay * period, where), law.rate(where)
+    confirmed, counted = posterior.confirmed(sampled, found, where) if posterior else ("", {})
     head = _head(loaded, rate, found, everywhere, beta if proven else None)
     head += f"# {confirmed}\n" if confirmed else ""
     numbers = {"beta_per_s": rate.beta, "beta_is_proven": rate.proven, "spectral_radius": found.spectral_radius}
@@ -104,11 +106,9 @@ def _head(scenario: Scenario, rate: Rate, found: SampledCheck, everywhere: bool,
     return f"{head}# the inertia is bounded by a proof {place}: beta is at least {least} 1/s there before rounding\n"
 
 
-def _checked(scenario: Scenario, law: TrackingLaw, delay: float, where: Array | None) -> SampledCheck:
-    """Check the gains with the scenario's robust.* options, observer and sensors; raise GainsError if unstable."""
-    robust = robust_action(scenario.controller_values, law)
-    sampled, period = sampled_law(law, robust), scenario.sample_period
-    found = check(sampled, period, delay, where, None, scenario.sensing, lowest_rate=False)
+def _checked(scenario: Scenario, law: SampledLaw, delay: float, where: Array | None) -> SampledCheck:
+    """Check a law with the scenario's observer and sensors; raise GainsError if unstable."""
+    found = check(law, scenario.sample_period, delay, where, None, scenario.sensing, lowest_rate=False)
     if not found.stable:
         raise GainsError(
             f"the spectral radius with the scenario's robust.* options and observer is {found.spectral_radius:.4g}; "
@@ -134,18 +134,18 @@ class Posterior:
         """Return the plants of the synthesis, from a posterior that is WIDER."""
         return drawn_plants(self._found, self._scenario.robot, DESIGN_DRAWS, 2 * self._seed, WIDER)
 
-    def confirmed(self, law: TrackingLaw, delay: float, where: Array | None) -> tuple[str, dict[str, Any]]:
-        """Check the law with robust.* options and sensing on fresh draws; raise GainsError if one is unstable.
+    def confirmed(self, law: SampledLaw, found: SampledCheck, where: Array | None) -> tuple[str, dict[str, Any]]:
+        """Check a law, found stable with its own model, on fresh draws; raise GainsError if one is unstable.
 
-        It is checked at the configurations that are worst for some of the design draws.
-        Return what the draws say, and with which confidence, as a sentence and as JSON values.
+        It is checked at the configurations that are worst for some of the design draws; with a controller state, of
+        those at which it was found stable. Return what the draws say, with which confidence, as sentence and JSON.
         """
         count = draws_needed(SHARE)
         fresh = drawn_plants(self._found, self._scenario.robot, count, 2 * self._seed + 1)
-        scenario, equilibria = self._scenario, equilibria_at(law.robot, checked_configurations(law.robot, where))
-        sampled = sampled_law(law, robust_action(scenario.controller_values, law))
-        worst = DrawnLoops(law, equilibria, scenario.sample_period, delay).worst(self.design)
-        loops = DrawnLoops(sampled, equilibria.at(worst), scenario.sample_period, delay, scenario.sensing)
+        sensing, plain = self._scenario.sensing, isinstance(law, StaticLaw) and self._scenario.sensing.plain
+        equilibria = equilibria_at(law.robot, checked_configurations(law.robot, where if plain else found.closely))
+        worst = DrawnLoops(law, equilibria, found.sample_period, found.delay, sensing).worst(self.design)
+        loops = DrawnLoops(law, equilibria.at(worst), found.sample_period, found.delay, sensing)
         with progress_bar(f"checking {count:,} fresh draws", PROGRESS, total=1.0, desc="fresh draws") as bar:
             unstable = loops.unstable(fresh, lambda share: bar.update(share - bar.n))
         lost = int(unstable.sum())

@@ -42,8 +42,8 @@ KEPT = 16  # configurations of the largest radius at each screened delay, at whi
 LONGEST_DELAY = 20.0  # samples; largest reported margin
 WITHIN = 0.02  # samples below the delay margin, and fraction above the lowest rate, at which all are checked again
 MOST_STATES = 64  # of plant and delayed efforts: limits the delay at which all configurations are checked
-WITH_STATE = 8  # configurations, about, at which a controller with a state is checked: the worst of the static loop
-RATES_WITH_STATE = 3  # the first of these, at which the lowest stable rate is searched
+WITH_STATE = 4  # configurations of each order of `_worst_of`, at which a controller with a state is checked
+RATES_WITH_STATE = 4  # the first of these, at which the lowest stable rate is searched
 LATEST = 64  # samples; largest delay that is checked
 MOST_LATE = 5.0  # samples; largest delay at which the worst configurations of an unstable loop are selected
 ROUNDS = 8  # checks of all configurations
@@ -97,8 +97,7 @@ def check(
     search the lowest stable rate, which takes most of the time; without it a loop with a controller state is checked
     where the static loop is worst at half the rate.
     Of more than 48 configurations the closed form of the static loop selects the worst, at which margins are searched.
-    A static loop is then checked at all of them just within the margins, for delays up to MOST_STATES states. A loop
-    with a controller state is checked only at about WITH_STATE of the worst.
+    A static loop is then checked at all just within the margins, for delays up to MOST_STATES states; others are not.
     Raises StateError for a sample period that is not positive, a negative delay or one over LATEST, and wrong shapes.
     """
     checked_times(sample_period, delay)
@@ -108,17 +107,17 @@ def check(
     q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
     below = static_part(law)
     with_state = not isinstance(law, StaticLaw) or not sensing.plain
-    if len(q_l) > (WITH_STATE if with_state else FEW) and plant.robot.n == law.robot.n:
+    if len(q_l) > (2 * WITH_STATE if with_state else FEW) and plant.robot.n == law.robot.n:
+        own = equilibria_at(law.robot, q_l)
         if isinstance(below, TrackingLaw):
-            own = equilibria_at(law.robot, q_l)
-            real = own if plant.robot is law.robot else equilibria_at(plant.robot, q_l)
-            everywhere = closed_form(own, below.gains, real)
+            everywhere = closed_form(own, below.gains, equilibria_at(plant.robot, q_l))
             static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
-            if not with_state:
-                return static
-            q_l = q_l[_worst_of(everywhere, static)]
-        elif with_state:
-            q_l = q_l[np.linspace(0, len(q_l) - 1, WITH_STATE).round().astype(np.intp)]
+        else:
+            everywhere = linearize(below, q_l, plant)
+            static = _checked(everywhere, sample_period, delay, lowest_rate)
+        if not with_state:
+            return static
+        q_l = q_l[_worst_of(everywhere, static, own)]
     return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate)
 
 
@@ -140,13 +139,19 @@ def _of_many(
     return replace(found, configurations=len(q_l) if late == delay else len(few))
 
 
-def _worst_of(everywhere: SampledLoop, found: SampledCheck) -> Indices:
-    """Return indices of the worst configurations of a static loop, as given and at its margins, the worst first."""
+def _worst_of(everywhere: SampledLoop, found: SampledCheck, own: Equilibria) -> Indices:
+    """Return indices of configurations at which to check a loop with a controller state, the worst first.
+
+    They are the worst of the static loop, as given and at its margins, and those where the joints carry the least
+    inertia relative to its mean: the gains of integral action are the same everywhere, so they act most there.
+    """
     T, delay = found.sample_period, found.delay
     late = min(max(found.delay_margin, delay / T + 0.5), MOST_LATE)
     slowest = 1 / found.lowest_stable_rate if found.lowest_stable_rate else 2 * T
+    inertia = np.diagonal(own.M_l, axis1=1, axis2=2)
     orders = [np.argsort(-everywhere.radii(*times)) for times in ((T, delay), (slowest, delay), (T, late * T))]
-    ranked = np.stack(orders, axis=1)[: WITH_STATE // 2].ravel()
+    orders.append(np.argsort((inertia / inertia.mean(axis=0)).sum(axis=1)))
+    ranked = np.stack(orders, axis=1)[:WITH_STATE].ravel()
     return ranked[np.sort(np.unique(ranked, return_index=True)[1])]
 
 

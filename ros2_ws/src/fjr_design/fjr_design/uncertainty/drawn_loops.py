@@ -27,6 +27,10 @@ CONFIDENCE = 0.99
 MOST_MAPS = 512  # in memory at a time
 FIELDS = tuple(MATRICES)
 SCREENED, CLOSELY = 16, 8  # draws that choose the worst configurations, and how many these are
+FACTORS = (0.7, 0.8, 1.2, 1.3)
+"""Ratios of a plant parameter to its value in the model."""
+QUANTITIES = ("stiffness", "link_inertia", "motor_inertia")
+"""Deviations that are changed, for all joints at once; the weight of the links stays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,14 +178,6 @@ def largest_share(lost: int, of: int) -> float:
     from scipy.special import betaincinv  # loaded on use: see law/gains.py
 
     return 1.0 if lost >= of else float(betaincinv(lost + 1, of - lost, CONFIDENCE))
-
-
-FACTORS = (0.7, 0.8, 1.2, 1.3)
-"""Ratios of a plant parameter to its value in the model."""
-
-
-QUANTITIES = ("stiffness", "link_inertia", "motor_inertia")
-"""Deviations that are changed, for all joints at once; the weight of the links stays."""
 
 
 def _changed(at: Equilibria, quantity: str, factor: float) -> Equilibria:
