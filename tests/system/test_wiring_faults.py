@@ -39,6 +39,11 @@ def said(fault: WiringFault | None, names: Sequence[str]) -> Finding | None:
     return None if fault is None else fault.finding(names)
 
 
+def values(finding: Finding | None) -> tuple[object, ...]:
+    """Return the fields, of which a size may be NaN; none for no finding."""
+    return () if finding is None else astuple(finding)
+
+
 def compared(case: Case, run: Record) -> str:
     """Give a stream to both; return the sentence of the fault that both find with the same state, if any."""
     robot = case.loaded().robot  # as the controller knows it
@@ -46,9 +51,8 @@ def compared(case: Case, run: Record) -> str:
     here, oracle = WiringCheck(robot, names), NumericCheck(robot)
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
         found, expected = here.see(t, q, dq), oracle.see(t, q, dq)
-        assert found == said(expected, names)
-        last = [astuple(each) for each in (Finding.of_wiring(here.state.fault, names), said(oracle.last, names)) if each]
-        np.testing.assert_equal(*(last or [(), ()]))  # a size may be NaN
+        np.testing.assert_equal(values(found), values(said(expected, names)))
+        np.testing.assert_equal(values(Finding.of_wiring(here.state.fault, names)), values(said(oracle.last, names)))
         np.testing.assert_array_equal(np.array(list(here.state.right), dtype=bool), oracle.right)
         np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[: 2 * robot.n], **SAME)
         assert here.done == oracle.right.all()

@@ -94,6 +94,7 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
     motion, gains, n, limits = proposal.motion, proposal.gains, arm.robot.n, arm.robot.limits
     values = {key.partition(".")[2]: entries for key, entries in gain_values(gains.gains, n).items()}
     slides = [unit.position == "m" for unit in arm.robot.units]
+    effort = np.full(n, np.inf) if limits is None else limits.effort
     return SCENARIO.format(
         name=name,
         n=n,
@@ -106,9 +107,7 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
         gains="\n".join(gain_lines(values, n, indent=6)),
         **{name: _list(getattr(motion, name)) for name in ("amplitude", "frequency", "offset", "phase")},
         from_robot="false" if limits is None else "true",
-        deflection=_list(
-            np.full(n, np.inf) if limits is None else DEFLECTION * limits.effort / np.diag(arm.robot.K), 3
-        ),
+        deflection=_list(DEFLECTION * effort / np.diag(arm.robot.K), 3),
         tracking_error=_list(TRACKING_ERROR[each] for each in slides),
         start_error=_list(START_ERROR[each] for each in slides),
     )

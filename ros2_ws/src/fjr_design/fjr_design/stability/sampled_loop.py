@@ -226,8 +226,7 @@ def contracting(maps: Array) -> NDArray[np.bool_]:
     A power of M that contracts, |M^(2^j)| < 1, shows it: repeated squaring decides thousands of maps in the time of a
     few hundred spectral radii. The maps that it does not decide get their eigenvalues.
     """
-    stable, open_ = np.zeros(len(maps), dtype=bool), np.arange(len(maps))
-    power = maps
+    stable, open_, power = np.zeros(len(maps), dtype=bool), np.arange(len(maps)), maps
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(SQUARINGS):
             norm = np.linalg.norm(power, axis=(1, 2))
