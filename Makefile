@@ -48,7 +48,7 @@ test: ## run the suite; the labelled bags at one strength (PYTEST_ARGS="...", TE
 
 test-all: TESTS =
 test-all: DRAWS = new draws
-test-all: test ## run the suite with all labelled bags, healthy starts, and new random draws, minutes more
+test-all: test ## run the suite with all labelled bags, healthy starts, malformed messages, and new random draws, minutes more
 
 bench: ## measure against Pinocchio and MuJoCo, print a table, write runs/bench.json (BENCH_ARGS="--document docs/tables/benchmarks.md")
 	$(SETUP) bench

@@ -1,26 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Malformed trajectories cause no exception and no output that is not finite or exceeds a limit.
+"""Malformed messages of each kind cause no exception and no output that is not finite or exceeds a limit.
 
-Each is published alone, because a queue of depth one keeps the newest only. Of states and commands tests/msgs has the
-readers, core/runtime/random_calls.c the control step, and test_controller_node.py and test_plant_node.py the nodes.
+Each is published alone, because a queue of depth one keeps the newest only. tests/msgs has the readers of states and
+commands, and tests/tracking the control step for any state; here both are in their nodes, for `make test-all`.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration, Time
 from hypothesis import given
 from hypothesis import strategies as st
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fjr_controller.controller_node import ControllerNode
+from fjr_plant.plant_node import PlantNode
 from fuzzing import fuzzed
-from msgs.test_cdr import JOINTS, NAMES
+from msgs.test_cdr import JOINT_STATES, JOINTS, NAMES
 from nodes.harness import Ros, stamped
 from nodes.managed import Manager
+from nodes.plants import answer, command
 
+HANDLED = ("commands received", "command refused", "answers to other states")  # beginnings of counters
 LIMIT = (20.0, 10.0)  # N m
 EACH, EXAMPLES = 10, 40  # messages of an example; FJR_FUZZ_EXAMPLES=1000 tries more
 
@@ -122,3 +128,60 @@ def assert_limited(manager: Manager) -> None:
         assert all(abs(u) <= limit for u, limit in zip(effort, LIMIT, strict=True)), effort
     manager.efforts.clear()
     manager.commands.clear()
+
+
+@pytest.mark.full
+@fuzzed(EXAMPLES)
+@given(messages=st.lists(JOINT_STATES, min_size=EACH, max_size=EACH))
+def test_malformed_states_are_refused_and_cause_no_invalid_effort(
+    ros: Ros, manager: Manager, node: ControllerNode, messages: list[JointState]
+) -> None:
+    loop = node._control._command_loop._struct
+    for message in messages:
+        before = loop.received
+        manager.state_publisher.publish(message)
+        ros.until(lambda before=before: loop.received > before, "its arrival")
+    last = node._control.step.last_stamp or 200 * 10**9
+    good = stamped((last + 10**9) % (2 * 10**18) * 1e-9 - 100, 0.1, 0.0, NAMES)
+
+    def answered() -> bool:
+        manager.state_publisher.publish(good)  # again, as another state confirms a jump of the stamps
+        return bool(manager.commands) and manager.commands[-1].header == good.header
+
+    ros.until(answered, "the answer to a good state")
+    assert_limited(manager)
+
+
+@pytest.fixture(params=[False, True], ids=["real time", "lock-step"])
+def plant(request: pytest.FixtureRequest, manager: Manager) -> PlantNode:
+    """Return a plant with an effort limit, without which a finite effort of 1e308 N m could make it diverge."""
+    robot = {"joints": list(JOINTS), "robot__model": "planar_two_link", "imperfections__effort_limit": list(LIMIT)}
+    return manager.plant(lockstep=request.param, lockstep_timeout=0.0, **robot)
+
+
+@pytest.mark.full
+@fuzzed(EXAMPLES)
+@given(numbers=st.lists(column(2), min_size=EACH, max_size=EACH), named=st.lists(JOINT_STATES, min_size=EACH))
+def test_malformed_commands_are_refused_and_leave_the_plant_finite(
+    ros: Ros, manager: Manager, plant: PlantNode, numbers: list[list[float]], named: list[JointState]
+) -> None:
+    def handled() -> int:
+        return sum(n for kind, n in plant._health.count.items() if kind.startswith(HANDLED))
+
+    messages = named if plant.values["lockstep"] else [Float64MultiArray(data=row) for row in numbers]
+    publisher = manager.command_publisher if plant.values["lockstep"] else manager.effort_publisher
+    for message in messages:
+        before = handled()
+        publisher.publish(message)
+        ros.until(lambda before=before: handled() > before, "its arrival")
+    last = manager.states[-1].header
+
+    def moves() -> bool:
+        """Answer the newest state, as one of the messages may have answered the last one."""
+        publisher.publish(answer(manager.states[-1], 0.0, JOINTS) if plant.values["lockstep"] else command(0.0, 0.0))
+        return manager.states[-1].header != last
+
+    ros.until(moves, "a state after a good command")
+    ros.settle()
+    assert all(np.isfinite([*each.position, *each.velocity, *each.effort]).all() for each in manager.states)
+    del manager.states[:-1]
