@@ -14,7 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from fjr_core.runtime.control_step import ControlStep
-from fjr_core.runtime.events import STARTS_REFUSED, STOPS, Event
+from fjr_core.runtime.events import POSITION_JUMP, STARTS_REFUSED, STOPS, Event
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError, StateReader, deserialised
 from fjr_msgs_py.native.loop import LARGEST
@@ -75,7 +75,8 @@ class Reports(Health):
         """Publish the events of the control step since the last call; a position jump names several sources."""
         while self._step.events:
             event = self._step.events.popleft()
-            found = self._node.get_publishers_info_by_topic(names.JOINT_STATES) if "jump of" in event.sentence else ()
+            jumped = event.kind == STOPS and event.sentence.startswith(f"stopped: {POSITION_JUMP}")
+            found = self._node.get_publishers_info_by_topic(names.JOINT_STATES) if jumped else ()
             if len(found) > 1:
                 event = replace(event, sentence=f"{event.sentence}; states come from {', '.join(map(node_of, found))}")
             self.event(event)

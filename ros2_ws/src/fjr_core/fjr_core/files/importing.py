@@ -19,7 +19,7 @@ from ..errors import MissingPackageError, ParameterError
 
 SEPARATOR = ":"
 INSTALLED = {"site-packages", "dist-packages"}
-OWN = {f"fjr_{name}" for name in ("core", "msgs_py", "plant", "controller", "design", "monitor", "identification")}
+OWN = {"fjr_core", "fjr_msgs_py", "fjr_plant", "fjr_controller", "fjr_design", "fjr_monitor", "fjr_identification"}
 OWN |= {"fjr_proofs", "fjr_engines", "fjr_bringup"}
 
 

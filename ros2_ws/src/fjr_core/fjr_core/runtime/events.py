@@ -17,7 +17,7 @@ NEVER = -(2**63)
 
 STOPS, STARTS_REFUSED = "stops", "starts refused"
 """Kinds of the events that end tracking."""
-CONTACTS = "contacts"
+CONTACTS, POSITION_JUMP = "contacts", "position jump"
 KINDS = (
     "states older than the last",
     "states stale",
@@ -38,7 +38,7 @@ KINDS = (
     "stops: motor velocity",
     "stops: deflection",
     "stops: tracking error",
-    "stops: position jump",
+    f"stops: {POSITION_JUMP}",
     "stops: contact",
     "stops: law",
     "resumes",
@@ -123,7 +123,7 @@ LIMITED = {
     "motor velocity": ("dq_m", "velocity"),
     "deflection": ("q_m - q_l", "position"),
     "tracking error": ("q_l - q_ld", "position"),
-    "position jump": ("change of q_l", "position"),
+    POSITION_JUMP: ("change of q_l", "position"),
     "contact": ("external torque", "effort"),
 }
 """Limited quantities: symbol, and field of Units."""
