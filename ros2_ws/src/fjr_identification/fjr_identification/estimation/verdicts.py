@@ -53,8 +53,8 @@ OTHER_SHAPE = "friction has another shape, such as that of bristles, and acts li
 WIDER = 2.5
 """Factor on standard deviations of a joint whose friction has another shape.
 
-No record shows this error: jumps at reversals make residuals white. On 71 records of LuGre's friction (tests/physics)
-98 % of the errors of damping are within 4.4 standard deviations, 98 % of those of stiffness within 2.3.
+No record shows this error: jumps at reversals make residuals white. It covers the errors of damping under LuGre's
+friction, of which 8 of 16 intervals held; other records are in docs/tables/identification.md.
 """
 WITHOUT_MOTOR = {"offset": "without a motor position the offset shifts the motor alone; measure the motor"}
 
