@@ -21,6 +21,7 @@ from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.linearization import linearize, refuse_fast_integral, spectral_radius
+from fjr_design.stability.sampled_loop import contracting
 from fjr_design.studies.compared_law import tuned_law
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
@@ -194,6 +195,20 @@ def test_margin_with_integral_action_holds_where_the_arm_is_lightest(bandwidth: 
     folded = Loop(law, scenario.robot, np.array([2.16, -3.06]), T, 0.0, sensing)
     assert converges(replace(folded, delay=round((margin - 0.05) * T, 6)), 4000)
     assert not converges(replace(folded, delay=round((margin + 0.15) * T, 6)), 4000)
+
+
+def test_margin_with_the_velocity_observer_holds_at_all_configurations() -> None:
+    """The loop of measured velocities is worst elsewhere."""
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
+    law, sensing, T = fjr.TrackingLaw(scenario.robot, scenario.gains), Sensing(150.0), 1e-3
+    margin = fjr.check(law, T, sensing=sensing, lowest_rate=False).delay_margin
+    everywhere = linearize(law, sensing=sensing)
+    assert contracting(everywhere.one_sample_map(T, (margin - 0.02) * T)).all()
+    lost = everywhere.at(np.flatnonzero(~contracting(everywhere.one_sample_map(T, (margin + 0.02) * T))))
+    q_l = lost.configurations[np.argmax(lost.radii(T, (margin + 0.02) * T))]
+    worst = Loop(law, scenario.robot, q_l, T, 0.0, sensing)
+    assert converges(replace(worst, delay=round((margin - 0.1) * T, 6)), 1200)
+    assert not converges(replace(worst, delay=round((margin + 0.1) * T, 6)), 1200)
 
 
 ROWS = re.findall(

@@ -103,10 +103,13 @@ def controller(law: SampledLaw, equilibria: Equilibria, sensing: Sensing) -> At:
         alone = static(np.array([slope_at_rest(law, q)[0] for q in equilibria.q_l]))
     else:
         alone = None
-    at = lru_cache(maxsize=2)(lambda T: _linearised(law, equilibria, T) if alone is None else alone)
-    if (bandwidth := sensing.bandwidth) is None:
-        return at
-    return lambda T: _behind_observer(at(T), equilibria, bandwidth, T)
+
+    @lru_cache(maxsize=2)
+    def at(T: float) -> Controller:
+        measuring = _linearised(law, equilibria, T) if alone is None else alone
+        return measuring if sensing.bandwidth is None else _behind_observer(measuring, equilibria, sensing.bandwidth, T)
+
+    return at
 
 
 def momentum_matrix(equilibria: Equilibria) -> Array:

@@ -105,32 +105,38 @@ def check(
         raise StateError(f"the loop's delay is {delay:g} s; expected at most {LATEST} samples of {sample_period:g} s")
     check_law(law)
     q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
-    below = static_part(law)
-    with_state = not isinstance(law, StaticLaw) or not sensing.plain
-    if len(q_l) > (2 * WITH_STATE if with_state else FEW) and plant.robot.n == law.robot.n:
-        own = equilibria_at(law.robot, q_l)
-        if isinstance(below, TrackingLaw):
+    static = isinstance(law, StaticLaw)
+    if len(q_l) > (FEW if static else 2 * WITH_STATE) and plant.robot.n == law.robot.n:
+        below, own = static_part(law), equilibria_at(law.robot, q_l)
+        if isinstance(below, TrackingLaw) and sensing.plain:
             everywhere = closed_form(own, below.gains, equilibria_at(plant.robot, q_l))
-            static = _of_many(below, everywhere, plant, sample_period, delay, lowest_rate)
         else:
-            everywhere = linearize(below, q_l, plant)
-            static = _checked(everywhere, sample_period, delay, lowest_rate)
-        if not with_state:
-            return static
-        q_l = q_l[_worst_of(everywhere, static, own)]
-    return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate)
+            everywhere = linearize(below, q_l, plant, sensing)
+        found = _of_many(below, everywhere, plant, sensing, sample_period, delay, lowest_rate)
+        if static:
+            return found
+        q_l = q_l[_worst_of(everywhere, found, own)]
+    searched = slice(None if static else RATES_WITH_STATE)
+    return _checked(linearize(law, q_l, plant, sensing), sample_period, delay, lowest_rate, searched)
 
 
 def _of_many(
-    law: TrackingLaw, everywhere: SampledLoop, plant: Plant, sample_period: float, delay: float, lowest_rate: bool
+    law: StaticLaw,
+    everywhere: SampledLoop,
+    plant: Plant,
+    sensing: Sensing,
+    sample_period: float,
+    delay: float,
+    lowest_rate: bool,
 ) -> SampledCheck:
-    """Check a static loop at the worst configurations of its closed form and at those that violate its margins."""
+    """Check a static loop at its worst configurations and at those that violate its margins."""
     q_l, late = everywhere.configurations, delay
     if everywhere.at(np.arange(1)).radii(sample_period, delay)[0] >= 1:
         late = min(delay, MOST_LATE * sample_period)
     few = everywhere.critical(sample_period, late, KEPT)
     for _ in range(ROUNDS):
-        loop = everywhere.at(few) if plant.robot is law.robot else linearize(law, q_l[few], plant)
+        exact = sensing.plain and plant.robot is law.robot
+        loop = everywhere.at(few) if exact else linearize(law, q_l[few], plant, sensing)
         found = _checked(loop, sample_period, delay, lowest_rate)
         missed = np.setdiff1d(_unstable(everywhere, found), few)
         if not len(missed):
@@ -155,9 +161,12 @@ def _worst_of(everywhere: SampledLoop, found: SampledCheck, own: Equilibria) -> 
     return ranked[np.sort(np.unique(ranked, return_index=True)[1])]
 
 
-def _checked(loop: SampledLoop, sample_period: float, delay: float, lowest_rate: bool) -> SampledCheck:
+def _checked(
+    loop: SampledLoop, sample_period: float, delay: float, lowest_rate: bool, searched: slice = slice(None)
+) -> SampledCheck:
+    """Check a loop at all its configurations; search the lowest rate at some of them."""
     radii = loop.radii(sample_period, delay)
-    at_rates = loop if loop.with_state is None else loop.at(np.arange(len(radii))[:RATES_WITH_STATE])
+    at_rates = loop if searched == slice(None) else loop.at(np.arange(len(radii))[searched])
     worst = int(np.argmax(radii))
     stable = bool(radii[worst] < 1)
     return SampledCheck(
