@@ -19,6 +19,7 @@ from fjr_monitor.diagnosis.delay_estimation import needed
 from fjr_monitor.diagnosis.diagnosis import diagnose, innovations, with_findings
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_msgs_py.scenarios import library
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 2.5
@@ -124,6 +125,28 @@ def test_efforts_other_than_those_of_the_law_are_no_violation() -> None:
 
 def test_sensor_noise_is_no_violation() -> None:
     assert [diagnose(looped(noise=noise), LAW).kind for noise in (1e-4, 1e-2)] == ["holding"] * 2
+
+
+@pytest.mark.parametrize(("bits", "kind", "causes"), [(18, "holding", ()), (16, "violated", ("noise",))])
+def test_coarse_encoders_are_noise_and_no_model_mismatch(bits: int, kind: str, causes: tuple[str, ...]) -> None:
+    """The slow loop answers the low frequencies of the noise, which do not average out within a block."""
+    arm = library.load("arm7", [])
+    coarse, start = 2 * np.pi / 2**bits, arm.plant.robot.state(*np.split(arm.x0[:14], 2), np.zeros(7), np.zeros(7))
+    seen = recorded(arm.law, arm.reference, start, 1800, sensed=lambda q, dq: (coarse * np.round(q / coarse), dq))
+    verdict = diagnose(seen, arm.law)
+    assert (verdict.kind, verdict.causes) == (kind, causes), verdict.sentence
+
+
+def test_effort_at_its_largest_rate_is_saturation() -> None:
+    last = np.zeros(1)
+
+    def slow(u: np.ndarray) -> np.ndarray:
+        last[:] = np.clip(u, last - 0.02, last + 0.02)
+        return last.copy()
+
+    seen = recorded(LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0.0, 0.0), 2500, commanded=slow)
+    assert diagnose(seen, LAW).kind == "unknown"
+    assert diagnose(replace(seen, effort_rate=20.0), LAW).causes == ("saturation",)
 
 
 def test_insufficient_data_give_unknown_with_a_reason() -> None:

@@ -22,9 +22,8 @@ def run(seconds: float, known: bool = True, late: int = 0, tolerance: float = 1e
     real = fjr.single_link(**robot)
     plant, x = fjr.Plant(real), real.state(0.5, 0.5, 0.0, 0.0)
     certified = Certified(LAW)
-    running = OnlineDiagnosis(
-        LAW, np.array([np.inf]), certified, JointTolerances(("joint1",), ("rad",), np.array([tolerance]))
-    )
+    axes = JointTolerances(("joint1",), ("rad",), np.array([tolerance]))
+    running = OnlineDiagnosis(LAW, (np.array([np.inf]), np.inf), certified, axes)
     latencies = np.random.default_rng(7).uniform(0.15e-3, 0.5e-3, int(seconds / PERIOD))
     efforts, verdicts = [np.zeros(1)] * (late + 2), []
     for k, latency in enumerate(latencies):

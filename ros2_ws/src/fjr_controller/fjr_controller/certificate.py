@@ -18,11 +18,10 @@ from std_msgs.msg import Float64MultiArray
 
 from fjr_core import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, Prediction
-from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import CLibrary
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.library import CertificateStruct
-from fjr_monitor.diagnosis.online_diagnosis import Latency, LatestIntervals, OnlineDiagnosis
+from fjr_monitor.diagnosis.online_diagnosis import EffortLimits, Latency, LatestIntervals, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED, JointTolerances
 from fjr_monitor.diagnosis.verdict import EXTERNAL, external, unknown
 from fjr_msgs_py import names
@@ -49,16 +48,16 @@ class LiveCertificate:
         program: Program,
         law: TrackingLaw,
         library: CLibrary,
-        limit: Array,
+        limits: EffortLimits,
         robust: Robust,
         axes: JointTolerances,
     ) -> None:
-        """library: the control step; limit (n,) [N m]: of the efforts; axes: names and grades of the joints."""
+        """library: the control step; axes: names and grades of the joints."""
         self._node, self._ffi, self._law = node, program.ffi, law
         self._why_not = ESTIMATES if robust.estimates or robust.integrates else PREDICTS if robust.predicts else ""
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._intervals = LatestIntervals(law.robot.n, library)
-        self._diagnosis = OnlineDiagnosis(law, limit, self._intervals, axes)
+        self._diagnosis = OnlineDiagnosis(law, limits, self._intervals, axes)
         self._latency, self._name = Latency(), f"{names.full_name(node)}: certificate"
         self.publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.sample_qos(node))
         self._message = NativeMessage(program, float_array(",".join(LABELS), len(LABELS)), (len(LABELS),))
@@ -72,12 +71,12 @@ class LiveCertificate:
         self.touched: Callable[[], list[str]] = list
         """Return the joints of a contact in the last second; set by the command loop."""
 
-    def use(self, law: TrackingLaw, limit: Array) -> None:
-        """Replace the law by one made by `with_gains`, and the effort limits (n,) [N m]; the bound starts again."""
+    def use(self, law: TrackingLaw, limits: EffortLimits) -> None:
+        """Replace the law by one made by `with_gains`, and the limits of the effort; the bound starts again."""
         if law is not self._law:
             self._law = law
             self._intervals.forget()
-        self._diagnosis.use(law, limit)
+        self._diagnosis.use(law, limits)
         self.restart()
 
     def restart(self) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
@@ -21,6 +22,7 @@ from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot import robot_name
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.runtime.control_step import ControlStep
+from fjr_monitor.diagnosis.online_diagnosis import EffortLimits
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_msgs_py.messages.trajectories import follow_messages
 from fjr_msgs_py.node.reports import EventWriter
@@ -120,7 +122,7 @@ class Control:
             self.step.apply(settings)
             self._apply_motion_limits()
         if self._certificate is not None and isinstance(self._law, TrackingLaw):
-            self._certificate.use(self._law, effort_limits(values, self._robot))
+            self._certificate.use(self._law, self._effort_limits)
         self.reports.publish_events()
 
     def _read_motion(self, node: Node) -> None:
@@ -141,6 +143,11 @@ class Control:
         values, limits = self._values, motion_limits(self._settings, self._robot)
         self._interface.apply(limits, values["recovery.join_time"], values["allow_partial_joints"])
 
+    @property
+    def _effort_limits(self) -> EffortLimits:
+        """The largest effort and its largest rate."""
+        return effort_limits(self._values, self._robot), np.asarray(self._settings.effort_rate)
+
     def _create_certificate(self, node: Node) -> LiveCertificate | None:
         """Return the certificate, if it is enabled and the law has a certificate."""
         if not self._values["certificate"]:
@@ -149,8 +156,8 @@ class Control:
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
         robust, joint_axes = build_robust(self._values, self._robot.n), JointTolerances.of(self._values, self._robot)
-        loop, limit = self._command_loop, effort_limits(self._values, self._robot)
-        certificate = LiveCertificate(node, loop.program, self._law, self.step.library, limit, robust, joint_axes)
+        loop, library = self._command_loop, self.step.library
+        certificate = LiveCertificate(node, loop.program, self._law, library, self._effort_limits, robust, joint_axes)
         loop.certify(certificate)
         self.reports.add_status(certificate.status)
         return certificate

@@ -11,7 +11,7 @@ closed form, because a Runge-Kutta step about an equilibrium is a polynomial of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -130,8 +130,8 @@ def _linearised(law: SampledLaw, equilibria: Equilibria, T: float) -> Controller
     n, m = equilibria.robot.n, len(law.memory)
     step, gains, blocks = law.step_function, law.gain_values, []
     for x, u in zip(equilibria.x, equilibria.u, strict=True):
-        at_rest = _state_at_rest(step, x, u, gains, law.memory, T)
-        at = [x[: 2 * n], np.zeros(2 * n), standing(x[:n]).T, gains, at_rest, u, T]
+        measured = x[: 2 * n], np.zeros(2 * n), standing(x[:n]).T, gains
+        at = [*measured, *_at_rest(step, measured, law.memory, u, T), T]
         blocks.append(np.split(_jacobian(step, at), [n]))
     raise_failure(law)
     of_u, of_next = (np.array(rows) for rows in zip(*blocks, strict=True))
@@ -152,16 +152,18 @@ def _without_constant_states(law: Controller) -> Controller:
     return law
 
 
-def _state_at_rest(step: ca.Function, x: Array, u: Array, gains: Array, state: Array, T: float) -> Array:
-    """Return the stationary controller state (m,) at an equilibrium x under its effort u, from a first state."""
-    n = len(u)
+def _at_rest(step: ca.Function, measured: Sequence[Array], state: Array, u: Array, T: float) -> tuple[Array, Array]:
+    """Return the stationary controller state (m,) and effort (n,), from a first state and the effort of the model.
+
+    The effort of the law differs from that by rounding, which integral action takes for a saturation.
+    """
     for k in range(MOST_SAMPLES if len(state) else 0):
-        dt = T if k else 0.0
-        after = step(x[: 2 * n], np.zeros(2 * n), standing(x[:n]).T, gains, state, u, dt)[2].full().ravel()
-        if k > 1 and np.allclose(after, state, rtol=1e-12, atol=1e-12):
-            return np.asarray(after)
-        state = after
-    return state
+        before = state
+        effort, _, after = step(*measured, state, u, T if k else 0.0)
+        state, u = after.full().ravel(), effort.full().ravel()
+        if k > 1 and np.allclose(state, before, rtol=1e-12, atol=1e-12):
+            break
+    return state, u
 
 
 @lru_cache(maxsize=4)

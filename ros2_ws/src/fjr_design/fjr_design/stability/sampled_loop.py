@@ -121,7 +121,7 @@ def check(
 
 
 def _of_many(
-    law: StaticLaw,
+    law: SampledLaw,
     everywhere: SampledLoop,
     plant: Plant,
     sensing: Sensing,

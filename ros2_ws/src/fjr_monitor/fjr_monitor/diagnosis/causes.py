@@ -30,7 +30,7 @@ from fjr_core.stability.linearization import SampledLoop
 from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
 from fjr_monitor.diagnosis.record import Innovations, blocks_of
 
-from .thresholds import AT_LIMIT, BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE
+from .thresholds import BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE
 from .verdict import MISMATCH, SATURATION
 
 CAUSES = (MISMATCH, SATURATION, "delay", "loss")
@@ -44,7 +44,7 @@ class StorageBudget:
 
     causes (b, 4) [J]: contribution of each of CAUSES. hold (b,) [J]: growth of V in the ideal sampled loop, with the
     known latency, above the bound exp(-2 beta dt). slack (b,) [J]: decay of V below that bound. noise (b,) [J]: what
-    measurement noise explains. judged (b,): true if every effort is that of the law or at its limit.
+    measurement noise explains. judged (b,): true if every effort is that of the law or at a limit.
     """
 
     causes: Array
@@ -54,12 +54,10 @@ class StorageBudget:
     judged: NDArray[np.bool_]
 
 
-def storage_budget(
-    found: Innovations, acted: Acting, robot: Robot, beta: float, period: float, limit: Array
-) -> StorageBudget:
+def storage_budget(found: Innovations, acted: Acting, robot: Robot, beta: float, period: float) -> StorageBudget:
     """Return the contributions to V in the complete blocks of the intervals.
 
-    beta [1/s]: guaranteed rate of V. period [s]: sample period. limit (n,) [N m]: effort limits.
+    beta [1/s]: guaranteed rate of V. period [s]: sample period.
     """
     other = found.sent - found.law
     saturation, unanswered = (_gain(found, other * mask[:, None], robot) for mask in (found.answered, ~found.answered))
@@ -80,16 +78,15 @@ def storage_budget(
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
         noise=np.abs(_sums(residual - within) - mismatch) + NOISE_DEVIATIONS * uncertain + np.abs(_sums(unsure)),
-        judged=_sums(foreign(found, limit).astype(float)) == 0,
+        judged=_sums(foreign(found).astype(float)) == 0,
     )
 
 
-def foreign(found: Innovations, limit: Array) -> NDArray[np.bool_]:
-    """Return in which intervals (k,) the effort sent is neither that of the law nor at its limit (n,) [N m]."""
-    at_limit = np.abs(found.sent) >= AT_LIMIT * limit
+def foreign(found: Innovations) -> NDArray[np.bool_]:
+    """Return in which intervals (k,) the effort sent is neither that of the law nor at a limit."""
     same = SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
     differs = np.abs(found.sent - found.law) > same
-    return np.asarray((differs & ~at_limit).any(axis=1) & found.answered)
+    return np.asarray((differs & ~found.limited).any(axis=1) & found.answered)
 
 
 def state_change(found: Innovations, effort: Array, robot: Robot) -> Array:
@@ -137,14 +134,14 @@ def _sums(values: Array) -> Array:
     return np.asarray(blocks_of(values, BLOCK).sum(axis=1))
 
 
-def rises(found: Innovations, limit: Array, lowest: float = np.inf, before: float = np.nan) -> Array:
+def rises(found: Innovations, lowest: float = np.inf, before: float = np.nan) -> Array:
     """Return V at the end of each interval and the lowest V before it (2, k) [J].
 
     An interval without the law's effort counts as V = 0; after it, and after a missing interval, the search for the
     lowest V starts again. lowest, before [J]: the lowest V before the first interval, and V at the end of the one
-    before, infinite if the search starts again, NaN if not known. limit (n,) [N m]: of the efforts.
+    before, infinite if the search starts again, NaN if not known.
     """
-    found_lowest, other = np.zeros(len(found)), foreign(found, limit)
+    found_lowest, other = np.zeros(len(found)), foreign(found)
     for k, (V0, V1) in enumerate(zip(found.V0.tolist(), found.V1.tolist(), strict=True)):
         lowest = V0 if abs(V0 - before) > CONTINUOUS * V0 else min(lowest, V0)
         found_lowest[k], before = lowest, np.inf if other[k] else V1
@@ -179,11 +176,11 @@ class StorageGrowth:
         self.figures = {"intervals": float(total), "effort age": 0.0, "gaps": 0.0, "unanswered": 0.0}
         self.figures |= {"largest V": -np.inf, "last V": np.nan}
 
-    def add(self, found: Innovations, period: float, limit: Array) -> None:
-        """Add the next intervals; period [s]: sample period. limit (n,) [N m]: of the efforts."""
+    def add(self, found: Innovations, period: float) -> None:
+        """Add the next intervals; period [s]: sample period."""
         if not len(found):
             return
-        risen = rises(found, limit, *self._last)
+        risen = rises(found, *self._last)
         self._last = float(risen[1, -1]), float(risen[0, -1]) or np.inf  # 0: not the effort of the law
         self.highest = highest(np.hstack([self.highest, risen]))
         third, places = max(1, self._total // 3), self._done + np.arange(len(found))
@@ -200,9 +197,9 @@ class StorageGrowth:
 class CauseErrors:
     """Tracking errors in b blocks, by cause.
 
-    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] due to each of CAUSES in a block. noise (b, n): that part of a model
-    mismatch that averages out in a block. own (b, n): largest remaining error, due to the loop itself. measured (b, n):
-    largest error.
+    peaks (b, 4, n): largest |q_l - q_ld| [rad, m] due to each of CAUSES in a block. noise (b, n): part of that due to a
+    model mismatch which white noise makes, as large as the residuals about their mean in a block. own (b, n): largest
+    remaining error, due to the loop itself. measured (b, n): largest error.
     """
 
     peaks: Array
@@ -232,13 +229,15 @@ class CausePropagation:
         self.loops = loops
         self._robot, self._total, self._done = robot, total, 0
         self._e = np.zeros((4 * robot.n, len(CAUSES) + 1))
+        self._signs = np.random.default_rng(0)
 
-    def errors(self, found: Innovations, acted: Acting, period: float, limit: Array) -> CauseErrors:
+    def errors(self, found: Innovations, acted: Acting, period: float) -> CauseErrors:
         """Return the errors due to the causes in the complete blocks of the next intervals."""
         count, n, loops = len(found) // BLOCK * BLOCK, self._robot.n, self.loops
         before, total = (0, count) if self._total is None else (self._done, self._total)
-        w = disturbances(found, acted, self._robot, period, limit)[:count]
+        w = disturbances(found, acted, self._robot, period)[:count]
         noise = w[:, :, 0] - np.repeat(blocks_of(w[:, :, 0], BLOCK).mean(axis=1), BLOCK, axis=0)
+        noise *= self._signs.choice([-1.0, 1.0], (count, 1)) * np.sqrt(BLOCK / (BLOCK - 1))  # white, the same variance
         w = np.concatenate([w, noise[:, :, None]], axis=2)
         steps = np.maximum(1, np.round(found.dt / period)).astype(int)
         made = np.zeros((count, len(CAUSES) + 1, n))
@@ -255,10 +254,10 @@ class CausePropagation:
         return CauseErrors(peaks, np.minimum(noise, peaks[:, 0]), *rest)
 
 
-def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float, limit: Array) -> Array:
+def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float) -> Array:
     """Return the change of the state (k, 4n, 4) due to each of CAUSES in each interval."""
     other, answered = found.sent - found.law, found.answered[:, None]
-    saturation = other * (answered & ~foreign(found, limit)[:, None]) + acted.cut
+    saturation = other * (answered & ~foreign(found)[:, None]) + acted.cut
     samples = np.maximum(1.0, np.round(found.dt / period)) * (found.dt > GAP * period)
     share = np.divide(samples - 1, 2 * samples, out=np.zeros_like(samples), where=samples > 0)
     outdated = (found.law - np.vstack([found.law[1:], found.law[-1:]])) * share[:, None]  # mean over what a gap missed

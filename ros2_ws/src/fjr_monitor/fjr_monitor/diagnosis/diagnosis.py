@@ -24,7 +24,7 @@ from .causes import CausePropagation, StorageGrowth, closed_loop, growth, storag
 from .delay_estimation import AFTER, BEFORE, ActingSums, effort_delay, foreseen
 from .fault_isolation import MOST_STATES, isolate
 from .grading import BlockStatistics
-from .record import PART, Innovations, Record, T
+from .record import PART, Innovations, Record, T, limited
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
 from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, external, unknown, violated
@@ -50,6 +50,7 @@ def innovations(
         series = balance.along(record.position, record.velocity, record.jets)
     sent, dt, first = record.held, np.diff(record.t), record.consecutive()
     older = sent[np.maximum(first - 1, 0)]
+    older = np.where(np.isfinite(older), older, sent[first])
     second, q, dq = first + 1, record.position, record.velocity
     q_next, dq_next = prediction.along(q[first], dq[first], sent[first], dt[first])
     unknown = np.full((k, 4 * n), np.nan)
@@ -68,8 +69,9 @@ def innovations(
         error=np.hstack([q[second] - q_next, dq[second] - dq_next]),
         slope=slope[second],
         answered=np.asarray(np.isfinite(record.u[first]).all(axis=1)),
-        older=np.where(np.isfinite(older), older, sent[first]),
+        older=older,
         latency=record.known_latency()[first] / dt[first],
+        limited=limited(sent[first], older, dt[first], record.effort_limit, record.effort_rate),
         tracking=q[second, :n] - record.jets[second, 0],
         states=np.stack([np.hstack([q[rows], dq[rows]]) for rows in (first, second)], axis=1),
     )
@@ -185,7 +187,7 @@ class SecondPass:
         with np.errstate(all="ignore"):
             found = innovations(part, self._law, series)
             kept = self._kept = found if self._kept is None else self._kept.followed_by(found)
-            self._sample_period, self._limit = part.sample_period, part.effort_limit
+            self._sample_period = part.sample_period
             whole = (len(kept) - self._begin - AFTER) // thresholds.BLOCK * thresholds.BLOCK
             if whole > 0:
                 self._process(kept, whole, whole)
@@ -226,14 +228,14 @@ class SecondPass:
 
     def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
         """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
-        robot, period, limit, begin = self._robot, self._sample_period, self._limit, self._begin
+        robot, period, begin = self._robot, self._sample_period, self._begin
         acted = self._acting.acting(kept)
         blocks = slice(begin, begin + in_blocks)
         ahead = slice(begin, begin + in_blocks + 1)  # one more, whose law effort shows what a gap missed
-        budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period, limit)
-        made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period, limit)
+        budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period)
+        made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period)
         self._statistics.add(budget, made)
-        self._growth.add(kept.rows(slice(begin, begin + count)), self._sample_period, limit)
+        self._growth.add(kept.rows(slice(begin, begin + count)), period)
         self._growth.figures["effort age"] = acted.age * self._period
         end = begin + count
         self._begin = min(end, BEFORE)

@@ -11,7 +11,7 @@ from fjr_core.numerics.checks import Array
 from . import thresholds
 from .causes import CAUSES, CauseErrors, StorageBudget
 from .thresholds import BLOCK, JointTolerances
-from .verdict import NO_DECAY, NOISE, SAMPLING, SATURATION, Diagnosis, detail, explained, unknown, violated
+from .verdict import MISMATCH, NO_DECAY, NOISE, SAMPLING, SATURATION, Diagnosis, detail, explained, unknown, violated
 
 HOLDING = "V decays as guaranteed, down to the floor that hold and noise predict"
 PARTS = (*CAUSES, NOISE, SAMPLING)
@@ -136,10 +136,11 @@ class BlockStatistics:
         if not (beyond | unforeseen).any():
             return None
         worst = int(np.argmax(np.where(beyond | unforeseen, measured / tolerance, 0.0)))
-        possible = self._settled[: len(PARTS if beyond.any() else CAUSES), worst]
+        errors = dict(zip(PARTS, self._settled, strict=True))
+        errors[MISMATCH] = np.where(unforeseen, errors[MISMATCH] - errors[NOISE], 0.0)
+        possible = np.array([errors[part][worst] for part in (PARTS if beyond.any() else CAUSES)])
         largest = possible / possible.sum()
         causes = tuple(PARTS[i] for i in np.argsort(-largest, kind="stable") if largest[i] >= thresholds.CAUSE_SHARE)
-        errors = dict(zip(PARTS, self._settled, strict=True))
         size, why = detail(causes, errors, self._axes), explained(causes)
         what = "exceeds the tolerance" if beyond.any() else "is more than twice the one that the model foresees"
         sentence = f"the tracking error of {self._axes.largest(measured)} {what}: {why}; {size}"

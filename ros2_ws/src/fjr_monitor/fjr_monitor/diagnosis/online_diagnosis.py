@@ -7,6 +7,7 @@ The control step in C evaluates certificate and innovations, one state at a time
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from fjr_monitor.diagnosis.causes import (
 )
 from fjr_monitor.diagnosis.delay_estimation import ActingSums, EffortDelay, effort_delay
 from fjr_monitor.diagnosis.grading import BlockStatistics
-from fjr_monitor.diagnosis.record import Innovations
+from fjr_monitor.diagnosis.record import Innovations, limited
 from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
 
 from .thresholds import BLOCK, OLDEST, JointTolerances
@@ -42,6 +43,8 @@ BLOCKS = 50  # per diagnosis: 1 s at 1 kHz
 TOGETHER = 5  # blocks that are processed at once, or fewer for a diagnosis
 DELAY_WINDOW = 200  # intervals from which the input delay is estimated
 IN_REAL_TIME = 3 * BLOCK  # intervals for the delay in real time, where latency varies
+EffortLimits = tuple[Array, Array | float]
+"""Largest effort (n,) [N m] and its largest rate [N m/s], inf for none."""
 FORGETTING = 0.9  # factor per diagnosis on the largest change of effort so far
 
 
@@ -96,28 +99,28 @@ class LatestIntervals:
         found = {name: np.ascontiguousarray(self._kept[field][rows]) for name, field in _FIELDS.items()}
         k = len(found["dt"])
         unmeasured = dict.fromkeys(("before", "after"), np.full((k, self._n), np.nan))
-        own = {"latency": self._latencies[rows].copy(), "tracking": self._tracking[rows].copy()}
-        states = np.full((k, 2, 4 * self._n), np.nan)
-        return Innovations(**found, **unmeasured, **own, states=states, answered=np.ones(k, dtype=bool))
+        own: dict[str, Any] = {"latency": self._latencies[rows].copy(), "tracking": self._tracking[rows].copy()}
+        own |= {"limited": np.zeros((k, self._n), dtype=bool), "answered": np.ones(k, dtype=bool)}
+        return Innovations(**found, **unmeasured, **own, states=np.full((k, 2, 4 * self._n), np.nan))
 
 
 class OnlineDiagnosis:
     """Diagnosis of the latest intervals, one block at a time."""
 
     def __init__(
-        self, law: TrackingLaw, limit: Array, intervals: LatestIntervals, axes: JointTolerances | None = None
+        self, law: TrackingLaw, limits: EffortLimits, intervals: LatestIntervals, axes: JointTolerances | None = None
     ) -> None:
-        """Start without blocks; limit (n,) [N m]: effort limits, inf for none; axes: None: JointTolerances.plain."""
-        self._law, self._limit, self._intervals = law, limit, intervals
+        """Start without blocks; axes: None: JointTolerances.plain."""
+        self._law, self._limits, self._intervals = law, limits, intervals
         self._axes = axes or JointTolerances.plain(law.robot.n)
         self._blocks: deque[tuple[StorageBudget, CauseErrors, Array]] = deque()
         self._age = EffortDelay()
         self.beta = np.inf
         self.forget()
 
-    def use(self, law: TrackingLaw, limit: Array) -> None:
+    def use(self, law: TrackingLaw, limits: EffortLimits) -> None:
         """Use another law or other limits and discard the blocks."""
-        self._law, self._limit = law, limit
+        self._law, self._limits = law, limits
         self.forget()
 
     def forget(self) -> None:
@@ -172,17 +175,17 @@ class OnlineDiagnosis:
     def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
         seen = self._intervals.last(size + OLDEST, self._new)
+        seen = replace(seen, limited=limited(seen.sent, seen.older, seen.dt, *self._limits))
         acted = ActingSums([seen], self._age, self._law.robot).acting(seen).rows(slice(-size, None))
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)
         if not len(self._propagation.loops):
             self._propagation.loops = closed_loop(self._law, self._intervals.jets[None, 0], self._period)
-        robot, limit = self._law.robot, self._limit
-        risen = rises(seen, limit, self._lowest)[:, -size:]
+        risen = rises(seen, self._lowest)[:, -size:]
         self._lowest = float(risen[1, -1])
-        made = self._propagation.errors(found, acted, self._period, limit)
-        return storage_budget(found, acted, robot, self.beta, self._period, limit), made, risen
+        made = self._propagation.errors(found, acted, self._period)
+        return storage_budget(found, acted, self._law.robot, self.beta, self._period), made, risen
 
 
 def _usual(dt: Array) -> float:

@@ -19,7 +19,7 @@ from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints, span
 
-from .thresholds import LONGEST_GAP
+from .thresholds import AT_LIMIT, LONGEST_GAP
 
 LEAD = 2
 """States of the part before that a part of a record repeats: an interval needs the effort before it."""
@@ -80,13 +80,14 @@ class Record(Table):
     t (k,) [s]: time stamps. position, velocity (k, 2n) [rad, rad/s]: links, then motors. jets (k, 5, n): reference.
     u (k, n) [N m]: command for each state, NaN: none. u_applied (k, n) [N m]: measured effort of the motors at each
     state, or None. sent, answered (k,) [s]: send times of states and commands, or None. sample_period [s].
-    effort_limit (n,) [N m]: inf for none. lockstep: the robot waits for each command, so that send times carry no
-    information. begin: states that repeat the end of the part before, at most LEAD; 0: of a whole record or its first
-    part. before (n,) [N m]: effort that was held before the first state, NaN or None: not known.
+    effort_limit, effort_rate (n,) [N m, N m/s]: largest effort and its largest rate, inf for none. lockstep: the robot
+    waits for each command, so that send times carry no information. begin: states that repeat the end of the part
+    before, at most LEAD; 0: of a whole record or its first part. before (n,) [N m]: effort that was held before the
+    first state, NaN or None: not known.
     Raises StateError for wrong shapes and a sample period that is not positive.
     """
 
-    SHARED: ClassVar[tuple[str, ...]] = ("sample_period", "effort_limit", "lockstep", "begin", "before")
+    SHARED: ClassVar[tuple[str, ...]] = ("sample_period", "effort_limit", "lockstep", "begin", "before", "effort_rate")
 
     t: Array
     position: Array
@@ -101,6 +102,7 @@ class Record(Table):
     lockstep: bool = False
     begin: int = 0
     before: Array | None = None
+    effort_rate: Array | float = np.inf
 
     def __repr__(self) -> str:
         n = joints(self.u.shape[1])
@@ -155,6 +157,11 @@ class Record(Table):
         return held_efforts(self.u, self.before)
 
 
+def limited(u: Array, older: Array, dt: Array, limit: Array, rate: Array | float) -> NDArray[np.bool_]:
+    """Return where efforts u (k, n) [N m] are at a limit, or differ from older ones by a rate [N m/s] over dt (k,)."""
+    return np.asarray((np.abs(u) >= AT_LIMIT * limit) | (np.abs(u - older) >= AT_LIMIT * rate * dt[:, None]))
+
+
 @dataclass(frozen=True)
 class Innovations(Table):
     """Innovations of k intervals between consecutive states, in order of time.
@@ -165,8 +172,8 @@ class Innovations(Table):
     minus predicted positions and velocities of the second state. slope (k, 4n): dV/d of these there. answered (k,):
     true if the first state received a command. older (k, n) [N m]: effort sent before. latency (k,): delay of the
     command by send times as a fraction of the interval, during which the older effort still acts; 0: not known.
-    tracking (k, n) [rad]: q_l - q_ld at the second state. states (k, 2, 4n): positions and velocities at both states,
-    NaN: not kept.
+    limited (k, n): true where the effort was sent at its limit or changed at its largest rate. tracking (k, n) [rad]:
+    q_l - q_ld at the second state. states (k, 2, 4n): positions and velocities at both states, NaN: not kept.
     """
 
     dt: Array
@@ -182,5 +189,6 @@ class Innovations(Table):
     answered: NDArray[np.bool_]
     older: Array
     latency: Array
+    limited: NDArray[np.bool_]
     tracking: Array
     states: Array

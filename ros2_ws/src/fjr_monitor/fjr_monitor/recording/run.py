@@ -146,6 +146,7 @@ class Recording:
                 sample_period=self.sample_period,
                 lockstep=self.lockstep,
                 effort_limit=self.effort_limit,
+                effort_rate=np.asarray(self.scenario.settings.effort_rate),
                 t=t,
                 position=seen.position,
                 velocity=seen.velocity,
