@@ -10,7 +10,6 @@ import pytest
 
 import fjr_core as fjr
 from core.motions import cases
-from fjr_core.motions.motion_limits import check_points
 from fjr_core.motions.reference import Reference
 from fuzzing import refused
 
@@ -145,9 +144,8 @@ def test_only_the_requested_interval_is_checked_and_points_keep_their_numbers() 
     assert "point 0" in sentence(reference, limits)
     fjr.check_motion(reference, limits, 2.0, 9.0)
     assert "would reach" in sentence(reference, limits, 1.5)
-    with pytest.raises(fjr.TrajectoryError, match="point 4 of joint 'a' asks for 2 rad"):
-        check_points(limits, [[0.0], [2.0]], joints=("a",), first=3)
-    check_points(limits, [[0.0], [1.0]])
+    later = fjr.Spline([1.0, 2.0, 3.0, 4.0], [[5.0], [0.0], [2.0], [0.0]])
+    assert sentence(later, limits, 2.0, 9.0, ("a",)).startswith("point 2 of joint 'a' asks for 2 rad")
 
 
 def test_limits_of_the_robot_and_of_acceleration_apply() -> None:

@@ -41,14 +41,14 @@ def send_motion(
         warnings = _warnings(smooth, scenario, client.joints) if scenario else []
         for sentence in warnings:
             tell(sentence)
-        points = waypoints(smooth, EXACT)
-        client.send(trajectory_message(client.joints, points.times + lead, *points[1:]))
+        times, rows = waypoints(smooth, EXACT)
+        client.send(trajectory_message(client.joints, times + lead, *rows))
     described = f"interpolated, {np.size(smooth.times)} samples"
     if smooth.smoothed:
         described = f"smoothed within {np.max(smooth.deviation):.2g} of the samples"
-    end, rest = lead + smooth.end, points.positions[-1]
-    sent = f"{len(points.times)} points, first sample after {lead:g} s, at rest after {end:.6g} s at {as_list(rest)}"
-    values = {"controller": node, "points": len(points.times), "lead_s": lead, "rest_s": end, "rest": rest}
+    end, rest = lead + smooth.end, rows[0, -1]
+    sent = f"{len(times)} points, first sample after {lead:g} s, at rest after {end:.6g} s at {as_list(rest)}"
+    values = {"controller": node, "points": len(times), "lead_s": lead, "rest_s": end, "rest": rest}
     return Result(f"accepted: {described}; {sent} rad (m)", {**values, "warnings": warnings})
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import TrajectoryError
 from ..model.robot import REVOLUTE, JointLimits, Units
@@ -90,10 +90,7 @@ def check_motion(
     if limits.n != reference.n:
         raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
     if isinstance(reference, Spline):
-        first = int(np.searchsorted(np.asarray(reference.times), t0))
-        given = (reference.positions, reference.velocities, reference.accelerations)
-        q, dq, ddq = (None if rows is None else np.asarray(rows)[first:] for rows in given)
-        check_points(limits, np.asarray(q), dq, ddq, joints, first)
+        _check_points(reference, limits, t0, joints)
     pieces = reference.pieces if isinstance(reference, PolynomialReference) else reference
     if isinstance(pieces, PiecewisePolynomial) and not any(beyond(e, limits).any() for e in pieces.hull(t0, t1)):
         return
@@ -107,33 +104,21 @@ def check_motion(
             raise TrajectoryError(f"{subject} {_message(values[:, joint], limits, row, joint, when)}")
 
 
-def check_points(
-    limits: MotionLimits,
-    positions: ArrayLike,
-    velocities: ArrayLike | None = None,
-    accelerations: ArrayLike | None = None,
-    joints: Sequence[str] = (),
-    first: int = 0,
-) -> None:
-    """Raise TrajectoryError if a point (k, n) exceeds the limits; the message names point and joint.
-
-    Points are numbered from `first`.
-    """
-    rows = [np.asarray(positions, dtype=float)]
-    rows += [np.zeros_like(rows[0]) if given is None else np.asarray(given) for given in (velocities, accelerations)]
-    points = np.stack(rows, axis=1)
-    wrong = np.argwhere(beyond(points, limits))
+def _check_points(spline: Spline, limits: MotionLimits, t0: float, joints: Sequence[str]) -> None:
+    """Raise TrajectoryError if a given point of the spline from t0 [s] on exceeds the limits."""
+    given = (spline.positions, spline.velocities, spline.accelerations)
+    points = np.stack([np.zeros(np.shape(spline.positions)) if row is None else row for row in given], axis=1)
+    wrong = np.argwhere(beyond(points, limits) & (np.asarray(spline.times) >= t0)[:, None, None])
     if len(wrong):
         point, row, joint = wrong[0]
-        subject = f"point {point + first} of joint {_name(joints, joint)} asks for"
+        subject = f"point {point} of joint {_name(joints, joint)} asks for"
         raise TrajectoryError(f"{subject} {_message(points[point, :, joint], limits, row, joint)}")
 
 
-def beyond(values: Array, limits: MotionLimits) -> Array:
-    """Return which of the values (.., 3, n) exceed their limits."""
+def beyond(values: Array, limits: MotionLimits) -> NDArray[np.bool_]:
+    """Return which of the values (.., 3, n) exceed their limits by more than rounding."""
     minimum, maximum = limits.minimum, limits.maximum
-    low = minimum - ROUNDING * np.where(np.isfinite(minimum), np.abs(minimum), 0.0)
-    high = maximum + ROUNDING * np.where(np.isfinite(maximum), np.abs(maximum), 0.0)
+    low, high = minimum - ROUNDING * np.abs(minimum), maximum + ROUNDING * np.abs(maximum)
     return np.asarray((values < low) | (values > high))
 
 

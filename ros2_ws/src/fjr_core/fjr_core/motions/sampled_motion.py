@@ -194,28 +194,20 @@ def _expansion(coefficients: int, rests: tuple[bool, bool]) -> Any:
     return csr_array(entries, shape=(coefficients, parameters))
 
 
-class Waypoints(NamedTuple):
-    """Times (k,) [s]; positions [rad], velocities [rad/s] and accelerations [rad/s^2] (k, n), the last at rest."""
-
-    times: Array
-    positions: Array
-    velocities: Array
-    accelerations: Array
-
-
-def waypoints(motion: SampledMotion, tolerance: float) -> Waypoints:
+def waypoints(motion: SampledMotion, tolerance: float) -> tuple[Array, Array]:
     """Return waypoints whose Spline is within `tolerance` [rad] of the motion: its knots, and points between them.
 
-    The intervals are halved until this holds, or until the next halving would give more than MOST_WAYPOINTS points.
+    These are times (k,) [s] and rows (3, k, n) of position, velocity and acceleration, the last at rest. The intervals
+    are halved until this holds, or until the next halving would give more than MOST_WAYPOINTS points.
     """
     times = motion.pieces.times
     while True:
         jets = motion.jets(times)
         jets[-1, 1:] = 0.0
-        found = Waypoints(times, *jets[:, :3].swapaxes(0, 1))
-        spline = Spline(*found)
+        rows = jets[:, :3].swapaxes(0, 1)
+        spline = Spline(times, *rows)
         between = (times[:-1, None] + np.diff(times)[:, None] * np.arange(1, CHECKED) / CHECKED).ravel()
         error = np.abs(spline.jets(between)[:, 0] - motion.jets(between)[:, 0]).max()
         if error <= tolerance or 2 * len(times) > MOST_WAYPOINTS:
-            return found
+            return times, rows
         times = np.sort(np.concatenate([times, times[:-1] + np.diff(times) / 2]))
