@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from yaml.composer import Composer
 
 from ..errors import ParameterError
 from ..files.text_file import read_text
@@ -28,40 +27,14 @@ _FLOAT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
 _BOOL = re.compile(r"[yYnN]$")
 
 
-if yaml.__with_libyaml__:
-
-    class _SafeLoader(Composer, yaml.CSafeLoader):
-        """Parse text by libyaml, as rcl does, and compose nodes in Python, where they can be limited."""
-
-        def __init__(self, text: str) -> None:
-            yaml.CSafeLoader.__init__(self, text)
-            Composer.__init__(self)
-else:
-    _SafeLoader = yaml.SafeLoader  # type: ignore[misc, assignment]
-
-
-class _Loader(_SafeLoader):
-    """Read plain scalars as rcl does and dates as text; reject documents that exceed the limits of this module."""
+class _Loader(yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader):  # type: ignore[misc]
+    """Read plain scalars as rcl does and dates as text; reject what is written twice or does not fit its tag."""
 
     bool_values = {**yaml.SafeLoader.bool_values, "y": True, "n": False}
     yaml_implicit_resolvers = {
         first: [(tag, form) for tag, form in resolvers if tag != f"{_TAG}timestamp"]
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
-    depth = nodes = 0
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        event = self.peek_event()
-        if isinstance(event, yaml.AliasEvent):
-            raise ParameterError(f"has a YAML alias (*{event.anchor}), which ROS 2 does not read")
-        self.depth, self.nodes = self.depth + 1, self.nodes + 1
-        if self.depth > MAX_DEPTH:
-            raise ParameterError(f"is nested more than {MAX_DEPTH} levels deep; expected a parameter file")
-        if self.nodes > MAX_NODES:
-            raise ParameterError(f"holds more than {MAX_NODES} values and keys; expected a parameter file")
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         counts = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
@@ -119,9 +92,24 @@ def parse(text: str) -> Any:
     return deepcopy(_parsed(text))
 
 
+def _check_size(text: str) -> None:
+    """Raise ParameterError for an alias, and for a document that is too deep or too large to be read."""
+    depth = nodes = 0
+    for event in yaml.parse(text, _Loader):
+        if isinstance(event, yaml.AliasEvent):
+            raise ParameterError(f"has a YAML alias (*{event.anchor}), which ROS 2 does not read")
+        nodes += isinstance(event, yaml.NodeEvent)
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth + isinstance(event, yaml.ScalarEvent) > MAX_DEPTH:
+            raise ParameterError(f"is nested more than {MAX_DEPTH} levels deep; expected a parameter file")
+        if nodes > MAX_NODES:
+            raise ParameterError(f"holds more than {MAX_NODES} values and keys; expected a parameter file")
+
+
 @lru_cache(maxsize=16)  # a scenario and its robot file are read for each node and each check of the values
 def _parsed(text: str) -> Any:
     try:
+        _check_size(text)
         return yaml.load(text, _Loader)
     except (yaml.YAMLError, UnicodeEncodeError) as error:
         raise ParameterError(f"is not valid YAML: {_brief(' '.join(str(error).split()), 400)}") from None
