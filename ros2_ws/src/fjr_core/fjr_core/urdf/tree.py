@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from graphlib import CycleError, TopologicalSorter
 from typing import NoReturn
 from xml.parsers import expat
 
@@ -29,20 +30,19 @@ SMALLEST_INERTIA = 1e-15  # kg m^2; below that a negative principal inertia is r
 LARGEST_NUMBER = 1e30  # sums and squares of larger numbers may overflow
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UrdfJoint:
     """A URDF joint: axis in the joint frame, limits (lower, upper, velocity, effort), infinite without a limit.
 
-    xyz [m], rpy [rad]: pose of the joint frame in that of the parent link. mimics: (joint, multiplier, offset) of
-    <mimic>, or None.
+    origin: pose (4, 4) of the joint frame in that of the parent link. mimics: (joint, multiplier, offset) of <mimic>,
+    or None.
     """
 
     name: str
     kind: str
     parent: str
     child: str
-    xyz: tuple[float, ...]
-    rpy: tuple[float, ...]
+    origin: Array
     axis: tuple[float, ...]
     limits: tuple[float, ...]
     mimics: tuple[str, float, float] | None
@@ -55,9 +55,7 @@ class UrdfJoint:
             motion[:3, 3] = position * axis
         else:
             motion[:3, :3] = _turn(axis, position)
-        origin = np.eye(4)
-        origin[:3, :3], origin[:3, 3] = _rotation(self.rpy), self.xyz
-        return origin @ motion
+        return self.origin @ motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +204,6 @@ def _joint(name: str, element: ET.Element) -> UrdfJoint:
     kind, where = element.get("type", ""), f"joint '{name}'"
     if kind not in KINDS:
         raise RobotError(f"{where} has the type {kind!r}; expected one of {', '.join(KINDS)}")
-    xyz, rpy = _origin(where, element)
     axis = _numbers(where, element, "axis", "xyz", "1 0 0", 3)
     if kind in MOVING and not np.linalg.norm(axis) > 0:
         raise RobotError(f"{where} has the axis 0 0 0; expected a direction")
@@ -217,7 +214,7 @@ def _joint(name: str, element: ET.Element) -> UrdfJoint:
         multiplier = _number(where, element, "mimic", "multiplier", "1")
         offset = _number(where, element, "mimic", "offset", "0")
         mimics = _attribute(where, element, "mimic", "joint"), multiplier, offset
-    return UrdfJoint(name, kind, parent, child, xyz, rpy, axis, limits, mimics)
+    return UrdfJoint(name, kind, parent, child, _origin(where, element), axis, limits, mimics)
 
 
 def _limits(where: str, kind: str, element: ET.Element) -> tuple[float, ...]:
@@ -248,21 +245,17 @@ def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
     roots = [link for link in links if link not in carriers]
     if len(roots) > 1:
         raise RobotError(f"links {', '.join(roots)} have no parent joint; expected a single root")
-    for link in links:
-        above = link
-        for _ in joints:
-            if above not in carriers:
-                break
-            above = joints[carriers[above]].parent
-            if above == link:
-                raise RobotError(f"link '{link}' is its own ancestor (a closed chain); expected a tree")
+    try:
+        TopologicalSorter({joint.child: [joint.parent] for joint in joints.values()}).prepare()
+    except CycleError as error:
+        raise RobotError(f"link '{error.args[1][0]}' is its own ancestor (a closed chain); expected a tree") from None
     for joint in joints.values():
         if joint.kind in ("floating", "planar"):
             raise RobotError(f"joint '{joint.name}' is {joint.kind}; expected an arm with a fixed base")
 
 
 def _inertia(where: str, inertial: ET.Element) -> LinkInertia:
-    xyz, rpy = _origin(where, inertial)
+    pose = _origin(where, inertial)
     mass = _number(where, inertial, "mass", "value", "")
     xx, xy, xz, yy, yz, zz = (_number(where, inertial, "inertia", name, "") for name in INERTIA)
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -273,21 +266,15 @@ def _inertia(where: str, inertial: ET.Element) -> LinkInertia:
     smallest, _, largest = np.linalg.eigvalsh(inertia)
     if smallest < -max(1e-12 * abs(largest), SMALLEST_INERTIA):
         raise RobotError(f"{where} has the principal inertia {smallest:.3g}; expected 0 or more")
-    R = _rotation(rpy)
-    return LinkInertia(mass, np.array(xyz), R @ inertia @ R.T)
+    return LinkInertia(mass, np.zeros(3), inertia).moved(pose)
 
 
-def _origin(where: str, element: ET.Element) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return xyz [m] and rpy [rad] of the <origin> in the element."""
+def _origin(where: str, element: ET.Element) -> Array:
+    """Return the pose (4, 4) of the <origin> in the element: xyz [m], R = R_z(yaw) R_y(pitch) R_x(roll)."""
     xyz, rpy = (_numbers(where, element, "origin", name, "0 0 0", 3) for name in ("xyz", "rpy"))
-    return xyz, rpy
-
-
-def _rotation(rpy: tuple[float, ...]) -> Array:
-    """Return R = R_z(yaw) R_y(pitch) R_x(roll)."""
-    x, y, z = np.eye(3)
-    roll, pitch, yaw = rpy
-    return _turn(z, yaw) @ _turn(y, pitch) @ _turn(x, roll)
+    pose, (x, y, z), (roll, pitch, yaw) = np.eye(4), np.eye(3), rpy
+    pose[:3, :3], pose[:3, 3] = _turn(z, yaw) @ _turn(y, pitch) @ _turn(x, roll), xyz
+    return pose
 
 
 def _turn(axis: Array, angle: float) -> Array:
