@@ -42,10 +42,10 @@ def joint_range(robot: Robot) -> Domain:
     return Domain(*bounds_of(robot))
 
 
-def tube(reference: Reference, radius: ArrayLike, parts: int = PARTS) -> Domain:
+def tube(reference: Reference, radius: ArrayLike) -> Domain:
     """Return the positions with |q_l - q_ld(t)| <= radius (n,) [rad, m] in each joint at some time t >= 0.
 
-    A reference that ends, or sines with a common period, have a box for each of `parts` intervals of time. Others have
+    A reference that ends, or sines with a common period, have a box for each of PARTS intervals of time. Others have
     one box. Raises TrajectoryError for a radius that is not finite and positive.
     """
     reach = checks.vector("radius", radius, reference.n, TrajectoryError)
@@ -57,7 +57,7 @@ def tube(reference: Reference, radius: ArrayLike, parts: int = PARTS) -> Domain:
     horizon = _horizon(reference)
     if horizon is None:
         return Domain(lower, upper)
-    ends = np.linspace(0.0, horizon, parts + 1)
+    ends = np.linspace(0.0, horizon, PARTS + 1)
     intervals = [*zip(ends[:-1], ends[1:], strict=True)]
     if np.isfinite(reference.end):
         intervals.append((horizon, np.inf))

@@ -7,6 +7,7 @@ Derivatives at the knots that are free minimise the jerk, and are reduced where 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
@@ -214,10 +215,14 @@ def minimum_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
     h = np.diff(times)
     units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))  # time unit at each knot, for scaling
     roots, chosen = _roots_of_jerk(h, units), free[:, :, None]
-    levels = _reduced(*_normal_blocks(roots, free))
+    near, far = roots[..., :JETS], roots[..., JETS:]
+    diagonal = _of_knots(_transposed(near) @ near, _transposed(far) @ far) * (chosen & free[:, None, :])
+    diagonal[:, _ORDERS, _ORDERS] += ~free  # the identity for given entries
+    solve = _block_solver(diagonal, _transposed(far) @ near * (chosen[1:] & free[:-1, None, :]))
     y = np.where(chosen, 0.0, taylor(jets, units))
     for _ in range(NEWTON_STEPS):
-        y -= _solved(levels, np.where(chosen, _half_gradient(roots, y), 0.0))
+        jerk = near @ y[:-1] + far @ y[1:]
+        y -= solve(np.where(chosen, _of_knots(_transposed(near) @ jerk, _transposed(far) @ jerk), 0.0))
     return np.where(chosen, y / taylor(np.ones_like(jets), units), jets)
 
 
@@ -232,61 +237,38 @@ def _roots_of_jerk(h: Array, units: Array) -> Array:
     return np.asarray(weights * _JERK_ROOT * scales.reshape(len(h), 1, -1))
 
 
-def _half_gradient(roots: Array, y: Array) -> Array:
-    """Return half the gradient (k, 5, n) of the squared jerk norm at the Taylor coefficients y (k, 5, n)."""
-    segments = _transposed(roots) @ (roots @ np.concatenate([y[:-1], y[1:]], axis=1))
-    gradient = np.zeros_like(y)
-    gradient[:-1] += segments[:, :JETS]
-    gradient[1:] += segments[:, JETS:]
-    return gradient
+def _of_knots(near: Array, far: Array) -> Array:
+    """Return the sums (k, ..) at the knots of what each of k - 1 segments adds to its near and its far knot."""
+    return np.concatenate([near, 0 * far[:1]]) + np.concatenate([0 * near[:1], far])
 
 
-def _normal_blocks(roots: Array, free: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the diagonal (k, 5, 5) and lower (k - 1, 5, 5) blocks of the Hessian, the identity for fixed entries."""
-    segments = _transposed(roots) @ roots
-    diagonal = np.zeros((len(free), JETS, JETS))
-    diagonal[:-1] += segments[:, :JETS, :JETS]
-    diagonal[1:] += segments[:, JETS:, JETS:]
-    diagonal *= free[:, :, None] & free[:, None, :]
-    diagonal[:, _ORDERS, _ORDERS] += ~free
-    return diagonal, segments[:, JETS:, :JETS] * (free[1:, :, None] & free[:-1, None, :])
+def _block_solver(diagonal: Array, lower: Array) -> Callable[[Array], Array]:
+    """Return the function b (k, m, n) -> x that solves a positive definite block-tridiagonal system, in NumPy alone.
 
-
-def _reduced(diagonal: Array, lower: Array) -> list[tuple[Array, Array, Array]]:
-    """Factorise a positive definite block-tridiagonal matrix by cyclic reduction: NumPy alone, no loop over the blocks.
-
-    Each level eliminates every other block, of Cholesky factor L: L^-1, and L^-1 times the blocks left and right of it.
+    diagonal (k, m, m), lower (k - 1, m, m): blocks of the matrix. Cyclic reduction eliminates every other block, of
+    Cholesky factor L, from its neighbours `left` and `right`, here times L^-1; half as many blocks are left.
     Raise LinAlgError if the matrix is not positive definite to rounding.
     """
-    levels = []
-    while len(diagonal):
-        inverse, odd = np.linalg.inv(np.linalg.cholesky(diagonal[::2])), len(diagonal) // 2
-        left, right = np.zeros_like(inverse), np.zeros_like(inverse)
-        left[1:] = inverse[1:] @ lower[1::2]
-        right[:odd] = inverse[:odd] @ _transposed(lower[::2])
-        levels.append((inverse, left, right))
-        diagonal = diagonal[1::2] - _transposed(right[:odd]) @ right[:odd]
-        diagonal[: len(inverse) - 1] -= _transposed(left[1:]) @ left[1:]
-        lower = -_transposed(right[1:odd]) @ left[1:odd]
-    return levels
+    if not len(diagonal):
+        return lambda b: b
+    inverse, odd = np.linalg.inv(np.linalg.cholesky(diagonal[::2])), len(diagonal) // 2
+    left, right = inverse[1:] @ lower[1::2], inverse[:odd] @ _transposed(lower[::2])
+    others = diagonal[1::2] - _transposed(right) @ right
+    others[: len(left)] -= _transposed(left) @ left
+    solve_others = _block_solver(others, -_transposed(right[1:]) @ left[: odd - 1])
 
+    def solve(b: Array) -> Array:
+        y, c = inverse @ b[::2], b[1::2].copy()
+        c -= _transposed(right) @ y[:odd]
+        c[: len(left)] -= _transposed(left) @ y[1:]
+        x = solve_others(c)
+        y[:odd] -= right @ x
+        y[1:] -= left @ x[: len(left)]
+        solution = np.empty_like(b)
+        solution[::2], solution[1::2] = _transposed(inverse) @ y, x
+        return solution
 
-def _solved(levels: list[tuple[Array, Array, Array]], b: Array) -> Array:
-    """Return the solution (k, 5, n) of the factorised system for b (k, 5, n)."""
-    eliminated = []
-    for inverse, left, right in levels:
-        y, odd = inverse @ b[::2], len(b) // 2
-        eliminated.append(y)
-        b = b[1::2] - _transposed(right[:odd]) @ y[:odd]
-        b[: len(y) - 1] -= _transposed(left[1:]) @ y[1:]
-    x = b
-    for (inverse, left, right), y in zip(reversed(levels), reversed(eliminated), strict=True):
-        y[: len(x)] -= right[: len(x)] @ x
-        y[1:] -= left[1:] @ x[: len(y) - 1]
-        both = np.empty((len(x) + len(y), *y.shape[1:]))
-        both[::2], both[1::2] = _transposed(inverse) @ y, x
-        x = both
-    return x
+    return solve
 
 
 def _transposed(blocks: Array) -> Array:
