@@ -94,7 +94,9 @@ class MotionBounds:
 def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBounds:
     """Return the bounds of jets(t) on an increasing grid (k,) [s] and at the zeros of derivatives between its points.
 
-    The grid is refined at the zeros of higher derivatives, so that double zeros between grid points are found.
+    The grid is refined at the zeros of higher derivatives, so that double zeros between grid points are found. An
+    interval is searched if its value may exceed the extrema at the grid points, with a slope of at most that at its
+    ends.
     """
     for _ in range(_REFINEMENTS):
         rows = jets(grid)[:, 2:]
@@ -102,8 +104,18 @@ def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBound
         zeros = _secant(grid, interval, rows[interval, row, joint], rows[interval + 1, row, joint])
         grid = np.union1d(grid, zeros)
     samples = jets(grid)
-    bounds = [_extremes(jets, grid, samples, row) for row in range(ROWS)]
-    return MotionBounds(*(np.array(values) for values in zip(*bounds, strict=True)))
+    value, slope = samples[:, :ROWS], samples[:, 1 : ROWS + 1]
+    reach = np.maximum(np.abs(slope[:-1]), np.abs(slope[1:])) * np.diff(grid)[:, None, None]
+    high, low = np.maximum(value[:-1], value[1:]) + reach, np.minimum(value[:-1], value[1:]) - reach
+    may_exceed = (high > value.max(axis=0)) | (low < value.min(axis=0))
+    interval, row, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & may_exceed)
+    roots = _roots(jets, grid, slope, interval, row, joint)
+    t, values = np.tile(grid[:, None, None], (2, *value.shape[1:])), np.concatenate([value, value])
+    t[interval, row, joint] = roots
+    values[interval, row, joint] = jets(roots)[np.arange(len(roots)), row, joint]
+    lowest, highest = values.argmin(axis=0)[None], values.argmax(axis=0)[None]
+    chosen = ((values, lowest), (values, highest), (t, lowest), (t, highest))
+    return MotionBounds(*(np.take_along_axis(array, at, axis=0)[0] for array, at in chosen))
 
 
 def _secant(grid: Array, interval: Indices, first: Array, last: Array) -> Array:
@@ -112,38 +124,16 @@ def _secant(grid: Array, interval: Indices, first: Array, last: Array) -> Array:
     return left + (right - left) * (first / (first - last))
 
 
-def _extremes(
-    jets: Callable[[Array], Array], grid: Array, samples: Array, row: int
-) -> tuple[Array, Array, Array, Array]:
-    """Return lower, upper, lower_at, upper_at (n,) of one row.
-
-    An interval is searched if its value may exceed the extrema at the grid points; its slope is at most that at its
-    ends.
-    """
-    value, slope = samples[:, row], samples[:, row + 1]
-    reach = np.maximum(np.abs(slope[:-1]), np.abs(slope[1:])) * np.diff(grid)[:, None]
-    high, low = np.maximum(value[:-1], value[1:]) + reach, np.minimum(value[:-1], value[1:]) - reach
-    may_exceed = (high > value.max(axis=0)) | (low < value.min(axis=0))
-    interval, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & may_exceed)
-    n = samples.shape[2]
-    t, values = np.tile(grid[:, None], (2, n)), np.vstack([value, value])
-    if len(interval):
-        roots = _roots(jets, grid, slope, row, interval, joint)
-        t[interval, joint] = roots
-        values[interval, joint] = jets(roots)[np.arange(len(roots)), row, joint]
-    lowest, highest, each = values.argmin(axis=0), values.argmax(axis=0), np.arange(n)
-    return values[lowest, each], values[highest, each], t[lowest, each], t[highest, each]
-
-
 def _roots(
-    jets: Callable[[Array], Array], grid: Array, slope: Array, row: int, interval: Indices, joint: Indices
+    jets: Callable[[Array], Array], grid: Array, slope: Array, interval: Indices, row: Indices, joint: Indices
 ) -> Array:
     """Return the zeros of row + 1 in the intervals by Newton's method, safeguarded by bisection."""
-    left, right = grid[interval], grid[interval + 1]
-    first = slope[interval, joint]
-    t = _secant(grid, interval, first, slope[interval + 1, joint])
+    left, right, each = grid[interval], grid[interval + 1], np.arange(len(interval))
+    first = slope[interval, row, joint]
+    t = _secant(grid, interval, first, slope[interval + 1, row, joint])
     for _ in range(_NEWTON_STEPS):
-        f, df = jets(t)[np.arange(len(t)), row + 1 : row + 3, joint].T
+        found = jets(t)
+        f, df = found[each, row + 1, joint], found[each, row + 2, joint]
         before = f * first > 0
         left, right = np.where(before, t, left), np.where(before, right, t)
         t = t - np.divide(f, df, out=np.full_like(f, np.inf), where=df != 0)
