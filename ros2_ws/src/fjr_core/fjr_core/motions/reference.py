@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING
 from functools import partial
 from math import inf
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,8 +64,7 @@ def check_reference(reference: object) -> None:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class MotionBounds:
+class MotionBounds(NamedTuple):
     """Bounds lower, upper (3, n) of q_ld [rad], dq_ld [rad/s] and ddq_ld [rad/s^2] over a time interval.
 
     lower_at, upper_at (3, n) [s]: times of the extrema; nan if the bound is conservative.
@@ -79,12 +78,7 @@ class MotionBounds:
     def union(self, other: MotionBounds) -> MotionBounds:
         """Return the bounds of both motions together."""
         less, more = other.lower < self.lower, other.upper > self.upper
-        return MotionBounds(
-            np.where(less, other.lower, self.lower),
-            np.where(more, other.upper, self.upper),
-            np.where(less, other.lower_at, self.lower_at),
-            np.where(more, other.upper_at, self.upper_at),
-        )
+        return MotionBounds(*map(np.where, (less, more, less, more), other, self))
 
     def delayed(self, t0: float) -> MotionBounds:
         """Return the bounds with all times shifted by t0 [s]."""
