@@ -57,7 +57,7 @@ def test_bounds_of_any_spline_enclose_it_and_its_hulls_enclose_them(seed: int, t
     even = 0.1 * np.arange(1, 41)
     tame = fjr.Spline(even, np.sin(even[:, None] + rng.uniform(0, 6, 2)), start=fjr.standing(rng.normal(size=2)))
     for reference in (wild, tame):
-        e, (lower, upper) = reference.motion_bounds(t0, t1), reference.pieces.hull(t0, t1)
+        e, (lower, upper) = reference.motion_bounds(t0, t1), reference.hull(t0, t1)
         samples = reference.jets(np.linspace(t0, min(t1, reference.end), 20001))[:, :3]
         assert np.all(e.lower <= samples.min(axis=0) + 1e-6 * np.ptp(samples, axis=0))
         assert np.all(e.upper >= samples.max(axis=0) - 1e-6 * np.ptp(samples, axis=0))

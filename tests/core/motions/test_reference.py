@@ -26,6 +26,7 @@ from core.motions.cases import (
     references,
 )
 from core.oracles.oracle import stencil
+from fjr_core.motions.piecewise_polynomial import PolynomialReference
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.sine import common_period
 from fjr_core.motions.transition import Transition
@@ -42,8 +43,8 @@ def test_each_row_is_the_derivative_of_the_one_above(reference: Reference, t: fl
 
 @references
 def test_references_are_c4_once_they_have_begun_and_constant_after_their_end(reference: Reference) -> None:
-    motion = reference.segment if isinstance(reference, Transition) else getattr(reference, "pieces", None)
-    begin = 0.0 if motion is None else motion.times[0]
+    motion = reference.segment if isinstance(reference, Transition) else reference
+    begin = motion.knot_times[0] if isinstance(motion, PolynomialReference) else 0.0
     scale = 1.0 + np.abs(reference.jets(np.linspace(0.0, 5.0, 501))).max(axis=(0, 2))[:, None]
     for t in KNOTS:
         before, after = reference.jets(np.nextafter(t, -np.inf)), reference.jets(np.nextafter(t, np.inf))

@@ -33,16 +33,16 @@ each = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 
 @each
 def test_a_motion_is_c4_between_all_its_pieces(motion: fjr.SampledMotion) -> None:
-    edges = motion.pieces.table[0][1:-1]
+    edges = motion.table[0][1:-1]
     before, after = (motion.jets(np.nextafter(edges, way)) for way in (-np.inf, np.inf))
-    scale = np.abs(motion.pieces.knots).max(axis=(0, 2))[:, None]
+    scale = np.abs(motion.knot_jets).max(axis=(0, 2))[:, None]
     assert np.all(np.abs(before - after) < 1e-9 * np.maximum(scale, 1.0))
 
 
 @each
 def test_a_motion_comes_to_rest_with_four_continuous_derivatives(motion: fjr.SampledMotion) -> None:
     before = motion.jets(np.nextafter(motion.end, 0.0))
-    np.testing.assert_allclose(before[1:], 0.0, atol=1e-9 * (1.0 + np.abs(motion.pieces.knots).max()))
+    np.testing.assert_allclose(before[1:], 0.0, atol=1e-9 * (1.0 + np.abs(motion.knot_jets).max()))
     np.testing.assert_array_equal(motion.jets(motion.end + 1.0), fjr.standing(motion.jets(motion.end)[0]))
 
 
@@ -74,7 +74,7 @@ def test_a_reference_is_recovered_from_its_rounded_samples_and_rests_exactly_whe
 
 def test_a_motion_that_ends_at_speed_has_few_pieces_and_stops_with_moderate_efforts() -> None:
     motion = MOTIONS["rounded sine"]
-    assert len(motion.pieces.times) < 40
+    assert len(motion.knot_times) < 40
     along, whole = effort_demand(LINK, motion, 0.0, 9.99), effort_demand(LINK, motion)
     assert T[-1] < motion.end < 2 * T[-1]
     assert whole.peak[0] < 1.5 * along.peak[0]

@@ -215,7 +215,7 @@ class _Demands:
 
     def of_start(self) -> str:
         """Compare a start at speed with the effort to reach it from rest within the first samples."""
-        speed, first = self.motion.pieces.knots[0, 1], self.t[min(len(self.t) - 1, FIRST)]
+        speed, first = self.motion.knot_jets[0, 1], self.t[min(len(self.t) - 1, FIRST)]
         start = effort_demand(self.robot, self.raw, 0.0, first)
         j = int(np.argmax(np.abs(speed)))
         if abs(speed[j]) * first <= self.motion.deviation[j] or start.peak[j] <= NOTABLE * self.demand.peak[j]:

@@ -81,7 +81,7 @@ def effort_demand(robot: Robot, motion: SampledMotion, t0: float = 0.0, t1: floa
 
     u = B_m^-1 (M_m ddtheta + D_m dtheta + tau), by the inverse dynamics of the flexible-joint robot.
     """
-    knots = motion.pieces.times
+    knots = motion.knot_times
     times = knots[np.searchsorted(knots, t0, side="right") - 1 : np.searchsorted(knots, t1) + 1]
     parts = max(SUBDIVISIONS[0], -(-SUBDIVISIONS[1] // len(times)))
     inner = times[:-1, None] + np.diff(times)[:, None] * np.arange(parts) / parts

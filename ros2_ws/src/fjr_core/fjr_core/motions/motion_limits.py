@@ -13,7 +13,7 @@ from ..errors import TrajectoryError
 from ..model.robot import REVOLUTE, JointLimits, Units
 from ..numerics.checks import Array, freeze, limits
 from ..numerics.one_line import one_line
-from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference
+from .piecewise_polynomial import PolynomialReference
 from .reference import Reference, check_reference
 from .spline import Spline
 
@@ -74,7 +74,7 @@ class MotionLimits:
 
 
 def check_motion(
-    reference: Reference | PiecewisePolynomial,
+    reference: Reference,
     limits: MotionLimits,
     t0: float = 0.0,
     t1: float = np.inf,
@@ -91,8 +91,7 @@ def check_motion(
         raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
     if isinstance(reference, Spline):
         _check_points(reference, limits, t0, joints)
-    pieces = reference.pieces if isinstance(reference, PolynomialReference) else reference
-    if isinstance(pieces, PiecewisePolynomial) and not any(beyond(e, limits).any() for e in pieces.hull(t0, t1)):
+    if isinstance(reference, PolynomialReference) and not any(beyond(e, limits).any() for e in reference.hull(t0, t1)):
         return
     e = reference.motion_bounds(t0, t1)
     for values, at in ((e.lower, e.lower_at), (e.upper, e.upper_at)):

@@ -15,7 +15,7 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..numerics.checks import Array
+from ..numerics.checks import Array, freeze
 from ..numerics.one_line import joints, span
 from .reference import JETS, ROWS, MotionBounds, motion_bounds_on
 
@@ -53,34 +53,35 @@ def taylor(jets: Array, h: Array) -> Array:
     return jets * (np.asarray(h)[..., None] ** _ORDERS / _FACTORIALS)[..., None]
 
 
-@dataclass(frozen=True, eq=False)
-class PiecewisePolynomial:
-    """Piecewise polynomial of degree 9 with jets knots (k, 5, n) at increasing times (k,) [s], k >= 2.
+class PolynomialReference:
+    """Base of references along polynomials of degree 9 with jets knot_jets (k, 5, n) at knots knot_times (k,) [s].
 
-    It interpolates the jets of the knots exactly. Before the first time it is constant at the first position. After the
-    last time it is constant at the last position, or follows the Taylor polynomial of the last knot if `continues`.
-    With a `period` [s] it repeats itself from t = 0 on, and bounds are those of all times.
-    Arguments are not checked. Each half of a segment is a polynomial about its own knot, which preserves the accuracy
-    of the fourth derivative.
+    The times increase, k >= 2. The jets of the knots are interpolated exactly. Before the first time the reference is
+    constant at the first position. After the last time it is constant at the last position, or follows the Taylor
+    polynomial of the last knot if `continues`. With a `period` [s] it repeats itself from t = 0 on, and bounds are
+    those of all times.
+    Each half of a segment is a polynomial about its own knot, which preserves the accuracy of the fourth derivative.
     """
 
-    times: Array
-    knots: Array
+    knot_times: Array
+    knot_jets: Array
     continues: bool = False
     period: float = 0.0
 
-    def __repr__(self) -> str:
-        return f"PiecewisePolynomial({joints(self.n)}, {len(self.times) - 1} pieces, {span(self.times)})"
+    def set_knots(self, times: Array, jets: Array) -> None:
+        """Set times and jets of the knots, without checks."""
+        freeze(self, "knot_times", times)
+        freeze(self, "knot_jets", jets)
 
     @property
     def n(self) -> int:
         """Number of joints."""
-        return int(self.knots.shape[2])
+        return int(self.knot_jets.shape[2])
 
     @property
     def end(self) -> float:
-        """Time [s] from which on the polynomial is constant; infinite if it continues or repeats itself."""
-        return inf if self.continues or self.period else float(self.times[-1])
+        """Time [s] from which on the reference is constant; infinite if it continues or repeats itself."""
+        return inf if self.continues or self.period else float(self.knot_times[-1])
 
     @cached_property
     def table(self) -> tuple[Array, Array, Array, Array]:
@@ -88,23 +89,23 @@ class PiecewisePolynomial:
 
         Entry i = 0 .. m applies from edge i - 1 up to, but not including, edge i.
         """
-        h = np.diff(self.times)
+        h = np.diff(self.knot_times)
         halves = np.stack([h, -h], axis=1).ravel()  # from each knot forwards, then from the next knot backwards
-        near = self.knots.repeat(2, axis=0)[1:-1]
+        near = self.knot_jets.repeat(2, axis=0)[1:-1]
         far = near.reshape(-1, 2, *near.shape[1:])[:, ::-1].reshape(near.shape)
         with np.errstate(all="ignore"):  # checked by `finite`
             outer = [0.0, halves[-1] if self.continues else 0.0]
             middle = coefficients(taylor(near, halves), taylor(far, halves))
             ends = np.zeros((2, *middle.shape[1:]))
-            ends[:, :JETS] = taylor(self.knots[[0, -1]], np.array(outer))
+            ends[:, :JETS] = taylor(self.knot_jets[[0, -1]], np.array(outer))
             rates = np.concatenate([[0.0], 1 / halves, [1 / halves[-1] if self.continues else 0.0]])
             c = np.concatenate([ends[:1], middle, ends[1:]])  # (k, 10, n), of the position in s = rate t
             tables = np.zeros((len(c), DEGREE + 1, JETS, self.n))
             for order in range(JETS):
                 slopes = _SLOPES[order:, order, None] * c[:, order:]
                 tables[:, : DEGREE + 1 - order, order] = slopes * rates[:, None, None] ** order
-        edges = np.stack([self.times[:-1], self.times[:-1] + h / 2], axis=1).ravel()
-        return np.append(edges, np.nextafter(self.times[-1], inf)), self.times.repeat(2), rates, tables
+        edges = np.stack([self.knot_times[:-1], self.knot_times[:-1] + h / 2], axis=1).ravel()
+        return np.append(edges, np.nextafter(self.knot_times[-1], inf)), self.knot_times.repeat(2), rates, tables
 
     @property
     def finite(self) -> bool:
@@ -123,9 +124,13 @@ class PiecewisePolynomial:
             value = value * s + tables[place, power]
         return np.asarray(value)
 
+    def configurations(self, k: int) -> Array:
+        """Return k configurations (k, n) [rad], equally spaced in time from the first knot to the last."""
+        return self.jets(np.linspace(self.knot_times[0], self.knot_times[-1], k))[:, 0]
+
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
         """Return bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
-        t0, t1 = (0.0, self.period) if self.period else (t0, min(t1, max(t0, self.times[-1])))
+        t0, t1 = (0.0, self.period) if self.period else (t0, min(t1, max(t0, self.knot_times[-1])))
         coarse = np.concatenate([[t0, t1], self._cut(slice(None), 2, t0, t1)])
         seen = self.jets(coarse)[:, :ROWS]
         lower, upper = self._hulls
@@ -141,14 +146,14 @@ class PiecewisePolynomial:
         The bounds are those of the Bezier points of all half segments involved. They exceed the extrema by at most 10/9
         of the largest second difference of these points (Nairn, Peters and Lutterkort, 1999).
         """
-        t0, t1, last = *((0.0, self.period) if self.period else (t0, t1)), len(self.times) - 2
-        first, end = np.clip(np.searchsorted(self.times, [t0, t1], side="right") - 1, 0, last)
+        t0, t1, last = *((0.0, self.period) if self.period else (t0, t1)), len(self.knot_times) - 2
+        first, end = np.clip(np.searchsorted(self.knot_times, [t0, t1], side="right") - 1, 0, last)
         lower, upper = (bounds[first : end + 1] for bounds in self._hulls)
         return lower.min(axis=0), upper.max(axis=0)
 
     def _cut(self, segments: NDArray[np.bool_] | slice, parts: int, t0: float, t1: float) -> Array:
         """Return the times between t0 and t1 [s] that divide the given segments into parts, with their ends."""
-        start, length = self.times[:-1][segments, None], np.diff(self.times)[segments, None]
+        start, length = self.knot_times[:-1][segments, None], np.diff(self.knot_times)[segments, None]
         times = (start + length * np.arange(parts + 1) / parts).ravel()
         return times[(times > t0) & (times < t1)]
 
@@ -166,32 +171,17 @@ class PiecewisePolynomial:
         return lower.reshape(shape).min(axis=1), upper.reshape(shape).max(axis=1)
 
 
-class PolynomialReference:
-    """Base of the references along `pieces`."""
+@dataclass(frozen=True, eq=False)
+class PiecewisePolynomial(PolynomialReference):
+    """Reference along polynomials with these knots; arguments are not checked."""
 
-    pieces: PiecewisePolynomial
+    knot_times: Array
+    knot_jets: Array
+    continues: bool = False
+    period: float = 0.0
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.pieces.n
-
-    @property
-    def end(self) -> float:
-        """Time [s] from which on the reference is constant; infinite if it repeats itself."""
-        return self.pieces.end
-
-    def jets(self, t: ArrayLike) -> Array:
-        """Return q_ld .. d4q_ld at time t [s]: (5, n) for a scalar t, (k, 5, n) for t (k,)."""
-        return self.pieces.jets(t)
-
-    def configurations(self, k: int) -> Array:
-        """Return k configurations (k, n) [rad], equally spaced in time from the first time to the last."""
-        return self.jets(np.linspace(self.pieces.times[0], self.pieces.times[-1], k))[:, 0]
-
-    def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds of position, velocity and acceleration from t0 to t1 [s]."""
-        return self.pieces.motion_bounds(t0, t1)
+    def __repr__(self) -> str:
+        return f"PiecewisePolynomial({joints(self.n)}, {len(self.knot_times) - 1} pieces, {span(self.knot_times)})"
 
 
 def _jerk_root() -> Array:

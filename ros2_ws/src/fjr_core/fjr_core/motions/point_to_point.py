@@ -39,11 +39,7 @@ class Hold(PolynomialReference):
 
     def __post_init__(self) -> None:
         freeze(self, "q", joint_vector("q", self.q))
-
-    @cached_property
-    def pieces(self) -> PiecewisePolynomial:  # type: ignore[override]
-        """The position as a polynomial that ends at t = 0."""
-        return PiecewisePolynomial(np.array([-1.0, 0.0]), np.stack([standing(self.q)] * 2))
+        self.set_knots(np.array([-1.0, 0.0]), np.stack([standing(self.q)] * 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,23 +65,13 @@ class PointToPoint(PolynomialReference):
         positive("duration", self.duration)
         if not (np.isfinite(self.dwell) and self.dwell >= 0):
             raise TrajectoryError(f"dwell is {self.dwell} s; expected 0 or more")
-
-    @property
-    def period(self) -> float:
-        """Period [s] of the motion forth and back, including both dwells."""
-        return 2 * (self.duration + self.dwell)
-
-    @cached_property
-    def pieces(self) -> PiecewisePolynomial:  # type: ignore[override]
-        """The motion as a piecewise polynomial."""
-        times, knots = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
+        times, jets = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
         if self.returns:
-            back = self.period / 2
-            times, knots = [*times, back, back + self.duration], [*knots, knots[1], knots[0]]
+            back = self.duration + self.dwell
+            times, jets = [*times, back, back + self.duration], [*jets, jets[1], jets[0]]
+            object.__setattr__(self, "period", 2 * back)
         kept = np.diff(times, prepend=-1.0) > 0
-        return PiecewisePolynomial(
-            np.array(times)[kept], np.array(knots)[kept], period=self.period if self.returns else 0.0
-        )
+        self.set_knots(np.array(times)[kept], np.array(jets)[kept])
 
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad], equally spaced between q0 and q1."""

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ..errors import TrajectoryError
 from ..numerics.checks import Array, floats, freeze
 from ..numerics.one_line import joints, span
-from .piecewise_polynomial import DEGREE, PiecewisePolynomial, PolynomialReference, minimum_jerk
+from .piecewise_polynomial import DEGREE, PolynomialReference, minimum_jerk
 from .reference import JETS
 from .spline import Spline
 
@@ -49,7 +49,6 @@ class SampledMotion(PolynomialReference):
     positions: ArrayLike
     tolerance: ArrayLike
     velocities: ArrayLike | None = None
-    pieces: PiecewisePolynomial = field(init=False, repr=False)
     deviation: Array = field(init=False, repr=False)
     """Largest distance (n,) [rad] of the reference from the samples."""
     smoothed: bool = field(init=False)
@@ -57,7 +56,7 @@ class SampledMotion(PolynomialReference):
     def __repr__(self) -> str:
         kind = f"smoothed within {self.deviation.max():.2g}" if self.smoothed else "interpolated"
         samples = f"{np.size(self.times)} samples {kind}"
-        return f"SampledMotion({joints(self.n)}, {samples}, {span(self.pieces.times)})"
+        return f"SampledMotion({joints(self.n)}, {samples}, {span(self.knot_times)})"
 
     def __post_init__(self) -> None:
         waypoints = Spline(self.times, self.positions, self.velocities, moving_end=self.velocities is not None)
@@ -69,10 +68,10 @@ class SampledMotion(PolynomialReference):
         freeze(self, "tolerance", tolerance)
         fit = least_squares_fit(t, q, tolerance) if np.all(tolerance > 0) else None
         if fit is None:
-            knots, jets = waypoints.pieces.times, waypoints.pieces.knots
+            times, jets = waypoints.knot_times, waypoints.knot_jets
         else:
-            knots, jets = fit.times, fit.jets
-        object.__setattr__(self, "pieces", PiecewisePolynomial(*_brought_to_rest(knots, jets)))
+            times, jets = fit.times, fit.jets
+        self.set_knots(*_brought_to_rest(times, jets))
         object.__setattr__(self, "smoothed", fit is not None)
         freeze(self, "deviation", np.zeros(q.shape[1]) if fit is None else fit.deviation)
 
@@ -200,7 +199,7 @@ def waypoints(motion: SampledMotion, tolerance: float) -> tuple[Array, Array]:
     These are times (k,) [s] and rows (3, k, n) of position, velocity and acceleration, the last at rest. The intervals
     are halved until this holds, or until the next halving would give more than MOST_WAYPOINTS points.
     """
-    times = motion.pieces.times
+    times = motion.knot_times
     while True:
         jets = motion.jets(times)
         jets[-1, 1:] = 0.0

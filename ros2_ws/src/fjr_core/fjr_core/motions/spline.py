@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,7 @@ from ..errors import TrajectoryError
 from ..numerics import checks
 from ..numerics.checks import Array, freeze
 from ..numerics.one_line import joints, span
-from .piecewise_polynomial import PiecewisePolynomial, PolynomialReference, minimum_jerk, without_overshoot
+from .piecewise_polynomial import PolynomialReference, minimum_jerk, without_overshoot
 from .reference import JETS
 
 SHORTEST = 1e-6  # s, smallest interval between points
@@ -42,10 +42,9 @@ class Spline(PolynomialReference):
     accelerations: ArrayLike | None = None
     start: ArrayLike | None = None
     moving_end: bool = False
-    pieces: PiecewisePolynomial = field(init=False, repr=False)
 
     def __repr__(self) -> str:
-        return f"Spline({joints(self.n)}, {np.size(self.times)} points, {span(self.pieces.times)})"
+        return f"Spline({joints(self.n)}, {np.size(self.times)} points, {span(self.knot_times)})"
 
     def __post_init__(self) -> None:
         positions = _points("positions", self.positions)
@@ -65,10 +64,10 @@ class Spline(PolynomialReference):
         _check_times(times, self.start is not None)
         if self.velocities is not None and not self.moving_end and np.any(last := np.asarray(self.velocities)[-1]):
             raise TrajectoryError(f"velocities ends with {last.tolist()}; expected zeros at the last point")
-        object.__setattr__(self, "pieces", self._interpolated())
+        self._interpolate()
 
-    def _interpolated(self) -> PiecewisePolynomial:
-        """Return the piecewise polynomial through the points with the free derivatives chosen."""
+    def _interpolate(self) -> None:
+        """Set the knots: the points, and those before them, with the free derivatives chosen."""
         times, (jets, free) = np.asarray(self.times), self._given()
         if self.start is not None:
             begin, before = np.asarray(self.start)[None], [0.0]
@@ -80,12 +79,11 @@ class Spline(PolynomialReference):
         try:
             with np.errstate(all="ignore"):
                 jets = without_overshoot(times, minimum_jerk(times, jets, free), free) if free.any() else jets
-                pieces = PiecewisePolynomial(times, jets)
         except np.linalg.LinAlgError:  # the system is not positive definite to rounding
-            pieces = None
-        if pieces is None or not pieces.finite:
+            jets = np.full_like(jets, np.nan)
+        self.set_knots(times, jets)
+        if not self.finite:
             raise TrajectoryError("positions and times lead to numbers that are not finite; expected smaller ones")
-        return pieces
 
     def _given(self) -> tuple[Array, NDArray[np.bool_]]:
         """Return the jets (k, 5, n) of the points, zero where not given, and the mask (k, 5) of the free ones."""

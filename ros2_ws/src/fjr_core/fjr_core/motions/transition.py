@@ -24,7 +24,7 @@ class Transition:
     target: Reference
 
     def __repr__(self) -> str:
-        return f"Transition({span(self.segment.times)}, then {self.target!r})"
+        return f"Transition({span(self.segment.knot_times)}, then {self.target!r})"
 
     @property
     def n(self) -> int:
@@ -34,7 +34,7 @@ class Transition:
     @property
     def transition_end(self) -> float:
         """Time [s] from which on the reference equals the target."""
-        return float(self.segment.times[-1])
+        return float(self.segment.knot_times[-1])
 
     @property
     def end(self) -> float:
@@ -52,7 +52,7 @@ class Transition:
 
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad]: a quarter of them in the transition, the others of the target."""
-        times = np.linspace(self.segment.times[0], self.transition_end, k // 4)
+        times = np.linspace(self.segment.knot_times[0], self.transition_end, k // 4)
         return np.vstack([self.segment.jets(times)[:, 0], self.target.configurations(k - k // 4)])
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:

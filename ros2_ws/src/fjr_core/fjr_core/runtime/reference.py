@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import FjrError, TrajectoryError, UserCodeError
 from ..extensions.python_code import checked
 from ..files.importing import described
-from ..motions.piecewise_polynomial import PiecewisePolynomial, PolynomialReference
+from ..motions.piecewise_polynomial import PolynomialReference
 from ..motions.point_to_point import Circle
 from ..motions.reference import JETS, Reference, check_reference
 from ..motions.sine import Sines
@@ -59,11 +59,9 @@ def reference_table(reference: Any) -> ReferenceTable:
         arrays = dict(zip(_POLYNOMIALS, reference.angle.table, strict=True))
         centre = np.asarray(reference.centre)
         return ReferenceTable("FJR_CIRCLE", centre, reference.end, arrays, radius=reference.radius)
-    if owner is PiecewisePolynomial:
+    if owner is PolynomialReference:
         arrays = dict(zip(_POLYNOMIALS, reference.table, strict=True))
         return ReferenceTable("FJR_POLYNOMIALS", np.zeros(reference.n), reference.end, arrays, period=reference.period)
-    if owner is PolynomialReference:
-        return reference_table(reference.pieces)
     if owner is Transition:
         then, until = reference_table(reference.target), reference.transition_end
         return replace(
