@@ -229,8 +229,10 @@ class _Demands:
 
     def of_velocity_columns(self) -> str:
         """Report velocity columns that contradict the positions: by more than a tenth of the largest velocity."""
-        error = self.motion.velocity_error
-        largest = np.abs(self.motion.jets(self.motion.times)[:, 1]).max(axis=0)
+        if self.motion.velocities is None:
+            return ""
+        tracked = self.motion.jets(self.motion.times)[:, 1]
+        error, largest = (np.abs(each).max(axis=0) for each in (tracked - np.asarray(self.motion.velocities), tracked))
         j = int(np.argmax(error - 0.1 * largest))
         if error[j] <= 0.1 * largest[j]:
             return ""

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..model import closed_form_arms
+from ..model.closed_form_arms import Rod, hanging_rod, planar_two_link, single_link, urdf_of_rods
 from ..model.robot import Robot
 from ..monitoring.external_torque import StatedErrors
 from ..numerics.checks import joint_names
 from ..numerics.parameter_field import declared
 from ..urdf.robot import robot_from_urdf
 from ..urdf.tree import parse_xml
-from ..urdf.writing import Rod, hanging_rod, urdf_of_rods
 from . import robot_file
 from .parameter import LIST, MATRIX, POINT, ROWS, VECTOR, Parameter, Values, named, names, read, rows, table, vector
 
@@ -62,8 +61,8 @@ def _urdf(
 
 
 MODELS: dict[str, Callable[..., Robot]] = {
-    "single_link": closed_form_arms.single_link,
-    "planar_two_link": closed_form_arms.planar_two_link,
+    "single_link": single_link,
+    "planar_two_link": planar_two_link,
     "urdf": _urdf,
 }
 _SIZES = {"single_link": 1, "planar_two_link": 2}  # other models: as many joints as `joints` lists

@@ -10,7 +10,6 @@ the samples must stay within a tolerance.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,13 +73,6 @@ class SampledMotion(PolynomialReference):
         self.set_knots(*_brought_to_rest(times, jets))
         object.__setattr__(self, "smoothed", fit is not None)
         freeze(self, "deviation", np.zeros(q.shape[1]) if fit is None else fit.deviation)
-
-    @cached_property
-    def velocity_error(self) -> Array:
-        """Largest difference (n,) [rad/s] from the given velocities; zero if there are none."""
-        if self.velocities is None:
-            return np.zeros(self.n)
-        return np.asarray(np.abs(self.jets(self.times)[:, 1] - np.asarray(self.velocities)).max(axis=0))
 
 
 def _tolerance(given: ArrayLike, n: int) -> Array:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read and write URDFs."""
+"""Read URDFs."""
