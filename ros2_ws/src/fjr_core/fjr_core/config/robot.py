@@ -6,7 +6,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -176,18 +175,16 @@ def robot_parameters(given: Mapping[str, object]) -> list[Parameter]:
     """Return the parameters of the given model for its joints; defaults are those of the model's function."""
     n = joints_of(given)
     arguments = inspect.signature(MODELS[model_of(given)]).parameters.values()
-    own = [_parameter(argument, n) for argument in arguments if argument.name != "joints"]
+    own = [_parameter(argument).for_joints(n) for argument in arguments if argument.name != "joints"]
     curves = (each.for_joints(n) for each in (CUBIC, *TORSION))
     return [JOINTS, FILE, MODEL, *own, *curves, *table(GUESSES, n), *table(_DEVIATIONS, n)]
 
 
-def _parameter(argument: inspect.Parameter, n: int) -> Parameter:
-    declared = _ARGUMENTS[argument.name]
+def _parameter(argument: inspect.Parameter) -> Parameter:
+    """Return the parameter of a model's argument, required if the argument has no default."""
     if argument.default is inspect.Parameter.empty:
-        return replace(declared, required=True).for_joints(n)
-    default = np.broadcast_to(argument.default, n) if declared.shape in (VECTOR, MATRIX) else np.array(argument.default)
-    entries: Any = default.tolist()
-    return replace(declared, default=tuple(entries) if default.ndim else entries).for_joints(n)
+        return replace(_ARGUMENTS[argument.name], required=True)
+    return replace(_ARGUMENTS[argument.name], default=argument.default)
 
 
 def robot(values: Values) -> Robot:

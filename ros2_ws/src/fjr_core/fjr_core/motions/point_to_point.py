@@ -16,7 +16,6 @@ from ..numerics.one_line import one_line
 from ..numerics.parameter_field import VECTOR
 from .piecewise_polynomial import SAMPLES, PiecewisePolynomial, PolynomialReference
 from .reference import JETS, MotionBounds, Reference, motion_bounds_on, motion_field, offset_field
-from .sine import phases
 
 _way, _circle = (partial(motion_field, name=f"{group}.") for group in ("point_to_point", "circle"))
 
@@ -135,7 +134,7 @@ class Circle(Reference):
 
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad], equally spaced on the circle."""
-        angle = self.phase + phases(k, np.array([self.frequency]))[:, 0]
+        angle = self.phase + np.linspace(0.0, 2 * np.pi * (self.frequency != 0), k, endpoint=False)
         q = np.tile(np.asarray(self.centre), (k, 1))
         q[:, :2] += self.radius * np.column_stack([np.cos(angle), np.sin(angle)])
         return q

@@ -69,12 +69,14 @@ class Sines(Reference):
     def configurations(self, k: int) -> Array:
         """Return k configurations (k, n) [rad], over the common period if there is one, else over all relative phases.
 
-        Sines of equal frequency have one phase.
+        Sines of equal frequency share their angle; the angles of different frequencies fill the torus.
         """
         if self.period is not None:
             return np.asarray(self.jets(self.period * _turns(k, 2)[:, 1])[:, 0])
         amplitude, frequency, phase = self.rows
-        angles = phases(k, frequency) + phase
+        frequencies, place = np.unique(frequency, return_inverse=True)
+        turns = _turns(k, len(frequencies)) * (frequencies != 0)
+        angles = 2 * np.pi * turns[:, place.reshape(frequency.shape)] + phase
         return np.asarray(self.offset) + (amplitude * np.sin(angles)).sum(axis=1)
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
@@ -163,16 +165,6 @@ def common_period(frequency: Array) -> float | None:
             larger, smaller = smaller, abs(larger - smaller * round(larger / smaller))
         base = larger
     return 2 * np.pi / base if highest / base <= MOST_CYCLES else None
-
-
-def phases(k: int, frequency: Array) -> Array:
-    """Return k angles (k, *frequency.shape) [rad] that cover the long-run phases of sines with these frequencies.
-
-    Sines of equal frequency share their angle; the angles of different frequencies fill the torus.
-    """
-    frequencies, place = np.unique(frequency, return_inverse=True)
-    turns = _turns(k, len(frequencies)) * (frequencies != 0)
-    return 2 * np.pi * turns[:, place.reshape(frequency.shape)]
 
 
 def _turns(k: int, m: int) -> Array:
